@@ -1,18 +1,16 @@
 """Association priors for multi-camera tracking, from the learned topology.
 
 An object that leaves a zone appears next at some zone after some lag, or is not seen again, with
-the odds and transit times that prediction uses (`camtopod.predict.predictor`; transit times: thesis
-4.5; odds as a Markov chain over cameras: thesis 4.6). An object that appears has left another zone
-before, or comes from outside, at a constant rate. All values are logarithms, so they add to those
-of other evidence:
+the odds and transit times that prediction uses (thesis 4.5, 4.6). An object that appears has left
+another zone before, or comes from outside, at a constant rate. All values are logarithms:
 
     gate(...)      ln of 1/s   an object that left there appears next here at this time
     gate_new(...)  ln of 1/s   an object from outside appears here
     gate_gone(...) ln of 1     an object that left there is not seen again, or not yet
 
 ``gate - gate_new - gate_gone`` is the log odds that an exit and an entry belong to one object
-rather than to two. `Gate.affinity` computes it for many. The matching with the largest sum is the
-most likely of all matchings.
+rather than to two. `Gate.affinity` computes it for many; the matching with the largest sum is the
+most likely of all.
 """
 
 from __future__ import annotations
@@ -32,10 +30,7 @@ from camtopod.records import Event, Topology
 from camtopod.topology import block_of
 
 OUTSIDE_SHARE_MIN = 0.05
-"""Smallest share of entries from outside at which a zone contributes to the estimated duration.
-
-The duration is that of the window that the version was learned from.
-"""
+"""Smallest share of entries from outside at which a zone tells the duration of the window."""
 
 
 class _Began(NamedTuple):
@@ -95,10 +90,9 @@ class Gate:
         t_exit, t_entry: seconds since the epoch, each by its own camera's clock. Where views
             overlap, ``t_entry`` may be before ``t_exit``.
 
-        Integrated over ``t_entry`` the density is the probability of appearing there next; summed
-        over all cameras, too, it is 1 minus the probability of not being seen again. It is a step
-        function, constant within a bin of some percent of the lag. It is -inf where this version of
-        the topology has no link with this lag.
+        Integrated over ``t_entry`` the density is the probability of appearing there next. It is a
+        step function, constant within a bin of some percent of the lag, and -inf where this version
+        of the topology has no link with this lag.
 
         Raises ValueError for times that are not finite; `UnknownPlace` (a KeyError) for a zone or
         camera that this version does not have. Zones come and go with versions: for events prefer

@@ -125,30 +125,24 @@ class SiteView:
         """Predict where an object that left ``camera`` at ``t`` appears next.
 
         The version held answers, without a query to the daemon, in about a tenth of a millisecond.
-        Times in the answer are seconds after ``t``.
 
-        t: seconds since the epoch by the camera's clock.
+        t: seconds since the epoch by the camera's clock; times in the answer are seconds after it.
         x, y: where the object left (fractions of the image); omit them at a camera without
             positions.
         zone: id of the zone where it left, instead of ``x`` and ``y``.
         track: its track in that view. If the track's entry was passed to `observe`, the passage is
             taken into account, unless ``zone`` is given.
-        now: time of the query, if later than the exit, by the same camera's clock.
+        now: time of the query, if later than the exit, by the same camera's clock. Arrivals that
+            would have been seen by then and were not shift the odds to the remaining ones and to
+            ``leave``; an entry passed to `observe` since the exit may have been the object's.
 
-        With ``now``, arrivals that would have been seen by then and were not shift the odds to the
-        remaining ones and to ``leave``. An entry passed to `observe` since the exit may have been
-        the object's: a window before ``now`` expresses that. The newest 2,000 entries count;
-        without `observe` nothing is taken to have appeared. The answer does not depend on whether
-        the exit itself has been observed by then.
-
-        Where views overlap the object may already be visible elsewhere; this is considered only if
-        its entry there was passed to `observe`.
+        Where views overlap the object may already be visible elsewhere, which needs its entry there
+        passed to `observe`, too.
 
         Raises `NothingLearned`; `UnknownPlace` (a KeyError) for a camera or zone that this version
         does not have; ValueError for an invalid event, for a zone together with a position, or for
         ``now`` before ``t``.
         """
-
         # Validate the exit as if it had been received.
         asked = {"camera": camera, "kind": "exit", "t": t, "x": x, "y": y, "track": track}
         event = codec.event_from_msgpack(
@@ -187,41 +181,27 @@ class SiteView:
         t_entry: float,
         to_zone: str | None = None,
     ) -> float:
-        """Return ln of the density (1/s) of a transition from ``from_zone``, left at ``t_exit``.
-
-        The transition ends at ``to_camera`` (or its zone ``to_zone``) at ``t_entry``: see
-        `Gate.gate`. Raises `NothingLearned`, `UnknownPlace` (a KeyError).
-        """
+        """Return `Gate.gate` of the version held; raise `NothingLearned`, `UnknownPlace`."""
         return self._now().gate(from_zone, t_exit, to_camera, t_entry, to_zone)
 
     def gate_new(self, to_camera: str, to_zone: str | None = None) -> float:
-        """Return ln of the rate (1/s) of objects from outside: see `Gate.gate_new`.
-
-        Raises `NothingLearned`, `UnknownPlace` (a KeyError).
-        """
+        """Return `Gate.gate_new` of the version held; raise `NothingLearned`, `UnknownPlace`."""
         return self._now().gate_new(to_camera, to_zone)
 
     def gate_gone(self, from_zone: str, seconds: float = math.inf) -> float:
-        """Return ln of the probability that an object is unseen ``seconds`` after its exit.
-
-        See `Gate.gate_gone`. Raises `NothingLearned`, `UnknownPlace` (a KeyError).
-        """
+        """Return `Gate.gate_gone` of the version held; raise `NothingLearned`, `UnknownPlace`."""
         return self._now().gate_gone(from_zone, seconds)
 
     def affinity(
         self, exits: Sequence[Event], entries: Sequence[Event], now: float | None = None
     ) -> NDArray[np.float64]:
-        """Return the log odds (exits, entries), in nats, that events belong to one object.
-
-        See `Gate.affinity`. Raises `NothingLearned`, ValueError.
-        """
+        """Return `Gate.affinity` of the version held; raise `NothingLearned`, ValueError."""
         return self._now().affinity(exits, entries, now)
 
     def close(self) -> None:
-        """Leave the bus and release all waiters. May be called repeatedly.
+        """Leave the bus and release all waiters; the version held stays usable.
 
-        The version held stays usable. Call this before the program ends (or use ``with``): a
-        program with an open session does not terminate.
+        May be called repeatedly. A program with an open session does not terminate.
         """
         with self._opening:
             if self._closing.is_set():
@@ -250,7 +230,9 @@ class SiteView:
         return self._gate
 
     def _at_least(self, version: int) -> Version | None:
-        return self.current if self.version >= version else None
+        if self.version < version:
+            return None
+        return self.current
 
     def _not_there(self, version: int, seconds: float) -> str:
         there = "the daemon is there"
@@ -286,11 +268,15 @@ class SiteView:
 
     def _say_there(self, there: bool) -> None:
         if there != (self._stale_since is None):
-            self._stale_since = None if there else clock.wall()
+            self._stale_since = None
+            if not there:
+                self._stale_since = clock.wall()
             self._news.notify()
 
     def _on_daemon(self, name: str, alive: bool) -> None:
-        (self._daemons.add if alive else self._daemons.discard)(name)
+        self._daemons.discard(name)
+        if alive:
+            self._daemons.add(name)
         self._wake.set()
 
 
@@ -321,5 +307,6 @@ def _with_all_alive(version: Version) -> Version:
     The predictor may be given events of some cameras only and must not take the silence of the
     others for a failure.
     """
-    model = version.model
-    return version if model is None else replace(version, model=replace(model, cameras=[]))
+    if version.model is None:
+        return version
+    return replace(version, model=replace(version.model, cameras=[]))

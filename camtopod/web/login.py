@@ -30,8 +30,6 @@ PASSWORD_CHARACTERS_MIN = 8
 """Shortest password."""
 TOKEN_CHARACTERS_MIN = 20
 """Shortest token: nothing limits how often one may be guessed."""
-COOKIE = "camtopod_session"
-"""Name of the cookie, before the port: a browser sends cookies to all ports of a host."""
 WRONG = "That is not the password."
 TOO_MANY = "Too many wrong passwords: wait a minute."
 OPEN_PATHS = ("/login", "/static/app.css", "/static/icon.svg")
@@ -128,8 +126,8 @@ class Login:
 
 
 def cookie_name(request: Request) -> str:
-    """Return the name of the cookie on this server."""
-    return f"{COOKIE}_{request.url.port or request.url.scheme}"
+    """Return the name of the cookie on this server: a browser sends those of all ports of a host."""
+    return f"camtopod_session_{request.url.port or request.url.scheme}"
 
 
 def _same(given: str, expected: str) -> bool:

@@ -26,19 +26,9 @@ def picture_of(folder: Path | None, camera: str) -> Path | None:
     return next((path for path in paths if os.access(path, os.R_OK)), None)
 
 
-def stored_path(folder: Path, camera: str) -> Path:
-    """Return the path where `store_picture` stores a camera's picture."""
-    return folder / f"{camera}.jpg"
-
-
-def make_folder(folder: Path) -> None:
-    """Create the folder if it does not exist. Raises `OSError`."""
-    folder.mkdir(mode=0o750, parents=True, exist_ok=True)
-
-
 def store_picture(folder: Path, camera: str, jpeg: bytes) -> None:
     """Store a camera's picture, readable by the folder's owner and group.
 
     Replaces an earlier one. Raises `OSError`.
     """
-    secret_files.write(stored_path(folder, camera), jpeg, 0o640)
+    secret_files.write(folder / f"{camera}.jpg", jpeg, 0o640)

@@ -51,7 +51,7 @@ def probe_all(
         remember(settings.source)
     if folder is not None:
         with writing(f"--pictures {folder}"):
-            pictures.make_folder(folder)
+            folder.mkdir(mode=0o750, parents=True, exist_ok=True)
 
     # Probe all, and handle each result as soon as it is known.
     with ThreadPoolExecutor(8) as pool:
