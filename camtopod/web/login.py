@@ -126,7 +126,7 @@ class Login:
 
 
 def cookie_name(request: Request) -> str:
-    """Return the name of the cookie on this server: a browser sends those of all ports of a host."""
+    """Return the cookie's name: a browser sends those of all ports of a host."""
     return f"camtopod_session_{request.url.port or request.url.scheme}"
 
 

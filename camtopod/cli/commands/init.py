@@ -19,7 +19,6 @@ from camtopod.config import TABLES, CameraSettings, Config, secret_files, settin
 from camtopod.redact import redact
 from camtopod.visible import visible
 from camtopod.vision.source import SETTLE_SECONDS_MAX, Probe, kind_of
-from camtopod.web import pictures
 
 SECRETS = "secrets"
 """Folder of the passwords, beside the configuration."""
@@ -114,7 +113,7 @@ def run(args: argparse.Namespace) -> int:
     }
     written = [*secrets.values()]
     if args.pictures is not None:
-        written += [pictures.stored_path(args.pictures, name) for name in cameras]
+        written += [args.pictures / f"{name}.jpg" for name in cameras]
     existing = [str(path) for path in written if path.exists()]
     if existing and not args.force:
         raise CommandError(
