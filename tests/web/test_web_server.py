@@ -48,14 +48,6 @@ def test_every_answer_has_a_strict_policy(server: Shown) -> None:
         assert headers["cache-control"] == "no-cache", "an upgrade is seen at once"
 
 
-def test_everything_the_page_names_is_there(server: Shown) -> None:
-    page = server.ask("/")
-    assert page.status == 200
-    assert b"//" not in page.content.replace(b"<!doctype", b""), "nothing from elsewhere"
-    for name in ("main.js", "app.css", "icon.svg", "map.js"):
-        assert server.ask(f"/static/{name}").status == 200
-
-
 def test_what_it_tells(server: Shown) -> None:
     link = SITE.links[0]
     pair = list(SITE.pairs[-1].cameras)
@@ -74,26 +66,14 @@ def test_what_it_tells(server: Shown) -> None:
     assert server.ask("/data/map", "POST", "{}").status == 405, "it only reads"
 
 
-@pytest.mark.parametrize(
-    ("host", "status"),
-    [
-        ("evil.example", 421),
-        ("10.0.0.1.evil", 421),
-        ("", 421),
-        ("LocalHost:1234", 200),
-        ("maps.example", 200),
-        (socket.gethostname(), 200),
-        ("[::1]:1234", 200),
-        ("[fe80::1]", 200),
-        ("10.0.0.1:8780", 200),
-    ],
-)
-def test_only_its_own_names_and_addresses_are_answered(
-    server: Shown, host: str, status: int
-) -> None:
-    answer = server.ask("/data/map", host=host)
-    assert (answer.status, "content-security-policy" in answer.headers) == (status, True)
-    assert (b"camtopod web --name" in answer.content) is (status == 421)
+def test_only_its_own_names_and_addresses_are_answered(server: Shown) -> None:
+    strange = ("evil.example", "10.0.0.1.evil", "", "[::1")
+    own = ("LocalHost:1234", "maps.example", socket.gethostname(), "[fe80::1]:8780", "10.0.0.1")
+    for host in (*strange, *own):
+        answer = server.ask("/data/map", host=host)
+        assert answer.status == (421 if host in strange else 200), host
+        assert "content-security-policy" in answer.headers
+        assert (b"camtopod web --name" in answer.content) is (host in strange)
 
 
 def test_only_pictures_of_cameras_leave_the_folder(server: Shown) -> None:
