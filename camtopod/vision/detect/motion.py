@@ -168,7 +168,9 @@ class MotionDetector:
         differs = self._without_ignored(cv2.threshold(difference, least, 255, cv2.THRESH_BINARY)[1])
         moving = self._swaying.without(differs, frame, expected, least)
         share = cv2.countNonZero(moving) / self._watched_count(moving)
-        self._changed_seconds = self._changed_seconds + dt if share > WHOLE_IMAGE_SHARE else 0.0
+        self._changed_seconds += dt
+        if share <= WHOLE_IMAGE_SHARE:
+            self._changed_seconds = 0.0
         if self._changed_seconds > WHOLE_IMAGE_SECONDS:
             self._background = None
             self.relearned += 1

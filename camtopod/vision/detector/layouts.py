@@ -242,7 +242,9 @@ def decode(
     chosen = scores[:, numbers]
     best = chosen.argmax(axis=1)
     found = _above(boxes, chosen[np.arange(len(best)), best], numbers[best], score_min)
-    return found if form.layout == "rt-detr" else nms(found)
+    if form.layout == "rt-detr":
+        return found
+    return nms(found)
 
 
 def _of_classes(
@@ -255,7 +257,9 @@ def _of_classes(
     numbers = classes.round().astype(np.int64)
     kept = np.isin(numbers, wanted)
     found = _above(boxes[kept], scores[kept], numbers[kept], least)
-    return nms(found) if overlaps else found
+    if overlaps:
+        return nms(found)
+    return found
 
 
 def _above(boxes: Array, scores: Array, classes: npt.NDArray[np.int64], score_min: float) -> Found:

@@ -156,7 +156,9 @@ def _colour(decision: Decision) -> Colour:
     """Return the colour of a decision's words."""
     if decision.reason == "entered":
         return _ENTRY
-    return _EXIT if decision.reason in ("left", "swapped") else _TENTATIVE
+    if decision.reason in ("left", "swapped"):
+        return _EXIT
+    return _TENTATIVE
 
 
 def _draw_areas(picture: Picture, areas: Iterable[Polygon]) -> None:

@@ -104,7 +104,9 @@ class Capture:
     def fps(self) -> float:
         """Frame rate that the source declares; 0.0 if unknown."""
         fps = float(self._capture.get(cv2.CAP_PROP_FPS))
-        return fps if 0.0 < fps < 1000.0 else 0.0
+        if 0.0 < fps < 1000.0:
+            return fps
+        return 0.0
 
     @property
     def size(self) -> tuple[int, int]:

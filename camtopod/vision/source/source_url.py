@@ -21,7 +21,9 @@ def kind_of(source: str) -> Literal["device", "stream", "file"]:
     if source.isdigit():
         return "device"
     match = _SCHEME.match(source)
-    return "stream" if match and match.group(1).lower() != "file" else "file"
+    if match is None or match.group(1).lower() == "file":
+        return "file"
+    return "stream"
 
 
 def percent_encoded(url: str) -> str:
