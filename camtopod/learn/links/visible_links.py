@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from camtopod.arrays import Floats, Longs, rows_by_group
+from camtopod.arrays import Floats, Ints, Longs, rows_by_group
 from camtopod.learn.association import (
     Problem,
     departures_in_reach,
@@ -51,7 +51,9 @@ def visible_transitions(scene: Scene, bins: LagBins, candidates_max: int) -> Tra
     ]
 
     # Cameras without tracks: fit each of them, with a fair share of the candidates.
-    views = [_view(scene, int(camera), bins) for camera in np.flatnonzero(~scene.tracked)]
+    views = [
+        _view(scene, int(camera), camera_of, bins) for camera in np.flatnonzero(~scene.tracked)
+    ]
     reach = [departures_in_reach(one.departures.t, one.arrivals.t, bins) for one, _ in views]
     most = fair_share(
         np.array([int((high - low).sum()) for low, high in reach], np.intp), candidates_max
@@ -98,16 +100,17 @@ def with_usual_dwell_times(departures: Departures, through: LinkTable) -> Depart
     )
 
 
-def _view(scene: Scene, camera: int, bins: LagBins) -> tuple[Problem, int]:
+def _view(scene: Scene, camera: int, camera_of: Ints, bins: LagBins) -> tuple[Problem, int]:
     """Return a camera's entries and exits for the joint fit, and the index of its first zone.
+
+    camera_of (zones,): camera of each zone, ascending.
 
     In the problem entries are departures and exits arrivals, and zones are numbered from 0.
     """
     is_entry = scene.arrivals.camera == camera
     is_exit = scene.departures.camera == camera
-    of_camera = [index for index, zone in enumerate(scene.zones) if zone.camera == camera]
-    first = min(of_camera, default=0)
-    zones = len(of_camera)
+    first, stop = np.searchsorted(camera_of, (camera, camera + 1)).tolist()
+    zones = stop - first
     starts = Departures.without_arrivals(
         scene.arrivals.t[is_entry],
         scene.arrivals.zone[is_entry] - np.int32(first),
