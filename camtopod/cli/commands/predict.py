@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import argparse
+import itertools
 import sys
 from typing import Any
 
 from msgspec.structs import replace
 
 from camtopod.cli.commands.export import load
-from camtopod.cli.events.event_lines import Line, LineReader
+from camtopod.cli.events.event_lines import LineReader
 from camtopod.cli.exits import InputError
 from camtopod.cli.terminal import Progress
 from camtopod.codec import to_json
@@ -57,20 +58,20 @@ def run(args: argparse.Namespace) -> int:
         print(f"camtopod: {reader.summary()}", file=sys.stderr)
         raise InputError(f"no event lines in {args.events}: nothing to predict")
 
-    # Predict in the order of time.
+    # Predict in the order of time; events of one moment become known when time has moved on.
     by_time = sorted(range(len(lines)), key=lambda k: lines[k].event.t)
     answers: dict[int, bytes] = {}
-    waiting: list[int] = []
     with Progress() as progress:
-        for k in by_time:
-            if waiting and lines[k].event.t > lines[waiting[0]].event.t:
-                _observe(predictor, lines, waiting)
-            if lines[k].event.kind == "exit":
-                answer = predictor.predict(lines[k].event)
-                if args.top is not None:
-                    answer = shortened(answer, args.top)
-                answers[k] = to_json(answer)
-            waiting.append(k)
+        for _, moment in itertools.groupby(by_time, key=lambda k: lines[k].event.t):
+            numbers = list(moment)
+            for k in numbers:
+                if lines[k].event.kind == "exit":
+                    answer = predictor.predict(lines[k].event)
+                    if args.top is not None:
+                        answer = shortened(answer, args.top)
+                    answers[k] = to_json(answer)
+            for k in numbers:
+                predictor.observe(lines[k].event)
             progress.show("%d exits predicted of %d lines", len(answers), len(lines))
 
     # Print in the order of the input.
@@ -92,10 +93,3 @@ def shortened(prediction: Prediction, most: int) -> Prediction:
         look=prediction.look and prediction.look[:most],
         in_view=prediction.in_view and prediction.in_view[:most],
     )
-
-
-def _observe(predictor: Predictor, lines: list[Line], waiting: list[int]) -> None:
-    """Feed waiting events: those of one moment become known only when time has moved on."""
-    for k in waiting:
-        predictor.observe(lines[k].event)
-    waiting.clear()
