@@ -16,10 +16,12 @@ from __future__ import annotations
 
 import argparse
 import contextlib
+import faulthandler
 import importlib
 import json
 import logging
 import os
+import resource
 import signal
 import sys
 import textwrap
@@ -65,6 +67,8 @@ LOG_FORMATS = ("text", "logfmt", "json")
 """Values of --log-format."""
 LOG_LEVELS = ("debug", "info", "warning", "error")
 """Values of --log-level: the least important messages that are shown."""
+FILES_MAX = 65_536
+"""Number of open files asked for; each program on the bus and each open web page takes one."""
 _LINEAR_ALGEBRA_THREADS = ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS")
 """Environment variables set to 1 before NumPy is loaded.
 
@@ -142,6 +146,9 @@ def console() -> NoReturn:
     rethrown") if a thread of zenoh or OpenCV re-enters it meanwhile. By then everything that
     matters is closed or on disk.
     """
+    faulthandler.enable(file=2)  # a watchdog ends a hung process with SIGABRT
+    _, files = resource.getrlimit(resource.RLIMIT_NOFILE)
+    resource.setrlimit(resource.RLIMIT_NOFILE, (min(files, FILES_MAX), files))
     sys.excepthook = _crash
     threading.excepthook = _crash_of_a_thread
     try:

@@ -54,7 +54,7 @@ FLOORS = (
     "serve.learner_process",
     "serve",
     "serve.monitoring client web",
-    "cli.exits cli.descriptors",
+    "cli.exits",
     "cli.terminal",
     "cli.common",
     "cli.events cli.generated cli.cameras",

@@ -4,12 +4,11 @@ from __future__ import annotations
 
 import argparse
 import contextlib
-import faulthandler
 import re
 from typing import Any
 
 from camtopod import codec, mqtt
-from camtopod.cli import descriptors, exits
+from camtopod.cli import exits
 from camtopod.cli.common import configuration, reporting_to_systemd, start_logging, until_signal
 from camtopod.cli.events import broker_options
 from camtopod.cli.site_choice import dial_as_reader
@@ -122,8 +121,6 @@ class HomeAssistantState:
 def run(args: argparse.Namespace) -> int:
     """Publish until SIGTERM or SIGINT."""
     start_logging(args)
-    faulthandler.enable(file=2)  # systemd's watchdog ends a hung process with SIGABRT
-    descriptors.raise_limit()
     config = configuration(args)
     target = broker_options.broker_of(args, args.url, homeassistant.PREFIX)
 

@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import argparse
 import contextlib
-import faulthandler
 import logging
 import math
 import os
@@ -18,7 +17,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, BinaryIO
 
 from camtopod import codec, redact
-from camtopod.cli import descriptors, exits
+from camtopod.cli import exits
 from camtopod.cli.cameras.camera_process import with_restarts
 from camtopod.cli.cameras.heartbeat import HeartbeatSender
 from camtopod.cli.common import (
@@ -116,8 +115,6 @@ def add_parser(subparsers: Any) -> None:
 def run(args: argparse.Namespace) -> int:
     """Grab until the file ends or a signal arrives."""
     start_logging(args)
-    faulthandler.enable(file=2)  # systemd and the supervisor end a hung process with SIGABRT
-    descriptors.raise_limit()
     with signals() as requests:
         if args.camera is None:
             return _all(args, requests)

@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 import argparse
-import faulthandler
 import gc
 import logging
 import sys
 from typing import Any
 
-from camtopod.cli import descriptors, exits
+from camtopod.cli import exits
 from camtopod.cli.common import SignalRequests, configuration, ends_within, signals, start_logging
 from camtopod.cli.exits import CommandError
 from camtopod.serve.bus import log_to_standard_output
@@ -49,8 +48,6 @@ def run(args: argparse.Namespace) -> int:
     gc.freeze()  # what was imported is never garbage
     sys.setswitchinterval(SWITCH_SECONDS)
     start_logging(args)
-    faulthandler.enable(file=2)  # systemd's watchdog ends a hung process with SIGABRT
-    descriptors.raise_limit()
 
     # Load the configuration, then run with health page and watchdog.
     with signals() as requests, ends_within(requests.stop, LEAVE_SECONDS):

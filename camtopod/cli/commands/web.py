@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import argparse
 import contextlib
-import faulthandler
 import logging
 import os
 import re
@@ -13,7 +12,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from camtopod.cli import descriptors, exits
+from camtopod.cli import exits
 from camtopod.cli.common import (
     configuration,
     ends_within,
@@ -73,8 +72,6 @@ def add_parser(subparsers: Any) -> None:
 def run(args: argparse.Namespace) -> int:
     """Serve the page until SIGTERM or SIGINT."""
     start_logging(args)
-    faulthandler.enable(file=2)  # systemd's watchdog ends a hung process with SIGABRT
-    descriptors.raise_limit()
     from camtopod.web import app  # needs starlette and uvicorn
 
     # Check the options.
