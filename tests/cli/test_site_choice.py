@@ -12,9 +12,6 @@ from fake_bus_daemon import running
 from msgspec.structs import replace
 from serving import free_endpoint, small_config
 
-from camtopod.cli import exits
-from camtopod.cli.commands import ingest
-from camtopod.cli.main import main
 from camtopod.cli.site_choice import dial_as_reader, right_site
 from camtopod.config import Config, SiteSettings
 from camtopod.serve.bus import dial
@@ -72,19 +69,3 @@ def test_with_several_sites_none_is_taken(mall: Daemon, tmp_path: Path) -> None:
             assert site == "site"
         with as_reader(config, "annex") as site:
             assert site == "annex"
-
-
-def test_ingest_takes_no_site_but_names_it(
-    mall: Daemon,
-    tmp_path: Path,
-    capsys: pytest.CaptureFixture[str],
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    monkeypatch.setattr(ingest, "PATIENCE_SECONDS", 0.2)
-    events = tmp_path / "events.jsonl"
-    events.write_text('{"camera":"a","kind":"exit","t":1.5}\n')
-    options = ["--connect", mall.endpoint, "ingest", "jsonl", str(events)]
-    assert main([*options, "--state", str(tmp_path / "spool")]) == exits.BUS
-    said = capsys.readouterr().err
-    assert "running for site site?" in said
-    assert "there is a daemon of site mall: add --site mall" in said

@@ -123,18 +123,16 @@ def _model_problems(path: Path, config: Config, text: str) -> Iterator[str]:
 
     text: content of the configuration file ``path``.
     """
-    detectors = {name: camera.detector for name, camera in config.cameras.items()}
-    named = set()
-    for camera, detector in {"": config.detector, **detectors}.items():
-        if not detector.model:
-            continue
+    models = {config.detector.model: ""}
+    for name, camera in config.cameras.items():
+        models.setdefault(camera.detector.model, name)
+    for model, camera_name in models.items():
         try:
-            input_size(detector.model)
+            if model:
+                input_size(model)
         except HeaderError as error:
-            line, name = detector_line(text, camera, "model")
-            if line not in named:
-                named.add(line)
-                yield f"{path}:{line}: {name}: {error}"
+            line, name = detector_line(text, camera_name, "model")
+            yield f"{path}:{line}: {name}: {error}"
 
 
 def _camera_lines(path: Path, config: Config, text: str) -> Iterator[str]:
