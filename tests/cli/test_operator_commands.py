@@ -55,8 +55,12 @@ def told(capsys: pytest.CaptureFixture[str], *arguments: str) -> tuple[int, str,
     return status, out, err
 
 
-def test_the_commands_reach_the_daemon(daemon: Daemon, capsys: pytest.CaptureFixture[str]) -> None:
-    hq = ("--connect", daemon.endpoint, "--site", "hq")
+def test_the_commands_reach_the_daemon(
+    daemon: Daemon, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    config = tmp_path / "c.toml"
+    config.write_text('[cameras.b]\nsource_file = "on-another-machine"\n')
+    hq = ("--config", str(config), "--connect", daemon.endpoint, "--site", "hq")
     status, out, _ = told(capsys, *hq, "forget", "b")
     assert (status, out.startswith("b is forgotten")) == (0, True)
     wait_for(lambda: "b" not in cameras(daemon), "the version")

@@ -32,7 +32,7 @@ def add_parser(subparsers: Any) -> None:
         "rename.",
         epilog="example: camtopod --site hq forget lobby",
     )
-    parser.add_argument("camera", type=camera_id, metavar="CAMERA", help="the camera")
+    parser.add_argument("name", type=camera_id, metavar="CAMERA", help="the camera")
     parser.add_argument(
         "--take-back",
         action="store_true",
@@ -43,8 +43,8 @@ def add_parser(subparsers: Any) -> None:
 def run(args: argparse.Namespace) -> int:
     """Forget the camera, or take that back."""
     if args.take_back:
-        return carry_out(args, TakeBack(args.camera))
-    return carry_out(args, Forget(args.camera))
+        return carry_out(args, TakeBack(args.name))
+    return carry_out(args, Forget(args.name))
 
 
 def carry_out(args: argparse.Namespace, command: Command) -> int:
