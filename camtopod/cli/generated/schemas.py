@@ -26,7 +26,6 @@ from camtopod.records import (
 )
 from camtopod.serve.requests import Answer, Batch, Hello
 
-_NONE = re.compile(r"\bNone\b")
 _TYPES_OF: dict[str, list[Any]] = {
     "event": [Event],
     "topology": [Topology],
@@ -47,8 +46,14 @@ _KINDS: dict[str, type[Struct]] = vars(records) | {kind.__name__: kind for kind 
 
 
 def schema_text(name: str) -> str:
-    """Return the JSON Schema of one of `NAMES` as a text."""
-    return json.dumps(schema(name), indent=1, ensure_ascii=False) + "\n"
+    r"""Return the JSON Schema of one of `NAMES` as a text, without what only Python reads.
+
+    Patterns end with ``$`` instead of ``\Z``. Descriptions have no markup of docstrings, and null
+    for None.
+    """
+    text = json.dumps(schema(name), indent=1, ensure_ascii=False)
+    text = text.replace(r"\\Z", "$").replace("`", "").replace("None", "null")
+    return re.sub(r"\\n +", r"\\n", text) + "\n"  # without the indentation of docstrings
 
 
 def schema(name: str) -> dict[str, Any]:
@@ -81,8 +86,7 @@ def schema(name: str) -> dict[str, Any]:
             "anyOf": [{"const": False}, {"$ref": "#/$defs/DetectorSettings"}]
         }
     reference = references[0] if len(references) == 1 else {"anyOf": list(references)}
-    content: dict[str, Any] = _portable({**reference, "$defs": types})
-    return {"$schema": dialect, "title": f"camtopod {name}", **content}
+    return {"$schema": dialect, "title": f"camtopod {name}", **reference, "$defs": types}
 
 
 def _describe(described: dict[str, Any], kind: type[Struct]) -> None:
@@ -109,22 +113,3 @@ def _allow_further_forms(properties: dict[str, Any]) -> None:
         if key == "doors":
             forms.append(point)
         properties[key] |= {"type": ["array", "string"], "items": {"anyOf": forms}}
-
-
-def _portable(node: Any) -> Any:
-    r"""Return a schema without what only Python reads.
-
-    Patterns end with ``$`` instead of ``\Z``. Descriptions have no markup of docstrings, and null
-    for None.
-    """
-    if isinstance(node, list):
-        return [_portable(one) for one in node]
-    if not isinstance(node, dict):
-        return node
-    portable = {key: _portable(value) for key, value in node.items()}
-    if isinstance(pattern := portable.get("pattern"), str):
-        portable["pattern"] = pattern.replace(r"\Z", "$")
-    if isinstance(text := portable.get("description"), str):
-        lines = (line.strip() for line in text.splitlines())  # Python 3.13 indents less
-        portable["description"] = _NONE.sub("null", "\n".join(lines).replace("`", ""))
-    return portable
