@@ -261,12 +261,11 @@ class Daemon:
             or intake.cameras.doubled_reason(self._steady())
         )
         newest = max((one.newest or 0.0 for one in counted.values()), default=0.0)
-        return DaemonStatus(
+        status = DaemonStatus(
             state="degraded" if reason else "running",
             reason=redact(reason),
             site=self._config.site.name,
-            epoch=self.epoch if topology is None else topology.epoch,
-            version=0 if topology is None else topology.version,
+            epoch=self.epoch,
             t=self._clock(),
             events=EventCounts(
                 **intake.counts,
@@ -282,11 +281,18 @@ class Daemon:
             predictions=self._live.counts["predictions"],
             predictions_skipped=self._live.counts["predictions_skipped"],
             questions_refused=self._live.counts["questions_refused"],
-            score=None if topology is None else topology.score,
-            alarms=((topology and topology.alarms) or [])[-STATUS_ALARMS:],
             names=intake.names.status(),
             journal=replace(self._journal.status(), damaged=self._learning.damaged),
             cameras=counted,
+        )
+        if topology is None:
+            return status
+        return replace(
+            status,
+            epoch=topology.epoch,
+            version=topology.version,
+            score=topology.score,
+            alarms=(topology.alarms or [])[-STATUS_ALARMS:],
         )
 
     @property

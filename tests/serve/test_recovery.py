@@ -281,13 +281,6 @@ def test_what_a_newer_program_has_learned_is_not_thrown_away(start: Start) -> No
     assert start(program="learners.newer").started_at > 0
 
 
-def test_a_journal_of_nothing_is_a_first_start(start: Start) -> None:
-    one = start()
-    one.run()
-    assert (one.started_at, one.epoch, one.published) == (0, "E", [])
-    assert start().epoch == "E"
-
-
 def test_what_predictions_remember(start: Start) -> None:
     one = start()
     one.learn(EVENTS[:50])

@@ -1,4 +1,4 @@
-"""Access to the bus: zenoh's security settings, the access list, and who has connected.
+"""Access to the bus: zenoh's security settings and the access list.
 
 The rules are those of `camtopod.keys.rules`. The daemon enforces them if it listens itself; with a
 separate router, the router does.
@@ -15,9 +15,6 @@ from camtopod.keys import rules
 from camtopod.serve.runtime import Clock
 
 log = logging.getLogger(__name__)
-
-UNLISTED_NAMED_MAX = 100
-"""Most certificates without rights that are named in the log; each is named once."""
 
 
 class AccessError(OSError):
@@ -113,23 +110,3 @@ def is_local(endpoint: str) -> bool:
         return ipaddress.ip_address(host).is_loopback
     except ValueError:
         return False
-
-
-class ConnectionWatch:
-    """Log each certificate without rights that connects, once."""
-
-    def __init__(self, access: rules.Access | None) -> None:
-        self._access = access
-        self._named: set[str | None] = set()
-
-    def on_connection(self, name: str | None, address: str) -> None:
-        """Take note of a new connection. Called from a thread of the bus."""
-        if self._access is None or name in {one.name for one in self._access.certificates}:
-            return
-        if name not in self._named and len(self._named) < UNLISTED_NAMED_MAX:
-            self._named.add(name)
-            log.warning(
-                "certificate %r from %s is not on the access list: it can do nothing here",
-                name,
-                address,
-            )

@@ -329,14 +329,12 @@ class Bus:
             self._session.liveliness().declare_subscriber(key, change, history=True)
         )
 
-    def watch_connections(self, connections: access.ConnectionWatch) -> None:
-        """Report new links to ``connections``, and keep closing ones from blocking the bus."""
+    def watch_connections(self) -> None:
+        """Keep links that close from blocking the bus."""
 
         def change(event: zenoh.LinkEvent) -> None:
             if event.kind == zenoh.SampleKind.PUT:
                 sockets.close_without_waiting()
-                link = event.link
-                connections.on_connection(link.auth_identifier, link.dst)
 
         self._declared.append(self._session.info.declare_link_events_listener(change, history=True))
 
@@ -429,8 +427,7 @@ def open_daemon_session(config: Config) -> Bus:
     endpoints = [_with_port(endpoint) for endpoint in config.listens]
     try:
         access.check_files(config)
-        granted = access.read_access(config, clock.wall)
-        values = access.settings(config, "router", granted)
+        values = access.settings(config, "router", access.read_access(config, clock.wall))
         session = _open(config, values, connect=config.bus.connect, listen=endpoints)
     except access.AccessError as error:
         raise BusError(str(error)) from None
@@ -443,7 +440,7 @@ def open_daemon_session(config: Config) -> Bus:
     # Watch connections, and keep stalled ones from delaying others.
     sockets.limit_waiting(endpoints)
     bus = Bus(session, config.site.name, endpoints[0], config.bus)
-    bus.watch_connections(access.ConnectionWatch(granted))
+    bus.watch_connections()
     return bus
 
 

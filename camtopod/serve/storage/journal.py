@@ -220,12 +220,7 @@ class Journal:
             except sqlite3.IntegrityError:
                 new = write([one for one in entries if not self._has(one)])
 
-            # Record how far the journal has come.
-            known = self._witness.known
-            newest = journal_schema.last_version(self._db) if versions else known.versions
-            if meta:  # an epoch may have begun
-                known = journal_schema.how_far(self._db)
-            self._witness.note(known._replace(entries=self._last, versions=newest))
+            self._witness.note(journal_schema.how_far(self._db))
             return new
 
     def prune(self, now: float) -> bool:
