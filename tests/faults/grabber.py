@@ -27,12 +27,12 @@ class Grabber:
     made: number of its events, which are numbered from 1.
     """
 
-    def __init__(self, directory: Path, state: Path | None = None, kept_max: int = 10_000) -> None:
+    def __init__(self, directory: Path, state: Path | None = None) -> None:
         self.made = 0
         config = small_config(state or directory / "state")
         endpoint = free_endpoint()
         self._daemon_config = msgspec.structs.replace(config, bus=BusSettings(listen=(endpoint,)))
-        self.spool = Spool(directory / "spool.db", "boot-1", 100_000, kept_max=kept_max)
+        self.spool = Spool(directory / "spool.db", "boot-1", 100_000)
         self.publisher = Publisher(self.spool)
         self._closing = contextlib.ExitStack()
         self._closing.callback(self.spool.close)

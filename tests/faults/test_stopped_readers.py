@@ -153,8 +153,7 @@ def end(puppets: list[Puppet]) -> None:
     for puppet in puppets:
         os.kill(puppet.pid, signal.SIGKILL)
         os.kill(puppet.pid, signal.SIGCONT)
-        with contextlib.suppress(BrokenPipeError):
-            puppet.close()
+        puppet.close()
 
 
 @pytest.fixture
