@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 from collections.abc import Mapping
 from fnmatch import fnmatchcase
-from typing import TypeVar
+from typing import Any
 
 from camtopod.codec import Rejected
 from camtopod.records import Event
@@ -22,8 +22,6 @@ Size = tuple[int, int]
 Sizes = Mapping[str, Size]
 """Width and height of the pictures in pixels, by camera."""
 
-_K = TypeVar("_K")
-_V = TypeVar("_V")
 _MESSAGE = re.compile(rb"(?:([^{<]*) )?([{<].*)", re.DOTALL)
 """A JSON or XML message, and the topic in front of it."""
 
@@ -82,7 +80,7 @@ def split_topic(line: bytes, wanted: str = "*") -> tuple[list[str], bytes]:
     return topic.split("/"), match[2]
 
 
-def remember(latest: dict[_K, _V], key: _K, value: _V) -> None:
+def remember(latest: dict[Any, Any], key: object, value: object) -> None:
     """Put an item last, and forget the first ones beyond `REMEMBERED_MAX`."""
     latest.pop(key, None)
     latest[key] = value

@@ -51,22 +51,16 @@ class _TrackEvent(Struct, frozen=True):
 
 
 class _Frame(Struct, frozen=True):
-    """A frame; of each pair of names the second is the forerunner's."""
+    """A frame, or what it is in; of each pair of names the second is the forerunner's."""
 
-    timestamp: str
+    timestamp: str = ""
     channel_id: int = 1
     detections: list[_Detection] = []
     observations: list[_Detection] = []
     track_events: list[_TrackEvent] = []
     operations: list[_TrackEvent] = []
-
-
-class _Message(Struct, frozen=True):
-    """A frame, or what it is in."""
-
-    timestamp: str | None = None
     frame: _Frame | None = None
-    data: _Message | None = None
+    data: _Frame | None = None
 
 
 class Axis(StreamAdapter):
@@ -81,11 +75,10 @@ class Axis(StreamAdapter):
     def receive(self, line: bytes) -> list[Event]:
         """Return the events that a frame makes certain. Raises `Rejected`."""
         levels, text = split_topic(line)
-        message = codec.read(_Message, text)
-        frame = (message.data or message).frame
-        if message.timestamp is not None:
-            frame = codec.read(_Frame, text)
-        if frame is None:
+        frame = codec.read(_Frame, text)
+        frame = frame.data or frame
+        frame = frame.frame or frame
+        if not frame.timestamp:
             raise Rejected("malformed", "is no frame")
 
         # The camera.

@@ -14,6 +14,7 @@ import time
 
 from camtopod.cli import exits
 from camtopod.cli.cameras.camera_process import STOP_SECONDS, CameraProcess
+from camtopod.cli.cameras.heartbeat import HeartbeatSender
 from camtopod.cli.common import SignalRequests, configuration
 from camtopod.cli.exits import CommandError
 from camtopod.config import CameraSettings, Config, without_source
@@ -60,7 +61,7 @@ class _Supervisor:
             name: CameraProcess(name, _filled(config, name)) for name in config.cameras
         }
         """Those of removed cameras are included until they have ended."""
-        self._notify_at = 0.0
+        self._heartbeats = HeartbeatSender()
         self._ending = threading.Event()
         threading.Thread(target=self._publish, name="statuses", daemon=True).start()
 
@@ -82,9 +83,8 @@ class _Supervisor:
         for name in self._processes.keys() - self._config.cameras.keys():
             if self._processes[name].over:
                 del self._processes[name]
-        if now >= self._notify_at:
-            self._notify_at = now + systemd.feed_seconds()
-            self._notify()
+        running = sum(process.state == "running" for process in self._processes.values())
+        self._heartbeats.beat(f"{running} of {len(self._processes)} cameras run", "")
 
     def reload(self) -> None:
         """Reload the configuration.
@@ -125,12 +125,6 @@ class _Supervisor:
             for process in self._processes.values():
                 process.look_after(time.monotonic(), command(process, self._args))
             time.sleep(0.02)
-
-    def _notify(self) -> None:
-        """Report to systemd."""
-        running = sum(process.state == "running" for process in self._processes.values())
-        summary = f"{running} of {len(self._processes)} cameras run"
-        systemd.notify("READY=1", "WATCHDOG=1", systemd.status(summary))
 
     def _publish(self) -> None:
         """Publish the statuses of cameras without a process until the end."""

@@ -118,7 +118,7 @@ class LineReader:
         self.rejected[reason] += 1
         if self.rejected[reason] == 1:
             quoted = text[:120].decode("utf-8", "backslashreplace")
-            message = visible(redact(f"{where}{': ' + quoted if quoted else ''}"))
+            message = visible(redact(": ".join(filter(None, [where, quoted]))))
             print(
                 f"camtopod: {message} (further lines rejected for this reason are only counted)",
                 file=sys.stderr,
