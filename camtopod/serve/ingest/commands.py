@@ -34,24 +34,20 @@ def execute(
     with intake.turn:
         if isinstance(command, Reset):
             command = reset()
-        names = intake.names
         cameras = intake.cameras
         known = {*intake.numbers.cameras, *cameras.status(set())}
         if topology is not None:
             known.update(camera.id for camera in topology.cameras)
-        entry, effect = names.carry_out(command, known)
+        entry, effect = intake.names.carry_out(command, known)
         match command:
-            case Forget():
-                for name in names.state.forgotten:
-                    cameras.forget(name)
+            case Forget(camera):
+                cameras.forget(camera)
             case Rename(old, new):
                 cameras.rename(old, new)
             case Reset():
                 cameras.forget_all()
                 intake.merger.event_time = -math.inf
                 intake.event_clock.newest = -math.inf
-            case _:
-                pass
         intake.queue.put([replace(entry, stored=stored)])
 
     if not stored.wait(STORED_SECONDS_MAX):

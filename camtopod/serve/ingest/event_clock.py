@@ -106,5 +106,3 @@ class EventClock:
                 self._learned.load(EventTimeState())
             case Rewind(to):
                 self._learned.rewind(microseconds(to))
-            case _:
-                pass

@@ -31,32 +31,32 @@ class Inbox:
         self._known = known
         self._messages: list[Message] = []
         self._published: Counter[str] = Counter()  # publications among them, by camera
-        self._changed = threading.Condition()
-        self._woken = False
+        self._mutex = threading.Lock()
+        self._woken = threading.Event()
         self.dropped: Counter[str] = Counter()
         """Number of publications dropped for lack of room, by camera; "": of unknown ones."""
 
     def on_request(self, key: str, content: bytes, reply: Reply) -> None:
         """Receive a request on ``store/{camera}``."""
-        with self._changed:
+        with self._mutex:
             self._messages.append((key.removeprefix("store/"), content, reply))
-            self._changed.notify()
+            self._woken.set()
 
     def on_event(self, key: str, content: bytes) -> None:
         """Receive a publication on ``event/{camera}``."""
         camera = key.removeprefix("event/")
-        with self._changed:
+        with self._mutex:
             known = camera if camera in self._known else ""
             self._published[known] += 1
             if self._published[known] > PUBLISHED_MAX:
                 self.dropped[known] += 1
                 return
             self._messages.append((camera, content[: codec.EVENT_BYTES_MAX + 1], None))
-            self._changed.notify()
+            self._woken.set()
 
     def take(self) -> list[Message]:
         """Return all messages and empty the inbox."""
-        with self._changed:
+        with self._mutex:
             messages = self._messages
             self._messages = []
             self._published.clear()
@@ -64,13 +64,9 @@ class Inbox:
 
     def wake(self) -> None:
         """End the present or the next `wait`, as something else may go on now."""
-        with self._changed:
-            self._woken = True
-            self._changed.notify()
+        self._woken.set()
 
     def wait(self, seconds: float) -> None:
-        """Wait until there is a message, at most ``seconds``."""
-        with self._changed:
-            if not self._messages and not self._woken:
-                self._changed.wait(seconds)
-            self._woken = False
+        """Wait until a message has come, at most ``seconds``."""
+        self._woken.wait(seconds)
+        self._woken.clear()

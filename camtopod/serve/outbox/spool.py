@@ -95,9 +95,12 @@ class Spool:
         with contextlib.ExitStack() as undo:
             undo.callback(self._lock.close)
             try:
-                self._db = spool_tables.open_file(path)
+                self._db, _ = sqlite_file.connect_or_recreate(
+                    path, spool_tables.SCHEMA, spool_tables.FORMAT, needed_tables=("meta", "mark")
+                )
                 undo.callback(self._db.close)
                 with self._using():
+                    spool_tables.rescue(self._db, path)
                     self._load()
             except sqlite3.Error as error:
                 raise StateError(
@@ -285,7 +288,7 @@ class Spool:
         """Run the block in a transaction, which writes the marks that have moved, too."""
         with sqlite_file.transaction(self._db):
             for camera, boot in self._unwritten:
-                spool_tables.set_row(self._db, "mark", camera, boot, self._marks[camera][boot])
+                spool_tables.set_mark(self._db, camera, boot, self._marks[camera][boot])
             yield
         self._unwritten.clear()
 

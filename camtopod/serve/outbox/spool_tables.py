@@ -1,8 +1,7 @@
-"""The tables of a spool: create and check them, and read them out of a damaged file."""
+"""The tables of a spool: their rows, and how to read them out of a damaged file."""
 
 from __future__ import annotations
 
-import contextlib
 import logging
 import sqlite3
 from collections.abc import Iterable, Sequence
@@ -36,32 +35,21 @@ event: the events, in the order in which they came into the spool.
 INSERT = "INSERT OR IGNORE INTO event (camera, boot, seq, raw, crc) VALUES (?, ?, ?, ?, ?)"
 
 
-def open_file(path: Path) -> sqlite_file.Connection:
-    """Open or create a spool's file; a damaged one is set aside, and what can be read is copied.
+def rescue(database: sqlite3.Connection, path: Path) -> None:
+    """Copy what can be read of the newest damaged spool into the one at ``path``, if it is empty.
 
-    An existing file is not written to, so that it can be opened on a full disk. Raises `StateError`
-    and `sqlite3.Error`.
+    Raises `sqlite3.Error`.
     """
-    database, _ = sqlite_file.connect_or_recreate(
-        path, SCHEMA, FORMAT, needed_tables=("meta", "mark")
-    )
-    with contextlib.ExitStack() as undo:
-        undo.callback(database.close)
-        for aside in sqlite_file.damaged_files(path)[-1:]:
-            done = "rescued", aside.name
-            if not database.execute(
-                "SELECT 1 FROM meta WHERE key = ? AND value = ?", done
-            ).fetchone():
-                with sqlite_file.transaction(database):
-                    events = copy(
-                        database,
-                        sqlite_file.readable(aside, "event", "id"),
-                        sqlite_file.readable(aside, "mark", "camera"),
-                    )
-                    set_row(database, "meta", *done)
-                log.error("%d events were read out of the damaged spool %s", events, aside)
-        undo.pop_all()
-    return database
+    if database.execute("SELECT 1 FROM event").fetchone():
+        return
+    for aside in sqlite_file.damaged_files(path)[-1:]:
+        with sqlite_file.transaction(database):
+            events = copy(
+                database,
+                sqlite_file.readable(aside, "event", "id"),
+                sqlite_file.readable(aside, "mark", "camera"),
+            )
+        log.error("%d events were read out of the damaged spool %s", events, aside)
 
 
 def copy(
@@ -86,9 +74,7 @@ def row(event: Event) -> tuple[str, str, int, bytes, int]:
     return (*columns, sqlite_file.crc(*columns))
 
 
-def set_row(database: sqlite3.Connection, table: str, *columns: str | int) -> None:
-    """Insert or replace a row of a table, with its checksum."""
-    values = (*columns, sqlite_file.crc(*columns))
-    database.execute(
-        f"INSERT OR REPLACE INTO {table} VALUES ({', '.join('?' * len(values))})", values
-    )
+def set_mark(database: sqlite3.Connection, *columns: str | int) -> None:
+    """Insert or replace a mark, with its checksum."""
+    row = (*columns, sqlite_file.crc(*columns))
+    database.execute("INSERT OR REPLACE INTO mark VALUES (?, ?, ?, ?)", row)
