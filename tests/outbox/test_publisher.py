@@ -28,10 +28,6 @@ class Daemon:
         config = small_config(folder)
         self.stored: dict[tuple[str, str, int], bytes] = {}
         self.seen: list[Event] = []
-        self.refusal: Answer | None = None
-        """If given, the answer to everything."""
-        self.late = 0
-        """How many events of each batch are late."""
         self.bus = open_daemon_session(config)
         self.bus.answer_requests("store/*", self._answer)
         self.bus.subscribe(
@@ -49,8 +45,7 @@ class Daemon:
             boot: max((k[2] for k in self.stored if k[:2] == (camera, boot)), default=0)
             for boot in boots
         }
-        late = self.late if isinstance(request, Batch) else 0
-        reply(codec.to_msgpack(self.refusal or Answer(have, 100, late=late)))
+        reply(codec.to_msgpack(Answer(have, 100)))
 
 
 @pytest.fixture
@@ -93,61 +88,6 @@ def test_events_are_stored_once_and_shown_to_who_looks_on(
     assert all(event.spooled for event in daemon.seen)
     wait_for(lambda: len(daemon.seen) > 0, "publications")
     assert sorted(daemon.bus.list_alive("grabber")) == ["hall", "lobby"]
-
-
-def test_what_a_killed_process_left_is_delivered_by_the_next(
-    daemon: Daemon, bus: Bus, tmp_path: Path
-) -> None:
-    with publishing(tmp_path) as (one, _):
-        one.publish(*events(5))  # stored, and never sent
-
-    with publishing(tmp_path, "b2") as (one, _):
-        one.attach(bus)
-        assert (one.count_waiting(), one.count_waiting(own=True)) == (5, 0)
-        assert one.wait_stored(30.0)
-    assert sorted(daemon.stored) == [("lobby", "b1", seq) for seq in range(1, 6)]
-
-
-def test_a_daemon_that_comes_later_is_told_at_once(
-    bus: Bus, daemon: Daemon, tmp_path: Path
-) -> None:
-    daemon.refusal = Answer({}, reason="busy")
-    with publishing(tmp_path) as (one, _):
-        one.attach(bus)
-        one.publish(*events(5))
-        assert not one.wait_stored(0.5)
-
-        daemon.refusal = None
-        daemon.bus.announce("daemon", "another")
-        assert one.wait_stored(1.5), "without the back-off"
-
-
-def test_a_camera_without_room_is_said_once_and_can_be_dropped(
-    daemon: Daemon, bus: Bus, tmp_path: Path, caplog: pytest.LogCaptureFixture
-) -> None:
-    daemon.refusal = Answer({}, reason="cameras", detail="cameras_max is 1")
-    with publishing(tmp_path) as (one, _):
-        one.attach(bus)
-        one.publish(*events(5))
-        wait_for(lambda: bool(one.own_cameras_without_room()), "the reason")
-        assert one.own_cameras_without_room() == {"lobby": "cameras_max is 1"}
-        assert caplog.text.count("cameras_max is 1") == 1
-
-        one.drop("lobby")
-        assert (one.waiting, one.dropped) == (0, 5)
-
-
-def test_late_and_refused_events_of_this_process_are_counted(
-    daemon: Daemon, bus: Bus, tmp_path: Path
-) -> None:
-    with publishing(tmp_path) as (one, _):
-        one.publish(*events(1))
-    daemon.late = 1
-    with publishing(tmp_path, "b2") as (one, _):
-        one.publish(*events(1), Event("lobby", "entry", 1.0, x=0.5))
-        one.attach(bus)
-        assert one.wait_stored(30.0)
-        assert one.outcome() == (1, 1), "not those of the boot before"
 
 
 def test_an_answer_that_is_none_is_counted(daemon: Daemon, bus: Bus, tmp_path: Path) -> None:

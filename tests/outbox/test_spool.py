@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import contextlib
-import shutil
 import sqlite3
 from collections.abc import Iterator
 from pathlib import Path
@@ -40,15 +39,6 @@ def spool(tmp_path: Path) -> Iterator[Spool]:
 def reopened(spool: Spool, boot: str = "b2") -> Spool:
     spool.close()
     return Spool(spool.path, boot, 1000)
-
-
-def killed(spool: Spool, boot: str = "b2") -> Spool:
-    """Open a copy of the files as a kill would leave them."""
-    folder = spool.path.parent / "after the kill"
-    folder.mkdir()
-    for suffix in ("", "-wal"):
-        shutil.copyfile(f"{spool.path}{suffix}", f"{folder / spool.path.name}{suffix}")
-    return Spool(folder / spool.path.name, boot, 1000)
 
 
 def test_each_camera_is_counted_from_one(spool: Spool) -> None:
@@ -99,27 +89,6 @@ def test_marks_go_forwards_and_backwards_and_survive_closing(spool: Spool) -> No
 
     with contextlib.closing(reopened(spool)) as again:
         assert (again.mark("lobby", "b1"), seqs(again)) == (3, ("b1", [4, 5]))
-
-
-def test_after_a_kill_every_event_is_there(spool: Spool) -> None:
-    spool.append(events(3))
-
-    with contextlib.closing(killed(spool)) as again:
-        assert again.append(events(1))[0].boot == "b2"
-        assert (again.waiting(), seqs(again)) == (4, ("b1", [1, 2, 3]))
-
-
-def test_a_file_that_comes_back_as_it_was_gives_no_number_twice(
-    spool: Spool, tmp_path: Path
-) -> None:
-    given = spool.append(events(5))
-    spool.close()
-    for day in range(3):
-        copy = shutil.copy(spool.path, tmp_path / f"day-{day}.db")
-        with contextlib.closing(Spool(Path(copy), f"day-{day}", 1000)) as restored:
-            given += restored.append(events(5, start=100 * day))
-
-    assert len({(one.camera, one.boot, one.seq) for one in given}) == len(given) == 20
 
 
 def test_numbers_of_their_own_stay_if_they_rise_and_count_once(spool: Spool) -> None:
@@ -224,15 +193,6 @@ def test_a_spool_that_is_full_by_bytes_stays_small(tmp_path: Path) -> None:
         assert 1000 < spool.waiting() == 20_000 - spool.dropped
         first = spool.dropped + 1
         assert seqs(spool, most=5) == ("b1", list(range(first, first + 5)))
-
-
-def test_a_camera_can_be_dropped(spool: Spool) -> None:
-    spool.append([*events(5), *events(2, "hall")])
-    spool.have("lobby", "b1", 2)
-
-    spool.drop("lobby")
-
-    assert (spool.waiting("lobby"), spool.waiting("hall"), spool.dropped) == (0, 2, 3)
 
 
 # --- faults ---------------------------------------------------------------------------------------

@@ -8,6 +8,7 @@ import math
 import threading
 from collections.abc import Sequence
 from pathlib import Path
+from typing import Any
 
 import msgspec
 
@@ -44,6 +45,12 @@ class Request:
     def reply(self, content: bytes) -> None:
         assert self.answer is None, "a request is answered once"
         self.answer = msgspec.msgpack.decode(content, type=Answer)
+
+
+def answer_of(request: Request) -> Answer:
+    """Return the answer to a request that has been answered."""
+    assert request.answer is not None
+    return request.answer
 
 
 class IntakeBench:
@@ -123,9 +130,7 @@ class IntakeBench:
         return sent
 
     def hello(self, camera: str = "a", boots: Sequence[str] = (), number: str = "h1") -> Answer:
-        answer = self.ask(camera, Hello(number, list(boots))).answer
-        assert answer is not None
-        return answer
+        return answer_of(self.ask(camera, Hello(number, list(boots))))
 
     def send(
         self,
@@ -139,6 +144,10 @@ class IntakeBench:
         """Send a batch of events, given as seq -> seconds after the present."""
         events = [(seq, event_bytes(camera, self.wall + t)) for seq, t in (times or {}).items()]
         return self.ask(camera, Batch(number, boot, after, events, more))
+
+    def store(self, times: dict[int, float], **given: Any) -> Answer:
+        """Send a batch that is answered at once; arguments are those of `send`."""
+        return answer_of(self.send(times=times, **given))
 
     def publish(self, camera: str, **fields: object) -> None:
         """Publish an event at the present, and let the daemon work."""

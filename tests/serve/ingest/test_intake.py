@@ -6,12 +6,12 @@ import sqlite3
 from pathlib import Path
 
 import pytest
-from intake_bench import IntakeBench, Request, event_bytes
+from intake_bench import IntakeBench, Request, answer_of, event_bytes
 
 from camtopod import codec
 from camtopod.config import Limits
 from camtopod.serve.ingest import cameras, intake as intake_module, numbers
-from camtopod.serve.requests import BATCH_EVENTS_MAX, Batch, Hello
+from camtopod.serve.requests import BATCH_EVENTS_MAX, Batch
 
 
 @pytest.fixture
@@ -19,104 +19,126 @@ def bench(tmp_path: Path) -> IntakeBench:
     return IntakeBench(tmp_path)
 
 
-def test_a_batch_is_answered_when_it_is_on_disk(bench: IntakeBench) -> None:
-    bench.hello(boots=["b1"])
+# --- numbers --------------------------------------------------------------------------------------
 
-    answer = bench.send(times={1: -0.2, 2: -0.1}).answer
 
-    assert answer is not None
+def test_a_batch_is_answered_when_it_is_on_disk_and_repetitions_count_once(
+    bench: IntakeBench,
+) -> None:
+    bench.hello()
+    answer = bench.store({1: -3, 2: -2})
     assert (answer.have, answer.reason) == ({"b1": 2}, "")
-    assert bench.stored == [("event", "a", 1), ("event", "a", 2)]
-    assert [one.entry.seq for one in bench.learned] == [1, 2]
-    assert [one.entry.seq for one in bench.predicted] == [1, 2]
 
+    assert bench.store({1: -3, 2: -2, 3: -1}).have == {"b1": 3}
 
-def test_what_was_taken_is_skipped_and_counts_once(bench: IntakeBench) -> None:
-    bench.hello(boots=["b1"])
-    bench.send(times={1: -3, 2: -2})
-
-    answer = bench.send(times={1: -3, 2: -2, 3: -1}).answer
-
-    assert answer is not None
-    assert answer.have == {"b1": 3}
-    assert [seq for _, _, seq in bench.stored] == [1, 2, 3]
+    assert bench.stored == [("event", "a", 1), ("event", "a", 2), ("event", "a", 3)]
+    assert [one.entry.seq for one in bench.learned] == [1, 2, 3]
+    assert [one.entry.seq for one in bench.predicted] == [1, 2, 3]
     assert bench.intake.counts["duplicate"] == 2
 
 
 def test_what_is_missing_between_events_is_counted_as_lost(bench: IntakeBench) -> None:
-    bench.hello(boots=["b1"])
-    bench.send(times={1041: -4, 1043: -3})
+    bench.hello()
+    bench.store({1041: -4, 1043: -3})
     assert bench.intake.numbers.lost == 1
 
-    answer = bench.send(after=1043, times={1046: -2, 1049: -1}).answer
-
-    assert answer is not None
-    assert answer.have == {"b1": 1049}
+    assert bench.store({1046: -2, 1049: -1}, after=1043).have == {"b1": 1049}
     assert bench.intake.numbers.lost == 5
 
 
 def test_a_batch_behind_events_that_were_never_taken_is_told_where_to_begin(
     bench: IntakeBench,
 ) -> None:
-    bench.hello(boots=["b1"])
-    bench.send(times={1: -3, 2: -2})
+    bench.hello()
+    bench.store({1: -3, 2: -2})
 
-    answer = bench.send(after=8, times={9: -1}).answer
-
-    assert answer is not None
-    assert answer.have == {"b1": 2}
+    assert bench.store({9: -1}, after=8).have == {"b1": 2}
     assert len(bench.stored) == 2
 
 
-def test_an_erased_state_is_filled_again_from_the_beginning(
-    bench: IntakeBench, tmp_path: Path
-) -> None:
-    bench.hello(boots=["b1"])
-    bench.send(times={1: -3, 2: -2})
-    bench.stop()
-    for path in tmp_path.glob("journal*"):
-        path.unlink()
-    bench.start()
-
-    assert bench.hello(boots=["b1"], number="h2").have == {"b1": 0}
-    answer = bench.send(times={1: -3, 2: -2}, number="h2").answer
-    assert answer is not None
-    assert answer.have == {"b1": 2}
-
-
 def test_an_older_journal_says_how_far_it_has_come(bench: IntakeBench, tmp_path: Path) -> None:
-    bench.hello(boots=["b1"])
-    bench.send(times={1: -5, 2: -4})
+    bench.hello()
+    bench.store({1: -5, 2: -4})
     with sqlite3.connect(tmp_path / "copy.db") as copy:
         bench.journal._db.backup(copy)
     copy.close()
-    bench.send(after=2, times={3: -1})
+    bench.store({3: -1}, after=2)
     bench.stop()
     for path in tmp_path.glob("journal.db*"):
         path.unlink()
     (tmp_path / "copy.db").rename(tmp_path / "journal.db")
     bench.start()
 
-    assert bench.hello(boots=["b1"]).have == {"b1": 2}
+    assert bench.hello(boots=["b1", "b2"]).have == {"b1": 2, "b2": 0}
     assert bench.journal.missing == 1
-    answer = bench.send(after=2, times={3: -1}).answer
-    assert answer is not None
-    assert answer.have == {"b1": 3}
+    assert bench.store({3: -1}, after=2).have == {"b1": 3}
 
 
-def test_a_new_boot_comes_above_an_old_one(bench: IntakeBench) -> None:
-    bench.hello(boots=["b1"])
-    bench.send(times={1: -3})
+def test_a_rescued_journal_is_filled_from_the_first_hole(bench: IntakeBench) -> None:
+    bench.hello()
+    bench.store({seq: seq / 10 - 1.0 for seq in range(1, 7)})
+    with bench.journal._db as database:
+        database.execute("UPDATE entry SET raw = 'damaged' WHERE seq = 3")
+        database.execute("UPDATE meta SET crc = 0 WHERE key = 'format'")
+    bench.restart()
 
-    assert bench.hello(boots=["b1", "b2"], number="h2").have == {"b1": 1, "b2": 0}
-    bench.send(boot="b1", after=1, times={2: -2}, number="h2")
-    bench.send(boot="b2", times={1: -1}, number="h2")
+    assert bench.hello(boots=["b1"]).have == {"b1": 2}
+    again = bench.store({seq: seq - 10.0 for seq in range(3, 9)}, after=2)
+    assert again.have == {"b1": 8}
+    assert sorted(seq for _, _, seq in bench.stored if seq) == [1, 2, 3, 4, 5, 6, 7, 8]
+    assert [one.entry.seq for one in bench.learned][-3:] == [3, 7, 8]
 
-    assert [(one.entry.boot, one.entry.seq) for one in bench.learned] == [
-        ("b1", 1),
-        ("b1", 2),
-        ("b2", 1),
-    ]
+
+def test_a_damaged_number_is_that_of_the_newest_entry(bench: IntakeBench) -> None:
+    bench.hello()
+    bench.store({1: -2.0, 2: -1.0})
+    bench.journal._db.execute("UPDATE stream SET seq = 9")
+    bench.restart()
+    assert bench.hello(boots=["b1"]).have == {"b1": 2}
+
+
+def test_a_boot_without_number_and_entries_comes_again_too_late_to_be_learned(
+    bench: IntakeBench,
+) -> None:
+    bench.hello()
+    bench.send(times={1: -20.0, 2: -19.0})
+    bench.send(boot="b2", times={1: -1.0})
+    bench.tick(5.1)
+    bench.journal._db.execute("UPDATE stream SET seq = 9 WHERE boot = 'b1'")
+    bench.journal._db.execute("DELETE FROM entry WHERE boot = 'b1'")
+    bench.restart()
+
+    assert bench.hello(boots=["b1", "b2"]).have == {"b1": 0, "b2": 1}
+    again = bench.send(times={1: -25.0, 2: -24.0, 3: -1.0})
+    bench.tick(5.1)
+
+    assert (answer_of(again).have, answer_of(again).late) == ({"b1": 3}, 2)
+
+
+def test_events_of_a_forgotten_boot_that_come_again_count_once(
+    bench: IntakeBench, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(numbers, "STREAMS_KEPT_MAX", 3)
+    bench.hello()
+    for number in range(6):
+        bench.store({1: -1.0}, boot=f"boot-{number}")
+
+    assert bench.hello(boots=["boot-0"]).have == {"boot-0": 0}
+    assert bench.store({1: -1.0, 2: -0.5}, boot="boot-0").have == {"boot-0": 2}
+    assert len(bench.stored) == 7
+    assert bench.learned[-1].entry.seq == 2
+
+
+def test_publications_count_once_and_those_of_spools_are_left_alone(bench: IntakeBench) -> None:
+    bench.publish("a", boot="b1", seq=1, spooled=True)
+    for seq in (0, 0, 1, 1):
+        bench.publish("a", boot="b1", seq=seq)
+    bench.publish("a")
+
+    assert bench.stored == [("event", "a", 0), ("event", "a", 1), ("event", "a", None)]
+
+
+# --- reasons --------------------------------------------------------------------------------------
 
 
 def test_a_batch_of_another_hello_is_refused_and_the_status_names_the_camera(
@@ -125,32 +147,12 @@ def test_a_batch_of_another_hello_is_refused_and_the_status_names_the_camera(
     bench.hello(number="h1")
     bench.hello(number="h2")
 
-    answer = bench.send(times={1: -1}, number="h1").answer
+    assert bench.store({1: -1}, number="h1").reason == "hello"
 
-    assert answer is not None
-    assert answer.reason == "hello"
     assert not bench.stored
     assert "two programs at the same time publish camera a" in (
         bench.intake.cameras.doubled_reason(bench.now)
     )
-
-
-@pytest.mark.parametrize(
-    "raw", [b"\xff", event_bytes("other", 1.7e9), b"x" * 5000], ids=["malformed", "other", "long"]
-)
-def test_a_poisoned_event_is_stored_in_its_place_and_not_learned(
-    bench: IntakeBench, raw: bytes
-) -> None:
-    bench.hello()
-    events = [(1, event_bytes("a", bench.wall)), (2, raw), (3, event_bytes("a", bench.wall))]
-
-    answer = bench.ask("a", Batch("h1", "b1", 0, events)).answer
-
-    assert answer is not None
-    assert answer.have == {"b1": 3}
-    assert answer.refused == 1
-    assert [kind for kind, _, _ in bench.stored] == ["event", "refused", "event"]
-    assert [one.event is None for one in bench.learned] == [False, True, False]
 
 
 @pytest.mark.parametrize(
@@ -166,21 +168,78 @@ def test_a_malformed_request_is_answered_and_counted(
     bench: IntakeBench, request_: Batch | bytes
 ) -> None:
     bench.hello()
-    answer = bench.ask("a", request_).answer
-    assert answer is not None
-    assert answer.reason == "malformed"
+    assert answer_of(bench.ask("a", request_)).reason == "malformed"
     assert bench.intake.rejects.counts.total() == 1
+
+
+def test_a_held_batch_is_answered_after_a_minute_and_stored_once(bench: IntakeBench) -> None:
+    bench.hello()
+    batch = Batch("h1", "b1", 0, [(1, event_bytes("a", bench.wall))])
+    sent = Request()
+    bench.intake.inbox.on_request("store/a", codec.to_msgpack(batch), sent.reply)
+    bench.intake.step()  # and the disk does not answer
+    bench.wall += 61.0
+    bench.now += 61.0
+    bench.intake.step()
+    assert answer_of(sent).reason == "held"
+
+    assert bench.store({}, after=1).have == {"b1": 1}
+    assert [seq for _, _, seq in bench.stored] == [1]
+
+
+def test_the_room_is_shared_by_the_cameras_that_are_there(
+    bench: IntakeBench, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    assert bench.hello().batch == BATCH_EVENTS_MAX
+    bench.intake.alive |= {f"c{n}" for n in range(1000)}
+    assert bench.hello().batch == 50
+
+    monkeypatch.setattr(intake_module, "EVENTS_MAX", 3)
+    answer = bench.store({1: 0.0, 2: 0.0, 3: 0.0, 4: 0.0})
+    assert (answer.reason, answer.batch) == ("busy", 1)
+
+
+def test_above_cameras_max_nothing_is_taken(tmp_path: Path) -> None:
+    bench = IntakeBench(tmp_path, Limits(cameras_max=1, commit_seconds=0.0))
+    bench.publish("invented")
+    assert bench.hello("a").reason == ""  # a grabber comes before bare publications
+
+    refused = bench.hello("b")
+
+    assert refused.reason == "cameras"
+    assert "limits.cameras_max (1) is reached" in refused.detail
+
+
+# --- what is not learned --------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    "raw", [b"\xff", event_bytes("other", 1.7e9), b"x" * 5000], ids=["malformed", "other", "long"]
+)
+def test_a_poisoned_event_is_stored_in_its_place_and_not_learned(
+    bench: IntakeBench, raw: bytes
+) -> None:
+    bench.hello()
+    events = [(1, event_bytes("a", bench.wall)), (2, raw), (3, event_bytes("a", bench.wall))]
+
+    answer = answer_of(bench.ask("a", Batch("h1", "b1", 0, events)))
+
+    assert (answer.have, answer.refused) == ({"b1": 3}, 1)
+    assert [kind for kind, _, _ in bench.stored] == ["event", "refused", "event"]
+    assert [one.event is None for one in bench.learned] == [False, True, False]
 
 
 def test_a_flood_is_stored_as_numbers(bench: IntakeBench, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(cameras, "EVENTS_PER_SECOND_MAX", 2)
     bench.hello()
 
-    answer = bench.send(times=dict.fromkeys(range(1, 6), -1.0)).answer
+    answer = bench.store(dict.fromkeys(range(1, 6), -1.0))
 
-    assert answer is not None
     assert (answer.have, answer.refused) == ({"b1": 5}, 3)
     assert bench.intake.counts["flood"] == 3
+
+
+# --- clocks ---------------------------------------------------------------------------------------
 
 
 def test_an_event_a_little_ahead_waits_and_delays_its_own_camera_only(bench: IntakeBench) -> None:
@@ -188,28 +247,25 @@ def test_an_event_a_little_ahead_waits_and_delays_its_own_camera_only(bench: Int
     bench.hello("b")
 
     fast = bench.send("a", times={1: 30.0, 2: 30.5})
-    right = bench.send("b", times={1: -0.1})
+    bench.store({1: -0.1}, camera="b")
 
-    assert right.answer is not None
     assert fast.answer is None
     bench.tick(29.6)
-    assert fast.answer is not None
-    assert fast.answer.have == {"b1": 2}
+    assert answer_of(fast).have == {"b1": 2}
 
 
 def test_an_event_far_ahead_is_stored_and_not_learned(bench: IntakeBench) -> None:
     bench.hello()
 
-    answer = bench.send(times={1: 3600.0, 2: -0.1}).answer
+    answer = bench.store({1: 3600.0, 2: -0.1})
 
-    assert answer is not None
     assert (answer.have, answer.refused) == ({"b1": 2}, 1)
     assert [kind for kind, _, _ in bench.stored] == ["future", "event"]
 
 
 def test_nothing_is_taken_while_the_clock_is_behind_event_time(bench: IntakeBench) -> None:
     bench.hello()
-    bench.send(times={1: 0.0})
+    bench.store({1: 0.0})
     bench.stop()
     bench.wall -= 3600.0
     bench.start()
@@ -225,47 +281,33 @@ def test_a_clock_that_is_set_back_while_the_daemon_runs_takes_event_time_back(
     bench: IntakeBench,
 ) -> None:
     bench.hello()
-    bench.send(times={1: 0.0})
+    bench.store({1: 0.0})
+    waiting = bench.send(after=1, times={2: 50.0})
 
     bench.wall -= 3600.0
     bench.tick(0.1)
-    answer = bench.send(after=1, times={2: 0.0}).answer
 
-    assert answer is not None
-    assert answer.have == {"b1": 2}
-    assert [kind for kind, _, _ in bench.stored] == ["event", "correction", "event"]
+    assert answer_of(waiting).refused == 1
+    assert bench.store({3: 0.0}, after=2).have == {"b1": 3}
+    kinds = [kind for kind, _, _ in bench.stored]
+    assert kinds == ["event", "correction", "future", "event"]
     assert bench.journal.meta("epoch") == "after", "in one transaction with its entry"
 
 
-def test_events_that_wait_when_the_clock_is_set_back_are_not_learned(bench: IntakeBench) -> None:
+def test_idle_time_advances_for_the_learner(bench: IntakeBench) -> None:
     bench.hello()
-    waiting = bench.send(times={1: 50.0})
-    assert waiting.answer is None
+    bench.store({1: 0.0})
+    bench.intake.event_clock.deadline = bench.wall + 5.0
+    bench.tick(9.0)
+    assert bench.stored[-1][0] == "event"
 
-    bench.wall -= 3600.0
-    bench.tick(0.1)
+    bench.tick(10.0)
 
-    assert waiting.answer is not None
-    assert [kind for kind, _, _ in bench.stored] == ["future"]
+    assert bench.stored[-1][0] == "advance"
+    assert bench.learned[-1].advance == bench.wall - 10.0
 
 
-def test_a_held_batch_is_answered_after_a_minute_and_stored_once(bench: IntakeBench) -> None:
-    bench.hello()
-    batch = Batch("h1", "b1", 0, [(1, event_bytes("a", bench.wall))])
-    sent = Request()
-    bench.intake.inbox.on_request("store/a", codec.to_msgpack(batch), sent.reply)
-    bench.intake.step()  # and the disk does not answer
-    bench.wall += 61.0
-    bench.now += 61.0
-    bench.intake.step()
-    assert sent.answer is not None
-    assert sent.answer.reason == "held"
-
-    again = bench.send(after=1)
-
-    assert again.answer is not None
-    assert again.answer.have == {"b1": 1}
-    assert [seq for _, _, seq in bench.stored] == [1]
+# --- the merge ------------------------------------------------------------------------------------
 
 
 def test_a_camera_that_promises_more_and_dies_is_waited_for_five_seconds(
@@ -329,90 +371,10 @@ def test_backlogs_of_a_single_batch_are_merged_by_time(bench: IntakeBench) -> No
     assert bench.intake.counts["late"] == 0
 
 
-def test_the_room_is_shared_by_the_cameras_that_are_there(
-    bench: IntakeBench, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    assert bench.hello().batch == BATCH_EVENTS_MAX
-    bench.intake.alive |= {f"c{n}" for n in range(1000)}
-    assert bench.hello().batch == 50
-
-    monkeypatch.setattr(intake_module, "EVENTS_MAX", 3)
-    answer = bench.send(times={1: 0.0, 2: 0.0, 3: 0.0, 4: 0.0}).answer
-    assert answer is not None
-    assert (answer.reason, answer.batch) == ("busy", 1)
-
-
-def test_above_cameras_max_nothing_is_taken(tmp_path: Path) -> None:
-    bench = IntakeBench(tmp_path, Limits(cameras_max=1, commit_seconds=0.0))
-    bench.publish("invented")
-    assert bench.hello("a").reason == ""  # a grabber comes before bare publications
-
-    refused = bench.hello("b")
-
-    assert refused.reason == "cameras"
-    assert "limits.cameras_max (1) is reached" in refused.detail
-
-
-def test_publications_count_once_and_those_of_spools_are_left_alone(bench: IntakeBench) -> None:
-    bench.publish("a", boot="b1", seq=1, spooled=True)
-    bench.publish("a", boot="b1", seq=1)
-    bench.publish("a", boot="b1", seq=1)
-    bench.publish("a")
-
-    assert bench.stored == [("event", "a", 1), ("event", "a", None)]
-
-
-def test_a_rescued_journal_is_filled_from_the_first_hole(
-    bench: IntakeBench, tmp_path: Path
-) -> None:
-    bench.hello()
-    bench.send(times={seq: seq / 10 - 1.0 for seq in range(1, 7)})
-    with bench.journal._db as database:
-        database.execute("UPDATE entry SET raw = 'damaged' WHERE seq = 3")
-        database.execute("UPDATE meta SET crc = 0 WHERE key = 'format'")
-    bench.restart()
-
-    have = bench.hello(boots=["b1"]).have
-    answer = bench.send(after=2, times={seq: seq - 10.0 for seq in range(3, 9)}).answer
-
-    assert have == {"b1": 2}
-    assert answer is not None
-    assert answer.have == {"b1": 8}
-    assert sorted(seq for _, _, seq in bench.stored if seq) == [1, 2, 3, 4, 5, 6, 7, 8]
-    assert [one.entry.seq for one in bench.learned][-3:] == [3, 7, 8]
-
-
-def test_a_damaged_number_is_that_of_the_newest_entry(bench: IntakeBench) -> None:
-    bench.hello()
-    bench.send(times={1: -2.0, 2: -1.0})
-    bench.journal._db.execute("UPDATE stream SET seq = 9")
-    bench.restart()
-    assert bench.hello(boots=["b1"]).have == {"b1": 2}
-
-
-def test_a_boot_without_number_and_entries_comes_again_too_late_to_be_learned(
-    bench: IntakeBench,
-) -> None:
-    bench.hello()
-    bench.send(times={1: -20.0, 2: -19.0})
-    bench.send(boot="b2", times={1: -1.0})
-    bench.tick(5.1)
-    bench.journal._db.execute("UPDATE stream SET seq = 9 WHERE boot = 'b1'")
-    bench.journal._db.execute("DELETE FROM entry WHERE boot = 'b1'")
-    bench.restart()
-
-    assert bench.hello(boots=["b1", "b2"]).have == {"b1": 0, "b2": 1}
-    again = bench.send(times={1: -25.0, 2: -24.0, 3: -1.0})
-    bench.tick(5.1)
-
-    assert again.answer is not None
-    assert (again.answer.have, again.answer.late) == ({"b1": 3}, 2)
-
-
-def test_a_thousand_cameras_come_back_at_once(bench: IntakeBench) -> None:
-    names = [f"c{number}" for number in range(1000)]
-    bench.intake.alive |= set(names)
-    batch = {name: bench.hello(name, ["b1"]).batch for name in names}
+def test_three_hundred_cameras_come_back_at_once(bench: IntakeBench) -> None:
+    names = [f"c{number}" for number in range(300)]
+    bench.intake.alive |= {*names, *(f"other{number}" for number in range(700))}
+    batch = {name: bench.hello(name).batch for name in names}
     backlog = [seq - 61.0 for seq in range(1, 61)]  # one event a second, of the last minute
     start = bench.wall
     stored = dict.fromkeys(names, 0)
@@ -438,47 +400,6 @@ def test_a_thousand_cameras_come_back_at_once(bench: IntakeBench) -> None:
                 batch[name] = sent.answer.batch
                 del under_way[name]
 
-    assert bench.intake.counts["stored"] == 60_000
+    assert bench.intake.counts["stored"] == 18_000
     assert bench.intake.counts["late"] == 0
     assert turns < 40
-
-
-def test_idle_time_advances_for_the_learner(bench: IntakeBench) -> None:
-    bench.hello()
-    bench.send(times={1: 0.0})
-    bench.intake.event_clock.deadline = bench.wall + 5.0
-    bench.tick(9.0)
-    assert bench.stored[-1][0] == "event"
-
-    bench.tick(10.0)
-
-    assert bench.stored[-1][0] == "advance"
-    assert bench.learned[-1].advance == bench.wall - 10.0
-
-
-def test_a_hello_is_answered_again(bench: IntakeBench) -> None:
-    assert bench.ask("a", Hello("h1", [])).answer is not None
-    assert bench.ask("a", Hello("h2", [])).answer is not None
-
-
-def test_events_of_a_forgotten_boot_that_come_again_count_once(
-    bench: IntakeBench, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr(numbers, "STREAMS_KEPT_MAX", 3)
-    for number in range(6):
-        bench.hello(boots=[f"boot-{number}"])
-        bench.send(boot=f"boot-{number}", times={1: -1.0})
-
-    bench.hello(boots=["boot-0"])
-    answer = bench.send(boot="boot-0", times={1: -1.0, 2: -0.5}).answer
-
-    assert answer is not None
-    assert answer.have == {"boot-0": 2}
-    assert len(bench.stored) == 7
-    assert [one.entry.seq for one in bench.learned][-1] == 2
-
-
-def test_publications_may_count_from_zero(bench: IntakeBench) -> None:
-    bench.publish("a", boot="b1", seq=0)
-    bench.publish("a", boot="b1", seq=0)
-    assert bench.stored == [("event", "a", 0)]
