@@ -9,7 +9,7 @@ from pathlib import Path
 
 import msgspec
 import pytest
-from serving import T0, closing_event, small_config, walkers
+from serving import T0, small_config
 
 from camtopod import codec
 from camtopod.cli.main import main
@@ -64,14 +64,16 @@ def test_each_of_two_sites_has_its_own_events_only(
 def test_what_became_of_the_events_is_said(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    recording = lines(tmp_path / "walks.jsonl", [*walkers(30), closing_event()])
-    events = len(recording.read_bytes().splitlines())
+    # One camera: here others would not be waited for.
+    times = [*range(120), 20_000]
+    events = len(times)
+    recording = lines(tmp_path / "a.jsonl", [Event("lobby", "entry", T0 + t) for t in times])
     old = lines(
         tmp_path / "old.jsonl", [Event("lobby", "entry", T0 - 50_000.0 - n) for n in range(20)]
     )
     both = lines(
         tmp_path / "both.jsonl",
-        [Event("lobby", "entry", T0 + 12_000.0), Event("lobby", "exit", T0 - 9e4)],
+        [Event("lobby", "entry", T0 + 20_003.0), Event("lobby", "exit", T0 - 9e4)],
     )
     early = lines(tmp_path / "early.jsonl", [Event("hall", "entry", T0 + 300_000.0)])
 
