@@ -5,6 +5,7 @@ All bytes of other programs are decoded here, so no input may do more than raise
 
 from __future__ import annotations
 
+import functools
 import math
 import sys
 import threading
@@ -34,7 +35,6 @@ _json_event = msgspec.json.Decoder(Event)
 _pack_event = msgspec.msgpack.Decoder(Event)
 _to_json = msgspec.json.Encoder()
 _to_pack = msgspec.msgpack.Encoder()
-_decoders: dict[tuple[Any, bool], Any] = {}
 _making = threading.Lock()
 _UNREADABLE = (msgspec.MsgspecError, ValueError, RecursionError)
 """What msgspec's decoders raise on bad input."""
@@ -121,25 +121,25 @@ def _rejection(error: Exception) -> Rejected:
 
 def read(kind: type[_T], raw: bytes, pack: bool = False) -> _T:
     """Return a ``kind`` from JSON, or from MessagePack if ``pack``; raise `Rejected`."""
+    with _making:
+        decoder = _decoder(kind, pack)  # type: ignore[arg-type]  # types are hashable
     try:
-        result: _T = _decoder(kind, pack).decode(raw)
+        result: _T = decoder.decode(raw)
     except _UNREADABLE as error:
         raise _rejection(error) from None
     return result
 
 
+@functools.cache
 def _decoder(kind: Any, pack: bool) -> Any:
     """Return the decoder of a type, which is made once.
 
     Only one thread makes a decoder at a time: while msgspec (0.22) examines a type for the first
     time, another thread that decodes the same type crashes the process.
     """
-    found = _decoders.get((kind, pack))
-    if found is None:
-        with _making:
-            found = (msgspec.msgpack if pack else msgspec.json).Decoder(kind)
-            _decoders[kind, pack] = found
-    return found
+    if pack:
+        return msgspec.msgpack.Decoder(kind)
+    return msgspec.json.Decoder(kind)
 
 
 def decode_topology(raw: bytes, pack: bool = False) -> Topology:

@@ -81,16 +81,6 @@ def _repeated(topology: Topology) -> Iterator[str]:
         "weak_links": [(one.from_, one.to, one.relation) for one in topology.weak_links or []],
         "pairs": [pair.cameras for pair in topology.pairs],
     }
-    if (model := topology.model) is not None:
-        onward = model.onward or []
-        keys |= {
-            "model.zones": [row.zone for row in model.zones],
-            "model.cameras": [row.camera for row in model.cameras],
-            "model.onward": [row.zone for row in onward],
-            "model.onward.next_": [(row.zone, one.to) for row in onward for one in row.next_],
-            "model.entered": [(row.zone, row.to) for row in model.entered or []],
-            "model.overlaps": [(row.camera, row.to) for row in model.overlaps or []],
-        }
     for place, listed in keys.items():
         if len(set(listed)) < len(listed):
             yield f"two items have the same key - at `$.{place}`"

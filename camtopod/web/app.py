@@ -118,16 +118,14 @@ class Routes:
         camera = request.query_params.get("camera")
         if camera is not None and not re.match(CAMERA_PATTERN, camera):
             return error(404, "not a valid camera id")
-        page_queue = self._page_queues.open(camera)
+        page_queue = self._page_queues.open()
         if page_queue is None:
             return error(503, "too many pages are open")
 
         async def stream() -> AsyncIterator[bytes]:
-            async with contextlib.AsyncExitStack() as stack:
+            with contextlib.ExitStack() as stack:
                 if camera is not None:
-                    watching = self._feed.watching(camera)
-                    await run_in_threadpool(watching.__enter__)
-                    stack.callback(watching.__exit__, None, None, None)
+                    stack.callback(await run_in_threadpool(self._feed.watch, camera, page_queue))
                 yield b"retry: 1000\n\n" + self._feed.beat() + self._feed.hello()
                 async for message in self._page_queues.messages(page_queue, self._feed.beat):
                     yield message

@@ -11,7 +11,7 @@ import math
 import re
 import threading
 from collections import deque
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from typing import Any
 
 import msgspec
@@ -35,7 +35,7 @@ from camtopod.serve.runtime import Beat, Clock, no_beat
 from camtopod.web.explanations import Explanations
 from camtopod.web.hourly_events import HourlyEvents
 from camtopod.web.map_data import Map, draw
-from camtopod.web.outbox import PageQueues
+from camtopod.web.outbox import PageQueue, PageQueues, message
 from camtopod.web.versions import VersionSummary, summary
 
 CAMERAS_MAX = 5_000
@@ -135,8 +135,6 @@ class Feed:
         self._grabbers: dict[str, tuple[Status, float]] = {}
         """The same of each camera's grabber."""
         self._predictions: deque[bytes] = deque(maxlen=PREDICTIONS_HELD)
-        self._mutex = threading.Lock()  # of watched cameras
-        self._watched: dict[str, tuple[int, Callable[[], None]]] = {}
         self._second = 0
         self._this_second = 0
         self._view = TopologySubscriber(bus)
@@ -182,13 +180,12 @@ class Feed:
 
     def hello(self) -> bytes:
         """Return the first messages for a page that has just connected: server-sent events."""
-        past = [b"event: past\ndata: " + one for one in self._predictions.copy()]
-        lines = [b"event: version\ndata: " + self._version(), *past]
-        return b"".join(line + b"\n\n" for line in lines)
+        past = [message("past", one) for one in self._predictions.copy()]
+        return message("version", self._version()) + b"".join(past)
 
     def beat(self) -> bytes:
         """Return the message that keeps an idle connection alive."""
-        return b'event: beat\ndata: {"now":%.3f}\n\n' % self._clock()
+        return message("beat", b'{"now":%.3f}' % self._clock())
 
     def health(self) -> dict[str, Any]:
         """Return the status of the daemon and of every camera, and whether they are live."""
@@ -211,27 +208,16 @@ class Feed:
         """Return a camera's events by the hour, since this server has followed the daemon."""
         return self._hourly.of(camera, self._clock())
 
-    @contextlib.contextmanager
-    def watching(self, camera: str) -> Iterator[None]:
-        """Forward the events of ``camera`` while the block runs.
+    def watch(self, camera: str, page_queue: PageQueue) -> Callable[[], None]:
+        """Forward the events of a camera, without tracks, to a page; return how to end it."""
 
-        Several pages may watch the same camera.
-        """
-        with self._mutex:
-            count, end = self._watched.get(camera) or (
-                0,
-                self._bus.subscribe(f"event/{camera}", self._on_message),
-            )
-            self._watched[camera] = (count + 1, end)
-        try:
-            yield
-        finally:
-            with self._mutex:
-                count, end = self._watched.pop(camera)
-                if count > 1:
-                    self._watched[camera] = (count - 1, end)
-                else:
-                    end()
+        def on_event(key: str, payload: bytes) -> None:
+            with contextlib.suppress(codec.Rejected):
+                event = codec.event_from_bytes(payload)
+                shown = Event(camera, event.kind, event.t, event.x, event.y)
+                page_queue.put(message("event", codec.to_json(shown)), passing=True)
+
+        return self._bus.subscribe(f"event/{camera}", on_event)
 
     def _version(self) -> bytes:
         """Return epoch and number of the newest version as JSON, null if there is none."""
@@ -315,10 +301,8 @@ class Feed:
                 self._on_daemon_status(codec.read(DaemonStatus, payload, pack=True))
             elif kind == "status":
                 self._on_status(name, codec.read(Status, payload, pack=True))
-            elif kind == "prediction":
-                self._on_prediction(codec.read(Prediction, payload, pack=True))
             else:
-                self._on_event(name, codec.event_from_bytes(payload))
+                self._on_prediction(codec.read(Prediction, payload, pack=True))
 
     def _on_daemon_status(self, status: DaemonStatus) -> None:
         now = self._clock()
@@ -342,8 +326,3 @@ class Feed:
         content = codec.to_json(shown(prediction))
         self._predictions.append(content)
         self._page_queues.send("prediction", content, passing=True)
-
-    def _on_event(self, camera: str, event: Event) -> None:
-        """Forward an event, without its track, to the pages that watch its camera."""
-        content = codec.to_json(Event(camera, event.kind, event.t, event.x, event.y))
-        self._page_queues.send("event", content, camera, passing=True)

@@ -83,12 +83,10 @@ class Login:
         """Show the login page, or take the password that it sends."""
         if request.method != "POST":
             return _login_page("", 200)
-        content = b""
-        async for part in request.stream():
-            content += part
-            if len(content) > secret_files.BYTES_MAX:
-                return _login_page(WRONG, 413)
-        password = parse_qs(content.decode("utf-8", "replace")).get("password", [""])[0]
+        if int(request.headers.get("content-length", 1 << 31)) > secret_files.BYTES_MAX:
+            return _login_page(WRONG, 413)
+        content = (await request.body()).decode("utf-8", "replace")
+        password = parse_qs(content).get("password", [""])[0]
 
         # Count wrong passwords by the minute.
         if self._clock() // 60 != self._minute:

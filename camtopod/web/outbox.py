@@ -13,13 +13,18 @@ PAGES_MAX = 64
 """Pages open at a time."""
 
 
+def message(name: str, content: bytes) -> bytes:
+    """Return a server-sent event; ``content`` is one line of JSON."""
+    return b"event: " + name.encode() + b"\ndata: " + content + b"\n\n"
+
+
 class PageQueue:
     """Queue of one page. Create it and take from it in the event loop's thread.
 
-    camera: the camera whose events the page shows, if any.
+    camera: as in `PageQueues.send`.
     """
 
-    def __init__(self, camera: str | None) -> None:
+    def __init__(self, camera: str | None = None) -> None:
         self.camera = camera
         self._loop = asyncio.get_running_loop()
         self._messages: asyncio.Queue[bytes] = asyncio.Queue()
@@ -64,8 +69,11 @@ class PageQueues:
         self._queues: set[PageQueue] = set()
         self._closed = False
 
-    def open(self, camera: str | None) -> PageQueue | None:
-        """Return a queue for a new page; None if there are `PAGES_MAX` already, or when closing."""
+    def open(self, camera: str | None = None) -> PageQueue | None:
+        """Return a queue for a new page; None if there are `PAGES_MAX` already, or when closing.
+
+        camera: as in `send`.
+        """
         if self._closed or len(self._queues) >= PAGES_MAX:
             return None
         queue = PageQueue(camera)
@@ -87,15 +95,14 @@ class PageQueues:
     def send(
         self, name: str, content: bytes, camera: str | None = None, passing: bool = False
     ) -> None:
-        """Send a server-sent event to all pages, or to those that show ``camera``.
+        """Send a server-sent event to all pages, or to those opened for ``camera``.
 
         content: one line of JSON.
         passing: pages that lag may miss it.
         """
-        message = b"event: " + name.encode() + b"\ndata: " + content + b"\n\n"
         for queue in tuple(self._queues):
             if camera is None or queue.camera == camera:
-                queue.put(message, passing)
+                queue.put(message(name, content), passing)
 
     def close(self) -> None:
         """End all connections."""

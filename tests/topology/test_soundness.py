@@ -91,9 +91,6 @@ WRONG = {
     "a pair with nobody": changed("pairs.0.cameras", [FIRST, "zzz"]),
     "an outcome nowhere": changed("model.onward.0.next_.0.to", "cellar/1"),
     "a pair of one": changed("pairs.0.cameras", [FIRST, FIRST]),
-    "a zone model twice": changed(
-        "model.zones", [*PLAIN["model"]["zones"], PLAIN["model"]["zones"][0]]
-    ),
     "a zone of another camera": changed("zones.0.camera", SITE.cameras[1].id),
     "a probability of 3": changed(f"links.{LINK}.probability", 3.0),
     "a hundred quadrillion exits": changed("zones.0.exits", 10**17),
