@@ -1,4 +1,4 @@
-"""Picture of the demo: the true and the learned map, and the learned zones in each view."""
+"""Picture of the demo: the true and the learned map."""
 
 from __future__ import annotations
 
@@ -10,18 +10,15 @@ import numpy as np
 
 from camtopod.arrays import Floats
 from camtopod.records import Link, Topology
-from camtopod.sim.floor import Plan, Walk
-from camtopod.sim.rendering import Colour, Picture, busy_scene, floor_picture, on_plan
-from camtopod.sim.scoring import match_zones
+from camtopod.sim.floor import Plan
+from camtopod.sim.rendering import Colour, Picture, floor_picture, on_plan
 from camtopod.sim.truth import TrueLink, Truth
 from camtopod.topology import camera_of
 
 MAP_WIDTH = 776
 """Width of each map, pixels."""
-THUMB_WIDTH = 260
-"""Width of a camera's picture, pixels."""
 GAP = 16
-"""Space between the parts, and margin of a camera's picture, pixels."""
+"""Space beside each map, pixels."""
 LINE = 24
 """Height of a line of text, pixels."""
 BEND = 0.2
@@ -30,55 +27,30 @@ INK: Colour = (40, 40, 40)
 PAPER: Colour = (250, 250, 250)
 GREY: Colour = (150, 150, 150)
 NODE: Colour = (190, 120, 40)
-FOUND: Colour = (70, 160, 60)
 FALSE: Colour = (40, 60, 210)
 LEGEND = "black: views overlap, grey: unseen path; seconds left to right / right to left"
-ZONES_LEGEND = (
-    "ellipses: learned zones, two standard deviations; green: a true zone; diamonds: true centres"
-)
 Times = dict[tuple[str, str], tuple[bool, float]]
 """(from camera, to camera) -> (True if the views overlap, mode of the transit times in seconds)."""
 
 
 def write_map(
-    path: Path,
-    plan: Plan,
-    walks: list[Walk],
-    truth: Truth,
-    topology: Topology,
-    notes: Sequence[str],
+    path: Path, plan: Plan, truth: Truth, topology: Topology, notes: Sequence[str]
 ) -> None:
     """Write the picture as PNG; ``notes`` are lines of text below it. Raises OSError."""
-    # The two maps.
     true_times = camera_times(truth.links)
-    learned_times = camera_times(topology.links)
-    maps = [
-        _titled(_map(plan, times, true_times), f"{title} map ({LEGEND})")
-        for title, times in (("true", true_times), ("learned", learned_times))
-    ]
-
-    # The cameras' pictures with learned zones.
-    found = set(match_zones(topology.zones, truth.zones).values())
-    views = []
-    for view in plan.views:
-        seen = busy_scene(plan, view, walks)
-        height = THUMB_WIDTH * seen.shape[0] // seen.shape[1]
-        seen = cv2.resize(seen, (THUMB_WIDTH, height), interpolation=cv2.INTER_CUBIC)
-        seen = cv2.copyMakeBorder(seen, GAP, GAP, GAP, GAP, cv2.BORDER_CONSTANT, value=PAPER)
-        _zones(seen, view.camera, topology, truth, found)
-        views.append(_titled(seen, f"{view.camera}: learned zones"))
-
-    # Both above each other, and the notes.
-    rows = [np.hstack(maps), np.hstack(views)]
-    width = max(row.shape[1] for row in rows)
-    text = np.full((LINE * (len(notes) + 2), width, 3), PAPER, np.uint8)
-    for k, note in enumerate([ZONES_LEGEND, *notes], 1):
-        _text(text, note, np.array((GAP, k * LINE)), INK)
-    padded = [
-        cv2.copyMakeBorder(row, 0, 0, 0, width - row.shape[1], cv2.BORDER_CONSTANT, value=PAPER)
-        for row in rows
-    ]
-    if not cv2.imwrite(str(path), np.vstack([*padded, text])):
+    maps = []
+    for title, links in (("true", truth.links), ("learned", topology.links)):
+        picture = _map(plan, camera_times(links), true_times)
+        framed = cv2.copyMakeBorder(
+            picture, 2 * LINE, 0, GAP, GAP, cv2.BORDER_CONSTANT, value=PAPER
+        )
+        _text(framed, f"{title} map ({LEGEND})", np.array((GAP, 1.5 * LINE)))
+        maps.append(framed)
+    both = np.hstack(maps)
+    below = np.full((LINE * (len(notes) + 2), both.shape[1], 3), PAPER, np.uint8)
+    for k, note in enumerate(notes):
+        _text(below, note, np.array((GAP, (k + 1.5) * LINE)))
+    if not cv2.imwrite(str(path), np.vstack([both, below])):
         raise OSError(f"cannot write the picture {path}")
 
 
@@ -90,15 +62,6 @@ def camera_times(links: Iterable[Link | TrueLink]) -> Times:
         if link.relation != "visible" and ends[0] != ends[1]:
             result[ends] = link.relation == "overlapped", link.transit.mode
     return result
-
-
-def _titled(picture: Picture, title: str) -> Picture:
-    """Return a picture with a title above it and space at its sides."""
-    framed = cv2.copyMakeBorder(
-        picture, 2 * LINE, 0, GAP // 2, GAP // 2, cv2.BORDER_CONSTANT, value=PAPER
-    )
-    _text(framed, title, np.array((GAP / 2, LINE + GAP / 2)), INK)
-    return framed
 
 
 def _map(plan: Plan, times: Times, true_times: Times) -> Picture:
@@ -142,31 +105,9 @@ def _curve(a: Floats, b: Floats) -> Floats:
     return result
 
 
-def _zones(
-    picture: Picture, camera: str, topology: Topology, truth: Truth, found: set[str]
+def _text(
+    picture: Picture, text: str, at: Floats, colour: Colour = INK, centred: bool = False
 ) -> None:
-    """Draw learned zones as ellipses, green if true, and true centres as diamonds."""
-    size = np.array((picture.shape[1], picture.shape[0])) - 2 * GAP
-    for true in truth.zones:
-        if true.camera == camera:
-            at = np.rint(GAP + np.array((true.x, true.y), float) * size).astype(int).tolist()
-            cv2.drawMarker(picture, at, INK, cv2.MARKER_DIAMOND, 9, 1, cv2.LINE_AA)
-    for zone in topology.zones:
-        if zone.camera == camera:
-            centre = GAP + np.array((zone.x, zone.y), float) * size
-            values, axes = np.linalg.eigh(np.diag(size) @ np.array(zone.cov) @ np.diag(size))
-            axis_lengths = np.maximum(4 * np.sqrt(np.maximum(values, 0)), 12)[::-1]
-            angle = float(np.degrees(np.arctan2(axes[1, 1], axes[0, 1])))
-            colour = FOUND if zone.id in found else FALSE
-            cv2.ellipse(
-                picture, (centre.tolist(), axis_lengths.tolist(), angle), colour, 2, cv2.LINE_AA
-            )
-            inwards = GAP + size / 2 - centre
-            number = centre + 24 * inwards / max(float(np.linalg.norm(inwards)), 1.0)
-            _text(picture, zone.id.rpartition("/")[2], number + np.array((0, 6)), colour, True)
-
-
-def _text(picture: Picture, text: str, at: Floats, colour: Colour, centred: bool = False) -> None:
     """Write ``text`` on a light ground; ``at`` is its left end, or its middle if ``centred``."""
     size, _ = cv2.getTextSize(text, cv2.FONT_HERSHEY_DUPLEX, 0.5, 1)
     x, y = np.rint(at - np.array((size[0] / 2 * centred, 0.0))).astype(int).tolist()

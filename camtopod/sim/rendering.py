@@ -151,16 +151,6 @@ def render(
     writer.release()
 
 
-def busy_scene(plan: Plan, view: View, walks: list[Walk]) -> Picture:
-    """Return a camera's picture at the moment when most people are in or near it."""
-    picture = scene(plan, view)
-    frames = _figures(view, walks)
-    busiest = max(frames, key=lambda number: len(frames[number]))
-    for figure in sorted(frames[busiest], reverse=True):
-        _draw(picture, figure)
-    return picture
-
-
 def _figures(view: View, walks: list[Walk]) -> dict[int, list[_Figure]]:
     """Return the people of each frame that has any; people near its edge are included."""
     result: dict[int, list[_Figure]] = {}

@@ -84,7 +84,7 @@ def test_a_grabber_that_fails_ends_the_demo_with_its_words(
     broken.write_text(f'#!/bin/sh\n{grabber}\nexec "{sys.executable}" "$@"\n')
     broken.chmod(0o755)
     recording = demo.Recording(
-        demo.demo_plan(), [], Truth(TRUTH_SCHEMA, [], [], [], []), 1.0, {"hall": tmp_path / "x"}
+        demo.demo_plan(), Truth(TRUTH_SCHEMA, [], [], [], []), 1.0, {"hall": tmp_path / "x"}
     )
     monkeypatch.setattr(demo, "_record", lambda *_: recording)
     monkeypatch.setattr(demo.sys, "executable", str(broken))

@@ -103,8 +103,8 @@ def test_picture_is_drawn_even_when_nothing_was_learned(tmp_path: Path) -> None:
     perfect = topology_of(TRUTH)
     nothing = msgspec.structs.replace(perfect, zones=[], links=[])
 
-    write_map(tmp_path / "a.png", PLAN, WALKS, TRUTH, perfect, ["note"])
-    write_map(tmp_path / "b.png", PLAN, WALKS, TRUTH, nothing, ["note"])
+    write_map(tmp_path / "a.png", PLAN, TRUTH, perfect, ["note"])
+    write_map(tmp_path / "b.png", PLAN, TRUTH, nothing, ["note"])
 
     full, empty = (cv2.imread(str(tmp_path / name)) for name in ("a.png", "b.png"))
     half = full.shape[1] // 2

@@ -35,7 +35,7 @@ from camtopod.learn.settings import Settings
 from camtopod.records import Topology
 from camtopod.serve.daemon import Daemon
 from camtopod.serve.runtime import clock as clocks
-from camtopod.sim.floor import Plan, Walk, demo_plan, passages, simulate_walks, truth_of
+from camtopod.sim.floor import Plan, demo_plan, passages, simulate_walks, truth_of
 from camtopod.sim.picture import write_map
 from camtopod.sim.rendering import SUFFIX, render
 from camtopod.sim.scoring import score
@@ -56,10 +56,9 @@ PATIENCE_SECONDS = 60.0
 
 
 class Recording(Struct):
-    """Simulated people, their ground truth, and the cameras' videos of ``seconds`` length."""
+    """Floor plan, ground truth, and the cameras' videos of ``seconds`` length."""
 
     plan: Plan
-    walks: list[Walk]
     truth: Truth
     seconds: float
     videos: dict[str, Path]
@@ -127,7 +126,7 @@ def run(args: argparse.Namespace) -> int:
     (args.out / "truth.json").write_bytes(to_json(recording.truth) + b"\n")
     picture = args.out / "map.png"
     notes = result.text().splitlines()
-    write_map(picture, recording.plan, recording.walks, recording.truth, topology, notes)
+    write_map(picture, recording.plan, recording.truth, topology, notes)
     print(result.text())
     taken = time.monotonic() - begin
     _say(f"picture in {picture}, topology in {args.out / 'topology.json'}; {taken:.0f} s")
@@ -158,7 +157,7 @@ def _record(work: Path, seconds: float, seed: int) -> Recording:
                     progress.show("rendered %d of %d cameras", count, len(tasks))
         finally:
             pool.shutdown(cancel_futures=True)
-    return Recording(plan, walks, truth, seconds, videos)
+    return Recording(plan, truth, seconds, videos)
 
 
 def _watch(recording: Recording, work: Path) -> Topology:
