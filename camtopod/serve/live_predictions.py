@@ -96,16 +96,17 @@ class Live:
                 raise QueryError(str(error)) from None
 
     def _step(self, event: Event) -> None:
-        """Publish the prediction of an exit, then observe the event."""
-        if event.kind == "exit":
-            with self._mutex:
-                prediction = None if self._predictor is None else self._predictor.predict(event)
-            if prediction is not None:
-                self._publish(prediction)
-                self.counts["predictions"] += 1
+        """Predict an exit, observe the event, and publish the prediction."""
+        prediction = None
         with self._mutex:
-            if self._predictor is not None:
-                self._predictor.observe(event)
+            if self._predictor is None:
+                return
+            if event.kind == "exit":
+                prediction = self._predictor.predict(event)
+            self._predictor.observe(event)
+        if prediction is not None:
+            self._publish(prediction)
+            self.counts["predictions"] += 1
 
 
 def asked_exit(camera: str, parameters: dict[str, str], as_of: float) -> tuple[Event, float | None]:

@@ -163,9 +163,7 @@ class Bus:
 
         def reply(query: zenoh.Query) -> None:
             with query:
-                parameters = {
-                    name: str(query.parameters.get(name)) for name in _names(str(query.parameters))
-                }
+                parameters = _parameters(str(query.parameters))
                 asked = str(query.key_expr) if "*" in key else self._full(key)
 
                 # Get the answer, or the refusal.
@@ -489,9 +487,10 @@ def _encoding(schema: str) -> zenoh.Encoding:
     return zenoh.Encoding(_PACK.format(schema))
 
 
-def _names(parameters: str) -> list[str]:
-    """Return the names of a query's parameters."""
-    return [pair.partition("=")[0] for pair in parameters.split(";") if pair]
+def _parameters(text: str) -> dict[str, str]:
+    """Return a query's parameters by name."""
+    pairs = (pair.partition("=") for pair in text.split(";") if pair)
+    return {name: value for name, _, value in pairs}
 
 
 def _short(error: Exception) -> str:

@@ -6,8 +6,8 @@ The whole topology is queried again when a delta is missing.
 from __future__ import annotations
 
 import logging
-import queue
 import time
+from collections import deque
 
 from camtopod import codec
 from camtopod.keys.rules import STATUS
@@ -18,7 +18,7 @@ from camtopod.topology import apply_delta
 log = logging.getLogger(__name__)
 
 WAITING_MAX = 1000
-"""Most deltas that wait for `TopologySubscriber.update`; beyond it they are dropped."""
+"""Most deltas that wait for `TopologySubscriber.update`; beyond it the oldest are dropped."""
 
 
 class TopologySubscriber:
@@ -31,10 +31,9 @@ class TopologySubscriber:
 
     def __init__(self, bus: Bus) -> None:
         self._bus = bus
-        self._deltas: queue.Queue[bytes] = queue.Queue(WAITING_MAX)
+        self._deltas: deque[bytes] = deque(maxlen=WAITING_MAX)
         self._stale = True
         self._ask_after = 0.0
-        self._told: tuple[str, int] | None = None
         self.topology: Topology | None = None
         """The newest version received; None before the first."""
         self.fetched = 0
@@ -46,20 +45,14 @@ class TopologySubscriber:
     def update(self) -> Topology | None:
         """Process what has been received; return the newest version, or None if it is not new."""
         before = self.topology
-        while True:
-            try:
-                self._apply(self._deltas.get_nowait())
-            except queue.Empty:
-                break
+        while self._deltas:
+            self._apply(self._deltas.popleft())
         if self._stale and time.monotonic() >= self._ask_after:
             self._fetch()
         return self.topology if self.topology is not before else None
 
     def _on_delta(self, key: str, payload: bytes) -> None:
-        try:
-            self._deltas.put_nowait(payload)
-        except queue.Full:
-            self._stale = True
+        self._deltas.append(payload)
 
     def _on_daemon(self, name: str, alive: bool) -> None:
         if alive:
@@ -75,10 +68,8 @@ class TopologySubscriber:
             return
         held = self.topology
         told = (newest.epoch, newest.version)
-        behind = newest.version > 0 and (held is None or told > (held.epoch, held.version))
-        if behind and told == self._told:  # the first time, the delta may still come
+        if newest.version > 0 and (held is None or told > (held.epoch, held.version)):
             self._stale = True
-        self._told = told
 
     def _apply(self, payload: bytes) -> None:
         """Apply a delta; if that is impossible, have the whole topology queried."""

@@ -8,7 +8,6 @@ the learner's queue) beats all the same, as a restart would not help.
 
 from __future__ import annotations
 
-import math
 import threading
 import time
 from collections.abc import Callable
@@ -31,15 +30,11 @@ class Heartbeat:
     def __init__(self, seconds_max: float, monotonic: Callable[[], float]) -> None:
         self.seconds_max = seconds_max
         self._monotonic = monotonic
-        self._last = monotonic()
+        self.last = monotonic()
 
     def beat(self) -> None:
         """Record that the loop makes progress now."""
-        self._last = self._monotonic()
-
-    def seconds_since_beat(self) -> float:
-        """Return the seconds since the last beat."""
-        return self._monotonic() - self._last
+        self.last = self._monotonic()
 
 
 class Progress:
@@ -64,13 +59,12 @@ class Progress:
 
     def stalled(self) -> list[str]:
         """Return a sentence for each loop over its time limit; empty if all make progress."""
+        now = self._monotonic()
         with self._mutex:
-            silent = {
-                name: (mark.seconds_since_beat(), mark.seconds_max)
-                for name, mark in self._marks.items()
-            }
+            marks = sorted(self._marks.items())
         return [
-            f"{name} has made no progress for {math.floor(seconds)} s (limit: {most:g} s)"
-            for name, (seconds, most) in sorted(silent.items())
-            if seconds > most
+            f"{name} has made no progress for {now - mark.last:.0f} s"
+            f" (limit: {mark.seconds_max:g} s)"
+            for name, mark in marks
+            if now - mark.last > mark.seconds_max
         ]
