@@ -3,6 +3,5 @@
 Read `daemon` first; it starts and connects the parts. `ingest` brings events into order and into
 the journal; `storage` is the journal; `learner_process` runs the learner; `live_predictions`
 answers exits; `bus` is the session with zenoh; `outbox` is the grabber's side; `runtime` holds
-clocks and progress. `recorded_state` makes a state directory of a recording.
-`admin_queries` are an operator's commands on the bus.
+clocks and progress; `admin_queries` are an operator's commands on the bus.
 """

@@ -80,7 +80,7 @@ HOMES = {
     "uvicorn": ("web.app",),
     "rich": ("cli.commands.watch",),
     "cv2": ("vision", "sim", "export"),
-    "sqlite3": ("serve.storage", "serve.outbox", "serve.recorded_state", "serve.daemon"),
+    "sqlite3": ("serve.storage", "serve.outbox", "serve.daemon"),
 }
 """Other people's packages, and the modules or packages that may know them."""
 

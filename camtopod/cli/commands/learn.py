@@ -1,8 +1,7 @@
 """`camtopod learn`: learn the topology from recorded event lines, as the daemon does.
 
 With ``--updates`` every version that the daemon would have published is learned, each with a fit of
-its own; otherwise only the last one, in one fit of the last window. With ``--state`` a daemon can
-continue from the result.
+its own; otherwise only the last one, in one fit of the last window.
 """
 
 from __future__ import annotations
@@ -21,8 +20,6 @@ from camtopod.cli.terminal import Progress, busiest_links, topology_lines, trans
 from camtopod.codec import to_json
 from camtopod.learn.learner import STEPS, Learner
 from camtopod.records import Topology
-from camtopod.serve.recorded_state import RecordedState
-from camtopod.serve.runtime import wall
 
 EPOCH = "recording"
 """Epoch of a topology learned from files, constant so that the same files give the same bytes."""
@@ -54,8 +51,6 @@ def add_parser(subparsers: Any) -> None:
     parser.add_argument(
         "--updates", metavar="OUT.jsonl", help="write every version to this file, one a line"
     )
-    state = "create a state directory from which a daemon can continue (its [state] directory)"
-    parser.add_argument("--state", metavar="DIR", type=Path, help=state)
 
 
 def run(args: argparse.Namespace) -> int:
@@ -74,37 +69,24 @@ def run(args: argparse.Namespace) -> int:
 
     # Feed all events to the learner.
     with ExitStack() as stack:
-        state = None
-        if args.state:
-            state = RecordedState(args.state, config.keep, wall())
-            stack.callback(state.close)
-        epoch = EPOCH if state is None else state.epoch
         learner = Learner(
-            config.learn, site=config.site.name, epoch=epoch, only_last=args.updates is None
+            config.learn, site=config.site.name, epoch=EPOCH, only_last=args.updates is None
         )
         updates = stack.enter_context(open_output(args.updates)) if args.updates else None
-        _feed(learner, reader, args.events, updates, state)
+        _feed(learner, reader, args.events, updates)
 
     # Report what was not learned from.
     if (summary := reader.summary()) is not None:
         print(f"camtopod: {summary}", file=sys.stderr)
-    topology = learner.topology
-    if topology is None and args.state and learner.statistics()["accepted"]:
-        print(
-            "camtopod: nothing learned yet: all events are within the lateness of the last one "
-            f"(learn.lateness_seconds), so earlier ones may still arrive. A daemon started in "
-            f"{args.state} learns them with its next events",
-            file=sys.stderr,
-        )
-        return 0
 
     # Write the topology.
+    topology = learner.topology
     if topology is None:
         raise InputError(f"no event lines in {', '.join(args.events)}: nothing to learn")
-    if args.topology or not (args.updates or args.state or sys.stdout.isatty()):
+    if args.topology or not (args.updates or sys.stdout.isatty()):
         with open_output(args.topology or "-") as out:
             out.write(to_json(topology) + b"\n")
-    elif not (args.updates or args.state):
+    elif not args.updates:
         print("\n".join(link_lines(topology)))
         print("camtopod: --topology OUT.json keeps the topology", file=sys.stderr)
     for line in topology_lines(topology):
@@ -112,16 +94,8 @@ def run(args: argparse.Namespace) -> int:
     return 0
 
 
-def _feed(
-    learner: Learner,
-    reader: LineReader,
-    paths: list[str],
-    updates: BinaryIO | None,
-    state: RecordedState | None,
-) -> None:
-    """Pass every line to the learner, write each version and each event of the state, show
-    progress.
-    """
+def _feed(learner: Learner, reader: LineReader, paths: list[str], updates: BinaryIO | None) -> None:
+    """Pass every line to the learner, write each version, show progress."""
     with Progress(piped=True) as progress:
 
         def say_step(step: str) -> None:
@@ -132,16 +106,10 @@ def _feed(
             verdict = learner.receive(line.event)
             if verdict != "accepted":
                 reader.reject(verdict, f"{line.file}:{line.number}: {_WHY[verdict]}")
-            elif state is not None:
-                state.add(line.event)
             if progress.due:
                 progress.show("%d lines, %.0f %%", reader.read, 100 * (reader.share() or 0.0))
             _write(learner, updates)
-        if state is None:
-            learner.flush()
-        else:  # the daemon learns events that are still within the lateness
-            learner.refresh()
-            state.finish(learner)
+        learner.flush()
         _write(learner, updates)
 
 
