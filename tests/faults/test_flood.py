@@ -9,7 +9,6 @@ import random
 import resource
 import time
 from collections import Counter
-from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
@@ -113,20 +112,6 @@ class Flooded:
         self.daemon.stop()
 
 
-MakeFlooded = Callable[..., Flooded]
-
-
-@pytest.fixture
-def make_flooded(tmp_path: Path) -> Iterator[MakeFlooded]:
-    """Return a function that makes a `Flooded`, given what follows the directory."""
-    with contextlib.ExitStack() as stack:
-
-        def make(*given: str, **popen: Any) -> Flooded:
-            return stack.enter_context(contextlib.closing(Flooded(tmp_path, *given, **popen)))
-
-        yield make
-
-
 def growth(sizes: list[int]) -> float:
     """Return the relative growth of memory from the second to the last third."""
     third = len(sizes) // 3
@@ -144,45 +129,48 @@ def growth(sizes: list[int]) -> float:
     ids=["soon full", "long"],
 )
 def test_memory_is_flat(
-    tables: str, constants: dict[str, object], seconds: int, make_flooded: MakeFlooded
+    tables: str, constants: dict[str, object], seconds: int, tmp_path: Path
 ) -> None:
-    flooded = make_flooded(tables, constants=constants)
+    with contextlib.closing(Flooded(tmp_path, tables, constants=constants)) as flooded:
+        sizes = flooded.flood(seconds)
 
-    sizes = flooded.flood(seconds)
-
-    print(f"memory at most {max(sizes) / MEGABYTE:.0f} MB, growth {growth(sizes):.3f}")
-    assert growth(sizes) <= GROWTH_MAX
-    assert flooded.status["events"]["flood"] > 0
+        print(f"memory at most {max(sizes) / MEGABYTE:.0f} MB, growth {growth(sizes):.3f}")
+        assert growth(sizes) <= GROWTH_MAX
+        assert flooded.status["events"]["flood"] > 0
 
 
 def test_a_flood_hurts_only_its_camera_and_invented_names_keep_no_camera_out(
-    make_flooded: MakeFlooded, tmp_path: Path
+    tmp_path: Path,
 ) -> None:
-    flooded = make_flooded(f"{SOON_FULL}[limits]\ncameras_max = 100\n", constants=ANY_SETTING)
-    flooded.flood(2.0)
-    assert flooded.status["events"]["flood"] > 0
+    with contextlib.closing(
+        Flooded(tmp_path, f"{SOON_FULL}[limits]\ncameras_max = 100\n", constants=ANY_SETTING)
+    ) as flooded:
+        flooded.flood(2.0)
+        assert flooded.status["events"]["flood"] > 0
 
-    for number in range(500):
-        event = Event(f"name{number}", "entry", time.time(), 0.5, 0.5)
-        flooded.bus.publish(f"event/name{number}", event, "event")
-    wait_for(lambda: "too-many-cameras" in flooded.status["rejects"], "the places to be taken")
+        for number in range(500):
+            event = Event(f"name{number}", "entry", time.time(), 0.5, 0.5)
+            flooded.bus.publish(f"event/name{number}", event, "event")
+        wait_for(lambda: "too-many-cameras" in flooded.status["rejects"], "the places to be taken")
 
-    def is_refused() -> bool:
-        flooded.bus.publish("event/gate", Event("gate", "entry", time.time(), 0.5, 0.5), "event")
-        return "camera gate: refused" in flooded.status["reason"]
+        def is_refused() -> bool:
+            flooded.bus.publish(
+                "event/gate", Event("gate", "entry", time.time(), 0.5, 0.5), "event"
+            )
+            return "camera gate: refused" in flooded.status["reason"]
 
-    wait_for(is_refused, "the status to name the camera that is refused")
-    assert "limits.cameras_max (100) is reached" in flooded.status["reason"]
-    status, [reason] = flooded.readiness()
-    assert status == 503
-    assert "reached: raise it" in reason
+        wait_for(is_refused, "the status to name the camera that is refused")
+        assert "limits.cameras_max (100) is reached" in flooded.status["reason"]
+        status, [reason] = flooded.readiness()
+        assert status == 503
+        assert "reached: raise it" in reason
 
-    # One with a grabber is taken.
-    with publisher_on(flooded.bus, tmp_path, ["lobby"]) as publisher:
-        publisher.publish(*(Event("lobby", "entry", time.time(), 0.5, 0.5) for _ in range(10)))
-        assert publisher.wait_stored(30.0)
-    assert flooded.stored("lobby") == 10
-    flooded.quiet()
+        # One with a grabber is taken.
+        with publisher_on(flooded.bus, tmp_path, ["lobby"]) as publisher:
+            publisher.publish(*(Event("lobby", "entry", time.time(), 0.5, 0.5) for _ in range(10)))
+            assert publisher.wait_stored(30.0)
+        assert flooded.stored("lobby") == 10
+        flooded.quiet()
 
 
 # --- just below the limit -------------------------------------------------------------------------
@@ -207,39 +195,41 @@ def limit_memory() -> None:
 @pytest.mark.campaign
 @pytest.mark.timeout(1800)
 def test_cameras_just_below_the_flood_limit_end_nothing_where_memory_is_little(
-    make_flooded: MakeFlooded, tmp_path: Path
+    tmp_path: Path,
 ) -> None:
-    flooded = make_flooded(preexec_fn=limit_memory)
-    process = flooded.daemon.process
-    chance, now = random.Random(1), time.time()
-    known = [msgspec.structs.replace(e, t=e.t - T0 + now - 2 * SPAN_SECONDS) for e in walkers(400)]
-    count = size("CROWD_EVENTS", 10_000)
-    near = [event for k in range(3) for event in crowd(f"wild{k}", now, count, chance)]
-    last = [Event(camera, "entry", now + 61.0) for camera in "ab"]  # the last tick is over
+    with contextlib.closing(Flooded(tmp_path, preexec_fn=limit_memory)) as flooded:
+        process = flooded.daemon.process
+        chance, now = random.Random(1), time.time()
+        known = [
+            msgspec.structs.replace(e, t=e.t - T0 + now - 2 * SPAN_SECONDS) for e in walkers(400)
+        ]
+        count = size("CROWD_EVENTS", 10_000)
+        near = [event for k in range(3) for event in crowd(f"wild{k}", now, count, chance)]
+        last = [Event(camera, "entry", now + 61.0) for camera in "ab"]  # the last tick is over
 
-    def learned(total: int) -> bool:
-        if process.poll() is not None:
-            return True
-        status = flooded.status
-        counts = status["events"]
-        done = counts["stored"] >= total and not counts["waiting"]
-        return bool(done and status["learner"]["version"] == status["version"])
+        def learned(total: int) -> bool:
+            if process.poll() is not None:
+                return True
+            status = flooded.status
+            counts = status["events"]
+            done = counts["stored"] >= total and not counts["waiting"]
+            return bool(done and status["learner"]["version"] == status["version"])
 
-    with publisher_on(flooded.bus, tmp_path) as publisher:
-        publisher.publish(*known)
-        wait_for(lambda: learned(len(known)), "what is known to be learned", 120)
-        version = flooded.status["version"]
-        near.sort(key=lambda event: event.t)
-        for first in range(0, len(near), 500):
-            publisher.publish(*near[first : first + 500])
-        publisher.publish(*last)
-        wait_for(lambda: learned(len(known) + len(near) + 2), "all to be learned", 1200)
+        with publisher_on(flooded.bus, tmp_path) as publisher:
+            publisher.publish(*known)
+            wait_for(lambda: learned(len(known)), "what is known to be learned", 120)
+            version = flooded.status["version"]
+            near.sort(key=lambda event: event.t)
+            for first in range(0, len(near), 500):
+                publisher.publish(*near[first : first + 500])
+            publisher.publish(*last)
+            wait_for(lambda: learned(len(known) + len(near) + 2), "all to be learned", 1200)
 
-    assert process.poll() is None
-    assert flooded.status["version"] > version
-    peak = max(resident(child, most=True) for child in children(process.pid))
-    print(f"the learner had {peak / MEGABYTE:.0f} MB at most")
-    assert peak < LEARNER_BYTES_MAX
+        assert process.poll() is None
+        assert flooded.status["version"] > version
+        peak = max(resident(child, most=True) for child in children(process.pid))
+        print(f"the learner had {peak / MEGABYTE:.0f} MB at most")
+        assert peak < LEARNER_BYTES_MAX
 
 
 # --- in the daemon's path of an event -------------------------------------------------------------

@@ -5,13 +5,14 @@ Afterwards every event is stored once, and the versions are those of an uninterr
 
 from __future__ import annotations
 
+import contextlib
 import os
 import random
 import signal
 import subprocess
 import time
 from collections import Counter
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -218,23 +219,6 @@ def _key(event: Event) -> tuple[str, float, str, str]:
     return (event.camera, event.t, event.kind, str(event.track))
 
 
-MakeSite = Callable[..., Site]
-
-
-@pytest.fixture
-def make_site(tmp_path: Path) -> Iterator[MakeSite]:
-    """Return a function that makes a `Site`, given what follows the directory."""
-    made: list[Site] = []
-
-    def make(*given: Any, **more: bool) -> Site:
-        made.append(Site(tmp_path, *given, **more))
-        return made[-1]
-
-    yield make
-    for site in made:
-        site.close()
-
-
 def kill_and_restart(site: Site, kills: int, seed: int, groups: Sequence[Sequence[str]]) -> None:
     """Kill and restart processes of random groups at random moments, with events in between."""
     chance = random.Random(seed)
@@ -285,69 +269,71 @@ def check(site: Site) -> None:
         assert expected[version] == digest
 
 
-def test_silent_links_and_kills(make_site: MakeSite) -> None:
-    site = make_site(200, 2 * 3600.0, 1200.0)
-    site.start_all()
-    site.await_flow()
+def test_silent_links_and_kills(tmp_path: Path) -> None:
+    with contextlib.closing(Site(tmp_path, 200, 2 * 3600.0, 1200.0)) as site:
+        site.start_all()
+        site.await_flow()
 
-    for link in site.links.values():
-        silent(link, 0.7, cut=True)
-    for program in ("router", "daemon", LEARNER):
-        kill_and_restart(site, 1, 1, ((program,),))
+        for link in site.links.values():
+            silent(link, 0.7, cut=True)
+        for program in ("router", "daemon", LEARNER):
+            kill_and_restart(site, 1, 1, ((program,),))
 
-    check(site)
+        check(site)
 
 
 @pytest.mark.campaign
 @pytest.mark.timeout(3600)
-def test_many_kills(make_site: MakeSite) -> None:
+def test_many_kills(tmp_path: Path) -> None:
     kills, speed = size("KILLS", 30), 1000.0
-    site = make_site(40 * 8 * kills, 8 * kills * speed, speed)
-    began = time.monotonic()
-    site.start_all()
+    with contextlib.closing(Site(tmp_path, 40 * 8 * kills, 8 * kills * speed, speed)) as site:
+        began = time.monotonic()
+        site.start_all()
 
-    kill_and_restart(site, kills, size("SEED", 1), EVERYBODY)
+        kill_and_restart(site, kills, size("SEED", 1), EVERYBODY)
 
-    check(site)
-    print(f"{len(site.events)} events, {time.monotonic() - began:.0f} s")
+        check(site)
+        print(f"{len(site.events)} events, {time.monotonic() - began:.0f} s")
 
 
 @pytest.mark.campaign
 @pytest.mark.timeout(3600)
-def test_links_router_and_daemon_fail_in_turn(make_site: MakeSite) -> None:
+def test_links_router_and_daemon_fail_in_turn(tmp_path: Path) -> None:
     seconds, speed = size("SILENT_SECONDS", 15), 2000.0
     lasts = 3.5 * seconds + 110.0
-    site = make_site(int(EVENTS_PER_SECOND * lasts / 4), lasts * speed, speed)
-    began = time.monotonic()
-    site.start_all()
-    steps = (
-        ("links of the publishers silent", lambda: silent(site.links["publishers"], seconds)),
-        ("link of the daemon silent", lambda: silent(site.links["daemon"], seconds)),
-        ("router restarted", lambda: restarted(site, "router", 3.0)),
-        ("daemon restarted", lambda: restarted(site, "daemon", 3.0)),
-        ("all connections cut", lambda: [link.cut() for link in site.links.values()]),
-    )
+    with contextlib.closing(
+        Site(tmp_path, int(EVENTS_PER_SECOND * lasts / 4), lasts * speed, speed)
+    ) as site:
+        began = time.monotonic()
+        site.start_all()
+        steps = (
+            ("links of the publishers silent", lambda: silent(site.links["publishers"], seconds)),
+            ("link of the daemon silent", lambda: silent(site.links["daemon"], seconds)),
+            ("router restarted", lambda: restarted(site, "router", 3.0)),
+            ("daemon restarted", lambda: restarted(site, "daemon", 3.0)),
+            ("all connections cut", lambda: [link.cut() for link in site.links.values()]),
+        )
 
-    for what, fault in steps:
-        time.sleep(3.0)
-        site.await_flow()
-        fault()
-        print(f"{time.monotonic() - began:.0f} s: {what}; {site.status['events']}")
+        for what, fault in steps:
+            time.sleep(3.0)
+            site.await_flow()
+            fault()
+            print(f"{time.monotonic() - began:.0f} s: {what}; {site.status['events']}")
 
-    assert all(map(site.is_running, CAMERAS)), "events flowed all the time"
-    check(site)
-    print(f"{len(site.events)} events, {EVENTS_PER_SECOND}/s, {time.monotonic() - began:.0f} s")
+        assert all(map(site.is_running, CAMERAS)), "events flowed all the time"
+        check(site)
+        print(f"{len(site.events)} events, {EVENTS_PER_SECOND}/s, {time.monotonic() - began:.0f} s")
 
 
 @pytest.mark.campaign
-def test_the_harness_sees_a_loss(make_site: MakeSite) -> None:
+def test_the_harness_sees_a_loss(tmp_path: Path) -> None:
     """The canary: publishers without spools lose messages in flight when the daemon dies."""
-    site = make_site(400, 1800.0, 600.0, spools=False)
-    site.start_all()
+    with contextlib.closing(Site(tmp_path, 400, 1800.0, 600.0, spools=False)) as site:
+        site.start_all()
 
-    kill_and_restart(site, 1, 1, (("daemon",),))
+        kill_and_restart(site, 1, 1, (("daemon",),))
 
-    site.finish()
-    lost, doubled = site.lost_and_doubled()
-    assert lost > 0
-    assert doubled == 0
+        site.finish()
+        lost, doubled = site.lost_and_doubled()
+        assert lost > 0
+        assert doubled == 0
