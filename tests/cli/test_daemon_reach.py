@@ -1,4 +1,4 @@
-"""A grabber reports once that the daemon is gone and once that it is back; a second one ends."""
+"""A grabber reports once that the daemon is gone and once that it is back; a second one waits."""
 
 from __future__ import annotations
 
@@ -70,7 +70,7 @@ def test_a_daemon_that_is_missing_goes_or_comes_is_one_sentence(
     with Daemon(config):
         wait_for(lambda: len(grabber.said(BACK)) == 1, "word that it is there")
     wait_for(lambda: len(grabber.said(GONE)) == 2, "word that it has gone")
-    assert "camera lobby: the connection to the daemon at" in grabber.said(GONE)[1]
+    assert "camera lobby: the daemon has gone" in grabber.said(GONE)[1]
     with Daemon(config):
         wait_for(lambda: len(grabber.said(BACK)) == 2, "word that it is back")
     grabber.end()
@@ -79,16 +79,16 @@ def test_a_daemon_that_is_missing_goes_or_comes_is_one_sentence(
 # --- a second one ---------------------------------------------------------------------------------
 
 
-def test_a_second_one_says_so_once_and_ends(tmp_path: Path, started: list[Grabber]) -> None:
+def test_a_second_one_says_so_and_disturbs_nothing(tmp_path: Path, started: list[Grabber]) -> None:
     endpoint = free_endpoint()
     started.append(first := Grabber(tmp_path, endpoint))
     wait_for(lambda: len(first.said("is connecting")) == len(CAMERAS), "all cameras")
-    second = Grabber(tmp_path, endpoint, log="second")
-    assert second.process.wait(WAIT_SECONDS) == 74
-    (line,) = second.log
-    assert "spools-of-site/hall.lock is held by another camtopod process" in line
-    assert line.startswith("camtopod: hall: ")
-    assert first.said("(restart ") == []
+    started.append(second := Grabber(tmp_path, endpoint, log="second"))
+    held = "spools-of-site/hall.lock is held by another camtopod process"
+    wait_for(lambda: len(second.said(held)) > 0, "the reason")
+    second.end()
+    assert first.said("restarting") == []
+
     one = Grabber(tmp_path, endpoint, "--camera", "lobby", log="one")
     assert one.process.wait(WAIT_SECONDS) == 74
     assert len(one.said("spools-of-site/lobby.lock is held by another camtopod process")) == 1
