@@ -9,6 +9,7 @@ I/O, clock, or threads.
 from __future__ import annotations
 
 import math
+from collections import Counter
 from collections.abc import Callable
 
 from camtopod.serve.outbox.spool import Spool
@@ -52,7 +53,7 @@ class Delivery:
         self._retry_at = -math.inf
         self._retry_seconds = RETRY_SECONDS
         self._batch_max = 1
-        self._sent: tuple[str, int] = ("", 0)
+        self._sent: Counter[str] = Counter()  # boot that this process numbers -> highest one sent
         # Boot and number of an empty batch to be sent next.
         self._empty: tuple[str, int] | None = None
 
@@ -139,7 +140,7 @@ class Delivery:
             return None
         boot, events = found
         if boot == self._spool.boot(self.camera):
-            self._sent = boot, max(events[-1][0], self._sent_of(boot))
+            self._sent[boot] = max(events[-1][0], self._sent[boot])
         after = min(self._spool.mark(self.camera, boot), events[0][0] - 1)
         more = self._spool.waiting(self.camera) - len(events)
         return Batch(self._number, boot, after, events, max(0, more))
@@ -149,15 +150,11 @@ class Delivery:
         boot = request.boot if isinstance(request, Batch) else self._spool.boot(self.camera)
         before = self._spool.boot(self.camera), self._spool.mark(self.camera, boot)
         for name, have in answer.have.items():
-            if name == self._spool.boot(self.camera) and have > self._sent_of(name):
+            if name == self._spool.boot(self.camera) and have > self._sent[name]:
                 # A machine that was set back has given these numbers before.
                 self._spool.begin_boot(self.camera)
             self._spool.have(self.camera, name, have)
         return before != (self._spool.boot(self.camera), self._spool.mark(self.camera, boot))
-
-    def _sent_of(self, boot: str) -> int:
-        """Return the highest number that was sent of the boot that this process numbers."""
-        return self._sent[1] if self._sent[0] == boot else 0
 
     def _wait(self, now: float) -> None:
         """Wait until the next request."""
