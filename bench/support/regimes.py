@@ -10,10 +10,11 @@ from functools import partial
 import msgspec
 from msgspec import Struct
 
-from bench.scenes.crowd import CrowdSettings, simulate_crowd
-from bench.scenes.hall import HallSettings, simulate_hall
-from bench.scenes.road import RoadSettings, simulate_road
-from bench.scenes.walkway import WalkwaySettings, simulate_walkway
+from bench.scene import SCENES
+from bench.scenes.crowd import CrowdSettings
+from bench.scenes.hall import HallSettings
+from bench.scenes.road import RoadSettings
+from bench.scenes.walkway import WalkwaySettings
 from bench.support.disturbances import (
     Recording,
     with_outages,
@@ -27,6 +28,8 @@ from camtopod.sim.simulation import SimSettings, simulate
 
 Settings = SimSettings | HallSettings | CrowdSettings | WalkwaySettings | RoadSettings
 """Settings of any simulation."""
+_SIMULATIONS = dict(SCENES.values())
+"""Simulation of a scene by the type of its settings."""
 
 
 class Regime(Struct, frozen=True):
@@ -54,18 +57,12 @@ class Regime(Struct, frozen=True):
         ``scale`` below 1 makes a shorter recording of the same network (and day).
         """
         chosen = msgspec.structs.replace(_scaled(self.settings, scale), seed=seed)
-        match chosen:
-            case SimSettings():
-                recording = simulate(chosen)
-                return self.disturb(recording, chosen) if self.disturb else recording
-            case HallSettings():
-                return simulate_hall(chosen)
-            case CrowdSettings():
-                return simulate_crowd(chosen)
-            case WalkwaySettings():
-                return simulate_walkway(chosen)
-            case RoadSettings():
-                return simulate_road(chosen)
+        if not isinstance(chosen, SimSettings):
+            return _SIMULATIONS[type(chosen)](chosen)
+        recording = simulate(chosen)
+        if self.disturb is None:
+            return recording
+        return self.disturb(recording, chosen)
 
 
 def _scaled(settings: Settings, scale: float) -> Settings:

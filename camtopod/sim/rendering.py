@@ -186,23 +186,18 @@ def _draw(picture: Picture, figure: _Figure) -> None:
         x, y = fx + across * tall + (hx - fx) * up, fy + (hy - fy) * up
         return round(x * (1 << bits)), round(y * (1 << bits))
 
-    def limb(a: tuple[float, float], b: tuple[float, float], width: float, colour: Colour) -> None:
-        cv2.line(picture, at(*a), at(*b), colour, max(1, round(width * tall)), cv2.LINE_AA, bits)
-
     axes = round(0.16 * tall * (1 << bits)), round(0.06 * tall * (1 << bits))
     cv2.ellipse(picture, at(0, 0), axes, 0, 0, 360, (120, 126, 130), -1, cv2.LINE_AA, bits)
     reach = 0.13 * figure.swing
-    limb((0.05, 0.48), (0.05 + reach, 0.02), 0.11, trousers)
-    limb((-0.05, 0.48), (-0.05 - reach, 0.02), 0.11, trousers)
-    limb((0, 0.5), (0, 0.74), 0.26, coat)
-    limb((0.13, 0.74), (0.13 - reach, 0.5), 0.08, coat)
-    limb((-0.13, 0.74), (-0.13 + reach, 0.5), 0.08, coat)
-    cv2.circle(
-        picture,
-        at(0, 0.92),
-        round(0.085 * tall * (1 << bits)),
-        skin,
-        -1,
-        cv2.LINE_AA,
-        bits,
+    limbs = (
+        ((0.05, 0.48), (0.05 + reach, 0.02), 0.11, trousers),
+        ((-0.05, 0.48), (-0.05 - reach, 0.02), 0.11, trousers),
+        ((0, 0.5), (0, 0.74), 0.26, coat),
+        ((0.13, 0.74), (0.13 - reach, 0.5), 0.08, coat),
+        ((-0.13, 0.74), (-0.13 + reach, 0.5), 0.08, coat),
     )
+    for begin, end, width, colour in limbs:
+        thick = max(1, round(width * tall))
+        cv2.line(picture, at(*begin), at(*end), colour, thick, cv2.LINE_AA, bits)
+    radius = round(0.085 * tall * (1 << bits))
+    cv2.circle(picture, at(0, 0.92), radius, skin, -1, cv2.LINE_AA, bits)

@@ -97,23 +97,20 @@ def test_every_entity_finds_its_figure() -> None:
 
 
 def test_the_states() -> None:
-    published = decoded(
+    bad = decoded(
         homeassistant.site_state(TOPICS, True, DaemonStatus("degraded", "disk full"), TOPOLOGY)
     )
-    state = published["camtopod/hq/daemon/state"]
-    assert (state["problem"], state["reason"], state["version"], state["score"]) == (
-        "ON",
-        "disk full",
-        9,
-        81.4,
-    )
-    assert published["camtopod/hq/daemon/alarm"]["alarm"] == "link_closed lobby/1->hall/2"
-    assert published["camtopod/hq/daemon/alarm"]["at"] == "2023-11-14T22:13:20+00:00"
-    nothing = decoded(homeassistant.site_state(TOPICS, False, DaemonStatus("running"), None))
-    assert nothing["camtopod/hq/daemon/state"]["problem"] == "ON"
-    assert nothing["camtopod/hq/daemon/state"]["version"] is None
-    assert nothing["camtopod/hq/daemon/availability"] == "offline"
-    assert nothing["camtopod/hq/daemon/alarm"] == {"alarm": "none"}
+    gone = decoded(homeassistant.site_state(TOPICS, False, DaemonStatus("running"), None))
+
+    state, alarm = bad["camtopod/hq/daemon/state"], bad["camtopod/hq/daemon/alarm"]
+    assert (state["problem"], state["reason"]) == ("ON", "disk full")
+    assert (state["version"], state["score"]) == (9, 81.4)
+    assert alarm["alarm"] == "link_closed lobby/1->hall/2"
+    assert alarm["at"] == "2023-11-14T22:13:20+00:00"
+    assert gone["camtopod/hq/daemon/state"]["problem"] == "ON"
+    assert gone["camtopod/hq/daemon/state"]["version"] is None
+    assert gone["camtopod/hq/daemon/availability"] == "offline"
+    assert gone["camtopod/hq/daemon/alarm"] == {"alarm": "none"}
 
 
 @pytest.mark.parametrize(
@@ -132,31 +129,32 @@ def test_when_a_camera_is_online(alive: bool, said: Status | None, online: str) 
     assert (state["online"], state["events"], state["zones"]) == (online, 5, 2)
 
 
+def shown(prediction: Prediction) -> dict[str, Any]:
+    """Return what Home Assistant is told of a prediction."""
+    [state] = decoded(homeassistant.prediction_state(TOPICS, prediction)).values()
+    return dict(state)
+
+
 def test_the_next_camera_is_that_of_all_its_zones_together() -> None:
-    [state] = decoded(
-        homeassistant.prediction_state(
-            TOPICS, to_hall(0.3, ("yard", 0.25), ("hall", 0.2), ("hall", 0.25))
-        )
-    ).values()
-    assert (state["next"], state["probability"]) == ("hall", 0.45)
-    assert (state["from"], state["until"]) == (
-        "2023-11-14T22:13:25+00:00",
-        "2023-11-14T22:13:29+00:00",
-    )
-    [state] = decoded(homeassistant.prediction_state(TOPICS, to_hall(0.6, ("hall", 0.4)))).values()
-    assert (state["next"], state["until"]) == ("leaves", None)
+    hall = shown(to_hall(0.3, ("yard", 0.25), ("hall", 0.2), ("hall", 0.25)))
+    leaves = shown(to_hall(0.6, ("hall", 0.4)))
+
+    assert (hall["next"], hall["probability"]) == ("hall", 0.45)
+    assert hall["from"] == "2023-11-14T22:13:25+00:00"
+    assert hall["until"] == "2023-11-14T22:13:29+00:00"
+    assert (leaves["next"], leaves["until"]) == ("leaves", None)
 
 
 def test_the_camera_to_look_at_is_the_likeliest_other_one() -> None:
     next_ = to_hall(0.1, ("lobby", 0.4), ("hall", 0.2), ("yard", 0.25), ("hall", 0.05))
-    assert next_.camera == "lobby"
-    [state] = decoded(homeassistant.prediction_state(TOPICS, next_)).values()
-    assert (state["look"], state["sees"]) == ("hall", 0.25)
     seen = msgspec.structs.replace(next_, look=[Look("yard", 0.9), Look("hall", 0.1)])
-    [state] = decoded(homeassistant.prediction_state(TOPICS, seen)).values()
-    assert (state["look"], state["sees"]) == ("yard", 0.9)
-    [state] = decoded(homeassistant.prediction_state(TOPICS, to_hall(1.0))).values()
-    assert (state["look"], state["sees"]) == ("none", 0.0)
+
+    for prediction, look, sees in (
+        (next_, "hall", 0.25),
+        (seen, "yard", 0.9),
+        (to_hall(1.0), "none", 0.0),
+    ):
+        assert (shown(prediction)["look"], shown(prediction)["sees"]) == (look, sees)
 
 
 # --- with a broker --------------------------------------------------------------------------------
