@@ -3,7 +3,7 @@
 Start with `session`: `Bus`, one program's session, opened by `dial` (a client) or
 `open_daemon_session` (the daemon, which other programs connect to). `topology_subscriber` follows
 the daemon's topology, and `site_choice` finds the site where none was named. The other modules
-serve the daemon: `access` (who may connect), `sockets` (options that zenoh does not set) and
+serve the daemon: `access` (who may connect), `sockets` (an option of connections) and
 `single_daemon` (detect a second daemon of the site).
 """
 

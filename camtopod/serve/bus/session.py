@@ -435,8 +435,7 @@ def open_daemon_session(config: Config) -> Bus:
             f"stop it or set other endpoints in [bus] ({_short(error)})"
         ) from None
 
-    # Watch connections, and keep stalled ones from delaying others.
-    sockets.limit_waiting(endpoints)
+    # Keep stalled connections from delaying others when they are closed.
     bus = Bus(session, config.site.name, endpoints[0], config.bus)
     bus.watch_connections()
     return bus
