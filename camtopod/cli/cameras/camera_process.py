@@ -74,6 +74,7 @@ class CameraProcess:
         self._backoff = RESTART_SECONDS_MIN
         self._receiver: HeartbeatReceiver | None = None
         self._started_at = 0.0
+        self._heard = False
         self._heard_at = 0.0
         self._kill_at: float | None = None
         self._hung = ""
@@ -84,6 +85,11 @@ class CameraProcess:
     def over(self) -> bool:
         """Return True if there is no process and none is to be started."""
         return self.process is None and self.start_at is None
+
+    @property
+    def silent(self) -> bool:
+        """Return True if no process has said anything since its start."""
+        return self.process is None or not self._heard
 
     def look_after(self, now: float, command: Sequence[str]) -> None:
         """Start the process, read its heartbeats, or kill it, as needed; never waits.
@@ -100,6 +106,7 @@ class CameraProcess:
         status = self.process.poll()  # before reading, so that its last heartbeat counts
         if (heartbeat := self._receiver.newest()) is not None:
             self.state, self.reason = heartbeat
+            self._heard = True
             self._heard_at = now
 
         # Handle its end, or kill it when its time is over.
@@ -128,7 +135,7 @@ class CameraProcess:
         self.request_end(now, start_at=now)
 
     def summary(self) -> dict[str, Any]:
-        """Return the status for ``status/{camera}`` while there is no process to publish it."""
+        """Return the status for ``status/{camera}`` while no process publishes it."""
         return {
             "camera": self.camera,
             "state": self.state,
@@ -159,6 +166,7 @@ class CameraProcess:
         self.state = "connecting"
         self.reason = "the process is starting"
         self._started_at = now
+        self._heard = False
         self._heard_at = now + START_SECONDS
         self._kill_at = None
         self._hung = ""

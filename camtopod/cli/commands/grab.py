@@ -150,9 +150,9 @@ def _one(args: argparse.Namespace, stop: threading.Event) -> int:
         ffmpeg_log = stack.enter_context(captured_log())
         from camtopod.vision.grabber import Grabber
 
-        # Open the camera.
-        heartbeats.beat("connecting", "not opened yet")
+        # Open the camera. Models load before the first heartbeat, as they may take long.
         detector = _detector(args, settings)
+        heartbeats.beat("connecting", "not opened yet")
         preview = _preview(args, settings.vision)
         grabber = Grabber(
             args.camera,
