@@ -1,8 +1,6 @@
 """The newest version of a site's topology and the queries it answers without waiting.
 
-A thread keeps the version up to date: `camtopod.serve.bus.topology_subscriber.TopologySubscriber`
-applies each delta to the version before it, verifies the digest, and fetches the whole topology if
-a version is missing or the daemon has started a new epoch.
+A thread keeps the version up to date by a `camtopod.serve.bus.TopologySubscriber`.
 """
 
 from __future__ import annotations
@@ -77,7 +75,7 @@ class SiteView:
             if site is None:
                 take_only_site(self._bus, settings, sites_instead(self._bus, settings))
             self._view = TopologySubscriber(self._bus)
-            self._bus.subscribe("topology/delta", lambda key, payload: self._wake.set())
+            self._bus.subscribe("topology", lambda key, payload: self._wake.set())
             self._bus.watch_alive("daemon", self._on_daemon)
             self._wake.wait(QUERY_SECONDS)  # a running daemon is announced at once
             self._refresh()

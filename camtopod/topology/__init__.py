@@ -63,7 +63,6 @@ from camtopod.topology.site_names import (
 from camtopod.topology.versions import (
     ALARMS_KEPT_MAX as ALARMS_KEPT_MAX,
     alarms_follow as alarms_follow,
-    apply_delta as apply_delta,
     link_key as link_key,
     make_delta as make_delta,
     with_digest as with_digest,

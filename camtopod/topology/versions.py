@@ -1,8 +1,8 @@
 """Topology versions: the digest of a version's content, and deltas between versions.
 
 A delta lists the items (cameras, zones, links, pairs) that were added or changed since the version
-before, and the keys of those that are gone. A receiver applies it (`apply_delta`) and checks the
-digest, so that it has exactly the publisher's version.
+before, and the keys of those that are gone. A receiver that applies it checks the digest, and then
+has exactly the publisher's version.
 """
 
 from __future__ import annotations
@@ -98,63 +98,18 @@ def make_delta(old: Topology, new: Topology) -> Delta:
     )
 
 
-def apply_delta(old: Topology, delta: Delta) -> Topology:
-    """Return the next version after ``old``.
-
-    Raise ValueError if the delta is not for the version after ``old``, or if the digest of the
-    result is not that of the delta.
-    """
-    if (old.epoch, old.version + 1) != (delta.epoch, delta.version):
-        raise ValueError(
-            f"delta to version {delta.version} of epoch {delta.epoch} does not follow"
-            f" version {old.version} of epoch {old.epoch}; get the whole topology"
-        )
-
-    lists: dict[str, list[Any]] = {}
-    for name, key in KEYS.items():
-        items = {key(item): item for item in getattr(old, name) or []}
-        for k in getattr(delta, f"gone_{name}"):
-            items.pop(k, None)
-        items |= {key(item): item for item in getattr(delta, name)}
-        lists[name] = [items[k] for k in sorted(items)]
-    new = Topology(
-        schema=TOPOLOGY_SCHEMA,
-        site=delta.site,
-        epoch=delta.epoch,
-        version=delta.version,
-        as_of=delta.as_of,
-        events=delta.events,
-        digest=delta.digest,
-        chain=delta.chain,
-        model=delta.model,
-        alarms=_with_new_alarms(old, delta.alarms),
-        score=delta.score,
-        **lists,
-    )
-
-    if digest_of(new) != delta.digest:
-        raise ValueError(
-            f"digest of version {delta.version} differs after its delta; get the whole topology"
-        )
-    return new
-
-
 def alarms_follow(old: Topology, new: Topology) -> bool:
     """Return True if a delta can tell the alarms of ``new``: those of ``old``, and new ones.
 
     It cannot after a camera was forgotten or renamed, which changes earlier alarms.
     """
-    return _with_new_alarms(old, _new_alarms(new)) == new.alarms
+    known = [*(old.alarms or []), *(_new_alarms(new) or [])]
+    return (known[-ALARMS_KEPT_MAX:] or None) == new.alarms
 
 
 def _new_alarms(topology: Topology) -> list[Alarm] | None:
     """Return the alarms that this version was the first to show; None if there are none."""
     return [one for one in topology.alarms or [] if one.version == topology.version] or None
-
-
-def _with_new_alarms(old: Topology, new: list[Alarm] | None) -> list[Alarm] | None:
-    """Return the alarms of the version after ``old``, which has these new ones."""
-    return [*(old.alarms or []), *(new or [])][-ALARMS_KEPT_MAX:] or None
 
 
 def _differs(old: Any, new: Any) -> bool:

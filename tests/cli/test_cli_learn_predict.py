@@ -9,6 +9,7 @@ from collections.abc import Callable
 from pathlib import Path
 
 import pytest
+from delta_receiver import apply_delta
 from msgspec.structs import replace
 
 from camtopod.cli import exits, main
@@ -17,7 +18,7 @@ from camtopod.cli.events.event_lines import LineReader
 from camtopod.codec import EVENT_BYTES_MAX, read, to_json
 from camtopod.records import Event, Prediction, Topology
 from camtopod.sim.simulation import SimSettings, simulate
-from camtopod.topology.versions import apply_delta, digest_of, make_delta
+from camtopod.topology.versions import digest_of, make_delta
 
 EVENTS, TRUTH = simulate(SimSettings(cameras=3, hours=0.25, seed=1))
 Run = Callable[..., tuple[int, bytes, str]]

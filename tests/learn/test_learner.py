@@ -10,6 +10,7 @@ from typing import Any
 import msgspec
 import numpy as np
 import pytest
+from delta_receiver import apply_delta
 from hypothesis import given, settings, strategies as st
 
 from camtopod.codec import read, to_json
@@ -18,7 +19,7 @@ from camtopod.learn.settings import Settings
 from camtopod.records import Event, Link, Topology
 from camtopod.sim.scoring import score
 from camtopod.sim.simulation import SimSettings, simulate
-from camtopod.topology.versions import apply_delta, digest_of, make_delta
+from camtopod.topology.versions import digest_of, make_delta
 
 QUICK = Settings(version_seconds=10.0, refit_share=0.3)
 AT_THE_END = Settings(version_seconds=1e6)

@@ -36,7 +36,7 @@ from camtopod.serve.outbox.publisher import Publisher
 from camtopod.serve.outbox.spool import Spool
 from camtopod.serve.runtime.clock import ulid
 from camtopod.serve.storage.journal import Journal
-from camtopod.topology.versions import digest_of, make_delta
+from camtopod.topology.versions import digest_of
 
 NOW = T0 + 20 * serving.SPAN_SECONDS
 
@@ -421,7 +421,7 @@ def test_a_daemon_on_a_given_bus_leaves_it_open(site: Site) -> None:
     bus.close()
 
 
-def test_a_view_fetches_the_whole_after_a_gap_and_in_a_new_epoch(site: Site) -> None:
+def test_a_view_takes_each_newer_version_and_any_of_a_new_epoch(site: Site) -> None:
     versions: list[Topology] = []
     learner = Learner(small_config(Path()).learn, site="site", epoch="01A")
     for event in [*walkers(40), closing_event()]:
@@ -433,43 +433,26 @@ def test_a_view_fetches_the_whole_after_a_gap_and_in_a_new_epoch(site: Site) -> 
     bus.answer_queries("topology", lambda key, parameters: whole, "topology")
     bus.announce("daemon", "site")
     client = buses.dial(small_config(site.directory, bus.endpoint))
-    told: list[str] = []
-
-    class View(TopologySubscriber):
-        def _on_daemon(self, name: str, alive: bool) -> None:
-            super()._on_daemon(name, alive)
-            told.append(name)
-
-    view = View(client)
+    view = TopologySubscriber(client)
     assert caught_up(view, 1) == versions[0]
-    wait_for(
-        lambda: bool(told),
-        "the view to have been told of the daemon, on which it fetches the whole",
-    )
-    wait_for(lambda: view.update() is None and not view._stale, "the view to rest")
-    fetched = view.fetched
 
-    def delta(old: Topology, new: Topology) -> Callable[[], bool]:
-        bus.publish("topology/delta", make_delta(old, new), "topology-delta")
+    def publish(version: Topology) -> Callable[[], bool]:
+        bus.publish("topology", version, "topology")
         return lambda: view.update() is not None
 
-    wait_for(delta(versions[0], versions[1]), "the delta")
-    assert (view.topology, view.fetched) == (versions[1], fetched)
-    whole = versions[3]
-    wait_for(delta(versions[2], versions[3]), "the whole, as a delta is missing")
+    wait_for(publish(versions[1]), "the next version")
+    assert view.topology == versions[1]
+    wait_for(publish(versions[3]), "a version, though one is missing")
     assert view.topology == versions[3]
-    assert view.fetched == fetched + 1
+    bus.publish("topology", versions[2], "topology")
     renamed = [msgspec.structs.replace(version, epoch="01B") for version in versions]
-    whole = renamed[1]
-    wait_for(delta(renamed[0], renamed[1]), "the whole of a new epoch")
+    wait_for(publish(renamed[1]), "a version of a new epoch")
     assert view.topology == renamed[1]
     client.close()
     bus.close()
 
 
-def test_a_view_whose_delta_was_lost_fetches_the_whole_when_the_status_names_a_newer_version() -> (
-    None
-):
+def test_a_view_that_missed_a_version_fetches_it_when_the_status_names_a_newer_version() -> None:
     versions: list[Topology] = []
     learner = Learner(small_config(Path()).learn, site="site", epoch="01A")
     for event in [*walkers(40), closing_event()]:

@@ -78,9 +78,9 @@ class Shown:
             yield self.port
 
     def publish(self, topology: Topology) -> None:
-        """Publish a new version; the page's server fetches it as a whole."""
+        """Publish a new version."""
         self.bus.kept[topology.version] = topology
-        self.bus.publish("topology/delta", "not a delta")
+        self.bus.publish("topology", topology)
 
     def status(self, **cameras: dict[str, Any]) -> None:
         """Publish the status of the daemon and its cameras."""
