@@ -20,7 +20,9 @@ from camtopod.cli.cameras.heartbeat import HeartbeatSender
 from camtopod.cli.common import SignalRequests, configuration
 from camtopod.cli.exits import CommandError
 from camtopod.config import CameraSettings, Config, without_source
+from camtopod.serve.outbox import spool_path
 from camtopod.serve.runtime import clock, systemd
+from camtopod.serve.storage import lock_reason
 
 if TYPE_CHECKING:
     from camtopod.serve.bus import Bus
@@ -37,9 +39,14 @@ A change of ``[vision]`` restarts those whose own table does not override it.
 def supervise(args: argparse.Namespace, config: Config, requests: SignalRequests) -> int:
     """Run `camtopod grab` for every camera until all have ended or a signal arrives.
 
-    Returns the worst exit status. Raises `CommandError` if a camera has no source.
+    Returns the worst exit status. Raises `CommandError` if a camera has no source, or a spool that
+    another process holds.
     """
     _require_sources(config, args)
+    for camera in config.cameras:
+        path = spool_path(config.state_directory, config.site.name, camera)
+        if held := lock_reason(path):
+            raise CommandError(f"{camera}: {held}", exits.STATE)
     supervisor = _Supervisor(args, config)
     try:
         while not requests.stop.is_set() and not supervisor.over:
