@@ -64,8 +64,7 @@ class CameraStream:
 
         Raises `Rejected` if a later frame came before, or the frame has too many boxes.
         """
-        if self.tracks.is_late(t):
-            raise Rejected("out-of-order", "a later frame of this camera came before")
+        self.require_newer(t)
         if len(seen) > TRACKS_MAX:
             raise Rejected("too-many", f"more than {TRACKS_MAX} objects in a frame")
         for one in seen:
@@ -83,6 +82,11 @@ class CameraStream:
             self._kinds.pop(name, None)
             events += self.tracks.end(name)
         return events
+
+    def require_newer(self, t: float) -> None:
+        """Raise `Rejected` if a frame at ``t`` comes after a later one."""
+        if self.tracks.is_late(t):
+            raise Rejected("out-of-order", "a later frame of this camera came before")
 
 
 class StreamAdapter(Adapter):

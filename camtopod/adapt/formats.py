@@ -21,6 +21,7 @@ class FormatOptions(NamedTuple):
     size: Sizes = MappingProxyType({})
     label: Collection[str] = ()
     camera: str | None = None
+    tracked: bool = False
     fps: float | None = None
     start: float | None = None
 
@@ -53,8 +54,8 @@ FORMATS = {
     ),
     "scenescape": Format(
         "messages of scenescape/data/camera/ID, one a line",
-        lambda given: SceneScape(given.size, given.label),
-        ("size", "label"),
+        lambda given: SceneScape(given.size, given.label, given.tracked),
+        ("size", "label", "tracked"),
     ),
     "axis": Format(
         "AXIS scene metadata, one message a line",

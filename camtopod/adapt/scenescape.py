@@ -1,9 +1,10 @@
 """Events from SceneScape's ``scenescape/data/camera/{id}``: one message per frame of detections.
 
-By SceneScape's schema a detection's ``id`` need not be the same in the next frame: the pipeline has
-to track objects (DL Streamer's gvatrack). Only boxes in pixels can be placed: ``bounding_box`` is
-in units of the lens, whose parameters are not in the message. Attributes (age, licence plates,
-embeddings) are not read.
+By SceneScape's schema a detection's ``id`` need not be the same in the next frame, and often it is
+only a counter. Boxes are therefore linked here (`box_linking`), unless the caller declares that the
+pipeline tracks objects (DL Streamer's gvatrack). Only boxes in pixels can be placed:
+``bounding_box`` is in units of the lens, whose parameters are not in the message. Attributes (age,
+licence plates, embeddings) are not read.
 """
 
 from __future__ import annotations
@@ -15,7 +16,8 @@ from msgspec import Meta, Struct
 
 from camtopod import codec
 from camtopod.adapt.adapter import Sizes, size_of, split_topic
-from camtopod.adapt.camera_streams import Name, StreamAdapter, TrackedBox, seconds_of
+from camtopod.adapt.box_linking import BoxLinker
+from camtopod.adapt.camera_streams import Box, Name, StreamAdapter, TrackedBox, seconds_of
 from camtopod.codec import Rejected
 from camtopod.records import CameraId, Event
 
@@ -43,24 +45,43 @@ class SceneScape(StreamAdapter):
 
     sizes: sizes of the cameras' pictures.
     labels: kinds of objects (``person``) that count; empty for all.
+    tracked: ids come from a tracker, so an object has the same id in each frame.
     """
 
     topic = "data/camera/+"
 
-    def __init__(self, sizes: Sizes, labels: Collection[str] = ()) -> None:
+    def __init__(self, sizes: Sizes, labels: Collection[str] = (), tracked: bool = False) -> None:
         super().__init__(None, labels)
         self._sizes = sizes
+        self._tracked = tracked
+        self._linkers: dict[str, BoxLinker] = {}
 
     def receive(self, line: bytes) -> list[Event]:
         """Return the events that a frame makes certain. Raises `Rejected`."""
         message = codec.read(_Message, split_topic(line, "*/data/camera/*")[1])
-        found = [(kind, one) for kind, these in message.objects.items() for one in these]
-        seen = []
-        for kind, one in found:
-            if (box := one.bounding_box_px) is not None and one.id is not None:
-                sides = (box.x, box.y, box.x + box.width, box.y + box.height)
-                seen.append(TrackedBox(f"{kind}-{one.id}", sides, kind))
-        if found and not seen:
-            raise Rejected("no-pixels", "no object has an id and a bounding_box_px")
+        t = seconds_of(message.timestamp)
         stream = self._stream(message.id, size_of(message.id, self._sizes))
-        return stream.update(seen, [], seconds_of(message.timestamp))
+        stream.require_newer(t)  # before its boxes are linked to those of later frames
+
+        # Boxes in pixels.
+        kinds: list[str] = []
+        boxes: list[Box] = []
+        names: list[Name] = []
+        for kind, detections in message.objects.items():
+            for one in detections:
+                if (box := one.bounding_box_px) is not None:
+                    kinds.append(kind)
+                    boxes.append((box.x, box.y, box.x + box.width, box.y + box.height))
+                    names.append(one.id)
+        if not boxes and any(message.objects.values()):
+            raise Rejected("no-pixels", "no object has a bounding_box_px")
+
+        # Names by the tracker's ids, or by linking.
+        if not self._tracked:
+            names = list(self._linkers.setdefault(message.id, BoxLinker()).link(kinds, boxes, t))
+        seen = [
+            TrackedBox(f"{kind}-{name}", box, kind)
+            for name, box, kind in zip(names, boxes, kinds, strict=True)
+            if name is not None
+        ]
+        return stream.update(seen, [], t)

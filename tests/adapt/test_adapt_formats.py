@@ -139,33 +139,40 @@ def test_mot_lines_become_events_by_time_whatever_their_order() -> None:
 # --- SceneScape -----------------------------------------------------------------------------------
 
 
-def scene(t: float, people: list[tuple[int, int]], camera: str = "cam1") -> bytes:
-    """Return a message of a camera: people as (id, left edge)."""
+def scene(
+    t: float, people: list[tuple[int, int]], camera: str = "cam1", tracked: bool = False
+) -> bytes:
+    """Return a message of a camera: people as (id, left edge), in changing order."""
+    listed = sorted(people, key=lambda _: random.Random(f"{t}").random())
     persons = [
         {
-            "id": number,
+            "id": number if tracked else 1 + place,
             "bounding_box_px": {"x": left, "y": 100, "width": 60, "height": 200},
             "metadata": {"age": {"label": "39", "model_name": "age_gender"}},
         }
-        for number, left in people
+        for place, (number, left) in enumerate(listed)
     ]
     objects = {"person": persons} if persons else {}
     return json.dumps({"id": camera, "timestamp": iso(T + t), "objects": objects}).encode()
 
 
-def test_scenescape_frames_become_passages() -> None:
+@pytest.mark.parametrize("tracked", [True, False])
+def test_scenescape_frames_become_passages(tracked: bool) -> None:
     lines = []
     for n in range(130):
         people = [(41, 8 * (n - 15))] if 15 <= n < 90 else []
         people += [(17, 740 - 8 * (n - 30))] if 30 <= n < 110 else []
-        lines.append(scene(n / 10, people))
+        lines.append(scene(n / 10, people, tracked=tracked))
 
-    assert short(read(SceneScape({"cam1": (800, 600)}), lines)) == [
-        ("cam1", "entry", 1.5, 0.0375, 0.5, "person-41"),
-        ("cam1", "entry", 3.0, 0.9625, 0.5, "person-17"),
-        ("cam1", "exit", 8.9, 0.7775, 0.5, "person-41"),
-        ("cam1", "exit", 10.9, 0.1725, 0.5, "person-17"),
+    events = read(SceneScape({"cam1": (800, 600)}, tracked=tracked), lines)
+
+    assert [(e.kind, round(e.t - T, 3), e.x) for e in events] == [
+        ("entry", 1.5, 0.0375),
+        ("entry", 3.0, 0.9625),
+        ("exit", 8.9, 0.7775),
+        ("exit", 10.9, 0.1725),
     ]
+    assert events[0].track == events[2].track != events[1].track, "nobody turned round half-way"
 
 
 def test_scenescape_frame_that_comes_too_late_changes_nothing() -> None:

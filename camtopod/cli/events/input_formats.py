@@ -28,6 +28,7 @@ _OPTIONS: dict[str, tuple[str, dict[str, Any]]] = {
         "only objects of this kind (person, car, ...); may be repeated",
         {"metavar": "NAME", "action": "append", "default": []},
     ),
+    "tracked": ("ids come from a tracker (gvatrack in the pipeline)", {"action": "store_true"}),
     "camera": (
         "the id of the one camera (default: as the topic or the message names it)",
         {"metavar": "ID", "type": camera_id},
