@@ -81,16 +81,6 @@ class EventTime:
         self.state = state
         self._update_lateness()
 
-    @property
-    def newest_us(self) -> int | None:
-        """As in `EventTimeState`."""
-        return self.state.newest_us
-
-    @property
-    def watermark_us(self) -> int | None:
-        """As in `EventTimeState`."""
-        return self.state.watermark_us
-
     def note(self, t_us: int, camera: str) -> bool:
         """Note an event of ``camera`` at ``t_us``; return False if it is too late to be learned."""
         self._update_delay(t_us, camera)

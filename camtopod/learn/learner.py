@@ -149,7 +149,7 @@ class Learner:
 
         No version is made if no event is new since the last one.
         """
-        newest = self._intake.time.newest_us
+        newest = self._intake.time.state.newest_us
         if newest is None:
             return
         self._learn(newest)
@@ -258,7 +258,7 @@ class Learner:
 
     def statistics(self) -> dict[str, int | float | None]:
         """Return counts and sizes by name, for people and for health checks."""
-        watermark = self._intake.time.watermark_us
+        watermark = self._intake.time.state.watermark_us
         return {
             **self._intake.state.counts,
             "held": len(self._intake.state.held),
@@ -271,7 +271,7 @@ class Learner:
 
     def _process_ticks(self) -> None:
         """Learn every tick with events that the watermark has passed; make the versions due."""
-        watermark = self._intake.time.watermark_us
+        watermark = self._intake.time.state.watermark_us
         if watermark is None:
             return
         # An event at the watermark may still be received.

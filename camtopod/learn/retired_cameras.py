@@ -48,7 +48,7 @@ def camera_to_replace(reorder_buffer: ReorderBuffer, window: Window) -> str | No
     reorder_buffer, window: as for `cameras_to_retire`.
     """
     newest = reorder_buffer.state.newest
-    watermark_us = reorder_buffer.time.watermark_us
+    watermark_us = reorder_buffer.time.state.watermark_us
     silent_us = (watermark_us or 0) - round(REPLACEABLE_AFTER_SECONDS * MICROSECONDS)
 
     # The usual case: it begins with the camera whose last event was received first.

@@ -362,7 +362,9 @@ class Daemon:
         learned.load(recovered.progress.event_time)
         for event in recent:
             learned.note(microseconds(event.t), event.camera)
-        newest = -math.inf if learned.newest_us is None else learned.newest_us / MICROSECONDS
+        newest = (
+            -math.inf if learned.state.newest_us is None else learned.state.newest_us / MICROSECONDS
+        )
 
         # Receiving and storing.
         numbers = Numbers(self._journal.numbers())

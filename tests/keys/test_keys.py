@@ -389,7 +389,7 @@ def test_the_access_list_is_checked(tmp_path: Path, authority: Authority) -> Non
     ):
         if content is not None:
             (tmp_path / "access.json").write_bytes(content)
-        with pytest.raises(access.AccessError, match=why):
+        with pytest.raises(access.BusError, match=why):
             access.read_access(load(path), lambda: NOW)
-    with pytest.raises(access.AccessError, match=r"cannot read .*/a: No such file"):
+    with pytest.raises(access.BusError, match=r"cannot read .*/a: No such file"):
         access.check_files(load(path))

@@ -270,7 +270,7 @@ def test_damage_while_it_is_open_is_noticed_at_the_next_read(
     journal._db.execute("PRAGMA cache_size=0")
     os.truncate(tmp_path / "journal.db", (tmp_path / "journal.db").stat().st_size // 2)
 
-    with pytest.raises(Damaged, match="it is set aside at the next start"):
+    with pytest.raises(Damaged, match="a start of the program sets it aside"):
         list(journal.entries())
 
     journal.close()

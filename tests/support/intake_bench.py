@@ -83,7 +83,9 @@ class IntakeBench:
         for _, entry in self.journal.entries():
             if entry is not None and entry.kind == "event":
                 learned.note(microseconds(codec.event_from_bytes(entry.raw).t), entry.camera)
-        newest = -math.inf if learned.newest_us is None else learned.newest_us / MICROSECONDS
+        newest = (
+            -math.inf if learned.state.newest_us is None else learned.state.newest_us / MICROSECONDS
+        )
         future = self.limits.future_seconds_max
         self.intake = Intake(
             Numbers(self.journal.numbers()),

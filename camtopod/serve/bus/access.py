@@ -17,8 +17,8 @@ from camtopod.serve.runtime import Clock
 log = logging.getLogger(__name__)
 
 
-class AccessError(OSError):
-    """The access list or a certificate cannot be used; ``str()`` says which and what to do."""
+class BusError(OSError):
+    """The bus cannot be reached or opened; ``str()`` says where or why, and what to do."""
 
 
 def settings(config: Config, mode: str, access: rules.Access | None = None) -> rules.Settings:
@@ -45,7 +45,7 @@ def settings(config: Config, mode: str, access: rules.Access | None = None) -> r
 def read_access(config: Config, clock: Clock) -> rules.Access | None:
     """Return the access list, or None without authentication, where everything is allowed.
 
-    Logs a warning for each certificate that has expired or expires soon. Raises `AccessError`.
+    Logs a warning for each certificate that has expired or expires soon. Raises `BusError`.
     """
     path = config.bus.tls.access
     if not config.bus.tls.ca:
@@ -55,11 +55,11 @@ def read_access(config: Config, clock: Clock) -> rules.Access | None:
     try:
         access = rules.read_access(Path(path).read_bytes())
     except OSError as error:
-        raise AccessError(f"cannot read the access list {path}: {error.strerror}") from None
+        raise BusError(f"cannot read the access list {path}: {error.strerror}") from None
     except ValueError as error:
-        raise AccessError(f"{path} is no access list of `camtopod keys`: {error}") from None
+        raise BusError(f"{path} is no access list of `camtopod keys`: {error}") from None
     if access.site != config.site.name:
-        raise AccessError(f"{path} is for site {access.site}, but this is site {config.site.name}")
+        raise BusError(f"{path} is for site {access.site}, but this is site {config.site.name}")
 
     # Warn of certificates that end.
     for certificate, days in rules.expiring_certificates(access, clock()):
@@ -71,7 +71,7 @@ def read_access(config: Config, clock: Clock) -> rules.Access | None:
 
 
 def check_files(config: Config) -> None:
-    """Raise `AccessError` if a file of [bus.tls] cannot be read, with its path."""
+    """Raise `BusError` if a file of [bus.tls] cannot be read, with its path."""
     tls = config.bus.tls
     if not tls.ca:
         return
@@ -80,7 +80,7 @@ def check_files(config: Config) -> None:
             with open(path, "rb"):
                 pass
         except OSError as error:
-            raise AccessError(f"cannot read {path}: {error.strerror}; see [bus.tls]") from None
+            raise BusError(f"cannot read {path}: {error.strerror}; see [bus.tls]") from None
 
 
 def openness_warning(config: Config) -> str | None:

@@ -27,6 +27,7 @@ from camtopod.keys.rules import PREFIX
 from camtopod.records import CAMERA_PATTERN
 from camtopod.redact import redact
 from camtopod.serve.bus import access, sockets
+from camtopod.serve.bus.access import BusError as BusError
 from camtopod.serve.runtime import clock
 
 log = logging.getLogger(__name__)
@@ -65,10 +66,6 @@ OnRequest = Callable[[str, bytes, Callable[[bytes], None]], None]
 
 Called on a thread of the bus; must not block. The answer may be given later, on any thread, once.
 """
-
-
-class BusError(OSError):
-    """The bus cannot be reached or opened; ``str()`` says where, and what to do."""
 
 
 class QueryError(Exception):
@@ -387,10 +384,7 @@ class Bus:
 def dial(config: Config) -> Bus:
     """Open a client session, trying for ``bus.connect_seconds``. Raises `BusError`."""
     endpoints = config.dials
-    try:
-        access.check_files(config)
-    except access.AccessError as error:
-        raise BusError(str(error)) from None
+    access.check_files(config)
 
     # Retry until the deadline.
     deadline = time.monotonic() + config.bus.connect_seconds
@@ -423,12 +417,10 @@ def open_daemon_session(config: Config) -> Bus:
 
     # Listen.
     endpoints = [_with_port(endpoint) for endpoint in config.listens]
+    access.check_files(config)
+    values = access.settings(config, "router", access.read_access(config, clock.wall))
     try:
-        access.check_files(config)
-        values = access.settings(config, "router", access.read_access(config, clock.wall))
         session = _open(config, values, connect=config.bus.connect, listen=endpoints)
-    except access.AccessError as error:
-        raise BusError(str(error)) from None
     except zenoh.ZError as error:
         raise BusError(
             f"cannot listen at {', '.join(endpoints)}: another daemon may be running there; "

@@ -85,9 +85,7 @@ class Spool:
         self._unwritten: set[tuple[str, str]] = set()  # (camera, boot) of marks that have moved
         # (camera, boot) of which this process was given events -> the highest number of them.
         self._tops: dict[tuple[str, str], int] = {}
-        # Events added since the limits were looked at, and their cameras.
-        self._added = math.inf
-        self._added_cameras: set[str] = set()
+        self._added = math.inf  # events since the limits were looked at
         self._mutex = threading.Lock()
         self._lock = sqlite_file.Lock(path.with_suffix(".lock"))
 
@@ -122,7 +120,7 @@ class Spool:
             rows = [spool_tables.row(event) for event in numbered]
             with self._writing():
                 self._db.executemany(spool_tables.INSERT, rows)
-                dropped = self._make_room({row[0] for row in rows}, len(rows))
+                dropped = self._make_room(len(rows))
             for camera, boot, seq, *_ in rows:
                 self._marks[camera].setdefault(boot, 0)
                 self._tops[camera, boot] = seq
@@ -331,30 +329,28 @@ class Spool:
         """Return the number of these rows."""
         return int(self._db.execute(f"SELECT COUNT(*) FROM {rows}", parameters).fetchone()[0])
 
-    def _make_room(self, cameras: set[str], added: int) -> int:
+    def _make_room(self, added: int) -> int:
         """Delete surplus events, within a transaction; return how many of them waited.
 
-        cameras, added: those of the events just added. The limits are looked at now and then.
+        added: number of events just added. The limits are looked at now and then.
         """
         self._added += added
-        self._added_cameras |= cameras
         if self._added < min(self._events_max, 10 * self._kept_max) // 100:
             return 0
 
         # Stored events of each camera beyond their limit, with some slack so that this is rare.
-        for camera in self._added_cameras:
-            if self._count("event WHERE camera = ?", camera) > self._kept_max * 9 // 8:
-                self._db.execute(
-                    f"DELETE FROM event WHERE id IN"
-                    f" ({_STORED} AND camera = ? ORDER BY id DESC LIMIT -1 OFFSET ?)",
-                    (camera, self._kept_max),
-                )
+        large = "SELECT camera FROM event GROUP BY camera HAVING COUNT(*) > ?"
+        for (camera,) in self._db.execute(large, (self._kept_max * 9 // 8,)).fetchall():
+            self._db.execute(
+                f"DELETE FROM event WHERE id IN"
+                f" ({_STORED} AND camera = ? ORDER BY id DESC LIMIT -1 OFFSET ?)",
+                (camera, self._kept_max),
+            )
         self._db.execute(
             "DELETE FROM mark WHERE NOT EXISTS (SELECT 1 FROM event"
             " WHERE event.camera = mark.camera AND event.boot = mark.boot)"
         )
         self._added = 0
-        self._added_cameras.clear()
 
         # The oldest ones if there are too many events or bytes.
         held = self._count("event")

@@ -32,8 +32,6 @@ SELECT m.type, m.name, m.tbl_name, x.name, x.type, x."notnull", x.pk
 FROM sqlite_schema AS m LEFT JOIN pragma_table_xinfo(m.name) AS x ON m.type = 'table'
 WHERE m.name NOT LIKE 'sqlite_%' ORDER BY 2, 4
 """
-_NO_TEXT = "SQLite's message about it is not UTF-8, as it quotes the damage"
-"""What is said where Python cannot decode the message, and raises `UnicodeDecodeError`."""
 _encode = msgspec.msgpack.Encoder().encode
 
 
@@ -145,7 +143,7 @@ def connect(
             check_same_thread=False,
             factory=Connection,
         )
-        with contextlib.ExitStack() as undo:
+        with contextlib.ExitStack() as undo, damage_noticed(path):
             undo.callback(database.close)
             database.text_factory = _text
 
@@ -167,11 +165,7 @@ def connect(
             _switch_to_wal(database, path)
             undo.pop_all()
             return database
-    except UnicodeDecodeError:
-        raise Damaged(f"{path} is damaged: {_NO_TEXT}") from None
     except sqlite3.Error as error:
-        if is_damage(error, path):
-            raise Damaged(f"{path} is damaged: {error}") from None
         raise StateError(
             f"cannot use {path}: {error}; the file was not modified: "
             f"see whether the disk is full, or move the file away to start anew"
@@ -237,20 +231,20 @@ def damage_noticed(path: Path) -> Iterator[None]:
     """Raise `Damaged` if the block finds ``path`` damaged."""
     try:
         yield
-    except UnicodeDecodeError:
-        raise Damaged(f"{path} is damaged: {_NO_TEXT}") from None
+    except UnicodeDecodeError:  # raised if SQLite's message quotes the damage
+        what = "SQLite's message about it is not UTF-8"
     except sqlite3.Error as error:
-        if not is_damage(error, path):
+        # SQLITE_READONLY is its answer to a header that asks for a newer SQLite, too.
+        code = getattr(error, "sqlite_errorcode", 0) & 0xFF
+        writable = os.access(path, os.W_OK) and os.access(path.parent, os.W_OK)
+        if code not in (sqlite3.SQLITE_CORRUPT, sqlite3.SQLITE_NOTADB) and not (
+            code == sqlite3.SQLITE_READONLY and writable
+        ):
             raise
-        raise Damaged(f"{path} is damaged: {error}; it is set aside at the next start") from None
-
-
-def is_damage(error: sqlite3.Error, path: Path) -> bool:
-    """Return True if ``error`` means wrong content of ``path``, not a full disk or a busy file."""
-    code = getattr(error, "sqlite_errorcode", 0) & 0xFF
-    if code == sqlite3.SQLITE_READONLY:  # SQLite's answer to a header that asks for a newer SQLite
-        return os.access(path, os.W_OK) and os.access(path.parent, os.W_OK)
-    return code in (sqlite3.SQLITE_CORRUPT, sqlite3.SQLITE_NOTADB)
+        what = str(error)
+    else:
+        return
+    raise Damaged(f"{path} is damaged: {what}; a start of the program sets it aside")
 
 
 @contextlib.contextmanager

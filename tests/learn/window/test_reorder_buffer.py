@@ -43,16 +43,16 @@ def test_verdicts_and_counts() -> None:
 
 def test_the_watermark_trails_and_only_rises() -> None:
     intake = ReorderBuffer(5.0, 9)
-    assert intake.time.watermark_us is None
+    assert intake.time.state.watermark_us is None
     intake.time.advance(999 * MICROSECONDS)  # nothing has come: nobody is late
-    assert intake.time.watermark_us is None
+    assert intake.time.state.watermark_us is None
     assert intake.oldest_held_us is None
     intake.receive(event(100))
-    assert intake.time.watermark_us == 95 * MICROSECONDS
+    assert intake.time.state.watermark_us == 95 * MICROSECONDS
     intake.time.advance(90 * MICROSECONDS)
-    assert intake.time.watermark_us == 95 * MICROSECONDS
+    assert intake.time.state.watermark_us == 95 * MICROSECONDS
     intake.time.advance(110 * MICROSECONDS)
-    assert intake.time.watermark_us == 105 * MICROSECONDS
+    assert intake.time.state.watermark_us == 105 * MICROSECONDS
     assert intake.receive(event(104)) == "late"
     assert intake.receive(event(105)) == "accepted"
     assert intake.oldest_held_us == 100 * MICROSECONDS
@@ -134,7 +134,7 @@ def test_a_single_clock_that_is_ahead_makes_nobody_late() -> None:
             for camera, error in (("a", 0.0), ("b", 40.0), ("c", 0.5)):
                 intake.receive(event(t + error, camera))
         assert intake.state.counts["late"] == pytest.approx(late, abs=2)
-        assert intake.time.watermark_us == microseconds(99.5 - 5 if ahead else 139 - 5)
+        assert intake.time.state.watermark_us == microseconds(99.5 - 5 if ahead else 139 - 5)
 
 
 def test_one_that_is_further_ahead_is_obeyed_as_time_may_have_gone_on() -> None:
@@ -142,7 +142,7 @@ def test_one_that_is_further_ahead_is_obeyed_as_time_may_have_gone_on() -> None:
     for camera in "ab":
         intake.receive(event(100, camera))
     intake.receive(event(1000, "a"))
-    assert intake.time.watermark_us == microseconds(1000 - 60 - 5)
+    assert intake.time.state.watermark_us == microseconds(1000 - 60 - 5)
     assert intake.receive(event(934, "b")) == "late"
     assert intake.receive(event(936, "b")) == "accepted"
 
@@ -152,9 +152,9 @@ def test_silent_cameras_hold_nobody_up_for_longer() -> None:
     intake.receive(event(0, "b"))
     for t in range(300):
         intake.receive(event(t, "a"))
-    assert intake.time.watermark_us == microseconds(299 - 60 - 5)
+    assert intake.time.state.watermark_us == microseconds(299 - 60 - 5)
     intake.time.advance(microseconds(300))
-    assert intake.time.watermark_us == microseconds(300 - 5), (
+    assert intake.time.state.watermark_us == microseconds(300 - 5), (
         "when time is told, it is told for all"
     )
 
@@ -163,13 +163,13 @@ def test_silent_cameras_hold_nobody_up_for_longer() -> None:
 def test_event_time_is_where_a_second_camera_has_come_to(events: list[Event]) -> None:
     intake, newest = ReorderBuffer(5.0, 9, 60.0), dict[str, float]()
     for e in events:
-        before = intake.time.watermark_us
+        before = intake.time.state.watermark_us
         if intake.receive(e) == "late":
             continue
         newest[e.camera] = max(newest.get(e.camera, e.t), e.t)
         reached = sorted(newest.values())[-2 if len(newest) > 1 else -1]
         wanted = microseconds(max(reached, max(newest.values()) - 60.0)) - intake.time.lateness_us
-        assert intake.time.watermark_us == (wanted if before is None else max(wanted, before))
+        assert intake.time.state.watermark_us == (wanted if before is None else max(wanted, before))
 
 
 def test_a_clock_that_is_behind_is_waited_for() -> None:
