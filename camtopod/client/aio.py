@@ -16,7 +16,7 @@ from collections.abc import AsyncIterator, Callable, Sequence
 from functools import partial
 from typing import TypeVar
 
-from camtopod.client.prediction_queue import WAITING_MAX, PredictionQueue
+from camtopod.client.prediction_queue import PredictionQueue
 from camtopod.client.site_view import Settings, SiteView
 from camtopod.client.wakeup import ChangeSignal
 from camtopod.records import Prediction, Topology as Version
@@ -73,17 +73,12 @@ class Topology(SiteView):
         while (last := await _awaited(self._news, partial(self._newer, last), seconds)) is not None:
             yield last
 
-    def predictions(
-        self,
-        camera: str | None = None,
-        seconds: float | None = None,
-        waiting_max: int = WAITING_MAX,
-    ) -> Predictions:
+    def predictions(self, camera: str | None = None, seconds: float | None = None) -> Predictions:
         """Subscribe to the daemon's own predictions.
 
         See `camtopod.client.Topology.predictions`.
         """
-        return self._opened(lambda bus: Predictions(bus, camera, seconds, waiting_max))
+        return self._opened(lambda bus: Predictions(bus, camera, seconds))
 
 
 class Predictions(PredictionQueue):

@@ -17,20 +17,14 @@ WAITING_MAX = 1000
 class PredictionQueue:
     """Subscription to predictions until closed: common part of both `Predictions` classes."""
 
-    def __init__(
-        self, bus: Bus, camera: str | None, seconds: float | None, waiting_max: int
-    ) -> None:
+    def __init__(self, bus: Bus, camera: str | None, seconds: float | None) -> None:
         if camera is not None and not re.match(CAMERA_PATTERN, camera):
             raise ValueError(f"camera {camera!r}: 1 to 64 of the characters A-Z a-z 0-9 _ . -")
-        if waiting_max < 1:
-            raise ValueError(f"waiting_max {waiting_max}: at least 1, or nothing can be read")
         self._seconds = seconds
-        self._waiting: deque[Prediction] = deque(maxlen=waiting_max)
+        self._waiting: deque[Prediction] = deque(maxlen=WAITING_MAX)
         self._news = ChangeSignal()
         self.dropped = 0
         """Predictions dropped because the queue was full."""
-        self.unreadable = 0
-        """Messages that could not be decoded as predictions."""
         self._unsubscribe = bus.subscribe(f"prediction/{camera or '*'}", self._on_prediction)
 
     @property
@@ -47,8 +41,7 @@ class PredictionQueue:
     def _on_prediction(self, key: str, payload: bytes) -> None:
         try:
             prediction = codec.read(Prediction, payload, pack=True)
-        except codec.Rejected:
-            self.unreadable += 1
+        except codec.Rejected:  # of another program than the daemon
             return
         self.dropped += len(self._waiting) == self._waiting.maxlen
         self._waiting.append(prediction)

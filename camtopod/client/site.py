@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from functools import partial
 
-from camtopod.client.prediction_queue import WAITING_MAX, PredictionQueue
+from camtopod.client.prediction_queue import PredictionQueue
 from camtopod.client.site_view import Settings, SiteView
 from camtopod.records import Prediction, Topology as Version
 
@@ -64,24 +64,18 @@ class Topology(SiteView):
         while (last := self._news.wait_for(partial(self._newer, last), seconds)) is not None:
             yield last
 
-    def predictions(
-        self,
-        camera: str | None = None,
-        seconds: float | None = None,
-        waiting_max: int = WAITING_MAX,
-    ) -> Predictions:
+    def predictions(self, camera: str | None = None, seconds: float | None = None) -> Predictions:
         """Subscribe to the daemon's own predictions, one for each exit at ``camera`` or anywhere.
 
         The daemon uses all events it receives, so its predictions know more than `predict` does. It
-        takes a moment until the subscription reaches the daemon.
+        takes a moment until the subscription reaches the daemon. Up to `WAITING_MAX` may wait to be
+        read; beyond it the oldest are dropped.
 
         seconds: iteration ends when no prediction has arrived for this long (default: never).
-        waiting_max: predictions that may wait to be read; beyond it the oldest are dropped.
 
-        Raises ValueError for an invalid camera id or a ``waiting_max`` below 1; `BusError` if
-        closed.
+        Raises ValueError for an invalid camera id; `BusError` if closed.
         """
-        return self._opened(lambda bus: Predictions(bus, camera, seconds, waiting_max))
+        return self._opened(lambda bus: Predictions(bus, camera, seconds))
 
     def __enter__(self) -> Topology:
         return self

@@ -64,7 +64,12 @@ class SiteView:
         self._opening = threading.Lock()  # no subscription is opened once closing has begun
         self._prediction_queues: list[PredictionQueue] = []
         self._daemons: set[str] = set()
-        self._stale_since: float | None = clock.wall()
+        self.stale_since: float | None = clock.wall()
+        """Time since when the daemon is unreachable, seconds since the epoch; None while reachable.
+
+        The version held stays usable. A daemon that ends or is killed is noticed at once; one that
+        hangs or loses its connection, within ten seconds.
+        """
         self._wake = threading.Event()
         self._closing = threading.Event()
         self._thread = threading.Thread(target=self._follow, name="topology", daemon=True)
@@ -99,15 +104,6 @@ class SiteView:
     def version(self) -> int:
         """Number of `current`, 0 for none; grows by one within an epoch (``current.epoch``)."""
         return 0 if self._gate is None else self._gate.topology.version
-
-    @property
-    def stale_since(self) -> float | None:
-        """Time since when the daemon is unreachable, seconds since the epoch; None while reachable.
-
-        The version held stays usable. A daemon that ends or is killed is noticed at once; one that
-        hangs or loses its connection, within ten seconds.
-        """
-        return self._stale_since
 
     def predict(
         self,
@@ -265,10 +261,10 @@ class SiteView:
         self._say_there(self._bus.connected and bool(self._daemons))
 
     def _say_there(self, there: bool) -> None:
-        if there != (self._stale_since is None):
-            self._stale_since = None
+        if there != (self.stale_since is None):
+            self.stale_since = None
             if not there:
-                self._stale_since = clock.wall()
+                self.stale_since = clock.wall()
             self._news.notify()
 
     def _on_daemon(self, name: str, alive: bool) -> None:

@@ -74,11 +74,15 @@ class Authority:
                 f"there is no authority in {folder}: `camtopod keys init` makes one"
             ) from None
         try:
-            self._ledger = msgspec.json.decode(raw, type=Ledger)
+            ledger = msgspec.json.decode(raw, type=Ledger)
         except ValueError as error:
             raise KeysError(
                 f"{folder / 'authority' / 'issued.json'} cannot be read: {error}"
             ) from None
+        self.site = ledger.site
+        """The site of this authority."""
+        self.issued = ledger.issued
+        """All certificates ever issued, oldest first."""
 
     @classmethod
     def create(cls, folder: Path, site: str, now: float, replace: bool = False) -> Authority:
@@ -125,21 +129,9 @@ class Authority:
         return cls(folder, now)
 
     @property
-    def site(self) -> str:
-        """The site of this authority."""
-        return self._ledger.site
-
-    @property
-    def issued(self) -> list[Issued]:
-        """All certificates ever issued, oldest first."""
-        return list(self._ledger.issued)
-
-    @property
     def access(self) -> Access:
         """The access list: all valid certificates."""
-        return Access(
-            self.site, [issued.certificate for issued in self._ledger.issued if issued.valid]
-        )
+        return Access(self.site, [one.certificate for one in self.issued if one.valid])
 
     @property
     def hosts(self) -> list[str]:
@@ -252,8 +244,8 @@ class Authority:
         return certificate.not_valid_after_utc.timestamp()
 
     def _keep(self, issued: list[Issued]) -> None:
-        self._ledger = Ledger(self.site, issued)
-        encoded = msgspec.json.format(msgspec.json.encode(self._ledger), indent=1)
+        self.issued = issued
+        encoded = msgspec.json.format(msgspec.json.encode(Ledger(self.site, issued)), indent=1)
         secret_files.write(self.folder / "authority" / "issued.json", encoded)
 
 
