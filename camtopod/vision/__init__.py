@@ -8,7 +8,6 @@ events. Reading order:
 - `detect`: noise filter, background model, moving pixels -> blobs;
 - `detector`: optional; counts the people in moving regions before the blobs are tracked;
 - `track`: blobs -> tracks -> crossings of the edge of the view;
-- `pipeline`: frames -> events, without source, clock or waiting;
-- `analysis`: what the pipeline made of one frame, for its observer;
+- `pipeline`: frames -> events, without source, clock or waiting; an observer sees each analysis;
 - `show`: draws that, as a video or a picture.
 """

@@ -7,9 +7,8 @@ from collections.abc import Callable, Iterator
 from typing import Literal
 
 from camtopod.records import Event
-from camtopod.vision.analysis import Observer
 from camtopod.vision.detector.detector import Detector
-from camtopod.vision.pipeline import ViewPipeline
+from camtopod.vision.pipeline import Observer, ViewPipeline
 from camtopod.vision.settings import VisionSettings
 from camtopod.vision.source import FfmpegLog, LiveSource, RecordedSource, kind_of
 

@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from typing import NamedTuple
 
 from camtopod.records import Event
-from camtopod.vision.analysis import Analysis, Observer
 from camtopod.vision.detect import Luma, MotionDetector, find_blobs, shrunk
-from camtopod.vision.detector.detector import Detector
+from camtopod.vision.detector.detector import Detector, DetectorResult
 from camtopod.vision.detector.fusion import TrackedBox
 from camtopod.vision.settings import VisionSettings
 from camtopod.vision.track import Crossings, Decision, IgnoredAreas, Recorder, Track, Tracker
@@ -27,10 +27,38 @@ BOOTSTRAP_SECONDS = 3.0
 """The first background is the median of the frames of this period."""
 BOOTSTRAP_FRAMES_KEPT = 100
 """Number of frames that may wait for the first background."""
-
-
 _COUNTERS = ("entries", "exits", "tracks_active", "tracks_broken", "tracks_stitched")
 """Counters of tracks, which are 0 until there is a background."""
+
+
+class Analysis(NamedTuple):
+    """One frame and its analysis.
+
+    Holds the pipeline's own objects, which change with the next frame.
+    """
+
+    t: float
+    """Capture time, seconds."""
+    frame: Luma
+    """The working image (H, W), filtered if it was noisy."""
+    moving: Luma | None
+    """Mask (H, W) of the foreground; None while most of the image differs from the background."""
+    tracks: Sequence[Track]
+    """Tracks that are followed, tentative ones included."""
+    lost: Sequence[Track]
+    """Tracks lost in mid-view that may still be found again."""
+    learned_doors: Sequence[tuple[float, float]]
+    """Foot points of learned doors, pixels."""
+    events: Sequence[Event]
+    """Events that have become certain in this frame."""
+    decisions: Sequence[Decision]
+    """Beginnings and ends of tracks that were decided in this frame."""
+    detector: DetectorResult | None = None
+    """What the detector found; None if there is none."""
+
+
+Observer = Callable[[Analysis], None]
+"""Called with every analysed frame."""
 
 
 class ViewPipeline:
@@ -57,7 +85,6 @@ class ViewPipeline:
         self._motion = MotionDetector(settings)
         self._waiting: list[tuple[float, Luma]] = []
         self._tracker: Tracker | None = None
-        self._crossings: Crossings | None = None
         self._t: float | None = None
         self.analysed = 0
         self.ghosts = 0
@@ -88,20 +115,20 @@ class ViewPipeline:
         height, width = waiting[0][1].shape
 
         # The size of the image is known from here on. After a relearned scene, tracking restarts.
-        if self._crossings is None or self._tracker is None:
+        if self._tracker is None:
             watched = self._motion.watched
             ignored = None if watched is None else IgnoredAreas(watched)
             recorder = Recorder(
                 (width, height), None if self._observer is None else self._decisions.append
             )
-            self._crossings = Crossings(
+            crossings = Crossings(
                 self._camera, width, height, self._settings.doors, ignored, recorder
             )
-            self._tracker = Tracker(self._settings, self._crossings, recorder)
+            self._tracker = Tracker(self._settings, crossings, recorder)
         else:
             self._tracker.restart()
 
-        self._crossings.began = waiting[0][0]
+        self._tracker.crossings.began = waiting[0][0]
         self._t = None
         events = []
         for t, frame in waiting:
@@ -112,7 +139,6 @@ class ViewPipeline:
     def _step(self, t: float, frame: Luma, image: Luma | None = None) -> list[Event]:
         """Analyse one frame."""
         assert self._tracker is not None
-        assert self._crossings is not None
         dt = 0.0 if self._t is None else min(max(0.0, t - self._t), STEP_SECONDS_MAX)
         self._t = t
 
@@ -129,7 +155,7 @@ class ViewPipeline:
         if self._detector is not None and image is not None:
             blobs = self._detector.step(t, image, motion.moving, blobs, self._tracked_boxes(dt))
         changes = self._tracker.step(t, blobs)
-        events = self._crossings.report(changes, self._tracker.active)
+        events = self._tracker.crossings.report(changes, self._tracker.active)
 
         # Drop ghosts.
         for track in self._tracker.active:
@@ -154,14 +180,13 @@ class ViewPipeline:
         if self._observer is None:
             return
         assert self._tracker is not None
-        assert self._crossings is not None
         self._latest = Analysis(
             t,
             frame,
             moving,
             self._tracker.active,
             self._tracker.lost,
-            self._crossings.doors.learned(self._tracker.stature.height),
+            self._tracker.crossings.doors.learned(self._tracker.stature.height),
             events,
             self._decisions.copy(),
             None if self._detector is None else self._detector.result,
@@ -206,8 +231,8 @@ class ViewPipeline:
         events = []
         if self._waiting:
             events = self._bootstrap()
-        if self._tracker is not None and self._crossings is not None and self._t is not None:
-            remaining = self._crossings.report_exits(self._tracker.finish(self._t))
+        if self._tracker is not None and self._t is not None:
+            remaining = self._tracker.crossings.report_exits(self._tracker.finish(self._t))
             if self._observer is not None and self._latest is not None:
                 self._observer(self._latest._replace(events=remaining, decisions=self._decisions))
             events += remaining
@@ -216,10 +241,10 @@ class ViewPipeline:
     def statistics(self) -> dict[str, int | float]:
         """Return counters since the start, noise (grey levels) and shake (pixels)."""
         figures: dict[str, int | float] = dict.fromkeys(_COUNTERS, 0)
-        if self._tracker is not None and self._crossings is not None:
+        if self._tracker is not None:
             tracks = (
-                self._crossings.entries,
-                self._crossings.exits,
+                self._tracker.crossings.entries,
+                self._tracker.crossings.exits,
                 sum(track.confirmed for track in self._tracker.active),
                 len(self._tracker.lost),
                 self._tracker.stitched,

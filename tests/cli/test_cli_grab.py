@@ -21,7 +21,7 @@ from camtopod.serve.daemon import Daemon
 from camtopod.serve.outbox.publisher import Publisher
 from camtopod.vision import grabber as grabbers
 from camtopod.vision.settings import VisionSettings
-from camtopod.vision.source.errors import SourceError
+from camtopod.vision.source.recorded import SourceError
 
 EVENTS = [Event("lobby", "entry", T0 + n, 0.5, 0.25, str(n)) for n in range(20)]
 

@@ -9,8 +9,7 @@ import pytest
 from rendered_scenes import FPS, Person, Scene, line
 
 from camtopod.records import Event
-from camtopod.vision.analysis import Analysis
-from camtopod.vision.pipeline import ViewPipeline
+from camtopod.vision.pipeline import Analysis, ViewPipeline
 from camtopod.vision.settings import Polygon, VisionSettings
 from camtopod.vision.track import Decision
 from camtopod.vision.track.decisions import Beginning, Ending, Shortfall

@@ -9,7 +9,7 @@ import pytest
 from rendered_scenes import FPS, HEIGHT, WIDTH, Person, Picture, Place, Scene, line
 
 from camtopod.records import Event
-from camtopod.vision.detect.watched import watched_pixels
+from camtopod.vision.detect.motion import watched_pixels
 from camtopod.vision.pipeline import ViewPipeline
 from camtopod.vision.settings import Polygon, VisionSettings
 

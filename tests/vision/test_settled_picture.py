@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from rendered_scenes import FPS, Person, Picture, Scene, line
 
-from camtopod.vision.source.settled_picture import (
+from camtopod.vision.source.probe import (
     PICTURES_MAX,
     SETTLE_SECONDS_MAX,
     SETTLE_SECONDS_MIN,

@@ -23,8 +23,7 @@ from camtopod.vision.grabber import Grabber
 from camtopod.vision.settings import VisionSettings
 from camtopod.vision.source import capture, live, recorded
 from camtopod.vision.source.capture import Capture
-from camtopod.vision.source.errors import SourceError
-from camtopod.vision.source.recorded import RecordedSource
+from camtopod.vision.source.recorded import RecordedSource, SourceError
 
 SECONDS = 7.5
 needs_server = pytest.mark.skipif(

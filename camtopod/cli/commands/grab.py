@@ -38,9 +38,9 @@ if TYPE_CHECKING:
     from camtopod.records import Event
     from camtopod.serve.bus import Bus
     from camtopod.serve.outbox import Publisher
-    from camtopod.vision.analysis import Analysis, Observer
     from camtopod.vision.detector.detector import Detector
     from camtopod.vision.grabber import Grabber
+    from camtopod.vision.pipeline import Analysis, Observer
     from camtopod.vision.settings import VisionSettings
     from camtopod.vision.show import Preview
 

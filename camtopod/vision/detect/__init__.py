@@ -1,9 +1,8 @@
 """Detection: a frame -> blobs of moving pixels.
 
-In the order of use: `shrink` (working size), `watched` (pixels that are not ignored), `wiener`
-(noise filter, thesis 4.1), `background` (model of the settled scene), `shake` (shift of the
-image), `swaying` (scenery that moves in place), `motion` (moving pixels), `blobs` (boxes with a
-foot point), `heads` (how many people a blob shows).
+In the order of use: `shrink` (working size), `wiener` (noise filter, thesis 4.1), `background`
+(model of the settled scene), `shake` (shift of the image), `swaying` (scenery that moves in place),
+`motion` (moving pixels), `blobs` (boxes with a foot point, and the heads in them).
 """
 
 from camtopod.vision.detect.background import Luma as Luma

@@ -12,7 +12,7 @@ the tone curve, the shake, the share of the image that has changed and the backg
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
 import cv2
@@ -22,9 +22,8 @@ from camtopod.vision.boxes import Box
 from camtopod.vision.detect.background import Background, Luma
 from camtopod.vision.detect.shake import shift, shifted_back
 from camtopod.vision.detect.swaying import Swaying, outside_range
-from camtopod.vision.detect.watched import watched_pixels
 from camtopod.vision.detect.wiener import NOISE_TO_FILTER, temporal_noise, wiener
-from camtopod.vision.settings import VisionSettings
+from camtopod.vision.settings import Polygon, VisionSettings
 
 BACKGROUND_SECONDS = 20.0
 """Time constant with which the background follows changes of the settled scene."""
@@ -278,6 +277,20 @@ class MotionDetector:
         where[rows, columns] = cv2.dilate(mask, _SQUARE)
         self._adopt(frame, where)
         return True
+
+
+def watched_pixels(ignore: Sequence[Polygon], height: int, width: int) -> Luma | None:
+    """Return a mask (H, W): 255 where motion counts, 0 in ``ignore``; None if that is empty.
+
+    A pixel is ignored if the polygon covers its middle or passes through it.
+    """
+    if not ignore:
+        return None
+    mask = np.full((height, width), 255, np.uint8)
+    for polygon in ignore:
+        corners = np.array(polygon) * (width, height) - 0.5  # pixel (0, 0) has its middle at 0.5
+        cv2.fillPoly(mask, [corners.round().astype(np.int32)], (0.0,))
+    return mask
 
 
 def _filled(mask: Luma) -> Luma:

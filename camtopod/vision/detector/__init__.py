@@ -3,11 +3,10 @@
 Motion chooses the crops for inference and dates entries and exits; the detector counts the people
 in them. Reading order:
 
-- `detector`: the step of the pipeline; decides when to run inference;
+- `detector`: the step of the pipeline; decides when to run inference and
+  whether the detector is trusted at this camera;
 - `crops`: the parts of the image that are given to the model;
 - `model`: the model on OpenCV's DNN, with `onnx_header` (size of its input), `layouts` (its outputs
   -> boxes) and `coco` (names of its classes);
-- `agreement`: whether the detector is trusted at this camera;
-- `fusion`: motion and detections -> the blobs that are tracked;
-- `model_report`: describes a model for people (`camtopod check --probe`).
+- `fusion`: motion and detections -> the blobs that are tracked.
 """

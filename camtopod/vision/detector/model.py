@@ -2,16 +2,19 @@
 
 from __future__ import annotations
 
+import time
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Literal, NamedTuple, cast
 
 import cv2
 import numpy as np
+from msgspec import Struct
 
 from camtopod.vision.boxes import Box, Size
 from camtopod.vision.detector import layouts, onnx_header
 from camtopod.vision.detector.coco import class_number, label_name
+from camtopod.vision.detector.crops import whole
 from camtopod.vision.settings import DetectorSettings, Layout
 
 Image = cv2.typing.MatLike
@@ -21,6 +24,8 @@ PADDING = 114
 """Grey level beside an image that does not fill the model's input, as in training."""
 KNOWN_SCORE_SHARE = 0.6
 """Share of the setting `score` that is enough where something is tracked already."""
+BOXES_MAX = 10
+"""Boxes that are listed, those of the highest scores."""
 
 
 class DetectorError(Exception):
@@ -43,6 +48,17 @@ class Detection(NamedTuple):
     """0 to 1."""
     label: str
     """Name of its class, or the number of a class without a name."""
+
+
+class ModelReport(Struct, frozen=True):
+    """What a model is, or why it cannot be used."""
+
+    problem: str = ""
+    """Why it cannot be used; "" if it can."""
+    key: str = "model"
+    """The setting of ``[detector]`` that is to be changed then."""
+    text: str = ""
+    """Layout, size, milliseconds and boxes, in words."""
 
 
 class Model:
@@ -123,6 +139,43 @@ class Model:
         blob = cv2.dnn.blobFromImage(filled, scale, swapRB=swap)
         self._net.setInput(blob)
         return [np.asarray(output, np.float32) for output in self._net.forward(self._outputs)]
+
+
+def try_model(settings: DetectorSettings, image: Image | None = None) -> ModelReport:
+    """Load the model of the settings, run it on an image, and describe it.
+
+    image (H, W, 3): blue, green, red; None for an empty one.
+    """
+    try:
+        model = Model(settings)
+    except DetectorError as error:
+        return ModelReport(str(error), error.key)
+    width, height = model.size
+    shown: Image = np.full((height, width, 3), PADDING, np.uint8) if image is None else image
+
+    # The whole image. The first time takes longer.
+    crop = whole((shown.shape[1], shown.shape[0]), model.size)
+    model.infer(shown, crop)
+    began = time.perf_counter()
+    found = model.infer(shown, crop)
+    milliseconds = 1e3 * (time.perf_counter() - began)
+    found = [one for one in found if one.score >= settings.score]
+
+    # Describe it.
+    classes = model.form.classes
+    kinds = {None: "", 1: ", 1 class"}.get(classes, f", {classes} classes")
+    boxes = [
+        f"{one.label} {one.score:.2f} at ({one.box[0] / shown.shape[1]:.2f}, "
+        f"{one.box[1] / shown.shape[0]:.2f}) to ({one.box[2] / shown.shape[1]:.2f}, "
+        f"{one.box[3] / shown.shape[0]:.2f})"
+        for one in found[:BOXES_MAX]
+    ]
+    more = f" and {len(found) - BOXES_MAX} more" if len(found) > BOXES_MAX else ""
+    where = "an empty image" if image is None else "the whole image"
+    return ModelReport(
+        text=f"{model.name}: layout {model.form.layout}, {width}x{height}{kinds}, "
+        f"{milliseconds:.0f} ms an inference; in {where}: {', '.join(boxes) or 'nothing'}{more}"
+    )
 
 
 def _cropped(image: Image, crop: Box, size: Size) -> Image:

@@ -3,8 +3,7 @@
 `source_url` tells the kind of a source and encodes its password; `capture` wraps OpenCV. On top of
 it `recorded` reads a file and `live` a stream or device, which reconnects; `frame_times` estimates
 capture times from presentation stamps. `ffmpeg_log` finds out why a stream cannot be opened,
-`makers` where a camera's stream may be; `probe` describes a source for people, with a picture from
-`settled_picture`; `errors` has the exceptions.
+`makers` where a camera's stream may be; `probe` describes a source for people, with a picture.
 """
 
 from camtopod.vision.source.capture import (
@@ -16,12 +15,12 @@ from camtopod.vision.source.live import LiveSource as LiveSource
 from camtopod.vision.source.makers import streams_by_maker as streams_by_maker
 from camtopod.vision.source.probe import (
     PROBE_SECONDS as PROBE_SECONDS,
+    SETTLE_SECONDS_MAX as SETTLE_SECONDS_MAX,
     Probe as Probe,
     ProbeRequest as ProbeRequest,
     decoders as decoders,
 )
 from camtopod.vision.source.recorded import RecordedSource as RecordedSource
-from camtopod.vision.source.settled_picture import SETTLE_SECONDS_MAX as SETTLE_SECONDS_MAX
 from camtopod.vision.source.source_url import (
     RETRY_SEPARATOR as RETRY_SEPARATOR,
     kind_of as kind_of,

@@ -9,12 +9,18 @@ from typing import Literal
 
 from camtopod.vision.settings import VisionSettings
 from camtopod.vision.source.capture import Capture, Frame, FrameSelector
-from camtopod.vision.source.errors import SourceError
 
 FPS_UNKNOWN = 25.0
 """Frame rate assumed if a file has neither time stamps nor a frame rate."""
 HEARTBEAT_SECONDS = 0.5
 """Longest time until `RecordedSource.frames` yields while it waits."""
+
+
+class SourceError(OSError):
+    """A video file exists but cannot be decoded, or holds no frame.
+
+    ``str()`` names the file, without a password.
+    """
 
 
 class RecordedSource:

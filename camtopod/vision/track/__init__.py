@@ -4,13 +4,11 @@
 (prediction of positions), `stature` (expected height of a person), `companions` (people who entered
 side by side) and `swap` (two people changing places at the border). `crossings` turns track changes
 into events, with `doors` for entrances away from the border and `ignored_areas` for objects that
-walk into one. `decisions` has the reasons why a track became an event or not, and `recorder` hands
-them out.
+walk into one. `decisions` has the reasons why a track became an event or not.
 """
 
 from camtopod.vision.track.crossings import Crossings as Crossings
 from camtopod.vision.track.decisions import Decision as Decision, Edge as Edge, Reason as Reason
 from camtopod.vision.track.ignored_areas import IgnoredAreas as IgnoredAreas
-from camtopod.vision.track.recorder import Recorder as Recorder
-from camtopod.vision.track.track import Track as Track
+from camtopod.vision.track.track import Recorder as Recorder, Track as Track
 from camtopod.vision.track.tracker import Tracker as Tracker

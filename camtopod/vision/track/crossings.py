@@ -17,8 +17,7 @@ from camtopod.vision.settings import Polygon
 from camtopod.vision.track.decisions import Edge, Ending, Reason
 from camtopod.vision.track.doors import Doors
 from camtopod.vision.track.ignored_areas import Beyond, IgnoredAreas
-from camtopod.vision.track.recorder import Recorder
-from camtopod.vision.track.track import Changes, Sighting, Track
+from camtopod.vision.track.track import Changes, Recorder, Sighting, Track
 
 BORDER_SHARE = 0.025
 """Distance from the border within which a box is at it (share of the image's diagonal)."""
@@ -56,9 +55,9 @@ class Crossings:
         camera: str,
         width: int,
         height: int,
-        doors: Sequence[Polygon] = (),
-        ignored: IgnoredAreas | None = None,
-        recorder: Recorder | None = None,
+        doors: Sequence[Polygon],
+        ignored: IgnoredAreas | None,
+        recorder: Recorder,
     ) -> None:
         """Prepare for a working image of ``width`` x ``height`` pixels.
 
@@ -66,8 +65,8 @@ class Crossings:
         recorder: takes the decisions about entries and exits.
         """
         self._camera = camera
-        self._note = (recorder or Recorder()).note
-        self._width, self._height = self.size = (width, height)
+        self._note = recorder.note
+        self.size = (width, height)
         self._margin = BORDER_SHARE * (width**2 + height**2) ** 0.5
         self._ignored = ignored
         self.doors = Doors(width, height, doors)
@@ -84,9 +83,7 @@ class Crossings:
         ignored = self._ignored
         return touches_border(box, self.size) or (ignored is not None and ignored.cut(box))
 
-    def _border(
-        self, box: Box, height: float, drift: tuple[float, float] = (0.0, 0.0)
-    ) -> Edge | None:
+    def _border(self, box: Box, height: float, drift: tuple[float, float]) -> Edge | None:
         """Return the border that a person's box is near to, or across when moved by ``drift``.
 
         At the top the foot decides, because heads are cut off far inside the view.
@@ -100,9 +97,9 @@ class Crossings:
         # Distance to each border, the distance within which it is near, and the way towards it.
         borders: tuple[tuple[float, float, float, Edge], ...] = (
             (left, margin, -dx, "left border"),
-            (self._width - right, margin, dx, "right border"),
+            (self.size[0] - right, margin, dx, "right border"),
             (bottom, top_margin, -dy, "top border"),
-            (self._height - bottom, margin, dy, "bottom border"),
+            (self.size[1] - bottom, margin, dy, "bottom border"),
         )
         near = [(distance, border) for distance, near, _, border in borders if distance <= near]
         reached = [(distance, border) for distance, _, way, border in borders if distance <= way]
@@ -110,22 +107,21 @@ class Crossings:
 
     def at_edge(self, track: Track) -> Edge | None:
         """Return the edge at which the track was last seen, if objects leave there."""
-        border = self._border(track.last.box, track.height, _drift(track))
-        if border is not None:
-            return border
-        if self._beyond(track, track.last, 1.0) == "border":
-            return "ignored area"
-        return self.doors.door_at(*track.last.foot, track.height)
+        return self._edge(track, track.last, 1.0)
 
     def begins_at_edge(self, track: Track) -> Edge | None:
         """Return the edge at which the track, still short, began, if objects enter there."""
+        return self._edge(track, track.first, -1.0)
+
+    def _edge(self, track: Track, at: Sighting, sense: float) -> Edge | None:
+        """Return the edge near a sighting; ``sense`` as for `_beyond`."""
         dx, dy = _drift(track)
-        border = self._border(track.first.box, track.height, (-dx, -dy))
+        border = self._border(at.box, track.height, (sense * dx, sense * dy))
         if border is not None:
             return border
-        if self._beyond(track, track.first, -1.0) == "border":
+        if self._beyond(track, at, sense) == "border":
             return "ignored area"
-        return self.doors.door_at(*track.first.foot, track.height)
+        return self.doors.door_at(*at.foot, track.height)
 
     def goes_behind(self, track: Track) -> bool:
         """Return True if the track was last seen on its way behind an ignored area in mid-view."""
@@ -256,7 +252,8 @@ class Crossings:
             self.entries += 1
         else:
             self.exits += 1
-        x, y = min(max(x / self._width, 0.0), 1.0), min(max(y / self._height, 0.0), 1.0)
+        x = min(max(x / self.size[0], 0.0), 1.0)
+        y = min(max(y / self.size[1], 0.0), 1.0)
         return Event(
             self._camera, kind, round(at.t, 6), round(x, 4), round(y, 4), str(track.number)
         )
@@ -272,9 +269,9 @@ class Crossings:
         dx, dy = track.velocity
         distance, speed = {
             "left border": (at.box[2] - track.width / 2, -dx),
-            "right border": (self._width - at.box[0] - track.width / 2, dx),
+            "right border": (self.size[0] - at.box[0] - track.width / 2, dx),
             "top border": (y, -dy),
-            "bottom border": (self._height - at.box[1] - track.height / 2, dy),
+            "bottom border": (self.size[1] - at.box[1] - track.height / 2, dy),
         }.get(edge or "", (0.0, 0.0))
         if sense * speed <= 0.0:
             return at

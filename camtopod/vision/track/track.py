@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 from collections import deque
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import NamedTuple
 
-from camtopod.vision.boxes import Box
-from camtopod.vision.track.decisions import Edge, Shortfall
+from camtopod.vision.boxes import Box, Size
+from camtopod.vision.track.decisions import Decision, Edge, Reason, Shortfall
 from camtopod.vision.track.kalman import Kalman, Vector
 
 HISTORY_SIGHTINGS = 16
@@ -100,10 +101,6 @@ class Track:
         down = top_2 + bottom_2 - top - bottom
         return (across / 2 / dt, down / 2 / dt)
 
-    def unseen_seconds(self, t: float) -> float:
-        """Return the time since the last sighting."""
-        return t - self.last.t
-
 
 @dataclass(frozen=True, slots=True)
 class Changes:
@@ -133,3 +130,46 @@ class Sighting(NamedTuple):
     t: float
     foot: tuple[float, float]
     box: Box
+
+
+class Recorder:
+    """Makes a `Decision` where the tracker or the crossings decide, and passes it to ``take``."""
+
+    def __init__(self, size: Size, take: Callable[[Decision], None] | None) -> None:
+        """Prepare for a working image of ``size`` (width, height), pixels.
+
+        take: None if nobody asks for the decisions.
+        """
+        self._size = size
+        self._take = take
+
+    def note(
+        self,
+        reason: Reason,
+        track: Track,
+        at: Sighting,
+        edge: Edge | None = None,
+        value: float = 0.0,
+        least: float = 0.0,
+        other: int = 0,
+    ) -> None:
+        """Record what the beginning or end of ``track`` at a sighting was taken for."""
+        if self._take is None:
+            return
+        width, height = self._size
+        x, y = at.foot[0] / width, at.foot[1] / height
+        place = min(max(x, 0.0), 1.0), min(max(y, 0.0), 1.0)
+        self._take(
+            Decision(
+                reason,
+                track.number,
+                at.t,
+                place,
+                track.first.t,
+                edge,
+                value,
+                least,
+                track.sightings,
+                other,
+            )
+        )

@@ -19,21 +19,26 @@ from __future__ import annotations
 from collections import deque
 from dataclasses import replace
 from math import hypot
-from typing import Protocol
 
 import numpy as np
 from scipy.optimize import linear_sum_assignment
 
-from camtopod.vision.boxes import Box, box_height, centre, contains_centre, gap, overlap
+from camtopod.vision.boxes import box_height, centre, contains_centre, gap, overlap
 from camtopod.vision.detect import Blob
 from camtopod.vision.settings import VisionSettings
 from camtopod.vision.track.companions import count_heads, missing_track
-from camtopod.vision.track.decisions import Edge
+from camtopod.vision.track.crossings import Crossings
 from camtopod.vision.track.kalman import Kalman
-from camtopod.vision.track.recorder import Recorder
 from camtopod.vision.track.stature import Stature
 from camtopod.vision.track.swap import find_swap
-from camtopod.vision.track.track import HISTORY_SIGHTINGS, Changes, Sighting, Track, Unmet
+from camtopod.vision.track.track import (
+    HISTORY_SIGHTINGS,
+    Changes,
+    Recorder,
+    Sighting,
+    Track,
+    Unmet,
+)
 
 CONFIRM_SECONDS = 0.5
 """Minimum time something must be tracked, and move, before it counts as an object."""
@@ -96,41 +101,14 @@ _NEVER = 1e9
 """Cost of an assignment that is not allowed."""
 
 
-class Edges(Protocol):
-    """Where objects enter and leave the view."""
-
-    size: tuple[int, int]
-    """Width and height of the working image, pixels."""
-
-    def touches(self, box: Box) -> bool:
-        """Return True if the border of the image or an ignored area cuts the box."""
-
-    def at_edge(self, track: Track) -> Edge | None:
-        """Return the edge at which the track was last seen, if objects leave there."""
-
-    def begins_at_edge(self, track: Track) -> Edge | None:
-        """Return the edge at which the track, still short, began, if objects enter there."""
-
-    def goes_behind(self, track: Track) -> bool:
-        """Return True if the track was last seen on its way behind an ignored area in mid-view."""
-
-    def comes_from_behind(self, track: Track) -> bool:
-        """Return True if the track, still short, came from behind an ignored area in mid-view."""
-
-
 class Tracker:
     """All objects of one view; track numbers count within this instance."""
 
-    def __init__(
-        self, settings: VisionSettings, edges: Edges, recorder: Recorder | None = None
-    ) -> None:
-        self._note = (recorder or Recorder()).note
-        self._height_min = settings.min_height * edges.size[1]
-        self._edges = edges
-        self._at_edge = edges.at_edge
-        self._begins_at_edge = edges.begins_at_edge
-        self._touches = edges.touches
-        self._size = edges.size
+    def __init__(self, settings: VisionSettings, crossings: Crossings, recorder: Recorder) -> None:
+        self._note = recorder.note
+        self._height_min = settings.min_height * crossings.size[1]
+        self.crossings = crossings
+        """Tells where objects enter and leave the view."""
         self._next = 1
         self._t: float | None = None
         self._start: float | None = None
@@ -183,8 +161,11 @@ class Tracker:
 
         for blob in blobs:
             left, top, right, bottom = blob.box
-            held = [track for track, x, y in waiting if left <= x <= right and top <= y <= bottom]
-            inside = [track for track in held if track.last.t < t]
+            inside = [
+                track
+                for track, x, y in waiting
+                if track.last.t < t and left <= x <= right and top <= y <= bottom
+            ]
             wide = len(inside) > 1 and blob.width > 1.3 * max(track.width for track in inside)
             tall = len(inside) > 1 and blob.height > 1.25 * max(track.height for track in inside)
             if wide or tall:
@@ -258,14 +239,15 @@ class Tracker:
             far = max(head, foot)
             if near > gate and overlap(track.last.box, blob.box) < 0.3:
                 continue
-            if blob.bottom - blob.top >= height_min or self._touches(blob.box):
+            if blob.bottom - blob.top >= height_min or self.crossings.touches(blob.box):
                 costs[j] = (0.7 * near + 0.3 * far) / gate + (0.0 if track.confirmed else 0.5)
         return costs
 
     def _update_single(self, t: float, track: Track, blob: Blob) -> None:
         """Update a track by the blob assigned to it."""
         measured = (*blob.head, *blob.foot)
-        if self._touches(blob.box) or self._touches(track.last.box) or not track.confirmed:
+        cut = self.crossings.touches(blob.box)
+        if cut or self.crossings.touches(track.last.box) or not track.confirmed:
             # Entering or leaving the view: its size may only grow.
             track.height = max(track.height, blob.height)
             track.width = max(track.width, blob.width)
@@ -282,7 +264,7 @@ class Tracker:
         if (
             track.confirmed
             and step > STATURE_STEP_HEIGHTS * track.height
-            and not self._touches(blob.box)
+            and not cut
             and not blob.heads
         ):
             track.measured_at = blob.foot
@@ -294,7 +276,7 @@ class Tracker:
         track.history.append(sighting)
         track.sightings += 1
         track.part_of = 0
-        if self._touches(sighting.box):
+        if self.crossings.touches(sighting.box):
             track.cut_t = sighting.t
         left, top, right, bottom = sighting.box
         head_x, head_y, foot_x, foot_y = track.origin
@@ -316,7 +298,7 @@ class Tracker:
         if len(self.active) >= TRACKS_MAX:
             return
         expected = self.stature.height(blob.bottom)
-        cut = self._touches(blob.box)
+        cut = self.crossings.touches(blob.box)
         if expected is not None and not cut and blob.height < START_HEIGHT_MIN * expected:
             return
         others = [track for track in self.active if track.confirmed]
@@ -401,7 +383,7 @@ class Tracker:
 
     def _stitch(self, t: float, track: Track) -> bool:
         """Continue the nearest track that was lost in mid-view; False if none is within reach."""
-        from_behind = self._edges.comes_from_behind(track)
+        from_behind = self.crossings.comes_from_behind(track)
         missing = [
             other for other in self.active if other.confirmed and other.last.t < track.first.t
         ]
@@ -410,14 +392,14 @@ class Tracker:
         best = None
         best_score = 1.0
         for other in [*self.lost, *missing]:
-            if other is track or (other.last.t < t and self._at_edge(other)):
+            if other is track or (other.last.t < t and self.crossings.at_edge(other)):
                 continue
             seconds = max(0.0, track.first.t - other.last.t)
             x, y = other.last.foot
             reach = min(STITCH_HEIGHTS + STITCH_HEIGHTS_PER_SECOND * seconds, STITCH_HEIGHTS_MAX)
-            if self._begins_at_edge(track):
+            if self.crossings.begins_at_edge(track):
                 reach = STITCH_AT_EDGE_HEIGHTS * (seconds <= STITCH_AT_EDGE_SECONDS)
-            elif from_behind and self._edges.goes_behind(other):
+            elif from_behind and self.crossings.goes_behind(other):
                 reach = STITCH_HEIGHTS + BEHIND_HEIGHTS_PER_SECOND * seconds
                 dx, dy = other.velocity
                 x += seconds * dx
@@ -460,7 +442,7 @@ class Tracker:
                 continue
             if track.cut_t < track.history[0].t:
                 continue
-            turn = find_swap(track.history, self._size, track.width, track.height)
+            turn = find_swap(track.history, self.crossings.size, track.width, track.height)
             if turn is not None:
                 left.append(self._split(track, turn))
                 appeared.append(track)
@@ -470,7 +452,7 @@ class Tracker:
         """Start tracks for people merged into one blob; return the confirmed ones."""
         appeared = []
         for blob in blobs:
-            if self._touches(blob.box):
+            if self.crossings.touches(blob.box):
                 continue
             held = [
                 track
@@ -503,7 +485,7 @@ class Tracker:
             history=deque(past[: turn + 1], maxlen=HISTORY_SIGHTINGS),
             successor=self._next,
         )
-        earlier.edge = self._at_edge(earlier)
+        earlier.edge = self.crossings.at_edge(earlier)
         track.number = self._next
         self._next += 1
         track.first = past[turn]
@@ -525,13 +507,13 @@ class Tracker:
                 patience = PATIENCE_SECONDS
             if track.occluded:
                 patience *= OCCLUDED_PATIENCE_FACTOR
-            elif self._touches(track.last.box) and self._at_edge(track):
+            elif self.crossings.touches(track.last.box) and self.crossings.at_edge(track):
                 patience = min(patience, GONE_PATIENCE_SECONDS)
-            if track.unseen_seconds(t) <= patience:
+            if t - track.last.t <= patience:
                 kept.append(track)
             elif not track.confirmed:
                 self._note_unmet(track)
-            elif edge := self._at_edge(track):
+            elif edge := self.crossings.at_edge(track):
                 track.edge = edge
                 left.append(track)
             else:
@@ -572,7 +554,7 @@ class Tracker:
             track.edge = None
             if not track.confirmed:
                 self._note("paused", track, track.last)
-            elif edge := self._at_edge(track):
+            elif edge := self.crossings.at_edge(track):
                 track.edge = edge
                 left.append(track)
             else:
@@ -597,8 +579,8 @@ class Tracker:
         """
         left = []
         for track in self.active:
-            unseen = track.unseen_seconds(t) > TENTATIVE_PATIENCE_SECONDS
-            track.edge = self._at_edge(track) if track.confirmed and unseen else None
+            unseen = t - track.last.t > TENTATIVE_PATIENCE_SECONDS
+            track.edge = self.crossings.at_edge(track) if track.confirmed and unseen else None
             if track.edge:
                 left.append(track)
             elif track.confirmed:
