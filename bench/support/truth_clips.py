@@ -161,8 +161,8 @@ def _clip(name: str, path: Path, truth: tuple[Event, ...], fps: float | None) ->
     settings = VisionSettings()
     capture = Capture(str(path), settings)
     frames, last = 0, 0.0
-    while (grab := capture.grab()) is not None:
-        frames, last = frames + 1, max(last, grab.stamp)
+    while (stamp := capture.grab()) is not None:
+        frames, last = frames + 1, max(last, stamp)
     declared = capture.fps or FPS_UNKNOWN
     (width, height), rate = capture.size, fps or declared
     capture.release()
@@ -188,8 +188,8 @@ def _read(
     cadence = FrameSelector(settings.analysed_fps)
     step = 1.0 / (fps or capture.fps or FPS_UNKNOWN)
     number, t = 0, -step
-    while (grab := capture.grab()) is not None:
-        t = grab.stamp if fps is None and (grab.stamp > t or not number) else t + step
+    while (stamp := capture.grab()) is not None:
+        t = stamp if fps is None and (stamp > t or not number) else t + step
         number += 1
         if number > skipped and cadence.wants(t):
             luma = capture.retrieve()

@@ -32,6 +32,13 @@ def centre(box: Box) -> tuple[float, float]:
     return (box[0] + box[2]) / 2, (box[1] + box[3]) / 2
 
 
+def grid_cell(x: float, y: float, size: Size, grid: tuple[int, int]) -> tuple[int, int]:
+    """Return the cell (row, column) of a point, of a grid of (rows, columns) over an image."""
+    row = int(y / size[1] * grid[0])
+    column = int(x / size[0] * grid[1])
+    return min(max(row, 0), grid[0] - 1), min(max(column, 0), grid[1] - 1)
+
+
 def scaled(box: Box, factor: float) -> Box:
     """Return the box in an image that is ``factor`` times as large."""
     return (factor * box[0], factor * box[1], factor * box[2], factor * box[3])

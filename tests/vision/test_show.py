@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 from collections.abc import Iterator
 from pathlib import Path
+from types import SimpleNamespace
 
 import cv2
 import numpy as np
@@ -119,7 +120,9 @@ def test_a_full_disk_ends_the_picture_with_one_warning_and_no_event(
     name = "v.mp4"
     free = iter([1 << 30] * 30)
     monkeypatch.setattr(shown_file, "PICTURE_SECONDS", 0.0)
-    monkeypatch.setattr(shown_file, "_free_bytes", lambda folder: next(free, 1 << 20))
+    monkeypatch.setattr(
+        shown_file, "disk_usage", lambda folder: SimpleNamespace(free=next(free, 1 << 20))
+    )
     warnings: list[str] = []
 
     assert shown(tmp_path / name, 14.0, warnings) == ["entry", "exit"]

@@ -39,12 +39,8 @@ class Background:
         self._seconds = seconds
         stack = np.sort(np.stack(frames), axis=0)
         self._model = stack[len(frames) // 2].astype(np.float32)
-        self._image: Luma = stack[len(frames) // 2].copy()
-
-    @property
-    def image(self) -> Luma:
+        self.image: Luma = stack[len(frames) // 2].copy()
         """The model as an image."""
-        return self._image
 
     def expected(self, frame: Luma, settled: Luma, noise: float = 0.0) -> Luma:
         """Return the model under the light of ``frame``.
@@ -56,10 +52,10 @@ class Background:
         shift = self._tone_shift(frame, settled)
         doubt = SHIFT_MIN + SHIFT_NOISE_FACTOR * noise
         if np.abs(shift).max() <= doubt:
-            return self._image
+            return self.image
         shift -= np.clip(shift, -doubt, doubt)
         curve = np.clip(_LEVELS + shift, 0, 255).astype(np.uint8)
-        return np.asarray(cv2.LUT(self._image, curve), dtype=np.uint8)
+        return np.asarray(cv2.LUT(self.image, curve), dtype=np.uint8)
 
     def _tone_shift(self, frame: Luma, settled: Luma) -> npt.NDArray[np.float32]:
         """Return grey levels to add to each of the model's 256 levels, interpolated from the bins.
@@ -68,7 +64,7 @@ class Background:
         """
         sample = settled[::4, ::4] != 0
 
-        model = self._image[::4, ::4][sample].astype(np.uint16)
+        model = self.image[::4, ::4][sample].astype(np.uint16)
         change = frame[::4, ::4][sample] + (256 - model)  # plus 256, so that it is not negative
         levels = model // (256 // TONE_BINS)
 
@@ -95,7 +91,7 @@ class Background:
         """
         rate = 1.0 - float(np.exp(-dt / self._seconds))
         cv2.accumulateWeighted(cv2.copyTo(frame, settled, expected.copy()), self._model, rate)
-        self._image = cv2.convertScaleAbs(self._model)
+        self.image = cv2.convertScaleAbs(self._model)
 
     def adopt(self, frame: Luma, where: Luma) -> None:
         """Replace the model by ``frame`` where ``where`` (H, W) is not 0.
@@ -103,4 +99,4 @@ class Background:
         For objects that were moved, or that stood there at first.
         """
         cv2.copyTo(frame.astype(np.float32), where, self._model)
-        self._image = cv2.convertScaleAbs(self._model)
+        self.image = cv2.convertScaleAbs(self._model)

@@ -118,16 +118,10 @@ def _fragments(mask: Luma) -> tuple[Luma, Luma]:
 
     The cost of labelling grows with the area, so it is limited to the bounding box of the mask.
     """
-    few = mask.size < 4 * np.iinfo(np.uint16).max  # a square of 2 x 2 pixels holds one fragment
-    depth, dtype = (cv2.CV_16U, np.uint16) if few else (cv2.CV_32S, np.int32)
-    labels: Luma = np.zeros(mask.shape, dtype)
+    labels: Luma = np.zeros(mask.shape, np.int32)
     left, top, width, height = cv2.boundingRect(mask)
-    if width == 0:
-        return labels, np.zeros((1, 5), np.int32)
     part = slice(top, top + height), slice(left, left + width)
-    _, labels[part], stats, _ = cv2.connectedComponentsWithStats(
-        mask[part], connectivity=8, ltype=depth
-    )
+    _, labels[part], stats, _ = cv2.connectedComponentsWithStats(mask[part], connectivity=8)
     stats[:, : cv2.CC_STAT_TOP + 1] += (left, top)
     return labels, stats
 

@@ -97,8 +97,10 @@ class MotionDetector:
         """Mask (H, W): 0 where motion does not count; None if it does everywhere, or before the
         first frame.
         """
-        self._noise = 0.0
-        self._shake = 0.0
+        self.noise = 0.0
+        """One-sigma temporal noise of the working image, grey levels."""
+        self.shake = 0.0
+        """Running mean of the shift between images and scene, pixels."""
         self._changed_seconds = 0.0
         self.relearned = 0
 
@@ -112,27 +114,17 @@ class MotionDetector:
         """True if most of the latest image differs from the scene, so that objects are hidden."""
         return self._changed_seconds > 0.0
 
-    @property
-    def shake(self) -> float:
-        """Running mean of the shift between images and scene, pixels."""
-        return self._shake
-
-    @property
-    def noise(self) -> float:
-        """One-sigma temporal noise of the working image, grey levels."""
-        return self._noise
-
     def filter_noise(self, frame: Luma) -> Luma:
         """Measure the noise of ``frame``; return the frame, filtered if it is noisy."""
         if self._last is None or self._last.shape != frame.shape:
             self.watched = watched_pixels(self._settings.ignore, *frame.shape)
         else:
             noise = temporal_noise(frame, self._last, self.watched)
-            self._noise += (_NOISE_RATE if self._noise else 1.0) * (noise - self._noise)
+            self.noise += (_NOISE_RATE if self.noise else 1.0) * (noise - self.noise)
         self._last = frame
-        if self._noise < NOISE_TO_FILTER:
+        if self.noise < NOISE_TO_FILTER:
             return frame
-        return cv2.convertScaleAbs(wiener(frame, 3, self._noise**2))
+        return cv2.convertScaleAbs(wiener(frame, 3, self.noise**2))
 
     def bootstrap(self, frames: list[Luma]) -> None:
         """Take the median of ``frames`` (at most 24 of them) as the settled scene."""
@@ -150,13 +142,13 @@ class MotionDetector:
         bootstraps again.
         """
         assert self._background is not None, "bootstrap first"
-        expected = self._background.expected(frame, self._settled, self._noise)
+        expected = self._background.expected(frame, self._settled, self.noise)
 
         # Difference to the expected image. If the camera shakes, the frame is aligned with the
         # scene, and an error of one pixel is tolerated.
         x, y = shift(frame, expected, self._settled)
-        self._shake += _NOISE_RATE * (min(abs(x) + abs(y), SHAKE_PIXELS_MAX) - self._shake)
-        if self._shake > SHAKE_PIXELS:
+        self.shake += _NOISE_RATE * (min(abs(x) + abs(y), SHAKE_PIXELS_MAX) - self.shake)
+        if self.shake > SHAKE_PIXELS:
             frame = shifted_back(frame, expected, self._settled, (x, y))
             difference = outside_range(frame, expected, _SQUARE)
         else:
@@ -188,7 +180,7 @@ class MotionDetector:
 
     def _difference_min(self) -> float:
         """Return the smallest difference of a moving pixel, grey levels: above the noise."""
-        noise = NOISE_FACTOR * min(self._noise, NOISE_TO_FILTER)
+        noise = NOISE_FACTOR * min(self.noise, NOISE_TO_FILTER)
         return max(DIFFERENCE_MIN / self._settings.sensitivity, noise)
 
     def _without_ignored(self, mask: Luma) -> Luma:

@@ -13,7 +13,7 @@ from math import inf
 
 import numpy as np
 
-from camtopod.vision.boxes import Box, Size, area, box_height, centre, union
+from camtopod.vision.boxes import Box, Size, area, box_height, centre, grid_cell, union
 
 MARGIN_HEIGHTS = 0.5
 """Margin around a region (heights of the region): motion shows some of a person only."""
@@ -40,7 +40,7 @@ class Crops:
 
         Both are (width, height).
         """
-        self._size = size
+        self.size = size
         self._input = input_size
         self._examined = np.full(GRID, -inf)
         """Time of the latest inference at each cell, seconds."""
@@ -102,12 +102,12 @@ class Crops:
         aspect = self._input[0] / self._input[1]
         height = max(bottom - top + 2 * margin, (right - left + 2 * margin) / aspect)
         height = max(height, self._input[1] / ENLARGED_MAX)
-        height = min(height, max(self._size[1], self._size[0] / aspect))
+        height = min(height, max(self.size[1], self.size[0] / aspect))
         width = height * aspect
 
         # Around the regions, moved into the image.
-        x = _placed((left + right - width) / 2, width, self._size[0])
-        y = _placed((top + bottom - height) / 2, height, self._size[1])
+        x = _placed((left + right - width) / 2, width, self.size[0])
+        y = _placed((top + bottom - height) / 2, height, self.size[1])
         return (x, y, x + width, y + height)
 
     def _waits_since(self, group: Sequence[Box]) -> float:
@@ -115,10 +115,7 @@ class Crops:
 
     def _cell(self, region: Box) -> tuple[int, int]:
         """Return the cell (row, column) of a region's middle."""
-        x, y = centre(region)
-        row = int(y / self._size[1] * GRID[0])
-        column = int(x / self._size[0] * GRID[1])
-        return min(max(row, 0), GRID[0] - 1), min(max(column, 0), GRID[1] - 1)
+        return grid_cell(*centre(region), self.size, GRID)
 
 
 def whole(size: Size, input_size: Size) -> Box:

@@ -115,7 +115,6 @@ class Detector:
         self._settings = settings
         self._agreement = Agreement()
         self._crops: Crops | None = None
-        self._size = (0, 0)
         self._t: float | None = None
         self._saved = 1.0
         """Inferences that may be made now."""
@@ -213,9 +212,8 @@ class Detector:
 
         # Plan.
         size = (image.shape[1], image.shape[0])
-        if self._crops is None or size != self._size:
+        if self._crops is None or size != self._crops.size:
             self._crops = Crops(size, self._model.size)
-            self._size = size
         crops = self._crops.plan(t, regions, inferences)
         self._saved -= len(crops)
         if crops:

@@ -213,10 +213,10 @@ def decode(
     # Boxes that name their class.
     if form.layout == "ssd":
         rows = output[0, 0]
-        return _of_classes(rows[:, 3:7] * scale, rows[:, 2], rows[:, 1], wanted, score_min, True)
+        return nms(_of_classes(rows[:, 3:7] * scale, rows[:, 2], rows[:, 1], wanted, score_min))
     if form.layout == "end-to-end":
         rows = output[0]
-        return _of_classes(rows[:, :4], rows[:, 4], rows[:, 5], wanted, score_min, False)
+        return _of_classes(rows[:, :4], rows[:, 4], rows[:, 5], wanted, score_min)
 
     # Boxes with a score for each class.
     if form.layout == "rt-detr":
@@ -248,18 +248,12 @@ def decode(
 
 
 def _of_classes(
-    boxes: Array, scores: Array, classes: Array, wanted: Sequence[int], least: float, overlaps: bool
+    boxes: Array, scores: Array, classes: Array, wanted: Sequence[int], least: float
 ) -> Found:
-    """Return the boxes of the wanted classes with at least a score.
-
-    overlaps: the model may report an object twice.
-    """
+    """Return the boxes of the wanted classes with at least a score."""
     numbers = classes.round().astype(np.int64)
     kept = np.isin(numbers, wanted)
-    found = _above(boxes[kept], scores[kept], numbers[kept], least)
-    if overlaps:
-        return nms(found)
-    return found
+    return _above(boxes[kept], scores[kept], numbers[kept], least)
 
 
 def _above(boxes: Array, scores: Array, classes: npt.NDArray[np.int64], score_min: float) -> Found:

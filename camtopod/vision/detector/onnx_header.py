@@ -131,13 +131,11 @@ def _fields(message: memoryview) -> Iterator[Field]:
 
 def _varint(message: memoryview, at: int) -> tuple[int, int]:
     """Return a whole number of variable length, and where the next field begins."""
-    value = shift = 0
-    while True:
+    value = 0
+    for shift in range(0, 70, 7):
         byte = message[at]
+        at += 1
         value |= (byte & 0x7F) << shift
-        at = at + 1
-        shift = shift + 7
         if not byte & 0x80:
             return value, at
-        if shift > 63:
-            raise HeaderError("it is not an ONNX file")
+    raise HeaderError("it is not an ONNX file")

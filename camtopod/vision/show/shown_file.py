@@ -10,7 +10,7 @@ import os
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Protocol
+from shutil import disk_usage
 
 import cv2
 
@@ -37,25 +37,7 @@ class ShowError(Exception):
     """The file cannot be written; ``str()`` names it, says why and what to do."""
 
 
-class ShownFile(Protocol):
-    """A file that shows pictures. Methods raise `ShowError` if it cannot be written."""
-
-    def wants(self, t: float, now: float) -> bool:
-        """Return True if a picture captured at ``t`` is to be written, ``now`` on the monotonic
-        clock (both in seconds).
-        """
-
-    def write(self, t: float, now: float, picture: Picture) -> None:
-        """Write a picture that is wanted."""
-
-    def finish(self, picture: Picture) -> None:
-        """Write the last picture."""
-
-    def close(self) -> None:
-        """Close the file as it is."""
-
-
-def open_shown_file(path: Path) -> ShownFile:
+def open_shown_file(path: Path) -> PictureFile | VideoFile:
     """Return the file for the kind of its suffix. Raises `ShowError` if it cannot be written."""
     if path.suffix not in (".mp4", ".jpg", ".png"):
         raise ShowError(f"{path}: the name has to end in .mp4 (a video), .jpg or .png (a picture)")
@@ -204,13 +186,7 @@ def _create(path: Path, content: bytes) -> None:
 
 def _require_space(path: Path) -> None:
     """Raise `ShowError` if the disk is nearly full."""
-    if _free_bytes(path.parent) < FREE_BYTES_MIN:
+    if disk_usage(path.parent).free < FREE_BYTES_MIN:
         raise ShowError(
             f"cannot write {path}: less than {FREE_BYTES_MIN >> 20} MiB of the disk are free"
         )
-
-
-def _free_bytes(folder: Path) -> int:
-    """Return the free bytes of the disk that holds ``folder``. Raises `OSError`."""
-    disk = os.statvfs(folder)
-    return disk.f_bavail * disk.f_frsize

@@ -14,8 +14,6 @@ Properties of OpenCV's FFmpeg backend that this code respects:
 from __future__ import annotations
 
 import os
-from collections.abc import Iterator
-from contextlib import contextmanager
 from typing import NamedTuple
 
 import cv2
@@ -23,6 +21,7 @@ import numpy as np
 
 from camtopod.vision.detect import Luma, shrunk
 from camtopod.vision.settings import VisionSettings
+from camtopod.vision.source.ffmpeg_log import default_environment
 from camtopod.vision.source.source_url import kind_of, percent_encoded
 
 STREAM_OPTIONS = "rtsp_transport;tcp|probesize;32768|analyzeduration;300000"
@@ -45,12 +44,6 @@ _VIDEO_RANGE = (16 + np.arange(256) * 219 / 255).round().astype(np.uint8)
 """Luma as video has it, 16 to 235, by the grey level of the image in colour."""
 _STEP_RATE = 0.1
 """Weight of the newest interval in the running mean of frame intervals."""
-
-
-class Grab(NamedTuple):
-    """A grabbed frame: presentation time in seconds, 0.0 if unknown."""
-
-    stamp: float
 
 
 class Frame(NamedTuple):
@@ -119,11 +112,14 @@ class Capture:
         """Four-character code of the codec; "" if unknown."""
         return _four_characters(self._capture, cv2.CAP_PROP_FOURCC).strip("\0 ")
 
-    def grab(self) -> Grab | None:
-        """Take the next frame without converting it; None if the source has ended or died."""
+    def grab(self) -> float | None:
+        """Take the next frame without converting it; None if the source has ended or died.
+
+        Returns its presentation time in seconds, 0.0 if unknown.
+        """
         if not self._capture.grab():
             return None
-        return Grab(float(self._capture.get(cv2.CAP_PROP_POS_MSEC)) / 1000.0)
+        return float(self._capture.get(cv2.CAP_PROP_POS_MSEC)) / 1000.0
 
     def retrieve(self) -> Luma | None:
         """Return the grabbed frame's luma (H, W) at working size; None if it cannot be decoded."""
@@ -210,21 +206,8 @@ def _opened(source: str, stream: bool, options: str) -> cv2.VideoCapture:
         ]
     if _DEVICES_OPTION in options:
         parameters += [cv2.CAP_PROP_HW_ACCELERATION, cv2.VIDEO_ACCELERATION_ANY]
-    with _environment(options):
+    with default_environment(OPTIONS_VARIABLE, options):
         return cv2.VideoCapture(source, cv2.CAP_FFMPEG, parameters)
-
-
-@contextmanager
-def _environment(options: str) -> Iterator[None]:
-    """Set FFmpeg's options in the environment, where OpenCV reads them when opening."""
-    if not options or OPTIONS_VARIABLE in os.environ:
-        yield
-        return
-    os.environ[OPTIONS_VARIABLE] = options
-    try:
-        yield
-    finally:
-        del os.environ[OPTIONS_VARIABLE]
 
 
 def _four_characters(capture: cv2.VideoCapture, of: int) -> str:

@@ -11,13 +11,16 @@ import os
 import re
 import sys
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 
 LEVEL_VARIABLE = "OPENCV_FFMPEG_LOGLEVEL"
 LEVEL_WARNINGS = "24"
 """FFmpeg's number for the log level "warning"."""
 _READ_BYTES = 65536
 _LIBC = ctypes.CDLL(None)
+"""Flushed before FFmpeg's output is read: C's standard output, which is separate from `sys.stdout`,
+holds it.
+"""
 _STANDARD_OUTPUT = 1
 _REFUSED = re.compile(rb"(?:failed: (?:Server returned )?|HTTP error )([45]\d\d)\b")
 """HTTP or RTSP status of a refused request, as FFmpeg logs it."""
@@ -64,40 +67,31 @@ class FfmpegLog:
 
     def newest_reason(self) -> str:
         """Return the newest reason, or "". Never blocks."""
-        if self._fd is not None:
-            _flush()
+        if self._fd is None:
+            return ""
+        _LIBC.fflush(None)
         output = b""
-        while self._fd is not None:
-            try:
-                chunk = os.read(self._fd, _READ_BYTES)
-            except BlockingIOError:
-                break
-            if not chunk:  # the pipe has been closed
-                break
-            output = (output + chunk)[-_READ_BYTES:]
+        with suppress(BlockingIOError):
+            while chunk := os.read(self._fd, _READ_BYTES):  # nothing: the pipe has been closed
+                output = (output + chunk)[-_READ_BYTES:]
         return reason_in(output)
 
 
-def _flush() -> None:
-    """Flush C's standard output, which holds OpenCV's output and is separate from `sys.stdout`."""
-    _LIBC.fflush(None)
-
-
 @contextmanager
-def _log_level(level: str) -> Iterator[None]:
-    """Set FFmpeg's log level, which it reads when it is first used, while the block runs.
+def default_environment(name: str, value: str) -> Iterator[None]:
+    """Set a variable of the environment, which OpenCV reads, while the block runs.
 
-    A level that the user has set takes precedence. The environment is restored afterwards, so it
+    A value that the user has set takes precedence. The environment is restored afterwards, so it
     does not affect child processes.
     """
-    if LEVEL_VARIABLE in os.environ:
+    if not value or name in os.environ:
         yield
         return
-    os.environ[LEVEL_VARIABLE] = level
+    os.environ[name] = value
     try:
         yield
     finally:
-        del os.environ[LEVEL_VARIABLE]
+        del os.environ[name]
 
 
 @contextmanager
@@ -107,7 +101,7 @@ def captured_log() -> Iterator[FfmpegLog]:
     A program that writes data to standard output duplicates the descriptor first.
     """
     sys.stdout.flush()
-    _flush()
+    _LIBC.fflush(None)
     reader, writer = os.pipe()
     for fd in (reader, writer):
         os.set_blocking(fd, False)  # a full pipe loses output instead of blocking
@@ -117,10 +111,10 @@ def captured_log() -> Iterator[FfmpegLog]:
     os.dup2(writer, _STANDARD_OUTPUT, inheritable=False)
     os.close(writer)
     try:
-        with _log_level(LEVEL_WARNINGS):
+        with default_environment(LEVEL_VARIABLE, LEVEL_WARNINGS):
             yield FfmpegLog(reader)
     finally:
-        _flush()  # or its output would mix with what is printed next
+        _LIBC.fflush(None)  # or its output would mix with what is printed next
         os.dup2(before, _STANDARD_OUTPUT)
         os.close(before)
         os.close(reader)

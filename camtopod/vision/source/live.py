@@ -12,6 +12,7 @@ import random
 import threading
 import time
 from collections.abc import Callable, Iterator
+from contextlib import suppress
 from typing import Literal
 
 from camtopod.vision.settings import VisionSettings
@@ -165,11 +166,10 @@ class LiveSource:
         while not self._stop.is_set():
             # Grab a frame.
             self._called = asked = time.monotonic()
-            grab = capture.grab()
+            stamp = capture.grab()
             arrival = time.monotonic()
-            if grab is None:
-                slow = arrival - asked > 0.9 * READ_SECONDS_MAX
-                if slow:
+            if stamp is None:
+                if arrival - asked > 0.9 * READ_SECONDS_MAX:
                     return "no frame within the read timeout"
                 return "the source ended or closed the connection"
 
@@ -183,8 +183,8 @@ class LiveSource:
             self.reason = ""
 
             # Decode it if it is to be analysed.
-            clock.record(grab.stamp, arrival)
-            if not selector.wants(grab.stamp if grab.stamp > 0.0 else arrival):
+            clock.record(stamp, arrival)
+            if not selector.wants(stamp if stamp > 0.0 else arrival):
                 continue
             retrieved = capture.frame()
             if retrieved is None:
@@ -192,10 +192,10 @@ class LiveSource:
                 continue
 
             # Hold it until the clock has settled, then pass it on with its capture time.
-            held.append((grab.stamp, arrival, retrieved))
+            held.append((stamp, arrival, retrieved))
             if arrival - first >= SETTLE_SECONDS:
-                for stamp, came, frame in held:
-                    self._hand_on(frame._replace(t=self._on_the_wall(clock.captured(stamp, came))))
+                for shown, came, frame in held:
+                    self._hand_on(frame._replace(t=self._on_the_wall(clock.captured(shown, came))))
                 held.clear()
             self.untrusted_stamps = clock.untrusted
         return "closed"
@@ -205,14 +205,9 @@ class LiveSource:
         return self._wall_clock() - (time.monotonic() - t)
 
     def _hand_on(self, frame: Frame) -> None:
-        """Queue a frame, dropping the oldest ones if the queue is full."""
-        while True:
-            try:
-                self._queue.put_nowait(frame)
-                return
-            except queue.Full:
-                try:
-                    self._queue.get_nowait()
-                    self.dropped += 1
-                except queue.Empty:
-                    pass
+        """Queue a frame, dropping the oldest one if the queue is full: nobody else puts any in."""
+        if self._queue.full():
+            with suppress(queue.Empty):  # the caller has just taken one
+                self._queue.get_nowait()
+                self.dropped += 1
+        self._queue.put_nowait(frame)

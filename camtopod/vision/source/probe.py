@@ -76,9 +76,6 @@ _CODECS = {
 """Name of a codec by its four-character code."""
 
 
-_NO_DETECTOR = DetectorSettings()
-
-
 class ProbeRequest(Struct):
     """What to probe: a source, with the grabber's settings."""
 
@@ -179,18 +176,14 @@ class SettledPicture:
         return result
 
 
-def probe(
-    source: str,
-    settings: VisionSettings,
-    ffmpeg_log: FfmpegLog,
-    picture: bool = False,
-    detector: DetectorSettings = _NO_DETECTOR,
-) -> Probe:
+def probe(request: ProbeRequest, ffmpeg_log: FfmpegLog) -> Probe:
     """Open the source, count its frames, and run the detector once.
 
     Takes at most the timeouts plus `PROBE_SECONDS`, with a picture plus `SETTLE_SECONDS_MAX`. Never
     raises for a source that does not work.
     """
+    source = request.source
+    settings = request.settings
     kind = kind_of(source)
     path = source.removeprefix("file://")
     if kind == "file":
@@ -199,18 +192,18 @@ def probe(
         except OSError as error:
             return Probe(error.strerror or str(error).removeprefix(f"{path}: "))
 
-    capture = Capture(path, settings, colour=picture or bool(detector.model))
+    capture = Capture(path, settings, colour=request.picture or bool(request.detector.model))
     try:
         if not capture.is_open:
             why = _of_device(source) if kind == "device" else ffmpeg_log.newest_reason()
             return Probe(f"cannot be opened{why and ': '}{why}")
-        settled = SettledPicture() if picture else None
+        settled = SettledPicture() if request.picture else None
         seen = _watched(capture, kind != "file", settled)
-        if detector.model and not seen.problem:
+        if request.detector.model and not seen.problem:
             latest = capture.image(capture.size[0]) if capture.has_image else None
-            seen.detector = try_model(detector, latest)
+            seen.detector = try_model(request.detector, latest)
         if settled is not None:
-            seen = _with_picture(seen, settled)
+            _add_picture(seen, settled)
         return seen
     finally:
         capture.release()
@@ -228,10 +221,10 @@ def _watched(capture: Capture, live: bool, settled: SettledPicture | None) -> Pr
             break
 
         # Grab a frame. Its time counts from the first one; in a file frames have equal distances.
-        grab = capture.grab()
-        if grab is None:
+        stamp = capture.grab()
+        if stamp is None:
             break
-        stamps.append(grab.stamp)
+        stamps.append(stamp)
         arrivals.append(time.monotonic())
         t = arrivals[-1] - arrivals[0] if live else len(arrivals) / (capture.fps or FPS_UNKNOWN)
 
@@ -256,22 +249,21 @@ def _watched(capture: Capture, live: bool, settled: SettledPicture | None) -> Pr
     seen = Probe(
         "", _CODECS.get(capture.codec.lower(), capture.codec or "unknown codec"), width, height, fps
     )
-    return msgspec.structs.replace(seen, remarks=_remarks(seen, contrast))
+    seen.remarks = _remarks(seen, contrast)
+    return seen
 
 
-def _with_picture(seen: Probe, settled: SettledPicture) -> Probe:
-    """Return ``seen`` with the picture, and with a remark if it may show people."""
+def _add_picture(seen: Probe, settled: SettledPicture) -> None:
+    """Add the picture to ``seen``, and a remark if it may show people."""
     picture = settled.picture()
     if picture is None:
-        return seen
-    remarks = list(seen.remarks)
+        return
+    seen.picture = cv2.imencode(".jpg", picture)[1].tobytes()
     if not settled.settled:
-        remarks.append(
+        seen.remarks.append(
             f"the scene has not settled within {settled.seconds:.0f} s, so its picture may show "
             "people: take it again with `camtopod check --probe --pictures DIR`"
         )
-    jpeg = cv2.imencode(".jpg", picture)[1].tobytes()
-    return msgspec.structs.replace(seen, picture=jpeg, remarks=remarks)
 
 
 def _median(stack: Luma) -> Luma:
@@ -322,13 +314,12 @@ def decoders() -> list[str]:
 def main() -> None:
     """Answer the request on standard input."""
     request = msgspec.json.decode(sys.stdin.buffer.read(), type=ProbeRequest)
-    detector = request.detector
     answer = Probe("no source")
     with captured_log() as ffmpeg_log:
         if request.source:
-            answer = probe(request.source, request.settings, ffmpeg_log, request.picture, detector)
-        if detector.model and answer.detector == ModelReport():
-            answer.detector = try_model(detector)
+            answer = probe(request, ffmpeg_log)
+        if request.detector.model and answer.detector == ModelReport():
+            answer.detector = try_model(request.detector)
     sys.stdout.buffer.write(msgspec.json.encode(answer))
 
 

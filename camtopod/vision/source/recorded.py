@@ -71,10 +71,10 @@ class RecordedSource:
         began = time.monotonic()
         position = 0.0
         while self._capture is not None:
-            grab = self._capture.grab()
-            if grab is None:
+            stamp = self._capture.grab()
+            if stamp is None:
                 break
-            position = self._position(grab.stamp, position)
+            position = self._position(stamp, position)
             self.grabbed += 1
             self.state = "running"
             self.reason = ""

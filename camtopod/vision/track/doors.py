@@ -19,6 +19,7 @@ from typing import Literal
 import cv2
 import numpy as np
 
+from camtopod.vision.boxes import grid_cell
 from camtopod.vision.settings import Polygon
 
 Door = Literal["named door", "learned door"]
@@ -32,8 +33,8 @@ DOOR_SHARE_MIN = 0.04
 """Least radius of a learned door, as a share of the image's diagonal, for objects far away."""
 REMEMBERED_MAX = 200
 """Unexplained beginnings and ends that are kept, the newest."""
-GRID_ROWS, GRID_COLUMNS = 24, 32
-"""Cells of the image in which passing objects are counted."""
+GRID = (24, 32)
+"""Rows and columns of the cells of the image in which passing objects are counted."""
 
 
 class Doors:
@@ -48,13 +49,11 @@ class Doors:
             np.array([(x * width, y * height) for x, y in polygon], np.float32) for polygon in named
         ]
         self._unexplained: deque[tuple[float, float]] = deque(maxlen=REMEMBERED_MAX)
-        self._passed = np.zeros((GRID_ROWS, GRID_COLUMNS), np.int32)
+        self._passed = np.zeros(GRID, np.int32)
 
     def cell(self, x: float, y: float) -> tuple[int, int]:
         """Return the grid cell (row, column) of a foot point."""
-        row = int(y / self._size[1] * GRID_ROWS)
-        column = int(x / self._size[0] * GRID_COLUMNS)
-        return min(max(row, 0), GRID_ROWS - 1), min(max(column, 0), GRID_COLUMNS - 1)
+        return grid_cell(x, y, self._size, GRID)
 
     def record_unexplained(self, x: float, y: float) -> None:
         """Record that a track began or ended at this foot point in mid-view without explanation."""
