@@ -58,10 +58,10 @@ class SiteView:
         settings = settings_of(site, connect, config)
         self._bus = dial(settings)
         self._news = ChangeSignal()
-        self._mutex = threading.Lock()  # predictors are not thread-safe
+        # Predictors are not thread-safe, and no subscription is opened once closing has begun.
+        self._mutex = threading.Lock()
         self._gate: Gate | None = None
         """Of the newest version, with its predictor."""
-        self._opening = threading.Lock()  # no subscription is opened once closing has begun
         self._prediction_queues: list[PredictionQueue] = []
         self._daemons: set[str] = set()
         self.stale_since: float | None = clock.wall()
@@ -197,7 +197,7 @@ class SiteView:
 
         May be called repeatedly. A program with an open session does not terminate.
         """
-        with self._opening:
+        with self._mutex:
             if self._closing.is_set():
                 return
             self._closing.set()
@@ -210,7 +210,7 @@ class SiteView:
 
     def _opened(self, opened: Callable[[Bus], PredictionQueueT]) -> PredictionQueueT:
         """Open a subscription that `close` closes. Raises `BusError` if this is closed already."""
-        with self._opening:
+        with self._mutex:
             if self._closing.is_set():
                 raise BusError(f"the topology of site {self.site} has been closed: connect again")
             prediction_queue = opened(self._bus)

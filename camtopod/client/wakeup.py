@@ -16,16 +16,13 @@ class ChangeSignal:
     """Change notification: call `notify` after each change; waiters check their condition again."""
 
     def __init__(self) -> None:
-        self._mutex = threading.Lock()
-        self._listeners: list[Callable[[], None]] = []
+        self._listeners: list[Callable[[], None]] = []  # whose methods used here are atomic
         self.closed = False
         """True once no further changes will be announced."""
 
     def notify(self) -> None:
         """Announce a change. Callable from any thread."""
-        with self._mutex:
-            listeners = list(self._listeners)
-        for listener in listeners:
+        for listener in self._listeners.copy():
             listener()
 
     def close(self) -> None:
@@ -56,10 +53,8 @@ class ChangeSignal:
 
         The call comes from the thread that announces the change and must not block.
         """
-        with self._mutex:
-            self._listeners.append(listener)
+        self._listeners.append(listener)
         try:
             yield
         finally:
-            with self._mutex:
-                self._listeners.remove(listener)
+            self._listeners.remove(listener)

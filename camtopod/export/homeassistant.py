@@ -21,10 +21,6 @@ DISCOVERY = "homeassistant"
 """Home Assistant's default topic prefix for discovery."""
 PREFIX = "camtopod"
 """Default first level of the state topics."""
-LEAVES_SITE = "leaves"
-"""State in place of a camera if the object probably leaves the site."""
-NO_CAMERA = "none"
-"""State in place of a camera to look at if there is none."""
 
 Messages = dict[str, str]
 """Payload by topic."""
@@ -160,7 +156,7 @@ def prediction_state(topics: Topics, prediction: Prediction) -> Messages:
         next_[one.camera] += one.probability
 
     # The camera, or leaving the site, with the largest share.
-    shares = {LEAVES_SITE: prediction.leave, **next_}
+    shares = {"leaves": prediction.leave, **next_}
     camera = max(shares, key=lambda name: shares[name])
     window: dict[str, str | None] = {"from": None, "until": None}
     for place in prediction.next_:
@@ -172,7 +168,7 @@ def prediction_state(topics: Topics, prediction: Prediction) -> Messages:
     # The camera to look at; without overlapping views it follows from the next appearances.
     next_.pop(prediction.camera, None)
     looks = {one.camera: one.probability for one in prediction.look or []} or next_
-    look, sees = max(looks.items(), key=lambda item: item[1], default=(NO_CAMERA, 0.0))
+    look, sees = max(looks.items(), key=lambda item: item[1], default=("none", 0.0))
 
     state = {
         "next": camera,

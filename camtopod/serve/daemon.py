@@ -17,7 +17,6 @@ from __future__ import annotations
 
 import contextlib
 import logging
-import math
 import re
 import sqlite3
 import threading
@@ -29,7 +28,7 @@ from msgspec.structs import replace
 from camtopod import codec
 from camtopod.admin import Reset, Rewind
 from camtopod.config import Config
-from camtopod.event_time import MICROSECONDS, EventTime, microseconds
+from camtopod.event_time import EventTime, microseconds
 from camtopod.keys.rules import STATUS
 from camtopod.predict import Predictor
 from camtopod.records import DaemonStatus, EventCounts, Prediction, Topology
@@ -362,9 +361,6 @@ class Daemon:
         learned.load(recovered.progress.event_time)
         for event in recent:
             learned.note(microseconds(event.t), event.camera)
-        newest = (
-            -math.inf if learned.state.newest_us is None else learned.state.newest_us / MICROSECONDS
-        )
 
         # Receiving and storing.
         numbers = Numbers(self._journal.numbers())
@@ -373,14 +369,15 @@ class Daemon:
         now = self._steady()
         for camera in numbers.cameras[-limits.cameras_max :]:
             cameras.register(camera, now)
+        event_clock = EventClock(
+            learned, limits.future_seconds_max, limits.settle_seconds, wall, now
+        )
         self._intake = Intake(
             numbers,
             cameras,
             Names(read_names(self._journal.meta(NAMES_KEY)), self._clock),
-            Merger(lateness, limits.future_seconds_max, newest, now),
-            EventClock(
-                learned, newest, limits.future_seconds_max, limits.settle_seconds, wall, now
-            ),
+            Merger(lateness, limits.future_seconds_max, event_clock, now),
+            event_clock,
             JournalWriter(self._journal, self._clock),
             limits,
             see=self._live.see,

@@ -4,7 +4,6 @@ that a test sets."""
 from __future__ import annotations
 
 import itertools
-import math
 import threading
 from collections.abc import Sequence
 from pathlib import Path
@@ -15,7 +14,7 @@ import msgspec
 from camtopod import codec
 from camtopod.admin import Rewind
 from camtopod.config import Limits
-from camtopod.event_time import MICROSECONDS, EventTime, microseconds
+from camtopod.event_time import EventTime, microseconds
 from camtopod.records import Event
 from camtopod.serve.ingest import (
     Cameras,
@@ -83,16 +82,14 @@ class IntakeBench:
         for _, entry in self.journal.entries():
             if entry is not None and entry.kind == "event":
                 learned.note(microseconds(codec.event_from_bytes(entry.raw).t), entry.camera)
-        newest = (
-            -math.inf if learned.state.newest_us is None else learned.state.newest_us / MICROSECONDS
-        )
         future = self.limits.future_seconds_max
+        event_clock = EventClock(learned, future, 10.0, self.wall, self.now)
         self.intake = Intake(
             Numbers(self.journal.numbers()),
             Cameras(self.limits.cameras_max),
             Names(read_names(self.journal.meta(NAMES_KEY)), lambda: self.wall),
-            Merger(LATENESS, future, newest, self.now - merge.SETTLE_SECONDS * settled),
-            EventClock(learned, newest, future, 10.0, self.wall, self.now),
+            Merger(LATENESS, future, event_clock, self.now - merge.SETTLE_SECONDS * settled),
+            event_clock,
             JournalWriter(self.journal, lambda: self.wall),
             self.limits,
             see=lambda ready, seconds: self.predicted.extend(ready),

@@ -46,7 +46,6 @@ def execute(
                 cameras.rename(old, new)
             case Reset():
                 cameras.forget_all()
-                intake.merger.event_time = -math.inf
                 intake.event_clock.newest = -math.inf
         intake.queue.put([replace(entry, stored=stored)])
 

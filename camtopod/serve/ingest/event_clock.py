@@ -8,8 +8,10 @@ event time back.
 
 from __future__ import annotations
 
+import math
+
 from camtopod.admin import Command, Forget, Rename, Reset, Rewind
-from camtopod.event_time import EventTime, EventTimeState, microseconds
+from camtopod.event_time import MICROSECONDS, EventTime, EventTimeState, microseconds
 from camtopod.serve.ingest.received import Received
 from camtopod.serve.storage import Entry
 
@@ -24,7 +26,6 @@ class EventClock:
     never steps.
 
     learned: event time as the learner has it after the stored entries.
-    newest: event time of the newest event to be learned, Unix seconds.
     behind_max: how far (seconds) this machine's clock may be behind event time.
     settle: how far (seconds) event time stays behind the clock when no events come.
     """
@@ -32,14 +33,16 @@ class EventClock:
     def __init__(
         self,
         learned: EventTime,
-        newest: float,
         behind_max: float,
         settle: float,
         wall: float,
         now: float,
     ) -> None:
         self._learned = learned
-        self.newest = newest
+        newest_us = learned.state.newest_us
+        self.newest = -math.inf if newest_us is None else newest_us / MICROSECONDS
+        """Event time of the newest event to be learned, Unix seconds; -infinity if there is none.
+        """
         self._behind_max = behind_max
         self._settle = settle
         self._beside = wall - now  # this machine's clock minus the steady one
@@ -64,26 +67,26 @@ class EventClock:
         self._beside = wall - now
         return step < -STEP_SECONDS_MIN
 
-    def note_released(self, ready: list[Received], wall: float, now: float) -> Received | None:
-        """Follow the events to be learned; return an entry if event time has to follow the clock.
+    def note_released(self, ready: list[Received], now: float) -> None:
+        """Follow the events to be learned."""
+        times = [received.event.t for received in ready if received.event is not None]
+        self.newest = max([self.newest, *times])
+        self._quiet_since = now
 
-        It does when no events come, the learner waits for it, and the last events were of the
-        present.
+    def note_quiet(self, wall: float, now: float) -> list[Received]:
+        """Return an entry if event time has to follow the clock, as no events come.
+
+        It does if the learner waits for it and the last events were of the present.
         """
-        if ready:
-            times = [received.event.t for received in ready if received.event is not None]
-            self.newest = max([self.newest, *times])
-            self._quiet_since = now
-            return None
         deadline, quiet = self.deadline, now - self._quiet_since
         to = wall - self._settle
         if deadline is None or quiet < self._settle or to < max(deadline, self.newest):
-            return None
+            return []
         if abs(self.newest - (wall - quiet)) > self._behind_max + self._settle:
-            return None
+            return []
         self.deadline = None  # until the learner sets another: it may take long to get here
         self.newest = to
-        return Received(Entry("advance", "", None, None, repr(to).encode()), advance=to)
+        return [Received(Entry("advance", "", None, None, repr(to).encode()), advance=to)]
 
     def note_stored(self, received: Received) -> bool:
         """Follow event time as the learner does; return True if an event is too late for it."""

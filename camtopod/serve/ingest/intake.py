@@ -147,9 +147,10 @@ class Intake:
             # 3. Names, floods, and time that passes without events.
             named = [one for received in released for one in self.names.apply(received)]
             ready = [one for received in named for one in self._cut_flood(received)]
-            advance = self.event_clock.note_released(ready, wall, now)
-            if advance is not None and not self.merger.waiting:
-                ready = [advance]
+            if ready:
+                self.event_clock.note_released(ready, now)
+            elif not self.merger.waiting:
+                ready = self.event_clock.note_quiet(wall, now)
 
             # 4. Predict, and leave the rest to `store_waiting`.
             if ready:

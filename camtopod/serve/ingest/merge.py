@@ -18,6 +18,7 @@ import math
 from collections.abc import Iterable
 
 from camtopod.serve.ingest.cameras import CameraState
+from camtopod.serve.ingest.event_clock import EventClock
 from camtopod.serve.ingest.received import Received
 
 SETTLE_SECONDS = 5.0
@@ -47,10 +48,11 @@ class Merger:
 
     lateness: the learner's (seconds). An event older than this is of a backlog.
     ahead_max: events further ahead of the clock (seconds) are stored and not learned.
-    event_time: Unix seconds of the newest learned event; -infinity if there is none.
     """
 
-    def __init__(self, lateness: float, ahead_max: float, event_time: float, now: float) -> None:
+    def __init__(
+        self, lateness: float, ahead_max: float, event_clock: EventClock, now: float
+    ) -> None:
         self._lateness = lateness
         self._settle = SETTLE_SECONDS
         self._ahead_max = ahead_max
@@ -61,8 +63,7 @@ class Merger:
         self.waiting = 0
         """Number of events that wait."""
         self._behind: dict[str, CameraState] = {}  # cameras that may be waited for
-        self.event_time = event_time
-        """Time of the newest event that was released to be learned, Unix seconds."""
+        self._event_clock = event_clock
 
     def add(self, camera: CameraState, events: list[Received], wall: float) -> None:
         """Add events of a camera, in its order; note how far it has come."""
@@ -87,7 +88,7 @@ class Merger:
         """Note that a batch of a camera has come, and how many events wait behind it."""
         camera.more = more
         camera.asked = now
-        if camera.reached < self.event_time:
+        if camera.reached < self._event_clock.newest:
             self._behind.pop(camera.name, None)
             return
         known = (t for t, _ in camera.waiting if t > -math.inf)
@@ -113,10 +114,7 @@ class Merger:
         while heads and len(released) < room:
             name = heads[0][1]
             waiting = self._holding[name].waiting
-            t, received = waiting.popleft()
-            released.append(received)
-            if received.event is not None:
-                self.event_time = max(self.event_time, t)
+            released.append(waiting.popleft()[1])
             if waiting and waiting[0][0] <= limit:
                 heapq.heapreplace(heads, (waiting[0][0], name))
             else:
@@ -127,11 +125,10 @@ class Merger:
         return released
 
     def rewind(self, cameras: Iterable[CameraState], wall: float) -> None:
-        """Take event time back to ``wall``, as this machine's clock was set back.
+        """Compare waiting events with this machine's clock again, as it was set back.
 
-        Waiting events that are too far ahead now are not learned.
+        Those that are too far ahead now are not learned.
         """
-        self.event_time = min(self.event_time, wall)
         for camera in cameras:
             waiting = [received for _, received in camera.waiting]
             camera.waiting.clear()
@@ -156,7 +153,7 @@ class Merger:
         """
         behind = wall - camera.reached
         held = camera.pending is not None
-        if behind <= self._lateness or camera.reached < self.event_time:
+        if behind <= self._lateness or camera.reached < self._event_clock.newest:
             return False
         if not held and (not camera.more or now - camera.asked > self._settle):
             return False

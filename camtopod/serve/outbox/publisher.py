@@ -162,12 +162,12 @@ class Publisher:
 
         Where programs have certificates, this one's is not for these cameras.
         """
-        if not self._daemons:
-            return []
         return [
             camera
             for camera, delivery in self._deliveries.copy().items()
-            if delivery.unanswered >= UNANSWERED_MAX and self._spool.is_own(camera)
+            if self._daemons
+            and delivery.unanswered >= UNANSWERED_MAX
+            and self._spool.is_own(camera)
         ]
 
     def drop(self, camera: str) -> None:

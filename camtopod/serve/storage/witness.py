@@ -7,14 +7,11 @@ After a power cut it may be older or unreadable; then it shows nothing.
 from __future__ import annotations
 
 import contextlib
-import logging
 from typing import NamedTuple
 
 import msgspec
 
 from camtopod.serve.storage.sqlite_file import Lock
-
-log = logging.getLogger(__name__)
 
 
 class JournalExtent(NamedTuple):
@@ -51,7 +48,5 @@ class Witness:
     def note(self, known: JournalExtent) -> None:
         """Write how far the journal has come. Errors are ignored."""
         self.known = known
-        try:
+        with contextlib.suppress(OSError):
             self._lock.write(msgspec.json.encode(known) + b"\n")
-        except OSError as error:
-            log.debug("cannot write the lock file: %s", error)
