@@ -141,7 +141,7 @@ def test_any_order_gives_one_result(deliver: Deliver, quick_path: Path) -> None:
 @pytest.mark.parametrize("deliver", [delayed, caught_up])
 def test_campaign_of_orders(deliver: Deliver, tmp_path_factory: pytest.TempPathFactory) -> None:
     first = size("SEED", 100)
-    for seed in range(first, first + size("DISORDER", 400)):
+    for seed in range(first, first + size("DISORDER", 200)):
         assert deliver(tmp_path_factory.mktemp("order"), random.Random(seed)), f"seed {seed}"
 
 
