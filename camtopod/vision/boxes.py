@@ -3,10 +3,6 @@
 from __future__ import annotations
 
 from math import hypot
-from typing import Any
-
-import numpy as np
-import numpy.typing as npt
 
 Box = tuple[float, float, float, float]
 """Left, top, right, bottom in pixels; right and bottom are exclusive."""
@@ -76,15 +72,6 @@ def iou(a: Box, b: Box) -> float:
     if common is None:
         return 0.0
     return area(common) / (area(a) + area(b) - area(common))
-
-
-def ious(box: npt.NDArray[Any], others: npt.NDArray[Any]) -> npt.NDArray[np.float32]:
-    """Return intersection over union of a box (4,) with each of the others (N, 4)."""
-    low = np.maximum(box[:2], others[:, :2])
-    high = np.minimum(box[2:], others[:, 2:])
-    common = np.prod(np.maximum(high - low, 0.0), axis=1)
-    areas = np.prod(others[:, 2:] - others[:, :2], axis=1) + np.prod(box[2:] - box[:2])
-    return np.asarray(common / np.maximum(areas - common, 1e-6), np.float32)
 
 
 def gap(a: Box, b: Box) -> float:

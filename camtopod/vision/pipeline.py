@@ -116,8 +116,7 @@ class ViewPipeline:
 
         # The size of the image is known from here on. After a relearned scene, tracking restarts.
         if self._tracker is None:
-            watched = self._motion.watched
-            ignored = None if watched is None else IgnoredAreas(watched)
+            ignored = IgnoredAreas(self._motion.watched)
             recorder = Recorder(
                 (width, height), None if self._observer is None else self._decisions.append
             )
@@ -242,14 +241,13 @@ class ViewPipeline:
         """Return counters since the start, noise (grey levels) and shake (pixels)."""
         figures: dict[str, int | float] = dict.fromkeys(_COUNTERS, 0)
         if self._tracker is not None:
-            tracks = (
-                self._tracker.crossings.entries,
-                self._tracker.crossings.exits,
-                sum(track.confirmed for track in self._tracker.active),
-                len(self._tracker.lost),
-                self._tracker.stitched,
-            )
-            figures = dict(zip(_COUNTERS, tracks, strict=True))
+            figures = {
+                "entries": self._tracker.crossings.entries,
+                "exits": self._tracker.crossings.exits,
+                "tracks_active": sum(track.confirmed for track in self._tracker.active),
+                "tracks_broken": len(self._tracker.lost),
+                "tracks_stitched": self._tracker.stitched,
+            }
         figures |= {
             "frames_analysed": self.analysed,
             "ghosts": self.ghosts,

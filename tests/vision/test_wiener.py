@@ -34,4 +34,4 @@ def test_noise_is_measured_whatever_the_texture_and_some_motion(sigma: float) ->
     )
     b[50:150, 100:160] = 20  # somebody came
 
-    assert temporal_noise(b, a) == pytest.approx(sigma, rel=0.2)
+    assert temporal_noise(b, a, np.full(b.shape, 255, np.uint8)) == pytest.approx(sigma, rel=0.2)

@@ -93,10 +93,6 @@ class MotionDetector:
         self._settings = settings
         self._background: Background | None = None
         self._last: Luma | None = None
-        self.watched: Luma | None = None
-        """Mask (H, W): 0 where motion does not count; None if it does everywhere, or before the
-        first frame.
-        """
         self.noise = 0.0
         """One-sigma temporal noise of the working image, grey levels."""
         self.shake = 0.0
@@ -118,6 +114,7 @@ class MotionDetector:
         """Measure the noise of ``frame``; return the frame, filtered if it is noisy."""
         if self._last is None or self._last.shape != frame.shape:
             self.watched = watched_pixels(self._settings.ignore, *frame.shape)
+            """Mask (H, W): 0 where motion does not count."""
         else:
             noise = temporal_noise(frame, self._last, self.watched)
             self.noise += (_NOISE_RATE if self.noise else 1.0) * (noise - self.noise)
@@ -130,7 +127,7 @@ class MotionDetector:
         """Take the median of ``frames`` (at most 24 of them) as the settled scene."""
         step = -(-len(frames) // BOOTSTRAP_FRAMES_MAX)
         self._background = Background(frames[::step], BACKGROUND_SECONDS)
-        self._settled: Luma = self._without_ignored(np.full(frames[0].shape, 255, np.uint8))
+        self._settled: Luma = self.watched.copy()
         self._swaying = Swaying(frames[0].shape[:2])
         self._unclaimed_seconds: cv2.typing.MatLike = np.zeros(frames[0].shape, np.float32)
         self._changed_seconds = 0.0
@@ -155,10 +152,12 @@ class MotionDetector:
             difference = cv2.absdiff(frame, expected)
 
         # Moving pixels; an image that has changed as a whole for long ends this scene.
-        least = self._difference_min()
-        differs = self._without_ignored(cv2.threshold(difference, least, 255, cv2.THRESH_BINARY)[1])
+        noise = NOISE_FACTOR * min(self.noise, NOISE_TO_FILTER)
+        least = max(DIFFERENCE_MIN / self._settings.sensitivity, noise)
+        differs = cv2.threshold(difference, least, 255, cv2.THRESH_BINARY)[1]
+        differs = cv2.bitwise_and(differs, self.watched)
         moving = self._swaying.without(differs, frame, expected, least)
-        share = cv2.countNonZero(moving) / self._watched_count(moving)
+        share = cv2.countNonZero(moving) / max(1, cv2.countNonZero(self.watched))
         self._changed_seconds += dt
         if share <= WHOLE_IMAGE_SHARE:
             self._changed_seconds = 0.0
@@ -177,19 +176,6 @@ class MotionDetector:
         # Opening removes lines, such as outlines of furniture.
         solid = cv2.morphologyEx(solid, cv2.MORPH_OPEN, _CROSS)
         return Motion(frame, solid, edges, moving, differs, expected)
-
-    def _difference_min(self) -> float:
-        """Return the smallest difference of a moving pixel, grey levels: above the noise."""
-        noise = NOISE_FACTOR * min(self.noise, NOISE_TO_FILTER)
-        return max(DIFFERENCE_MIN / self._settings.sensitivity, noise)
-
-    def _without_ignored(self, mask: Luma) -> Luma:
-        """Return ``mask`` (H, W) with 0 at ignored pixels."""
-        return mask if self.watched is None else cv2.bitwise_and(mask, self.watched)
-
-    def _watched_count(self, mask: Luma) -> int:
-        """Return how many pixels of ``mask`` are not ignored, at least 1."""
-        return mask.size if self.watched is None else max(1, cv2.countNonZero(self.watched))
 
     def _own_texture(self, frame: Luma, expected: Luma) -> tuple[Luma, Luma]:
         """Return the image's own edges, and the pixels that differ by more than a shadow can.
@@ -218,7 +204,7 @@ class MotionDetector:
             columns = slice(max(0, int(left - margin)), max(0, int(right + margin) + 1))
             free[rows, columns] = 0
         settled = cv2.subtract(free, cv2.dilate(motion.changed, _SQUARE))
-        self._settled = self._without_ignored(settled)
+        self._settled = cv2.bitwise_and(settled, self.watched)
         unclaimed = cv2.bitwise_and(motion.changed, free)
 
         self._swaying.learn(motion.differs, dt, free)
@@ -247,8 +233,8 @@ class MotionDetector:
         """
         assert self._background is not None, "bootstrap first"
         left, top, right, bottom = (max(0, int(value)) for value in box)
-        rows, columns = slice(max(0, top - 2), bottom + 2), slice(max(0, left - 2), right + 2)
-        mask = motion.moving[rows, columns]
+        part = slice(max(0, top - 2), bottom + 2), slice(max(0, left - 2), right + 2)
+        mask = motion.moving[part]
         if mask.size == 0:
             return False
         outline = cv2.morphologyEx(mask, cv2.MORPH_GRADIENT, _SQUARE) != 0
@@ -257,27 +243,24 @@ class MotionDetector:
 
         # Compare the gradients along the outline.
         frame = motion.frame
-        now = cv2.morphologyEx(frame[rows, columns], cv2.MORPH_GRADIENT, _CROSS)[outline].mean()
-        model = cv2.morphologyEx(self._background.image[rows, columns], cv2.MORPH_GRADIENT, _CROSS)[
-            outline
-        ].mean()
+        now = cv2.morphologyEx(frame[part], cv2.MORPH_GRADIENT, _CROSS)[outline].mean()
+        scene = self._background.image[part]
+        model = cv2.morphologyEx(scene, cv2.MORPH_GRADIENT, _CROSS)[outline].mean()
         if float(model) < GHOST_RATIO * max(1.0, float(now)):
             return False
 
         # Adopt the image.
         where = np.zeros(frame.shape, np.uint8)
-        where[rows, columns] = cv2.dilate(mask, _SQUARE)
+        where[part] = cv2.dilate(mask, _SQUARE)
         self._adopt(frame, where)
         return True
 
 
-def watched_pixels(ignore: Sequence[Polygon], height: int, width: int) -> Luma | None:
-    """Return a mask (H, W): 255 where motion counts, 0 in ``ignore``; None if that is empty.
+def watched_pixels(ignore: Sequence[Polygon], height: int, width: int) -> Luma:
+    """Return a mask (H, W): 255 where motion counts, 0 in ``ignore``.
 
     A pixel is ignored if the polygon covers its middle or passes through it.
     """
-    if not ignore:
-        return None
     mask = np.full((height, width), 255, np.uint8)
     for polygon in ignore:
         corners = np.array(polygon) * (width, height) - 0.5  # pixel (0, 0) has its middle at 0.5

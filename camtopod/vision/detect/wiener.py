@@ -52,18 +52,17 @@ def wiener(
 def temporal_noise(
     frame: cv2.typing.MatLike,
     previous: cv2.typing.MatLike,
-    watched: cv2.typing.MatLike | None = None,
+    watched: cv2.typing.MatLike,
 ) -> float:
     """Return the one-sigma noise (grey levels) between two consecutive frames (H, W).
 
     Every fourth pixel of every fourth row is used. The quarter of these that changed most is left
     out as motion.
 
-    watched (H, W): pixels that are 0 do not count; by default all do.
+    watched (H, W): pixels that are 0 do not count.
     """
     change = cv2.absdiff(*(np.ascontiguousarray(image[::4, ::4]) for image in (frame, previous)))
-    if watched is not None:
-        change = change[watched[::4, ::4] != 0]
+    change = change[watched[::4, ::4] != 0]
     kept = max(1, int(change.size * _TRIM))
     at_most = np.cumsum(np.bincount(change.ravel()))  # pixels that changed by at most 0, 1, ...
     total = int(np.maximum(kept - at_most, 0).sum())

@@ -12,8 +12,6 @@ G = sum of (W / s) * (H / s) over the strides s = 8, 16, 32:
 - ``ssd``: (1, 1, N, 7): image, class, score, left, top, right, bottom; fractions. BGR, 0 to 255.
 - ``rt-detr``: (1, Q, 4) and (1, Q, C), or both in one (1, Q, 4 + C): middle, size (fractions) and
   scores or their logits. RGB, 0 to 1. Without NMS.
-
-Pure NumPy.
 """
 
 from __future__ import annotations
@@ -21,10 +19,11 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import NamedTuple, get_args
 
+import cv2
 import numpy as np
 import numpy.typing as npt
 
-from camtopod.vision.boxes import Size, ious
+from camtopod.vision.boxes import Size
 from camtopod.vision.settings import Layout
 
 Array = npt.NDArray[np.float32]
@@ -268,12 +267,13 @@ def nms(found: Found) -> Found:
 
     found: best first.
     """
-    kept: list[int] = []
-    for index in range(len(found.scores)):
-        same = [other for other in kept if found.classes[other] == found.classes[index]]
-        if not same or ious(found.boxes[index], found.boxes[same]).max() <= IOU_MAX:
-            kept.append(index)
-    return Found(found.boxes[kept], found.scores[kept], found.classes[kept])
+    corners = found.boxes.astype(float)
+    places = np.concatenate([corners[:, :2], corners[:, 2:] - corners[:, :2]], axis=1)
+    kept = cv2.dnn.NMSBoxesBatched(
+        places.tolist(), found.scores.tolist(), found.classes.tolist(), 0.0, IOU_MAX
+    )
+    order = np.asarray(kept, int)
+    return Found(found.boxes[order], found.scores[order], found.classes[order])
 
 
 def _corners(places: Array) -> Array:

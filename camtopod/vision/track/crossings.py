@@ -56,7 +56,7 @@ class Crossings:
         width: int,
         height: int,
         doors: Sequence[Polygon],
-        ignored: IgnoredAreas | None,
+        ignored: IgnoredAreas,
         recorder: Recorder,
     ) -> None:
         """Prepare for a working image of ``width`` x ``height`` pixels.
@@ -80,8 +80,7 @@ class Crossings:
 
     def touches(self, box: Box) -> bool:
         """Return True if the border of the image or an ignored area cuts the box."""
-        ignored = self._ignored
-        return touches_border(box, self.size) or (ignored is not None and ignored.cut(box))
+        return touches_border(box, self.size) or self._ignored.cut(box)
 
     def _border(self, box: Box, height: float, drift: tuple[float, float]) -> Edge | None:
         """Return the border that a person's box is near to, or across when moved by ``drift``.
@@ -136,8 +135,6 @@ class Crossings:
 
         sense: 1.0 for the way that it goes on, -1.0 for the way that it came.
         """
-        if self._ignored is None:
-            return None
         dx, dy = track.velocity
         lead = self._margin + REACH_SECONDS * hypot(dx, dy)
         if self._ignored.cut(at.box):  # the piece of it that is still seen may be far from the foot

@@ -37,8 +37,7 @@ class IgnoredAreas:
         left, right = (int(min(max(x, 0), width)) for x in (box[0] - TOUCH_PIXELS, box[2] + 2))
         top, bottom = (int(min(max(y, 0), height)) for y in (box[1] - TOUCH_PIXELS, box[3] + 2))
         sums = self._sums
-        count = sums[bottom, right] - sums[top, right] - sums[bottom, left] + sums[top, left]
-        return bool(count > 0)
+        return bool(sums[bottom, right] - sums[top, right] > sums[bottom, left] - sums[top, left])
 
     def beyond(
         self, foot: tuple[float, float], heading: tuple[float, float], lead: float, margin: float
@@ -52,7 +51,7 @@ class IgnoredAreas:
         """
         height, width = self._ignored.shape
         length = hypot(*heading)
-        if length == 0.0:
+        if length == 0.0 or not self._sums[-1, -1]:
             return None
 
         # Pixels along the way, up to the border of the image.
