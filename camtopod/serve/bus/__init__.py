@@ -21,7 +21,7 @@ from camtopod.serve.bus.session import (
     log_to_standard_output as log_to_standard_output,
     open_daemon_session as open_daemon_session,
 )
-from camtopod.serve.bus.single_daemon import ROLE as ROLE, OtherDaemons as OtherDaemons
+from camtopod.serve.bus.single_daemon import OtherDaemons as OtherDaemons
 from camtopod.serve.bus.site_choice import (
     sites_instead as sites_instead,
     take_only_site as take_only_site,

@@ -108,8 +108,6 @@ class Bus:
         full link are dropped, except one topology, which is sent when the link has room; the
         subscriber notices the gap in the versions, and queries the topology.
         """
-        if self._closed.is_set():
-            return
         self._mind_size(key, payload)
 
         # Decide what to do for a link that is full: drop the message, wait for room, or let one
@@ -198,8 +196,6 @@ class Bus:
         Answers that do not come within the time limit are missing. Raises `QueryError` if there is
         no answer but a refusal.
         """
-        if self._closed.is_set():
-            return []
         given = ";".join(f"{name}={value}" for name, value in (parameters or {}).items())
         answers: list[tuple[str, bytes]] = []
         refusal = None

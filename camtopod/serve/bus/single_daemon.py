@@ -15,9 +15,6 @@ from camtopod.serve.bus.session import Bus, BusError
 
 log = logging.getLogger(__name__)
 
-ROLE = "daemon"
-"""Role under which daemons appear on the bus, see `Bus.announce`."""
-
 
 class OtherDaemons:
     """The other daemons of the site.
@@ -33,7 +30,7 @@ class OtherDaemons:
     def require_none(self, seconds: float, cancelled: threading.Event) -> None:
         """Raise `BusError` if there is another daemon, and it does not leave within ``seconds``."""
         deadline = time.monotonic() + seconds
-        while others := set(self._bus.list_alive(ROLE)) - {self.name}:
+        while others := set(self._bus.list_alive("daemon")) - {self.name}:
             if time.monotonic() >= deadline:
                 raise BusError(
                     f"another daemon ({', '.join(sorted(others))}) serves site {self._bus.site} "
@@ -44,8 +41,8 @@ class OtherDaemons:
 
     def appear(self) -> None:
         """Appear as a daemon of the site, and watch for others."""
-        self._bus.watch_alive(ROLE, self._on_change)
-        self._bus.announce(ROLE, self.name)
+        self._bus.watch_alive("daemon", self._on_change)
+        self._bus.announce("daemon", self.name)
 
     @property
     def reason(self) -> str:

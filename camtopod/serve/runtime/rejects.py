@@ -12,8 +12,6 @@ log = logging.getLogger(__name__)
 
 QUOTE_CHARACTERS_MAX = 120
 """Longest part of a sample that is kept, in characters."""
-REASONS_MAX = 100
-"""Most reasons that are counted apart; further ones are counted together as ``other``."""
 SAMPLES_MAX = 3
 """Samples kept of each reason, the newest ones."""
 
@@ -29,15 +27,12 @@ class Rejects:
     def add(self, reason: str, where: str, detail: str, raw: bytes = b"") -> None:
         """Count one rejected input.
 
-        reason: the name it is counted under.
+        reason: the name it is counted under, one of a few.
         where: where it came from.
         detail: why it was rejected.
         raw: the input itself.
         """
         with self._mutex:
-            # Count.
-            if reason not in self.counts and len(self.counts) >= REASONS_MAX:
-                reason = "other"
             self.counts[reason] += 1
 
             # Keep a shortened and redacted sample.

@@ -272,21 +272,18 @@ def readable(
     """
     if path.stat().st_size == 0:
         return  # it has no rows, and SQLite would delete the log beside it
-    try:
-        with contextlib.closing(
-            sqlite3.connect(f"{path.resolve().as_uri()}?mode=ro", uri=True)
-        ) as database:
-            database.text_factory = _text
-            for order in ("ASC", "DESC"):
-                try:
-                    yield from database.execute(
-                        f"SELECT * FROM {table} NOT INDEXED ORDER BY {key} {order}"
-                    )
-                    return
-                except (sqlite3.Error, UnicodeDecodeError) as error:
-                    log.info("reading %s of %s by %s %s: %s", table, path, key, order, error)
-    except (sqlite3.Error, UnicodeDecodeError) as error:
-        log.info("opening %s: %s", path, error)
+    with contextlib.closing(
+        sqlite3.connect(f"{path.resolve().as_uri()}?mode=ro", uri=True)
+    ) as database:
+        database.text_factory = _text
+        for order in ("ASC", "DESC"):
+            try:
+                yield from database.execute(
+                    f"SELECT * FROM {table} NOT INDEXED ORDER BY {key} {order}"
+                )
+                return
+            except (sqlite3.Error, UnicodeDecodeError) as error:
+                log.info("reading %s of %s by %s %s: %s", table, path, key, order, error)
 
 
 def _make_directory(directory: Path) -> None:
