@@ -66,14 +66,6 @@ def overlap(a: Box, b: Box) -> float:
     return area(common) / max(min(area(a), area(b)), 1.0)
 
 
-def iou(a: Box, b: Box) -> float:
-    """Return intersection over union, 0 to 1."""
-    common = intersection(a, b)
-    if common is None:
-        return 0.0
-    return area(common) / (area(a) + area(b) - area(common))
-
-
 def gap(a: Box, b: Box) -> float:
     """Return the distance between two boxes in pixels, 0 where they overlap."""
     x = max(0.0, max(a[0], b[0]) - min(a[2], b[2]))

@@ -22,13 +22,10 @@ _TRIMMED_MEAN = 0.5147
 """Mean of the lowest 75 % of abs(z) for standard normal z."""
 
 
-def wiener(
-    image: npt.NDArray[Any], size: int = 3, noise: float | None = None
-) -> npt.NDArray[np.floating[Any]]:
+def wiener(image: npt.NDArray[Any], size: int, noise: float) -> npt.NDArray[np.floating[Any]]:
     """Filter ``image`` (H, W) with a window of ``size`` x ``size`` pixels (odd).
 
-    noise (grey levels squared): variance of the noise; by default the mean of the local variances,
-        as in SciPy, which mistakes texture for noise.
+    noise (grey levels squared): variance of the noise.
 
     float64 stays float64, every other type becomes float32. The image is padded with zeros.
     """
@@ -41,8 +38,6 @@ def wiener(
     mean = cv2.boxFilter(image, depth, window, borderType=cv2.BORDER_CONSTANT)
     variance = cv2.sqrBoxFilter(image, depth, window, borderType=cv2.BORDER_CONSTANT)
     variance = variance - mean * mean
-    if noise is None:
-        noise = float(variance.mean())
 
     # Where the variance does not exceed the noise, the weight is 0 and the mean remains.
     weight = 1.0 - noise / np.maximum(variance, max(noise, float(np.finfo(dtype).tiny)))

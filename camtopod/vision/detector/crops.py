@@ -10,6 +10,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from functools import reduce
 from math import inf
+from statistics import median_high
 
 import numpy as np
 
@@ -83,7 +84,7 @@ class Crops:
                     group = groups[i] + groups[j]
                     crop = self._crop(group)
                     side = box_height(crop)
-                    if side < best_side and _median_height(group) >= least * side:
+                    if side < best_side and median_high(map(box_height, group)) >= least * side:
                         best = (i, j)
                         best_side = side
             if best is None:
@@ -124,11 +125,6 @@ def whole(size: Size, input_size: Size) -> Box:
     height = max(size[1], size[0] / aspect)
     x, y = (size[0] - height * aspect) / 2, (size[1] - height) / 2
     return (x, y, x + height * aspect, y + height)
-
-
-def _median_height(group: Sequence[Box]) -> float:
-    heights = sorted(map(box_height, group))
-    return heights[len(heights) // 2]
 
 
 def _placed(start: float, length: float, whole_length: float) -> float:

@@ -23,7 +23,6 @@ from camtopod.vision.boxes import (
     box_height,
     centre,
     intersection,
-    iou,
 )
 from camtopod.vision.detect import Blob, Luma
 
@@ -117,7 +116,8 @@ def same_object(track: Box, detection: Box) -> bool:
 
 def same_outline(a: Box, b: Box) -> bool:
     """Return True if two boxes have the same outline, nearly."""
-    return iou(a, b) > SAME_IOU
+    common = intersection(a, b)
+    return common is not None and area(common) > SAME_IOU * (area(a) + area(b) - area(common))
 
 
 def share_inside(moving: Luma, crop: Box, boxes: Sequence[Box]) -> tuple[int, int]:

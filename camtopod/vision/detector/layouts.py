@@ -93,19 +93,19 @@ def recognise(outputs: Sequence[Array], size: Size, asked: Layout | None) -> For
     Raises `LayoutError`, which names the values of `layout` that can be written.
     """
     forms = _possible(outputs, size)
+    fitting = [form for form in forms if asked in (None, form.layout)]
+    if len(fitting) == 1 or (fitting and asked is not None):
+        return fitting[0]
+
+    # None fits, or several do.
     shapes = " and ".join(str(tuple(output.shape)) for output in outputs)
     if asked is not None:
-        fitting = [form for form in forms if form.layout == asked]
-        if not fitting:
-            raise LayoutError(
-                f"its outputs, {shapes}, are not of the layout {asked!r}; {_can_be(forms)}"
-            )
-        return fitting[0]
-    if len(forms) == 1:
-        return forms[0]
-    if not forms:
-        raise LayoutError(f"its outputs, {shapes}, are of no known layout; {_can_be(forms)}")
-    raise LayoutError(f"its outputs, {shapes}, do not tell their layout; {_can_be(forms)}")
+        what = f"are not of the layout {asked!r}"
+    elif forms:
+        what = "do not tell their layout"
+    else:
+        what = "are of no known layout"
+    raise LayoutError(f"its outputs, {shapes}, {what}; {_can_be(forms)}")
 
 
 def _can_be(forms: Sequence[Form]) -> str:

@@ -45,6 +45,7 @@ _DOOR: Colour = (240, 150, 60)
 _DETECTION: Colour = (220, 120, 220)
 _ENTRY: Colour = (60, 200, 60)
 _EXIT: Colour = (90, 90, 250)
+_REASONS: dict[str, Colour] = {"entered": _ENTRY, "left": _EXIT, "swapped": _EXIT}
 _WORDS: Colour = (235, 235, 235)
 _GROUND: Colour = (24, 24, 24)
 _FONT = cv2.FONT_HERSHEY_SIMPLEX
@@ -60,20 +61,66 @@ class Words(NamedTuple):
     """Of a decision: what the track was taken for, and why."""
 
 
-class Overlay:
-    """Remembers the last seconds of one view, and draws the present."""
+class Preview:
+    """Draws analysed frames into a file until it cannot be written any more.
 
-    def __init__(self, camera: str, settings: VisionSettings, words: Words) -> None:
+    Remembers the last seconds of one view.
+    """
+
+    def __init__(
+        self,
+        path: Path,
+        camera: str,
+        settings: VisionSettings,
+        words: Words,
+        on_failure: Callable[[str], None],
+    ) -> None:
+        """Make sure that the file can be written. Raises `ShowError` if not.
+
+        on_failure: called once, with the reason, if the file cannot be written later on.
+        """
+        self._file = open_shown_file(path)
         self._camera = camera
         self._settings = settings
         self._words = words
+        self._on_failure = on_failure
+        self._latest: Analysis | None = None
+        self._failed = False
         self._paths: dict[int, deque[tuple[float, float, float]]] = {}
         """Time (seconds) and foot point (pixels of the working picture) by track number."""
         self._events: deque[tuple[float, Event]] = deque()
         """Time (seconds) from which an event is drawn, and the event."""
         self._lines: deque[tuple[Colour, str]] = deque(maxlen=LINES)
 
-    def remember(self, analysis: Analysis) -> None:
+    def __call__(self, analysis: Analysis) -> None:
+        """Take in a frame, and draw it if the file wants it."""
+        if self._failed:
+            return
+        self._remember(analysis)
+        self._latest = analysis
+        now = time.monotonic()
+        try:
+            if self._file.wants(analysis.t, now):
+                self._file.write(analysis.t, now, self._drawn(analysis))
+        except ShowError as error:
+            self._fail(error)
+
+    def close(self) -> None:
+        """Write the last picture and complete the file."""
+        try:
+            if self._latest is not None and not self._failed:
+                self._file.finish(self._drawn(self._latest))
+            self._file.close()
+        except ShowError as error:
+            self._fail(error)
+
+    def _fail(self, error: ShowError) -> None:
+        """Stop drawing, and report the reason once."""
+        if not self._failed:
+            self._failed = True
+            self._on_failure(str(error))
+
+    def _remember(self, analysis: Analysis) -> None:
         """Take in the paths, events and decisions of a frame. Costs little."""
         # Paths of the last seconds.
         for track in analysis.tracks:
@@ -92,9 +139,9 @@ class Overlay:
             self._events.popleft()
         for one in analysis.decisions:
             text = f"{self._words.time(one.t)} track {one.track}: {self._words.decision(one)}"
-            self._lines.append((_colour(one), text))
+            self._lines.append((_REASONS.get(one.reason, _TENTATIVE), text))
 
-    def draw(self, analysis: Analysis) -> Picture:
+    def _drawn(self, analysis: Analysis) -> Picture:
         """Return the drawn picture of a frame that was remembered last."""
         height, width = analysis.frame.shape
         factor = WIDTH / width
@@ -152,65 +199,6 @@ class Overlay:
         for row, (colour, text) in enumerate(self._lines):
             _write(strip, (6, (row + 1) * LINE_PIXELS), text, colour)
         return strip
-
-
-class Preview:
-    """Draws analysed frames into a file until it cannot be written any more."""
-
-    def __init__(
-        self,
-        path: Path,
-        camera: str,
-        settings: VisionSettings,
-        words: Words,
-        on_failure: Callable[[str], None],
-    ) -> None:
-        """Make sure that the file can be written. Raises `ShowError` if not.
-
-        on_failure: called once, with the reason, if the file cannot be written later on.
-        """
-        self._file = open_shown_file(path)
-        self._overlay = Overlay(camera, settings, words)
-        self._on_failure = on_failure
-        self._latest: Analysis | None = None
-        self._failed = False
-
-    def __call__(self, analysis: Analysis) -> None:
-        """Take in a frame, and draw it if the file wants it."""
-        if self._failed:
-            return
-        self._overlay.remember(analysis)
-        self._latest = analysis
-        now = time.monotonic()
-        try:
-            if self._file.wants(analysis.t, now):
-                self._file.write(analysis.t, now, self._overlay.draw(analysis))
-        except ShowError as error:
-            self._fail(error)
-
-    def close(self) -> None:
-        """Write the last picture and complete the file."""
-        try:
-            if self._latest is not None and not self._failed:
-                self._file.finish(self._overlay.draw(self._latest))
-            self._file.close()
-        except ShowError as error:
-            self._fail(error)
-
-    def _fail(self, error: ShowError) -> None:
-        """Stop drawing, and report the reason once."""
-        if not self._failed:
-            self._failed = True
-            self._on_failure(str(error))
-
-
-def _colour(decision: Decision) -> Colour:
-    """Return the colour of a decision's words."""
-    if decision.reason == "entered":
-        return _ENTRY
-    if decision.reason in ("left", "swapped"):
-        return _EXIT
-    return _TENTATIVE
 
 
 def _draw_areas(picture: Picture, areas: Iterable[Polygon]) -> None:

@@ -5,8 +5,6 @@ An ``rtsp://`` URL without a path is tried with each of them.
 
 from __future__ import annotations
 
-from camtopod.vision.source.source_url import kind_of
-
 PATHS = {
     "Axis": "/axis-media/media.amp",
     "Bosch": "/rtsp_tunnel",
@@ -29,7 +27,7 @@ def streams_by_maker(source: str) -> dict[str, str]:
     """Return the URLs to try, by makers, for an ``rtsp://`` URL without a path; else none."""
     scheme, separator, rest = source.partition("://")
     bare = rest.rstrip("/")
-    if kind_of(source) != "stream" or scheme.lower() not in ("rtsp", "rtsps") or not separator:
+    if scheme.lower() not in ("rtsp", "rtsps") or not separator:
         return {}
     if "/" in bare.rpartition("@")[2] or "?" in bare.rpartition("@")[2]:
         return {}

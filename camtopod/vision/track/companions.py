@@ -68,26 +68,24 @@ def missing_track(t: float, blob: Blob, held: list[Track], number: int) -> Track
     free = max(blob.heads, key=lambda x: min(abs(x - _column(track)) for track in held))
     nearest = min(held, key=lambda track: abs(free - _column(track)))
     width = blob.width / len(blob.heads)
-    added = _at(t, free, width, replace(nearest, number=number))
+    added = replace(nearest, number=number)
+    _move(added, t, free, width)
     if len(held) == 1:
         own = blob.heads[-1] if free == blob.heads[0] else blob.heads[0]
-        moved = _at(t, own, width, nearest)
-        nearest.last = moved.last
-        nearest.history = moved.history
-        nearest.kalman = moved.kalman
-        nearest.width = width
+        _move(nearest, t, own, width)
     return added
 
 
-def _at(t: float, x: float, width: float, track: Track) -> Track:
-    """Return a track with its latest sighting moved to column ``x`` and given a width, pixels."""
+def _move(track: Track, t: float, x: float, width: float) -> None:
+    """Move the latest sighting of a track to column ``x`` and give it a width, pixels."""
     _, top, _, bottom = track.last.box
     box: Box = (x - width / 2, top, x + width / 2, bottom)
-    last = Sighting(t, (x, bottom), box)
-    kalman = Kalman((x, top, x, bottom), track.height)
-    kalman.velocity = track.kalman.velocity
-    history = deque([*list(track.history)[:-1], last], maxlen=HISTORY_SIGHTINGS)
-    return replace(track, last=last, kalman=kalman, width=width, history=history)
+    velocity = track.kalman.velocity
+    track.last = Sighting(t, (x, bottom), box)
+    track.kalman = Kalman((x, top, x, bottom), track.height)
+    track.kalman.velocity = velocity
+    track.width = width
+    track.history = deque([*list(track.history)[:-1], track.last], maxlen=HISTORY_SIGHTINGS)
 
 
 def _column(track: Track) -> float:

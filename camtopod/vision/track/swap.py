@@ -10,7 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from camtopod.vision.boxes import TOUCH_PIXELS, Box, Size, border_distances
+from camtopod.vision.boxes import TOUCH_PIXELS, Size, border_distances
 from camtopod.vision.track.track import Sighting
 
 CHANGE_HEIGHTS = 0.35
@@ -35,7 +35,8 @@ def find_swap(history: Sequence[Sighting], size: Size, width: float, height: flo
     for side in range(4):
         # Turning point: the sighting with the least extent into the view.
         whole = width if side in (0, 2) else height
-        into = [_into_view(sighting.box, side, size) for sighting in history]
+        boxes = [sighting.box for sighting in history]
+        into = [(box[2], box[3], size[0] - box[0], size[1] - box[1])[side] for box in boxes]
         turn = min(range(len(into)), key=into.__getitem__)
         if not 0 < turn < len(into) - 1 or into[turn] > LEFT_SHARE * whole:
             continue
@@ -55,8 +56,3 @@ def find_swap(history: Sequence[Sighting], size: Size, width: float, height: flo
         if max(map(abs, steps)) <= SPEED_MAX * height:
             return turn
     return None
-
-
-def _into_view(box: Box, side: int, size: Size) -> float:
-    """Return how far the box extends from a side (0 to 3: left, top, right, bottom), pixels."""
-    return (box[2], box[3], size[0] - box[0], size[1] - box[1])[side]

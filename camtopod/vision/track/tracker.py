@@ -551,7 +551,6 @@ class Tracker:
         # Split them by where they were seen last.
         left = []
         for track in tracks:
-            track.edge = None
             if not track.confirmed:
                 self._note("paused", track, track.last)
             elif edge := self.crossings.at_edge(track):
