@@ -81,7 +81,7 @@ class Topology(SiteView):
         return self._opened(lambda bus: Predictions(bus, camera, seconds))
 
 
-class Predictions(PredictionQueue):
+class Predictions(PredictionQueue, contextlib.AbstractAsyncContextManager["Predictions"]):
     """As `camtopod.client.Predictions`, for ``async for``; ``async with`` closes it."""
 
     async def get(self, seconds: float | None = None) -> Prediction | None:
@@ -91,9 +91,6 @@ class Predictions(PredictionQueue):
     async def __aiter__(self) -> AsyncIterator[Prediction]:
         while (prediction := await self.get(self._seconds)) is not None:
             yield prediction
-
-    async def __aenter__(self) -> Predictions:
-        return self
 
     async def __aexit__(self, *_: object) -> None:
         self.close()

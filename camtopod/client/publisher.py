@@ -25,7 +25,7 @@ RETRY_SECONDS = 1.0
 """Interval between two attempts to connect, and to store events that a full disk has delayed."""
 
 
-class Publisher:
+class Publisher(contextlib.AbstractContextManager["Publisher"]):
     """Publish the events of one camera: each is on disk until a daemon has stored it.
 
         with Publisher("lobby") as publisher:
@@ -111,9 +111,6 @@ class Publisher:
             if self._bus is not None:
                 self._bus.close()
             self._spool.close()
-
-    def __enter__(self) -> Publisher:
-        return self
 
     def __exit__(self, *_: object) -> None:
         self.close()

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 from collections.abc import Iterator, Sequence
 from functools import partial
 
@@ -10,7 +11,7 @@ from camtopod.client.site_view import Settings, SiteView
 from camtopod.records import Prediction, Topology as Version
 
 
-class Topology(SiteView):
+class Topology(SiteView, contextlib.AbstractContextManager["Topology"]):
     """Live view of the topology that a site's daemon has learned.
 
         with Topology.connect("hq") as site:
@@ -77,14 +78,11 @@ class Topology(SiteView):
         """
         return self._opened(lambda bus: Predictions(bus, camera, seconds))
 
-    def __enter__(self) -> Topology:
-        return self
-
     def __exit__(self, *_: object) -> None:
         self.close()
 
 
-class Predictions(PredictionQueue):
+class Predictions(PredictionQueue, contextlib.AbstractContextManager["Predictions"]):
     """The daemon's predictions in order of arrival.
 
         with site.predictions("lobby") as predictions:
@@ -102,9 +100,6 @@ class Predictions(PredictionQueue):
     def __iter__(self) -> Iterator[Prediction]:
         while (prediction := self.get(self._seconds)) is not None:
             yield prediction
-
-    def __enter__(self) -> Predictions:
-        return self
 
     def __exit__(self, *_: object) -> None:
         self.close()

@@ -187,7 +187,6 @@ def why(link: Link, weak: bool, source: ZoneModel | None, background: float | No
             f"Within these {seconds(span)} about {unrelated} unrelated arrivals are "
             f"expected; {found} more than that were found."
         )
-    rule = Settings().publish_q_max
     said.append(
         f"Of links with as much evidence as this one, {_odds(link.q_value)} would be spurious."
     )
@@ -201,7 +200,8 @@ def why(link: Link, weak: bool, source: ZoneModel | None, background: float | No
     if weak:
         lacks = f" It lacks {lacks_in_words(link.lacks)}." if link.lacks else ""
         said.append(
-            f"It is not published: not all rules for that are met yet (among them q ≤ {rule:g} and "
+            f"It is not published: not all rules for that are met yet (among them q ≤ "
+            f"{Settings().publish_q_max:g} and "
             f"{_share(Settings().publish_probability_min)} of the departures).{lacks} "
             "It is used in predictions only."
         )

@@ -14,6 +14,7 @@ import threading
 import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import pytest
@@ -31,9 +32,14 @@ from camtopod.serve.runtime.progress import Progress
 # --- marks ----------------------------------------------------------------------------------------
 
 
-def test_a_loop_that_does_not_get_on_is_named_and_one_that_does_is_not() -> None:
+def test_a_loop_that_does_not_get_on_is_named_and_one_that_does_is_not(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
     now = 100.0
-    progress = Progress(lambda: now)
+    monkeypatch.setattr(
+        "camtopod.serve.runtime.progress.time", SimpleNamespace(monotonic=lambda: now)
+    )
+    progress = Progress()
     receive = progress.watch("receive", 30.0)
     learn = progress.watch("learn", 900.0)
     assert progress.stalled() == []

@@ -72,7 +72,7 @@ class QueryError(Exception):
     """A query that cannot be answered; ``str()`` is sent to the program that asked."""
 
 
-class Bus:
+class Bus(contextlib.AbstractContextManager["Bus"]):
     """One session on the bus of one site.
 
     Do not call it from its own callbacks, except `publish` (a query there waits for itself). Close
@@ -348,9 +348,6 @@ class Bus:
         # A callback that comes when the interpreter has ended would end the process by force.
         with self._asked:
             self._asked.wait_for(lambda: not self._asking, CALLBACKS_SECONDS_MAX)
-
-    def __enter__(self) -> Bus:
-        return self
 
     def __exit__(self, *_: object) -> None:
         self.close()

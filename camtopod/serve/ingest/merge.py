@@ -54,9 +54,8 @@ class Merger:
         self, lateness: float, ahead_max: float, event_clock: EventClock, now: float
     ) -> None:
         self._lateness = lateness
-        self._settle = SETTLE_SECONDS
         self._ahead_max = ahead_max
-        self._nothing_before = now + self._settle
+        self._nothing_before = now + SETTLE_SECONDS
         self._looked = now
         self._said_hello = True
         self._holding: dict[str, CameraState] = {}  # cameras with waiting events
@@ -94,7 +93,7 @@ class Merger:
         known = (t for t, _ in camera.waiting if t > -math.inf)
         if self._said_hello and wall - next(known, wall) > self._lateness:
             self._said_hello = False
-            self._nothing_before = max(self._nothing_before, now + self._settle)
+            self._nothing_before = max(self._nothing_before, now + SETTLE_SECONDS)
         if wall - camera.reached <= self._lateness:
             self._behind.pop(camera.name, None)
             return
@@ -155,7 +154,7 @@ class Merger:
         held = camera.pending is not None
         if behind <= self._lateness or camera.reached < self._event_clock.newest:
             return False
-        if not held and (not camera.more or now - camera.asked > self._settle):
+        if not held and (not camera.more or now - camera.asked > SETTLE_SECONDS):
             return False
 
         if behind < camera.nearest - NEARER_SECONDS:

@@ -286,7 +286,10 @@ class Spool:
         """Run the block in a transaction, which writes the marks that have moved, too."""
         with sqlite_file.transaction(self._db):
             for camera, boot in self._unwritten:
-                spool_tables.set_mark(self._db, camera, boot, self._marks[camera][boot])
+                row = (camera, boot, self._marks[camera][boot])
+                self._db.execute(
+                    "INSERT OR REPLACE INTO mark VALUES (?, ?, ?, ?)", (*row, sqlite_file.crc(*row))
+                )
             yield
         self._unwritten.clear()
 

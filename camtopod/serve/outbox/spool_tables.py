@@ -72,9 +72,3 @@ def row(event: Event) -> tuple[str, str, int, bytes, int]:
     assert event.seq is not None
     columns = event.camera, event.boot, event.seq, codec.to_msgpack(event)
     return (*columns, sqlite_file.crc(*columns))
-
-
-def set_mark(database: sqlite3.Connection, *columns: str | int) -> None:
-    """Insert or replace a mark, with its checksum."""
-    row = (*columns, sqlite_file.crc(*columns))
-    database.execute("INSERT OR REPLACE INTO mark VALUES (?, ?, ?, ?)", row)

@@ -8,7 +8,6 @@ the learner's queue) beats all the same, as a restart would not help.
 
 from __future__ import annotations
 
-import threading
 import time
 from collections.abc import Callable
 
@@ -27,44 +26,37 @@ def no_beat() -> None:
 class Heartbeat:
     """When one loop last made progress, on the monotonic clock."""
 
-    def __init__(self, seconds_max: float, monotonic: Callable[[], float]) -> None:
+    def __init__(self, seconds_max: float) -> None:
         self.seconds_max = seconds_max
-        self._monotonic = monotonic
-        self.last = monotonic()
+        self.last = time.monotonic()
 
     def beat(self) -> None:
         """Record that the loop makes progress now."""
-        self.last = self._monotonic()
+        self.last = time.monotonic()
 
 
 class Progress:
     """The marks of all watched loops of a program. Thread-safe."""
 
-    def __init__(self, monotonic: Callable[[], float] = time.monotonic) -> None:
-        self._monotonic = monotonic
-        self._mutex = threading.Lock()
+    def __init__(self) -> None:
         self._marks: dict[str, Heartbeat] = {}
 
     def watch(self, name: str, seconds_max: float) -> Heartbeat:
         """Return a new mark for the loop ``name``, which may be silent for ``seconds_max``."""
-        mark = Heartbeat(seconds_max, self._monotonic)
-        with self._mutex:
-            self._marks[name] = mark
+        mark = Heartbeat(seconds_max)
+        self._marks[name] = mark
         return mark
 
     def unwatch(self, name: str) -> None:
         """Stop watching a loop, which has ended as it should. May be called twice."""
-        with self._mutex:
-            self._marks.pop(name, None)
+        self._marks.pop(name, None)
 
     def stalled(self) -> list[str]:
         """Return a sentence for each loop over its time limit; empty if all make progress."""
-        now = self._monotonic()
-        with self._mutex:
-            marks = sorted(self._marks.items())
+        now = time.monotonic()
         return [
             f"{name} has made no progress for {now - mark.last:.0f} s"
             f" (limit: {mark.seconds_max:g} s)"
-            for name, mark in marks
+            for name, mark in sorted(self._marks.copy().items())
             if now - mark.last > mark.seconds_max
         ]
