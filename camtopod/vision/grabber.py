@@ -4,15 +4,12 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Iterator
-from typing import Literal
 
 from camtopod.records import Event
 from camtopod.vision.detector.detector import Detector
 from camtopod.vision.pipeline import Observer, ViewPipeline
 from camtopod.vision.settings import VisionSettings
-from camtopod.vision.source import FfmpegLog, LiveSource, RecordedSource, kind_of
-
-State = Literal["connecting", "running", "stalled", "ended"]
+from camtopod.vision.source import FfmpegLog, LiveSource, RecordedSource, State, kind_of
 
 HEARTBEAT_SECONDS = 0.5
 """`Grabber.events` yields at least this often (processing of a single frame aside)."""

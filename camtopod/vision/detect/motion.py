@@ -91,7 +91,8 @@ class MotionDetector:
 
     def __init__(self, settings: VisionSettings) -> None:
         self._settings = settings
-        self._background: Background | None = None
+        self.ready = False
+        """True if there is a background to compare with."""
         self._last: Luma | None = None
         self.noise = 0.0
         """One-sigma temporal noise of the working image, grey levels."""
@@ -99,11 +100,6 @@ class MotionDetector:
         """Running mean of the shift between images and scene, pixels."""
         self._changed_seconds = 0.0
         self.relearned = 0
-
-    @property
-    def ready(self) -> bool:
-        """True if there is a background to compare with."""
-        return self._background is not None
 
     @property
     def disturbed(self) -> bool:
@@ -127,6 +123,7 @@ class MotionDetector:
         """Take the median of ``frames`` (at most 24 of them) as the settled scene."""
         step = -(-len(frames) // BOOTSTRAP_FRAMES_MAX)
         self._background = Background(frames[::step], BACKGROUND_SECONDS)
+        self.ready = True
         self._settled: Luma = self.watched.copy()
         self._swaying = Swaying(frames[0].shape[:2])
         self._unclaimed_seconds: cv2.typing.MatLike = np.zeros(frames[0].shape, np.float32)
@@ -138,7 +135,6 @@ class MotionDetector:
         Returns None if the whole image has changed; the caller then forgets its objects and
         bootstraps again.
         """
-        assert self._background is not None, "bootstrap first"
         expected = self._background.expected(frame, self._settled, self.noise)
 
         # Difference to the expected image. If the camera shakes, the frame is aligned with the
@@ -162,7 +158,7 @@ class MotionDetector:
         if share <= WHOLE_IMAGE_SHARE:
             self._changed_seconds = 0.0
         if self._changed_seconds > WHOLE_IMAGE_SECONDS:
-            self._background = None
+            self.ready = False
             self.relearned += 1
             return None
         if share == 0.0:
@@ -194,8 +190,6 @@ class MotionDetector:
 
         claimed: boxes of confirmed objects, whose pixels are not learned.
         """
-        assert self._background is not None, "bootstrap first"
-
         # Exclude moving pixels and, with a margin, confirmed objects.
         free = np.full(motion.changed.shape, 255, np.uint8)
         for left, top, right, bottom in claimed:
@@ -222,7 +216,6 @@ class MotionDetector:
             )
 
     def _adopt(self, frame: Luma, where: Luma) -> None:
-        assert self._background is not None
         self._background.adopt(frame, where)
         self._unclaimed_seconds[where != 0] = 0.0
 
@@ -231,7 +224,6 @@ class MotionDetector:
 
         The scene then adopts the current image there.
         """
-        assert self._background is not None, "bootstrap first"
         left, top, right, bottom = (max(0, int(value)) for value in box)
         part = slice(max(0, top - 2), bottom + 2), slice(max(0, left - 2), right + 2)
         mask = motion.moving[part]

@@ -9,6 +9,7 @@ capture times from presentation stamps. `ffmpeg_log` finds out why a stream cann
 from camtopod.vision.source.capture import (
     OPEN_SECONDS_MAX as OPEN_SECONDS_MAX,
     READ_SECONDS_MAX as READ_SECONDS_MAX,
+    State as State,
 )
 from camtopod.vision.source.ffmpeg_log import FfmpegLog as FfmpegLog, captured_log as captured_log
 from camtopod.vision.source.live import LiveSource as LiveSource

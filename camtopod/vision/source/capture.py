@@ -14,7 +14,7 @@ Properties of OpenCV's FFmpeg backend that this code respects:
 from __future__ import annotations
 
 import os
-from typing import NamedTuple
+from typing import Literal, NamedTuple
 
 import cv2
 import numpy as np
@@ -46,6 +46,10 @@ _STEP_RATE = 0.1
 """Weight of the newest interval in the running mean of frame intervals."""
 
 
+State = Literal["connecting", "running", "stalled", "ended"]
+"""``connecting``: no frame has arrived yet; ``stalled``: frames arrived before, reconnecting."""
+
+
 class Frame(NamedTuple):
     """A frame to analyse: capture time (seconds) and luma (H, W) at working size."""
 
@@ -53,6 +57,19 @@ class Frame(NamedTuple):
     luma: Luma
     image: Luma | None = None
     """The same in colour and at full size (H, W, 3), if it was asked for."""
+
+
+class Source:
+    """State and counters of a source, whatever its kind."""
+
+    state: State = "connecting"
+    reason: str
+    """Readable reason why the state is not ``running``; "" if it is. Contains no password."""
+    grabbed = 0
+    dropped = 0
+    connections = 0
+    failures = 0
+    untrusted_stamps = 0
 
 
 class Capture:

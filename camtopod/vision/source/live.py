@@ -13,7 +13,6 @@ import threading
 import time
 from collections.abc import Callable, Iterator
 from contextlib import suppress
-from typing import Literal
 
 from camtopod.vision.settings import VisionSettings
 from camtopod.vision.source.capture import (
@@ -22,6 +21,7 @@ from camtopod.vision.source.capture import (
     Capture,
     Frame,
     FrameSelector,
+    Source,
 )
 from camtopod.vision.source.ffmpeg_log import FfmpegLog
 from camtopod.vision.source.frame_times import StampClock
@@ -48,7 +48,7 @@ TIME_STEP_MIN_SECONDS = 0.001
 """Smallest difference of the capture times of consecutive frames."""
 
 
-class LiveSource:
+class LiveSource(Source):
     """A stream or device that reconnects by itself, with jittered, doubling delays."""
 
     def __init__(
@@ -71,13 +71,7 @@ class LiveSource:
         self._queue: queue.Queue[Frame] = queue.Queue(QUEUE_FRAMES)
         self._stop = threading.Event()
         self._thread = threading.Thread(target=self._run, name="capture", daemon=True)
-        self.state: Literal["connecting", "running", "stalled"] = "connecting"
         self.reason = "not connected yet"
-        self.grabbed = 0
-        self.dropped = 0
-        self.connections = 0
-        self.failures = 0
-        self.untrusted_stamps = 0
         self._latest = float("-inf")
         self._called: float | None = None
 

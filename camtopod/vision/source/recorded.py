@@ -5,10 +5,9 @@ from __future__ import annotations
 import os
 import time
 from collections.abc import Iterator
-from typing import Literal
 
 from camtopod.vision.settings import VisionSettings
-from camtopod.vision.source.capture import Capture, Frame, FrameSelector
+from camtopod.vision.source.capture import Capture, Frame, FrameSelector, Source
 
 FPS_UNKNOWN = 25.0
 """Frame rate assumed if a file has neither time stamps nor a frame rate."""
@@ -23,7 +22,7 @@ class SourceError(OSError):
     """
 
 
-class RecordedSource:
+class RecordedSource(Source):
     """A video file. Capture times are ``start`` plus the position in the file, seconds."""
 
     def __init__(
@@ -52,13 +51,8 @@ class RecordedSource:
         if not self._capture.is_open:
             self.close()
             raise SourceError(f"{path}: not a video this program can decode")
-        self.state: Literal["connecting", "running", "ended"] = "connecting"
         self.reason = "not read yet"
-        self.grabbed = 0
-        self.dropped = 0
         self.connections = 1
-        self.failures = 0
-        self.untrusted_stamps = 0
         self.overdue_seconds = 0.0
         """Always 0.0: the caller is the reader and cannot ask while a call of OpenCV lasts."""
 

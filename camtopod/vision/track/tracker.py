@@ -135,10 +135,13 @@ class Tracker:
             track.frames += 1
             track.occluded = False
 
-        # Assign blobs, to groups first, and start tracks with the others.
+        # Assign blobs, to groups first. They occlude others, or start tracks.
         free = self._update_groups(t, blobs)
         free = self._assign(t, free)
-        self._mark_occluded(t, blobs)
+        for track in self.active:
+            if track.last.t < t and track.confirmed:
+                box = track.box
+                track.occluded = any(contains_centre(blob.box, box) for blob in blobs)
         for blob in free:
             self._start_track(t, blob)
 
@@ -283,13 +286,6 @@ class Tracker:
         head = hypot((left + right) / 2 - head_x, top - head_y)
         foot = hypot(sighting.foot[0] - foot_x, bottom - foot_y)
         track.reach = max(track.reach, head, foot)
-
-    def _mark_occluded(self, t: float, blobs: list[Blob]) -> None:
-        """Mark confirmed tracks that are occluded by a blob."""
-        for track in self.active:
-            if track.last.t < t and track.confirmed:
-                box = track.box
-                track.occluded = any(contains_centre(blob.box, box) for blob in blobs)
 
     # -- initiation and end ------------------------------
 
