@@ -45,7 +45,16 @@ class Live:
                     late.kind == "exit" for late in events[number:]
                 )
                 return
-            self._step(event)
+
+            # Predict an exit, observe the event, and publish the prediction.
+            prediction = None
+            with self._mutex:
+                if event.kind == "exit":
+                    prediction = self._predictor.predict(event)
+                self._predictor.observe(event)
+            if prediction is not None:
+                self._publish(prediction)
+                self.counts["predictions"] += 1
 
     def remember(self, events: Sequence[Event]) -> None:
         """Observe events from before the start, so that the first predictions consider them."""
@@ -94,19 +103,6 @@ class Live:
                 return predictor.predict_from(zones.index(parameters["zone"]), event.t, now=now)
             except ValueError as error:
                 raise QueryError(str(error)) from None
-
-    def _step(self, event: Event) -> None:
-        """Predict an exit, observe the event, and publish the prediction."""
-        prediction = None
-        with self._mutex:
-            if self._predictor is None:
-                return
-            if event.kind == "exit":
-                prediction = self._predictor.predict(event)
-            self._predictor.observe(event)
-        if prediction is not None:
-            self._publish(prediction)
-            self.counts["predictions"] += 1
 
 
 def asked_exit(camera: str, parameters: dict[str, str], as_of: float) -> tuple[Event, float | None]:

@@ -8,11 +8,17 @@ from serving import closing_event, numbered, walkers
 
 from camtopod.learn.learner import Learner
 from camtopod.predict.predictor import Predictor
-from camtopod.records import Prediction, Topology
+from camtopod.records import Event, Prediction, Topology
+from camtopod.serve.ingest import Received
 from camtopod.serve.live_predictions import Live
+from camtopod.serve.storage import Entry
 
 EVENTS = [*numbered(walkers(60)), closing_event()]
 EXIT = next(event for event in EVENTS if event.kind == "exit")
+
+
+def received(event: Event) -> Received:
+    return Received(Entry("event", event.camera, None, None, b""), event)
 
 
 @pytest.fixture(scope="module")
@@ -27,12 +33,12 @@ def learned() -> Topology:
 def test_exits_are_predicted_by_the_version_in_use(learned: Topology) -> None:
     made: list[Prediction] = []
     live = Live(made.append)
-    live._step(EXIT)
+    live.see([received(EXIT)], 60.0)
     assert made == [], "no version is in use yet"
 
     for number in (1, 2):
         live.use(Predictor(replace(learned, version=number)))
-        live._step(EXIT)
+        live.see([received(EXIT)], 60.0)
 
     assert [one.version for one in made] == [1, 2]
 
@@ -46,7 +52,7 @@ def test_a_new_version_keeps_what_was_observed(learned: Topology) -> None:
     for number, event in enumerate(EVENTS[:-1]):
         if number == len(EVENTS) // 2:
             live.use(Predictor(replace(learned, version=learned.version + 1)))
-        live._step(event)
+        live.see([received(event)], 60.0)
         if event.kind == "exit":
             expected.append(alone.predict(event))
         alone.observe(event)

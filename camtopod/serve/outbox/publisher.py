@@ -200,24 +200,22 @@ class Publisher:
 
     def _introduce(self, bus: Bus, camera: str) -> None:
         """Deliver the events of a camera from now on, or have its delivery look for new ones."""
-        new = camera not in self._deliveries
-        if new:
+        if camera not in self._deliveries:
             self._deliveries[camera] = Delivery(camera, self._spool, lambda: secrets.token_hex(8))
+            bus.announce("grabber", camera)
         with self._changed:
             self._due.add(camera)
             self._changed.notify_all()
-        if new:
-            bus.announce("grabber", camera)
 
     def _on_daemon(self, name: str, alive: bool) -> None:
         """Note that a daemon has appeared or vanished; called on a thread of the bus."""
-        if not alive:
+        if alive:
+            self._daemons.add(name)
+            with self._changed:
+                self._daemon_appeared = True
+                self._changed.notify_all()
+        else:
             self._daemons.discard(name)
-            return
-        self._daemons.add(name)
-        with self._changed:
-            self._daemon_appeared = True
-            self._changed.notify_all()
 
     def _deliver(self) -> None:
         """Send requests and take answers until the end."""
