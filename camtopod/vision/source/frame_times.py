@@ -56,11 +56,9 @@ class StampClock:
 
         The frame must have been passed to `record`.
         """
-        if not math.isfinite(stamp) or stamp <= 0.0 or not self._minima:
-            self.untrusted += 1
-            return arrival
-        captured = stamp + self._minima[0][1]
-        if not arrival - LAG_SECONDS_MAX <= captured <= arrival:
-            self.untrusted += 1
-            return arrival
-        return captured
+        if 0.0 < stamp < math.inf and self._minima:
+            captured = stamp + self._minima[0][1]
+            if arrival - LAG_SECONDS_MAX <= captured <= arrival:
+                return captured
+        self.untrusted += 1
+        return arrival

@@ -113,27 +113,20 @@ class Crossings:
         return self._edge(track, track.first, -1.0)
 
     def _edge(self, track: Track, at: Sighting, sense: float) -> Edge | None:
-        """Return the edge near a sighting; ``sense`` as for `_beyond`."""
+        """Return the edge near a sighting; ``sense`` as for `beyond`."""
         dx, dy = _drift(track)
         border = self._border(at.box, track.height, (sense * dx, sense * dy))
         if border is not None:
             return border
-        if self._beyond(track, at, sense) == "border":
+        if self.beyond(track, at, sense) == "border":
             return "ignored area"
         return self.doors.door_at(*at.foot, track.height)
 
-    def goes_behind(self, track: Track) -> bool:
-        """Return True if the track was last seen on its way behind an ignored area in mid-view."""
-        return self._beyond(track, track.last, 1.0) == "view"
-
-    def comes_from_behind(self, track: Track) -> bool:
-        """Return True if the track, still short, came from behind an ignored area in mid-view."""
-        return self._beyond(track, track.first, -1.0) == "view"
-
-    def _beyond(self, track: Track, at: Sighting, sense: float) -> Beyond | None:
+    def beyond(self, track: Track, at: Sighting, sense: float) -> Beyond | None:
         """Return what lies behind the ignored area near a sighting, on the way of the track.
 
         sense: 1.0 for the way that it goes on, -1.0 for the way that it came.
+        It is "view" for a track on its way behind an ignored area in mid-view, or from behind it.
         """
         dx, dy = track.velocity
         lead = self._margin + REACH_SECONDS * hypot(dx, dy)
@@ -161,14 +154,14 @@ class Crossings:
             else:
                 self._note("lost", track, track.last)
                 if _has_walked(track):
-                    self.doors.record_unexplained(*track.last.foot)
+                    self.doors.unexplained.append(track.last.foot)
 
         # A track that began in mid-view is evidence of a door once it has moved far enough. Cells
         # that people walk through are evidence against doors.
         for track in active:
             if track.began_in_view and _has_walked(track):
                 track.began_in_view = False
-                self.doors.record_unexplained(*track.first.foot)
+                self.doors.unexplained.append(track.first.foot)
             if track.confirmed:
                 self._walks.setdefault(track.number, set()).add(self.doors.cell(*track.last.foot))
         return events

@@ -48,16 +48,13 @@ class Doors:
         self._named = [
             np.array([(x * width, y * height) for x, y in polygon], np.float32) for polygon in named
         ]
-        self._unexplained: deque[tuple[float, float]] = deque(maxlen=REMEMBERED_MAX)
+        self.unexplained: deque[tuple[float, float]] = deque(maxlen=REMEMBERED_MAX)
+        """Foot points where tracks began or ended in mid-view without explanation."""
         self._passed = np.zeros(GRID, np.int32)
 
     def cell(self, x: float, y: float) -> tuple[int, int]:
         """Return the grid cell (row, column) of a foot point."""
         return grid_cell(x, y, self._size, GRID)
-
-    def record_unexplained(self, x: float, y: float) -> None:
-        """Record that a track began or ended at this foot point in mid-view without explanation."""
-        self._unexplained.append((x, y))
 
     def record_walk(self, feet: set[tuple[int, int]]) -> None:
         """Record that an object crossed these cells without beginning or ending there.
@@ -77,9 +74,7 @@ class Doors:
             return "named door"
 
         radius = max(radius, DOOR_SHARE_MIN * hypot(*self._size))
-        near = sum(
-            1 for a, b in self._unexplained if (a - x) ** 2 + (b - y) ** 2 <= radius * radius
-        )
+        near = sum(1 for a, b in self.unexplained if (a - x) ** 2 + (b - y) ** 2 <= radius * radius)
         if near >= DOOR_EVENTS_MIN and near > int(self._passed[self.cell(x, y)]):
             return "learned door"
         return None
@@ -89,7 +84,7 @@ class Doors:
 
         height: expected height (pixels) of a person whose feet are in a given row, if known.
         """
-        places = {self.cell(x, y): (x, y) for x, y in self._unexplained}
+        places = {self.cell(x, y): (x, y) for x, y in self.unexplained}
         return [
             (x, y)
             for x, y in places.values()

@@ -156,15 +156,14 @@ class Recorder:
         """Record what the beginning or end of ``track`` at a sighting was taken for."""
         if self._take is None:
             return
-        width, height = self._size
-        x, y = at.foot[0] / width, at.foot[1] / height
-        place = min(max(x, 0.0), 1.0), min(max(y, 0.0), 1.0)
+        x = min(max(at.foot[0] / self._size[0], 0.0), 1.0)
+        y = min(max(at.foot[1] / self._size[1], 0.0), 1.0)
         self._take(
             Decision(
                 reason,
                 track.number,
                 at.t,
-                place,
+                (x, y),
                 track.first.t,
                 edge,
                 value,

@@ -379,7 +379,7 @@ class Tracker:
 
     def _stitch(self, t: float, track: Track) -> bool:
         """Continue the nearest track that was lost in mid-view; False if none is within reach."""
-        from_behind = self.crossings.comes_from_behind(track)
+        from_behind = self.crossings.beyond(track, track.first, -1.0) == "view"
         missing = [
             other for other in self.active if other.confirmed and other.last.t < track.first.t
         ]
@@ -395,7 +395,7 @@ class Tracker:
             reach = min(STITCH_HEIGHTS + STITCH_HEIGHTS_PER_SECOND * seconds, STITCH_HEIGHTS_MAX)
             if self.crossings.begins_at_edge(track):
                 reach = STITCH_AT_EDGE_HEIGHTS * (seconds <= STITCH_AT_EDGE_SECONDS)
-            elif from_behind and self.crossings.goes_behind(other):
+            elif from_behind and self.crossings.beyond(other, other.last, 1.0) == "view":
                 reach = STITCH_HEIGHTS + BEHIND_HEIGHTS_PER_SECOND * seconds
                 dx, dy = other.velocity
                 x += seconds * dx
@@ -509,11 +509,8 @@ class Tracker:
                 kept.append(track)
             elif not track.confirmed:
                 self._note_unmet(track)
-            elif edge := self.crossings.at_edge(track):
-                track.edge = edge
-                left.append(track)
             else:
-                self.lost.append(track)
+                self._end(track, left)
         self.active = kept
 
         # Lost tracks that were not continued have vanished.
@@ -521,6 +518,14 @@ class Tracker:
         vanished = [track for track in self.lost if track.last.t < deadline]
         self.lost = [track for track in self.lost if track.last.t >= deadline]
         return Changes(appeared, left, vanished)
+
+    def _end(self, track: Track, left: list[Track]) -> None:
+        """Add an object that is not seen any more to those that left at an edge, or are lost."""
+        track.edge = self.crossings.at_edge(track)
+        if track.edge is not None:
+            left.append(track)
+        else:
+            self.lost.append(track)
 
     def _note_unmet(self, track: Track) -> None:
         """Record why a tentative track that has ended was not an object."""
@@ -545,15 +550,12 @@ class Tracker:
             track.interrupted = True
 
         # Split them by where they were seen last.
-        left = []
+        left: list[Track] = []
         for track in tracks:
             if not track.confirmed:
                 self._note("paused", track, track.last)
-            elif edge := self.crossings.at_edge(track):
-                track.edge = edge
-                left.append(track)
             else:
-                self.lost.append(track)
+                self._end(track, left)
         return left
 
     def restart(self) -> None:
