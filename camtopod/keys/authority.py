@@ -118,9 +118,10 @@ class Authority:
             ]
         )
         ends = _time(now) + datetime.timedelta(days=AUTHORITY_DAYS)
-        own = x509.SubjectKeyIdentifier.from_public_key(key.public_key())
-        builder = _builder(name, name, key, now, ends, signs=True)
-        certificate = builder.add_extension(own, critical=False).sign(key, hashes.SHA256())
+        builder = _builder(name, name, key, now, ends, signs=True).add_extension(
+            x509.SubjectKeyIdentifier.from_public_key(key.public_key()), critical=False
+        )
+        certificate = builder.sign(key, hashes.SHA256())
 
         # Write the key, the certificate and an empty ledger.
         secret_files.write(secret / "ca.key", _pem(key))

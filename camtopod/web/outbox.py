@@ -27,7 +27,7 @@ class PageQueue:
     def __init__(self, camera: str | None = None) -> None:
         self.camera = camera
         self._loop = asyncio.get_running_loop()
-        self._messages: asyncio.Queue[bytes] = asyncio.Queue()
+        self._messages: asyncio.Queue[bytes | None] = asyncio.Queue()
         self._closed = False
 
     def put(self, message: bytes, passing: bool) -> None:
@@ -35,8 +35,8 @@ class PageQueue:
         self._loop.call_soon_threadsafe(self._put, message, passing)
 
     def close(self) -> None:
-        """End the stream. Any thread."""
-        self._loop.call_soon_threadsafe(self._close)
+        """End the stream after the messages that wait. Any thread."""
+        self._loop.call_soon_threadsafe(self._messages.put_nowait, None)
 
     async def take(self) -> bytes | None:
         """Return the next message.
@@ -57,10 +57,6 @@ class PageQueue:
         elif not passing or waiting < MESSAGES_MAX // 4:
             self._messages.put_nowait(message)
 
-    def _close(self) -> None:
-        self._closed = True
-        self._messages.put_nowait(b"")
-
 
 class PageQueues:
     """Queues of all open pages."""
@@ -79,10 +75,6 @@ class PageQueues:
         queue = PageQueue(camera)
         self._queues.add(queue)
         return queue
-
-    def __bool__(self) -> bool:
-        """Return True if any page is open."""
-        return bool(self._queues)
 
     async def messages(self, queue: PageQueue, beat: Callable[[], bytes]) -> AsyncIterator[bytes]:
         """Yield the messages to a page until it leaves; ``beat`` makes one when there is none."""

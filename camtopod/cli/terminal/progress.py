@@ -6,6 +6,7 @@ few seconds.
 
 from __future__ import annotations
 
+import contextlib
 import math
 import sys
 import time
@@ -18,7 +19,7 @@ _CLEAR = "\r\x1b[K"
 """Control sequence that empties the line."""
 
 
-class Progress:
+class Progress(contextlib.AbstractContextManager["Progress"]):
     """Progress line, cleared when the block ends; with ``piped`` also without a terminal."""
 
     def __init__(self, piped: bool = False) -> None:
@@ -44,9 +45,6 @@ class Progress:
             print(f"{_CLEAR}{form % values}", end="\r", file=sys.stderr, flush=True)
         else:
             print(f"camtopod: {form % values}", file=sys.stderr, flush=True)
-
-    def __enter__(self) -> Progress:
-        return self
 
     def __exit__(self, *_: object) -> None:
         if self._terminal:

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import math
 
-from camtopod.admin import Command, Forget, Rename, Reset, Rewind
+from camtopod.admin import Forget, Rename, Reset, Rewind
 from camtopod.event_time import MICROSECONDS, EventTime, EventTimeState, microseconds
 from camtopod.serve.ingest.received import Received
 from camtopod.serve.storage import Entry
@@ -94,13 +94,7 @@ class EventClock:
             return not self._learned.note(microseconds(received.event.t), received.event.camera)
         if received.advance is not None:
             self._learned.advance(microseconds(received.advance))
-        elif received.command is not None:
-            self._apply(received.command)
-        return False
-
-    def _apply(self, command: Command) -> None:
-        """Change event time as a command does in the learner."""
-        match command:
+        match received.command:
             case Forget(camera):
                 self._learned.forget({camera})
             case Rename(old, new):
@@ -109,3 +103,4 @@ class EventClock:
                 self._learned.load(EventTimeState())
             case Rewind(to):
                 self._learned.rewind(microseconds(to))
+        return False
