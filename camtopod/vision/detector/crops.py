@@ -29,9 +29,6 @@ REGIONS_MAX = 24
 GRID = (8, 8)
 """Rows and columns of the cells that remember when they were examined."""
 
-Aspect = float
-"""Width over height."""
-
 
 class Crops:
     """Plans the crops of one view."""

@@ -145,7 +145,9 @@ def _possible(outputs: Sequence[Array], size: Size) -> list[Form]:
     if rows == 3 * cells and columns > 5:
         return [Form("yolov5", columns - 5)]
     if rows == cells and columns > 5:
-        grid = Form("yolox", columns - 5, raw=not _is_decoded(output))
+        grid = Form(
+            "yolox", columns - 5, raw=not np.median(np.abs(output[0, :, :2])) > DECODED_PIXELS
+        )
         if grid.raw:
             return [grid]
         return [grid, Form("yolov5", columns - 5)]
@@ -184,11 +186,6 @@ def _are_fractions(boxes: Array) -> bool:
     return bool(boxes.min() >= -0.5 and 0.0 < boxes.max() <= 1.5)
 
 
-def _is_decoded(output: Array) -> bool:
-    """Return True if a grid's positions are pixels."""
-    return float(np.median(np.abs(output[0, :, :2]))) > DECODED_PIXELS
-
-
 # -- decoding ------------------------------
 
 
@@ -223,7 +220,7 @@ def decode(
         boxes = _corners(both[0][0] * scale)
         scores = both[1][0]
         if form.logits:
-            scores = _sigmoid(scores)
+            scores = np.asarray(1.0 / (1.0 + np.exp(-np.clip(scores, -50.0, 50.0))), np.float32)
     elif form.layout == "yolov8":
         rows = output[0].T
         boxes = _corners(rows[:, :4])
@@ -294,7 +291,3 @@ def _from_grid(raw: Array, size: Size) -> Array:
     stride_of = np.concatenate(strides).astype(np.float32)
     middles = (raw[:, :2] + np.concatenate(cells)) * stride_of
     return np.concatenate([middles, np.exp(np.minimum(raw[:, 2:], 10.0)) * stride_of], axis=1)
-
-
-def _sigmoid(values: Array) -> Array:
-    return np.asarray(1.0 / (1.0 + np.exp(-np.clip(values, -50.0, 50.0))), np.float32)

@@ -30,9 +30,6 @@ _DIM = 1
 _DIM_VALUE = 1
 """TensorShapeProto.Dimension.dim_value"""
 
-Field = tuple[int, memoryview | int]
-"""Number and content of a field: bytes, or a whole number."""
-
 
 class HeaderError(ValueError):
     """The file is not an ONNX model that takes an image; ``str()`` says why."""
@@ -106,8 +103,8 @@ def _messages(message: memoryview, number: int) -> Iterator[memoryview]:
             yield content
 
 
-def _fields(message: memoryview) -> Iterator[Field]:
-    """Yield the fields of a message. Raises `HeaderError`, `IndexError`."""
+def _fields(message: memoryview) -> Iterator[tuple[int, memoryview | int]]:
+    """Yield number and content of the fields of a message. Raises `HeaderError`, `IndexError`."""
     at = 0
     while at < len(message):
         key, at = _varint(message, at)

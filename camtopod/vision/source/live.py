@@ -189,14 +189,11 @@ class LiveSource(Source):
             held.append((stamp, arrival, retrieved))
             if arrival - first >= SETTLE_SECONDS:
                 for shown, came, frame in held:
-                    self._hand_on(frame._replace(t=self._on_the_wall(clock.captured(shown, came))))
+                    age = time.monotonic() - clock.captured(shown, came)
+                    self._hand_on(frame._replace(t=self._wall_clock() - age))
                 held.clear()
             self.untrusted_stamps = clock.untrusted
         return "closed"
-
-    def _on_the_wall(self, t: float) -> float:
-        """Convert a monotonic time to the wall clock, which may have been set meanwhile."""
-        return self._wall_clock() - (time.monotonic() - t)
 
     def _hand_on(self, frame: Frame) -> None:
         """Queue a frame, dropping the oldest one if the queue is full: nobody else puts any in."""
