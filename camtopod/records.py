@@ -1,4 +1,4 @@
-"""Public data types: events, topologies, predictions, acknowledgements; structs without logic.
+"""Public data types: events, topologies, predictions, statuses; structs without logic.
 
 Times are seconds since the Unix epoch at the moment of capture; durations are seconds. Image
 positions are fractions of the image's width (``x``, to the right) and height (``y``, downwards).

@@ -268,7 +268,7 @@ def smoothing_kernel(size, sd_bins):
 
 
 def smoothed(row, steps):
-    """Compute `camtopod.learn.smoothing.smooth` of one row: counts, share kept in the own bin."""
+    """Compute `camtopod.topology.lag_bins.smooth` of one row: counts, share kept in the own bin."""
     sd_bins = next(sd for least, sd in steps if sum(row) >= least)
     kernel = smoothing_kernel(len(row), sd_bins)
     spread = np.zeros(len(row))

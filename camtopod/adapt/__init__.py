@@ -2,7 +2,8 @@
 
 Read `formats` first, the table of all formats, and `adapter`, the interface that they implement.
 `tracks.TrackEvents` turns the tracks of any tracker into events; it is public, through
-`camtopod.client`. `axis`, `onvif`, `deepstream` and `scenescape` share `camera_streams`.
+`camtopod.client`. `mot` is the shortest format, then `frigate`; `axis`, `onvif`, `deepstream` and
+`scenescape` (with `box_linking`) share `camera_streams`.
 """
 
 from camtopod.adapt.adapter import (

@@ -3,7 +3,7 @@
 Deterministic: no I/O, no clock, no threads, and every random draw has a fixed seed, so the same
 events give the same versions. In the order in which data flows, which is a good order to read:
 
-* `zones`: the entry and exit zones of each view
+* `zones`: the entry and exit zones of each view, `camera_zones`: those of all cameras
 * `window`: events put in order of time, and the sliding window of those that count
 * `traffic`: these events by zone, as departures, arrivals and passages; background rates; speed
 * `clocks`: the clock offset of each camera

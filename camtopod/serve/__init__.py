@@ -2,6 +2,7 @@
 
 Read `daemon` first; it starts and connects the parts. `ingest` brings events into order and into
 the journal; `storage` is the journal; `learner_process` runs the learner; `live_predictions`
-answers exits; `bus` is the session with zenoh; `outbox` is the grabber's side; `runtime` holds
-clocks and progress; `admin_queries` are an operator's commands on the bus.
+answers exits; `bus` is the session with zenoh; `requests` are what `outbox`, the grabber's side,
+sends; `runtime` holds clocks and progress; `monitoring` serves health and metrics; `admin_queries`
+are an operator's commands on the bus.
 """

@@ -4,8 +4,8 @@ The records of a topology are in `camtopod.records`. Reading order: `lag_bins` (
 times), `histograms` (transit-time histograms as a version stores them), `grid` (image positions as
 integers, and blocks of the image) and `shared_constants`. `camera_pairs` (overlapped views or
 unseen paths) and `markov_chain` (the chain over cameras) are computed from links. `site_names` has
-cameras' names within ids. `versions` has digests of versions
-and the deltas between them. `first_links` says what a site without links waits for.
+cameras' names within ids. `versions` has digests of versions and the deltas between them.
+`first_links` says what a site without links waits for.
 """
 
 from __future__ import annotations

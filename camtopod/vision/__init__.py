@@ -10,4 +10,6 @@ events. Reading order:
 - `track`: blobs -> tracks -> crossings of the edge of the view;
 - `pipeline`: frames -> events, without source, clock or waiting; an observer sees each analysis;
 - `show`: draws that, as a video or a picture.
+
+`boxes` has the geometry that they share.
 """

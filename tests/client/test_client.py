@@ -81,7 +81,7 @@ def test_versions_come_by_themselves(tmp_path: Path) -> None:
                 break
         numbers = [one.version for one in seen]
         assert numbers == sorted(numbers)
-        assert site.wait_for(last.version, 10.0) == last, "delta by delta, the same as the daemon's"
+        assert site.wait_for(last.version, 10.0) == last, "the same as the daemon's"
         put(bus, *later(walkers(60, seed=2), 12), Event("late", "entry", T0 + 16 * SPAN_SECONDS))
         newer = site.wait_for(last.version + 1, 20.0)
         assert site._gate is not None

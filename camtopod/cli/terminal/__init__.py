@@ -1,4 +1,4 @@
-"""Terminal output: the progress line of long commands, and what `camtopod watch` shows in words."""
+"""Terminal output: `progress` of long commands; `site_state`, which `camtopod watch` shows."""
 
 from __future__ import annotations
 

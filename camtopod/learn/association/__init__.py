@@ -3,11 +3,10 @@
 A *candidate* is a departure and an arrival that may be of one object; its *responsibility* is the
 probability that it is. Reading order: `problem` holds the departures and arrivals; `candidates`
 lists every two of them within the range of lags. `exposure` counts how many departures could have
-been seen to arrive after each lag.
-`speed_adjustment` corrects lags for each object's speed. `em` estimates responsibilities and
-hazards (rates of arrivals by lag, for each pair of zones) by expectation maximisation, and
-`joint_fit` runs it to find links. On large sites, which have too many candidates for one fit,
-`screening` selects the candidates first.
+been seen to arrive after each lag. `speed_adjustment` corrects lags for each object's speed. `em`
+estimates responsibilities and hazards (rates of arrivals by lag, for each pair of zones) by
+expectation maximisation, and `joint_fit` runs it to find links. On large sites, which have too many
+candidates for one fit, `screening` selects the candidates first.
 """
 
 from __future__ import annotations

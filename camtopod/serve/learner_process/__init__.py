@@ -1,8 +1,8 @@
 """The learner in its own process, so that refits do not delay receiving and predicting.
 
 Read `messages` first, the protocol between the daemon and the process. `feeder` and `process` are
-the daemon's side, `worker` is the process. `recovery` loads the learner from the
-journal at the start.
+the daemon's side, `worker` is the process. `recovery` loads the learner from the journal at the
+start.
 """
 
 from __future__ import annotations
