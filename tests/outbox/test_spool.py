@@ -133,16 +133,16 @@ def test_another_boot_begins_with_what_waits(spool: Spool) -> None:
     spool.append(events(2, "hall"))
     spool.have("lobby", "b1", 2)
 
-    spool.begin_boot("lobby")
+    spool.begin_boot("lobby", "b2")
 
-    assert spool.boots("lobby") == ["b1", "b1.1"]
+    assert spool.boots("lobby") == ["b1", "b2"]
     batch = spool.next_batch("lobby", 10)
     assert batch is not None
     found = [codec.event_from_msgpack(raw) for _, raw in batch[1]]
     assert [(one.boot, one.seq, one.t) for one in found] == [
-        ("b1.1", 1, 2.0),
-        ("b1.1", 2, 3.0),
-        ("b1.1", 3, 4.0),
+        ("b2", 1, 2.0),
+        ("b2", 2, 3.0),
+        ("b2", 3, 4.0),
     ]
     assert spool.append(events(1))[0].seq == 4
     assert seqs(spool, "hall") == ("b1", [1, 2])

@@ -20,7 +20,7 @@ from camtopod.learn.settings import Settings
 from camtopod.records import Event
 from camtopod.serve.learner_process import recovery
 from camtopod.serve.learner_process.feeder import CATCHING_UP_SECONDS, LearnerFeeder
-from camtopod.serve.learner_process.messages import LearnProgress
+from camtopod.serve.learner_process.messages import STATE, LearnProgress
 from camtopod.serve.learner_process.process import PROGRAM, LearnerEnded, LearnerProcess
 from camtopod.serve.learner_process.recovery import recover
 from camtopod.serve.storage import command_entry
@@ -218,7 +218,7 @@ def test_an_entry_at_which_the_learner_dies_twice_is_skipped(
         assert (ended.value.status, ended.value.at) == (status, 131)
 
     again = start(program="learners.faulty")
-    assert "at entry 131 of the journal, which is skipped in epoch F" in caplog.text
+    assert "at entry 131 of the journal, which is skipped, in epoch F" in caplog.text
     again.run()
     again.learn(EVENTS[160:])
     assert again.learning.progress.statistics.accepted == len(EVENTS) - 1
@@ -231,12 +231,16 @@ def test_a_learner_that_dies_of_what_it_has_learned_begins_anew(
     one = start()
     one.learn(EVENTS[:120])
     for _ in range(recovery.DEATHS_MAX):
-        recovery.note_failure(one.journal, 200)  # at the first step after the snapshot
+        recovery.note_failure(one.journal, STATE)
+    position = one.journal.snapshots()[0].position
 
     again = start()
 
-    assert (again.started_at, again.epoch) == (200, "F")
-    assert "begins anew" in caplog.text
+    assert (again.started_at, again.epoch) == (position, "F")
+    assert "it begins with nothing" in caplog.text
+    again.learn(EVENTS[120:])
+    assert again.learning.waiting == 0
+    assert again.learning.progress.statistics.accepted == len(EVENTS) - position
 
 
 def test_a_rewind_is_replayed_like_an_event(start: Start) -> None:

@@ -123,9 +123,10 @@ class LearnerFeeder:
         """Learn what the journal has by now, in batches."""
         damaged = self.damaged
         while self.waiting and not stopping.is_set():
+            last = len(self._journal)
             entries = list(islice(self._journal.entries(after=self.position), INPUTS_MAX))
             if not entries:
-                self.position = len(self._journal)  # they are no longer kept
+                self.position = last  # they are no longer kept
                 break
             self.position = entries[0][0] - 1
             inputs = [

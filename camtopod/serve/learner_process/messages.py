@@ -23,6 +23,9 @@ Where the daemon's threads are busy, each message waits several times for the GI
 each.
 """
 
+STATE = -1
+"""In place of an entry's number: what is done with the state, not with an entry."""
+
 Input = tuple[str, bytes]
 """The ``kind`` and ``raw`` of an entry; a damaged one counts as ``skipped``."""
 

@@ -9,7 +9,7 @@ from ctypes import c_longlong
 from multiprocessing.connection import Connection
 from multiprocessing.context import BaseContext
 
-from camtopod.serve.learner_process.messages import Answer, Kind, Question
+from camtopod.serve.learner_process.messages import STATE, Answer, Kind, Question
 
 PROGRAM = "camtopod.serve.learner_process.worker"
 """The module whose `main` the process runs."""
@@ -24,13 +24,14 @@ class LearnerEnded(RuntimeError):
     """The learner's process has ended by itself.
 
     status: its exit status, or the negative number of the signal that ended it.
-    at: the journal entry it was at; 0: none.
+    at: the journal entry it was at; 0: none; STATE: what it has learned.
     """
 
     def __init__(self, status: int, at: int) -> None:
-        super().__init__(
-            f"the learner's process has ended with status {status}, at entry {at} of the journal"
-        )
+        where = f"entry {at} of the journal"
+        if at == STATE:
+            where = "the state that it continues from"
+        super().__init__(f"the learner's process has ended with status {status}, at {where}")
         self.status = status
         self.at = at
 

@@ -18,12 +18,13 @@ from camtopod.admin import Reset, Rewind
 from camtopod.learn.settings import Settings
 from camtopod.records import Event, Topology
 from camtopod.serve.learner_process.messages import (
+    STATE,
     Begin,
     LearnProgress,
     Load,
     Loaded,
 )
-from camtopod.serve.learner_process.process import LearnerProcess
+from camtopod.serve.learner_process.process import LearnerEnded, LearnerProcess
 from camtopod.serve.storage import (
     Entry,
     Journal,
@@ -34,7 +35,7 @@ from camtopod.serve.storage import (
 log = logging.getLogger(__name__)
 
 DEATHS_MAX = 2
-"""Number of deaths of the learner at one entry after which that entry is skipped."""
+"""Number of deaths of the learner at one entry, or at its state, after which that is left out."""
 RECENT_EVENTS = 4_000
 """Maximum number of events that predictions remember at a start."""
 RECENT_SECONDS = 600.0
@@ -42,7 +43,7 @@ RECENT_SECONDS = 600.0
 
 
 class Failure(msgspec.Struct):
-    """The learner has died ``times`` times at the entry ``at``."""
+    """The learner has died ``times`` times at the entry ``at``, or at its `STATE`."""
 
     at: int
     times: int
@@ -69,19 +70,53 @@ def recover(
 
     new_epoch: begins an epoch and stores its name.
     """
+    try:
+        return _recover(journal, process, settings, site, new_epoch)
+    except LearnerEnded as ended:
+        if ended.at:
+            note_failure(journal, ended.at)
+        raise StateError(f"{ended}; start the daemon again") from None
+
+
+def _recover(
+    journal: Journal,
+    process: LearnerProcess,
+    settings: Settings,
+    site: str,
+    new_epoch: Callable[[], str],
+) -> Recovered:
+    """Load the learner. Raises `StateError`, `LearnerEnded`."""
+    failure = read_failure(journal)
+    fatal = None
+    if failure is not None and failure.times >= DEATHS_MAX:
+        fatal = failure.at
 
     # Begin with the newest usable snapshot, else with all entries.
     epoch = journal.meta("epoch") or new_epoch()
-    position, loaded = _newest_state(journal, process)
+    if fatal == STATE:
+        position = max([journal.first() - 1, 0, *(one.position for one in journal.snapshots())])
+        loaded = Loaded()
+    else:
+        position, loaded = _newest_state(journal, process)
 
     # Entries that follow may begin further epochs, the last of which is the journal's.
     begun = [_epochs(entry) for entry in journal.corrections(position)]
     if begun and begun[-1][1] == epoch:
         epoch = begun[0][0]
 
-    # Begin an epoch where versions would be made anew that may have been published.
+    # Begin an epoch without what the learner has died of twice: an entry, or the state above. Begin
+    # one, too, where versions would be made anew that may have been published.
     version = loaded.version if loaded.epoch == epoch else 0
-    if version < max(journal.versions(epoch), default=0):
+    if fatal is not None:
+        epoch = new_epoch()
+        what = f"entry {fatal} of the journal, which is skipped"
+        if fatal == STATE:
+            what = "the state that it continued from: it begins with nothing"
+        else:
+            journal.skip(fatal)
+        log.error("the learner has died twice at %s, in epoch %s; please report this", what, epoch)
+        journal.set_meta("failure", codec.to_json(Failure(0, 0)).decode())
+    elif version < max(journal.versions(epoch), default=0):
         epoch = new_epoch()
         log.warning(
             "no snapshot goes with the newest version of the journal: epoch %s begins", epoch
@@ -93,24 +128,6 @@ def recover(
             epoch,
         )
 
-    # Skip an entry at which the learner has died twice, or begin without a state after it if the
-    # learner died of its state.
-    failure = read_failure(journal)
-    if failure is not None and failure.times >= DEATHS_MAX:
-        epoch = new_epoch()
-        skipped = journal.skip(failure.at)
-        log.error(
-            "the learner has died %d times at entry %d of the journal, which is %s in epoch %s;"
-            " the entry is still in the journal; please report this",
-            failure.times,
-            failure.at,
-            "skipped" if skipped else "where it begins anew",
-            epoch,
-        )
-        journal.set_meta("failure", codec.to_json(Failure(0, 0)).decode())
-        if not skipped:
-            position = failure.at
-            loaded = Loaded()
     progress = process.ask(Begin(settings, site, epoch, loaded.settings is not None), LearnProgress)
     return Recovered(position, progress)
 

@@ -29,6 +29,7 @@ from camtopod.learn.rewinding import rewind
 from camtopod.learn.snapshot import LearnerState, NewerSnapshot, SnapshotError, pack, unpack
 from camtopod.records import LearnerCounts, Topology
 from camtopod.serve.learner_process.messages import (
+    STATE,
     Answer,
     Begin,
     Input,
@@ -56,7 +57,7 @@ SNAPSHOT_ENTRIES = 20_000
 class Worker:
     """Answers the daemon's questions.
 
-    entry: shared memory for the number of the entry that is being learned; 0: none.
+    entry: shared memory for the number of the entry that is being learned; 0: none; STATE.
     learner: the class of the learner.
     """
 
@@ -70,14 +71,17 @@ class Worker:
 
     def answer(self, question: Question) -> Answer:
         """Answer a question."""
+        self._entry.value = STATE
         match question:
             case Load(state):
-                return self._load(state)
+                answer: Answer = self._load(state)
             case Begin():
                 self._begin(question)
-                return self._progress(0, event_time=self._learner.event_time())
+                answer = self._progress(0, event_time=self._learner.event_time())
             case LearnBatch(position, inputs):
-                return self._learn(position, inputs)
+                answer = self._learn(position, inputs)
+        self._entry.value = 0
+        return answer
 
     def _load(self, packed: bytes) -> Loaded:
         """Unpack a state and keep it for `Begin`."""
@@ -150,7 +154,6 @@ class Worker:
         unreadable = 0
         versions: list[NewVersion] = []
         if not inputs:
-            self._entry.value = position + 1
             self._learner.refresh()
             versions = self._take_versions()
         for kind, raw in inputs:
@@ -175,7 +178,6 @@ class Worker:
         if versions or self._since_saved >= SNAPSHOT_ENTRIES:
             state = pack(self._learner.save())
             self._since_saved = 0
-        self._entry.value = 0
         return self._progress(position, unreadable=unreadable, versions=versions, state=state)
 
     def _progress(self, position: int, **more: Any) -> LearnProgress:

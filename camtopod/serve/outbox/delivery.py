@@ -31,7 +31,8 @@ UNANSWERED_MAX = 3
 class Delivery:
     """The requests for the events of ``camera`` in ``spool``; times are monotonic seconds.
 
-    draw_number: returns a random text for a hello (`camtopod.serve.requests.Number`).
+    draw_number: returns a text that was never returned before, for a hello or a boot
+        (`camtopod.serve.requests.Number`).
     """
 
     def __init__(self, camera: str, spool: Spool, draw_number: Callable[[], str]) -> None:
@@ -152,7 +153,7 @@ class Delivery:
         for name, have in answer.have.items():
             if name == self._spool.boot(self.camera) and have > self._sent[name]:
                 # A machine that was set back has given these numbers before.
-                self._spool.begin_boot(self.camera)
+                self._spool.begin_boot(self.camera, self._draw_number())
             self._spool.have(self.camera, name, have)
         return before != (self._spool.boot(self.camera), self._spool.mark(self.camera, boot))
 

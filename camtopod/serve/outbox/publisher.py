@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import logging
 import math
-import secrets
 import sqlite3
 import threading
 import time
@@ -15,10 +14,10 @@ from msgspec.structs import replace
 from camtopod import codec
 from camtopod.records import Event
 from camtopod.serve.bus import Bus
-from camtopod.serve.outbox.delivery import UNANSWERED_MAX, Delivery
+from camtopod.serve.outbox.delivery import RETRY_SECONDS, UNANSWERED_MAX, Delivery
 from camtopod.serve.outbox.spool import Spool
 from camtopod.serve.requests import ANSWER_SECONDS_MAX, Answer, Batch, Hello
-from camtopod.serve.runtime import Rejects
+from camtopod.serve.runtime import Rejects, clock
 from camtopod.serve.storage import StateError, sqlite_file
 
 log = logging.getLogger(__name__)
@@ -200,12 +199,16 @@ class Publisher:
 
     def _introduce(self, bus: Bus, camera: str) -> None:
         """Deliver the events of a camera from now on, or have its delivery look for new ones."""
-        if camera not in self._deliveries:
-            self._deliveries[camera] = Delivery(camera, self._spool, lambda: secrets.token_hex(8))
-            bus.announce("grabber", camera)
         with self._changed:
+            known = camera in self._deliveries
+            if not known:
+                self._deliveries[camera] = Delivery(
+                    camera, self._spool, lambda: clock.ulid(clock.wall())
+                )
             self._due.add(camera)
             self._changed.notify_all()
+        if not known:
+            bus.announce("grabber", camera)
 
     def _on_daemon(self, name: str, alive: bool) -> None:
         """Note that a daemon has appeared or vanished; called on a thread of the bus."""
@@ -243,23 +246,28 @@ class Publisher:
                 for delivery in self._deliveries.copy().values():
                     delivery.on_daemon(now)
             for camera, request, payload in answers:
-                due.add(camera)
-                self._guard(camera, self._take, self._deliveries[camera], request, payload)
+                if self._guard(camera, self._take, self._deliveries[camera], request, payload):
+                    due.add(camera)
             for camera in due:
                 self._guard(camera, self._send, self._deliveries[camera])
             with self._changed:
                 self._changed.notify_all()
 
-    def _guard(self, camera: str, step: Callable[..., None], *given: object) -> None:
-        """Carry out a step of a delivery; try again later if the spool cannot be read."""
+    def _guard(self, camera: str, step: Callable[..., None], *given: object) -> bool:
+        """Carry out a step of a delivery; return False if it is tried again later.
+
+        That is so if the spool cannot be used, unless it is damaged.
+        """
         try:
             step(*given)
+            return True
         except sqlite_file.Damaged as damage:
             self._damage = damage
             self._deadlines[camera] = math.inf
         except (sqlite3.Error, StateError) as error:
             log.debug("cannot use the spool: %s", error)
-            self._deadlines[camera] = time.monotonic() + 2.0
+            self._deadlines[camera] = time.monotonic() + RETRY_SECONDS
+        return False
 
     def _take(self, delivery: Delivery, request: Hello | Batch, payload: bytes | None) -> None:
         """Take the answer to a request."""

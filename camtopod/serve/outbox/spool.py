@@ -215,11 +215,13 @@ class Spool:
                 self._marks[camera][boot] = seq
                 self._unwritten.add((camera, boot))
 
-    def begin_boot(self, camera: str) -> None:
-        """Begin another boot for ``camera``, and number what waits of the present one within it."""
+    def begin_boot(self, camera: str, new: str) -> None:
+        """Begin the boot ``new`` for ``camera``, and number what waits of the present one in it.
+
+        Its name must never have been used: a machine that is set back again would repeat it.
+        """
         with self._using():
             old = self.boot(camera)
-            new = f"{self._first_boot}.{len(self._later_boots) + 1}"
             above = camera, old, self._marks[camera].get(old, 0)
             rows = self._db.execute(f"SELECT * FROM {_WAITING} ORDER BY seq", above).fetchall()
             good = [row for row in rows if sqlite_file.crc(*row[1:-1]) == row[-1]]
@@ -253,8 +255,8 @@ class Spool:
                     other._db.execute("SELECT * FROM mark"),
                 )
             self._load()
-        for suffix in ("", "-wal", "-shm"):
-            Path(f"{path}{suffix}").unlink(missing_ok=True)
+            for suffix in ("", "-wal", "-shm"):  # while no other process can open it
+                Path(f"{path}{suffix}").unlink(missing_ok=True)
 
     def statistics(self) -> dict[str, int]:
         """Return counters for the status."""

@@ -40,8 +40,13 @@ def open_ingest_spool(directory: Path, site: str, limits: Limits) -> Spool:
     # Take the first one that no other process has.
     names = ("ingest", *(f"ingest@{number}" for number in range(2, _INGEST_SPOOLS_MAX + 1)))
     paths = {name: spool_path(directory, site, name) for name in names}
-    name = next((name for name in names if not lock_reason(paths[name])), names[0])
-    spool = open_spool(directory, site, name, limits)
+    for name in names:
+        try:
+            spool = open_spool(directory, site, name, limits)
+            break
+        except StateError:
+            if name == names[-1] or not lock_reason(paths[name]):
+                raise
 
     # Move the others.
     for path in paths.values():

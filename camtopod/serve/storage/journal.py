@@ -293,13 +293,13 @@ class Journal:
         return [Entry(*row[2:7]) for row in rows if crc(*row[:7]) == row[7]]
 
     def skip(self, number: int) -> bool:
-        """Mark an entry as skipped; return False if there is none, or none that is learned.
+        """Mark an entry as skipped; return False if there is none.
 
         Raises `sqlite3.Error`.
         """
         with self._access():
             row = self._db.execute("SELECT * FROM entry WHERE id = ?", (number,)).fetchone()
-            if row is None or row[2] in ("future", "refused", "skipped"):
+            if row is None:
                 return False
             columns = (*row[:2], "skipped", *row[3:7])
             self._db.execute(
