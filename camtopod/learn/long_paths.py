@@ -24,6 +24,7 @@ from camtopod.learn.clocks import (
     ROWS_AT_ONCE,
     Correlograms,
     Counts,
+    cache_friendly_order,
     null_expectation,
 )
 from camtopod.learn.links import LinkTable
@@ -104,8 +105,9 @@ def find_long_paths(
     ]
     nats = np.zeros(len(pairs))
     seconds = np.zeros(len(pairs))
-    for k in range(0, len(pairs), ROWS_AT_ONCE):
-        part = slice(k, k + ROWS_AT_ONCE)
+    order = cache_friendly_order(source, target, min(half.at_once for half in halves))
+    for k in range(0, len(order), ROWS_AT_ONCE):
+        part = order[k : k + ROWS_AT_ONCE]
         counts = [half.between(source[part], target[part]) for half in halves]
         nats[part], seconds[part] = clearest_peaks(counts, lag_max, longest)
     false = len(pairs) * max(longest, 1.0) / BIN_SECONDS * np.exp(-nats)

@@ -13,6 +13,7 @@ from camtopod.learn.clocks.correlogram import (
     ROWS_AT_ONCE as ROWS_AT_ONCE,
     Correlograms as Correlograms,
     Counts as Counts,
+    cache_friendly_order as cache_friendly_order,
     null_expectation as null_expectation,
 )
 from camtopod.learn.clocks.offsets import (

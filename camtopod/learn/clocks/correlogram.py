@@ -30,6 +30,11 @@ block after it.
 """
 SPECTRA_MAX = 4096
 """Limit of the blocks of all labels together; beyond, only the newest stretch of time counts."""
+SPECTRA_KEPT = 2048
+"""Transforms of blocks kept in memory, departures and arrivals together (16 MB a thousand).
+
+Others are computed again when they are needed.
+"""
 ROWS_AT_ONCE = 256
 """Number of correlograms that callers ask for at a time."""
 CHANCE_BINS = (301, 101)
@@ -56,6 +61,9 @@ class Correlograms:
     arrivals: times (m,) and labels (m,), likewise.
     labels: number of labels; they are counted from 0.
     bin_seconds: width of the bins.
+
+    It is fastest if pairs asked for in succession have at most ``at_once`` labels
+    (`cache_friendly_order`).
     """
 
     def __init__(
@@ -75,8 +83,10 @@ class Correlograms:
             kept = slice(int(np.searchsorted(t, first)), None)
             bins = ((t[kept] - first) / bin_seconds).astype(np.int64)
             self._bins.append([bins[rows] for rows in rows_by_group(label[kept], labels)])
+        self.at_once = max(SPECTRA_KEPT // (2 * self._blocks), 2)
+        """Number of labels whose transforms are kept."""
         self._spectra: dict[tuple[int, int], Spectra] = {}
-        """Transforms by (side, label), 16 KB a block."""
+        """Transforms by (side, label), those used last at the end."""
 
     def between(self, source: Ints, target: Ints) -> Counts:
         """Return the correlograms (P, 2 LAGS + 1) of P pairs of labels, from lag -LAGS to LAGS.
@@ -96,7 +106,8 @@ class Correlograms:
         side: 0 for departures in each block, conjugate; 1 for arrivals from half a block before to
             half a block after it.
         """
-        if (side, label) not in self._spectra:
+        spectra = self._spectra.pop((side, label), None)
+        if spectra is None:
             # Count the events by block and bin.
             bins = self._bins[side][label]
             present = np.zeros((self._blocks, 2 * BLOCK), np.float32)
@@ -108,8 +119,26 @@ class Correlograms:
 
             # Transform.
             spectra = scipy.fft.rfft(present, overwrite_x=True)
-            self._spectra[side, label] = np.conj(spectra) if side == 0 else spectra
-        return self._spectra[side, label]
+            if side == 0:
+                np.conj(spectra, out=spectra)
+
+        # Keep the transforms used last.
+        self._spectra[side, label] = spectra
+        if len(self._spectra) > 2 * self.at_once:
+            del self._spectra[next(iter(self._spectra))]
+        return spectra
+
+
+def cache_friendly_order(a: Ints, b: Ints, at_once: int) -> NDArray[np.intp]:
+    """Return an order (P,) of pairs in which pairs of the same labels are close together.
+
+    a, b (P,): the two labels of each pair.
+    at_once: number of labels whose transforms are kept.
+
+    The order passes through the matrix of all pairs tile by tile.
+    """
+    side = max(at_once // 2, 1)
+    return np.lexsort((b, a, b // side, a // side))
 
 
 def null_expectation(counts: Counts) -> Counts:

@@ -22,6 +22,7 @@ from camtopod.arrays import Bools, Floats, Ints
 from camtopod.learn.clocks.correlogram import (
     ROWS_AT_ONCE,
     Correlograms,
+    cache_friendly_order,
     highest_peaks,
 )
 from camtopod.learn.clocks.two_way_paths import find_two_way_paths
@@ -234,7 +235,9 @@ def find_differences(
     arrived = (arrivals.t, arrivals.zone)
     pair_counts = Correlograms(departed, arrived, len(camera_of), BIN_SECONDS)
     found = []
-    for a, b in pairs:
+    a_of, b_of = np.array(pairs, np.int32).T
+    cameras_at_once = pair_counts.at_once * len(zones_of) // len(camera_of)
+    for a, b in (pairs[k] for k in cache_friendly_order(a_of, b_of, cameras_at_once)):
         u, v = (
             ends.ravel().astype(np.int32)
             for ends in np.meshgrid(zones_of[a], zones_of[b], indexing="ij")
@@ -250,7 +253,7 @@ def find_differences(
                 continue
             sd = max(path.sd * BIN_SECONDS, SD_MIN_SECONDS)
             found.append(Difference(a, b, path.ahead * BIN_SECONDS, sd, path.transit * BIN_SECONDS))
-    return found
+    return sorted(found, key=lambda difference: (difference.a, difference.b))
 
 
 def _promising(
@@ -273,17 +276,18 @@ def _promising(
     arrived = (arrivals.t, arrivals.camera)
     pair_counts = Correlograms(departed, arrived, len(zones_of), SCREENING_BIN_SECONDS)
     peak = np.zeros(len(a))
+    order = cache_friendly_order(a, b, pair_counts.at_once)
     for k in range(0, len(a), ROWS_AT_ONCE):
-        rows = slice(k, k + ROWS_AT_ONCE)
+        rows = order[k : k + ROWS_AT_ONCE]
         peak[rows] = np.minimum(
             highest_peaks(pair_counts.between(a[rows], b[rows])),
             highest_peaks(pair_counts.between(b[rows], a[rows])),
         )
 
     # The best ones within the limit.
-    order = np.argsort(-peak, kind="stable")
-    size = np.cumsum([2 * len(zones_of[a[k]]) * len(zones_of[b[k]]) for k in order])
-    return [pairs[k] for k in np.sort(order[(size <= ZONE_PAIRS_MAX)])]
+    best = np.argsort(-peak, kind="stable")
+    size = np.cumsum([2 * len(zones_of[a[k]]) * len(zones_of[b[k]]) for k in best])
+    return [pairs[k] for k in np.sort(best[(size <= ZONE_PAIRS_MAX)])]
 
 
 def solve_offsets(found: list[Difference], weight: NDArray[np.int64], known: Clocks) -> Clocks:
