@@ -52,12 +52,14 @@ from camtopod.serve.ingest import (
     read_names,
 )
 from camtopod.serve.learner_process import (
+    LearnerEnded,
     LearnerFeeder,
     LearnerProcess,
     LearnProgress,
     NewVersion,
     Recovered,
     newest_topology,
+    note_failure,
     recent_events,
     recover,
 )
@@ -91,22 +93,13 @@ class Daemon:
     """The daemon of `camtopod run`; it can also be used inside another process.
 
     Raises `BusError` or `StateError`.
-
-    bus: the session to use, which is left open; without it, one is opened as the configuration
-        says, and closed.
     """
 
-    def __init__(
-        self,
-        config: Config,
-        bus: Bus | None = None,
-        clock: clocks.Clock = clocks.wall,
-    ) -> None:
+    def __init__(self, config: Config, clock: clocks.Clock = clocks.wall) -> None:
         self._config = config
         self._clock = clock
         self._steady = clocks.steady_clock_for(clock)
-        self._given_bus = bus
-        self._bus: Bus | None = bus
+        self._bus: Bus | None = None
         self._stopping = threading.Event()
         self._failed = threading.Event()
         self._threads: list[threading.Thread] = []
@@ -157,8 +150,7 @@ class Daemon:
             try:
                 # The process loads its libraries while the bus is joined.
                 self._process = process = LearnerProcess()
-                if self._bus is None:
-                    self._bus = open_daemon_session(config)
+                self._bus = open_daemon_session(config)
                 recovered = recover(
                     self._journal,
                     process,
@@ -172,6 +164,9 @@ class Daemon:
                 self._rivals = OtherDaemons(self._bus, clocks.ulid(self._clock()))
                 self._rivals.require_none(config.bus.connect_seconds, cancelled)
                 self._join_bus(self._bus)
+            except LearnerEnded as ended:
+                note_failure(self._journal, ended.at)
+                raise StateError(f"{ended}; start the daemon again") from None
             except sqlite3.Error as error:
                 raise StateError(
                     f"cannot read the journal in {config.state_directory}: {error};"
@@ -208,7 +203,7 @@ class Daemon:
         deadline = time.monotonic() + STOP_SECONDS
         for thread in self._threads:
             thread.join(max(0.0, deadline - time.monotonic()))
-        if self._bus is not None and self._given_bus is None:
+        if self._bus is not None:
             self._bus.close()
 
         # A thread that still runs keeps its files.
@@ -257,7 +252,6 @@ class Daemon:
             or self._rivals.reason
             or "; ".join(self.failing())
             or intake.cameras.fast_clocks_reason(self._config.limits.future_seconds_max)
-            or intake.cameras.doubled_reason(self._steady())
         )
         newest = max((one.newest or 0.0 for one in counted.values()), default=0.0)
         status = DaemonStatus(
@@ -315,7 +309,7 @@ class Daemon:
         """Close everything after a failed start."""
         if self._process is not None:
             self._process.close()
-        if self._bus is not None and self._given_bus is None:
+        if self._bus is not None:
             self._bus.close()
         self._journal.close()
 

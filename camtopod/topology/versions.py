@@ -76,11 +76,15 @@ def make_delta(old: Topology, new: Topology) -> Delta:
             f" version {old.version} of epoch {old.epoch}"
         )
 
+    # Items with different JSON, as in the digest: -0.0 differs from 0.0.
+    as_json = msgspec.json.encode
     changes: dict[str, list[Any]] = {}
     for name, key in KEYS.items():
         before = {key(item): item for item in getattr(old, name) or []}
         after = {key(item): item for item in getattr(new, name) or []}
-        changes[name] = [item for k, item in after.items() if _differs(before.get(k), item)]
+        changes[name] = [
+            item for k, item in after.items() if as_json(before.get(k)) != as_json(item)
+        ]
         changes[f"gone_{name}"] = [k for k in before if k not in after]
     return Delta(
         DELTA_SCHEMA,
@@ -110,8 +114,3 @@ def alarms_follow(old: Topology, new: Topology) -> bool:
 def _new_alarms(topology: Topology) -> list[Alarm] | None:
     """Return the alarms that this version was the first to show; None if there are none."""
     return [one for one in topology.alarms or [] if one.version == topology.version] or None
-
-
-def _differs(old: Any, new: Any) -> bool:
-    """Return True if two items have different JSON, as in the digest: -0.0 differs from 0.0."""
-    return msgspec.json.encode(old) != msgspec.json.encode(new)

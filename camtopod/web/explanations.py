@@ -12,7 +12,7 @@ from camtopod.export import seconds
 from camtopod.learn.links import MONTE_CARLO_SEED, mahalanobis, monte_carlo
 from camtopod.learn.settings import Settings
 from camtopod.records import CameraModel, Link, Model, Pair, Topology, ZoneModel
-from camtopod.topology import LagBins, lacks_in_words, link_key, smooth
+from camtopod.topology import LagBins, lacks_in_words, link_key, mentions, smooth
 from camtopod.web.map_data import nearness, why_provisional
 
 
@@ -62,7 +62,7 @@ class Explanations:
             ],
             "links": [brief(link) for link in links],
             "alarms": [
-                alarm for alarm in self.topology.alarms or [] if _is_about(alarm.subject, camera)
+                alarm for alarm in self.topology.alarms or [] if mentions(alarm.subject, [camera])
             ],
         }
 
@@ -241,11 +241,6 @@ def why_pair(pair: Pair | None) -> list[str]:
     if pair.reason:
         said.append(f"Reason: {pair.reason}.")
     return said
-
-
-def _is_about(subject: str, camera: str) -> bool:
-    """Return True if an alarm's subject (a camera, a zone, or two zones) concerns a camera."""
-    return any(part == camera or part.rpartition("/")[0] == camera for part in subject.split("->"))
 
 
 def _short(values: NDArray[np.float64]) -> list[float]:

@@ -48,7 +48,10 @@ def gather(topology: Topology, older: Sequence[Topology], pictures: Path | None)
         "versions": [
             summary(one, before) for before, one in zip([None, *older], versions, strict=True)
         ],
-        "pictures": {name: _inline(path) for name, path in files.items()},
+        "pictures": {  # as data URLs
+            name: f"data:{TYPES[path.suffix]};base64,{base64.b64encode(path.read_bytes()).decode()}"
+            for name, path in files.items()
+        },
     }
 
 
@@ -63,8 +66,3 @@ def _explained(topology: Topology) -> list[Link]:
         key=lambda link: (link.relation == "visible", link.q_value > 0.05, -link.transitions)
     )
     return links[:LINKS_MAX]
-
-
-def _inline(path: Path) -> str:
-    """Return a picture as a data URL."""
-    return f"data:{TYPES[path.suffix]};base64,{base64.b64encode(path.read_bytes()).decode()}"

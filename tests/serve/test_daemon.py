@@ -49,10 +49,8 @@ class Site:
         self.now = NOW
         self._open: list[Any] = []
 
-    def daemon(self, bus: Bus | None = None, **limits: float) -> Daemon:
-        daemon = Daemon(
-            small_config(self.directory / "state", **limits), bus, clock=lambda: self.now
-        )
+    def daemon(self, **limits: float) -> Daemon:
+        daemon = Daemon(small_config(self.directory / "state", **limits), clock=lambda: self.now)
         daemon.start()
         self._open.append(daemon.stop)
         return daemon
@@ -406,19 +404,6 @@ def test_what_nobody_takes_for_its_size_is_said_once(
         "a message on event/a has 1500 bytes",
         "a message on topology has 2003 bytes",
     ]
-
-
-def test_a_daemon_on_a_given_bus_leaves_it_open(site: Site) -> None:
-    bus = buses.open_daemon_session(small_config(site.directory))
-    daemon = site.daemon(bus)
-    put(site.client(daemon), Event("lobby", "entry", T0))
-    stored(daemon, 1)
-    daemon.stop()
-    got: list[bytes] = []
-    bus.subscribe("x", lambda key, raw: got.append(raw))
-    bus.publish_raw("x", b"1", "x")
-    wait_for(lambda: bool(got), "a message over the bus that stayed open")
-    bus.close()
 
 
 def test_a_view_takes_each_newer_version_and_any_of_a_new_epoch(site: Site) -> None:

@@ -9,7 +9,6 @@ from typing import Any
 
 from camtopod.cli import exits
 from camtopod.cli.common import open_output, writing
-from camtopod.cli.terminal import Progress
 from camtopod.codec import to_json
 from camtopod.sim.simulation import SimSettings, simulate
 
@@ -70,11 +69,8 @@ def run(args: argparse.Namespace) -> int:
         raise exits.CommandError(f"simulate: {error}", exits.USAGE) from None
 
     # Write the files.
-    with Progress() as progress, open_output(args.events) as file:
-        for begin in range(0, len(events), 10_000):
-            block = events[begin : begin + 10_000]
-            file.write(b"".join(to_json(event) + b"\n" for event in block))
-            progress.show("%d of %d events written", begin, len(events))
+    with open_output(args.events) as file:
+        file.writelines(to_json(event) + b"\n" for event in events)
     if args.truth:
         with writing(args.truth):
             Path(args.truth).write_bytes(to_json(truth) + b"\n")

@@ -54,7 +54,6 @@ class CameraState(Struct):
     heard: when something of the camera was last received.
     spooled: True if a grabber delivers it from a spool.
     hello: the number of the grabber's last hello.
-    doubled: when a second grabber was last seen to deliver it.
     ahead (seconds): by how much its last event was ahead of this machine's clock.
     waiting: events to be released (`merge`), each with the event time that the camera had reached.
     reached (Unix seconds): the newest event time that it has delivered.
@@ -69,7 +68,6 @@ class CameraState(Struct):
     heard: float
     spooled: bool = False
     hello: str = ""
-    doubled: float = -math.inf
     ahead: float | None = None
     waiting: collections.deque[tuple[float, Received]] = field(default_factory=collections.deque)
     reached: float = -math.inf
@@ -170,16 +168,6 @@ class Cameras:
             f"camera {self._refused}: refused, as limits.cameras_max ({self._cameras_max}) is"
             " reached: raise it, or stop the programs that send cameras which are not of this site;"
             " a camera that has been silent for an hour makes room"
-        )
-
-    def doubled_reason(self, now: float) -> str:
-        """Return which cameras two grabbers deliver, and what to do; else "". Any thread."""
-        names = [one.name for one in self.all() if now - one.doubled <= SAID_SECONDS]
-        if not names:
-            return ""
-        return (
-            f"two programs at the same time publish camera {listed(names)}: give one of the"
-            " cameras another id"
         )
 
     def fast_clocks_reason(self, seconds_max: float) -> str:

@@ -221,8 +221,6 @@ class Intake:
             reply(answers.encode({boot: self.numbers.stored(name, boot) for boot in request.boots}))
             return
         if request.number != camera.hello:
-            if camera.hello:
-                camera.doubled = now
             reply(answers.encode({}, "hello", "another hello has come since"))
             return
         if len(request.events) > self._room():

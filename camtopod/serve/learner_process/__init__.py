@@ -12,10 +12,14 @@ from camtopod.serve.learner_process.messages import (
     LearnProgress as LearnProgress,
     NewVersion as NewVersion,
 )
-from camtopod.serve.learner_process.process import LearnerProcess as LearnerProcess
+from camtopod.serve.learner_process.process import (
+    LearnerEnded as LearnerEnded,
+    LearnerProcess as LearnerProcess,
+)
 from camtopod.serve.learner_process.recovery import (
     Recovered as Recovered,
     newest_topology as newest_topology,
+    note_failure as note_failure,
     recent_events as recent_events,
     recover as recover,
 )

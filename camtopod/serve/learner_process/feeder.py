@@ -115,8 +115,7 @@ class LearnerFeeder:
                 return
 
             # Note the entry at which the learner failed, for the next start.
-            if ended.at:
-                note_failure(self._journal, ended.at)
+            note_failure(self._journal, ended.at)
             raise
 
     def _learn_stored(self, stopping: threading.Event, beat: Beat) -> None:

@@ -24,7 +24,7 @@ from camtopod.serve.learner_process.messages import (
     Load,
     Loaded,
 )
-from camtopod.serve.learner_process.process import LearnerEnded, LearnerProcess
+from camtopod.serve.learner_process.process import LearnerProcess
 from camtopod.serve.storage import (
     Entry,
     Journal,
@@ -66,26 +66,12 @@ def recover(
     site: str,
     new_epoch: Callable[[], str],
 ) -> Recovered:
-    """Load the learner into ``process`` and return its state. Raises `StateError`.
+    """Load the learner into ``process`` and return its state.
+
+    Raises `StateError`, and `LearnerEnded` for `note_failure`.
 
     new_epoch: begins an epoch and stores its name.
     """
-    try:
-        return _recover(journal, process, settings, site, new_epoch)
-    except LearnerEnded as ended:
-        if ended.at:
-            note_failure(journal, ended.at)
-        raise StateError(f"{ended}; start the daemon again") from None
-
-
-def _recover(
-    journal: Journal,
-    process: LearnerProcess,
-    settings: Settings,
-    site: str,
-    new_epoch: Callable[[], str],
-) -> Recovered:
-    """Load the learner. Raises `StateError`, `LearnerEnded`."""
     failure = read_failure(journal)
     fatal = None
     if failure is not None and failure.times >= DEATHS_MAX:
@@ -171,7 +157,9 @@ def read_failure(journal: Journal) -> Failure | None:
 
 
 def note_failure(journal: Journal, at: int) -> None:
-    """Note that the learner died at the entry ``at``."""
+    """Note that the learner died at the entry ``at``, or at its `STATE`; 0: it did nothing."""
+    if not at:
+        return
     failure = read_failure(journal)
     if failure is None or failure.at != at:
         failure = Failure(at, 0)

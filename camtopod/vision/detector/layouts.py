@@ -137,9 +137,9 @@ def _possible(outputs: Sequence[Array], size: Size) -> list[Form]:
     if len(shape) != 3:
         return []
 
-    # A grid: its cells tell it.
+    # A grid: the number of cells of its three strides tells it.
     _, rows, columns = shape
-    cells = cell_count(size)
+    cells = sum((size[0] // stride) * (size[1] // stride) for stride in STRIDES)
     if columns == cells and rows > 4:
         return [Form("yolov8", rows - 4)]
     if rows == 3 * cells and columns > 5:
@@ -161,11 +161,6 @@ def _possible(outputs: Sequence[Array], size: Size) -> list[Form]:
     if 4 < columns < rows and _are_fractions(output[..., :4]):
         return [Form("rt-detr", columns - 4, logits=_are_logits(output[..., 4:]))]
     return []
-
-
-def cell_count(size: Size) -> int:
-    """Return the number of cells of the three grids for an input of (width, height) pixels."""
-    return sum((size[0] // stride) * (size[1] // stride) for stride in STRIDES)
 
 
 def _boxes_first(outputs: Sequence[Array]) -> tuple[Array, Array]:

@@ -141,18 +141,13 @@ def test_publications_count_once_and_those_of_spools_are_left_alone(bench: Intak
 # --- reasons --------------------------------------------------------------------------------------
 
 
-def test_a_batch_of_another_hello_is_refused_and_the_status_names_the_camera(
-    bench: IntakeBench,
-) -> None:
+def test_a_batch_of_another_hello_is_refused(bench: IntakeBench) -> None:
     bench.hello(number="h1")
     bench.hello(number="h2")
 
     assert bench.store({1: -1}, number="h1").reason == "hello"
 
     assert not bench.stored
-    assert "two programs at the same time publish camera a" in (
-        bench.intake.cameras.doubled_reason(bench.now)
-    )
 
 
 @pytest.mark.parametrize(
