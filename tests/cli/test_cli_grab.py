@@ -216,7 +216,7 @@ def test_a_supervised_file_waits_for_the_daemon_at_its_end(
     monkeypatch.setattr(Publisher, "wait_stored", wait_stored)
     with contextlib.ExitStack() as stack:
         meeting = stack.enter_context(buses.open_daemon_session(small_config(tmp_path)))
-        daemon = Daemon(small_config(tmp_path / "daemon"), meeting)
+        daemon = Daemon(small_config(tmp_path / "daemon", meeting.endpoint))
         stack.callback(daemon.stop)
         assert main(grab_to(meeting.endpoint, tmp_path)) == 0
         assert daemon.status().events.stored == len(EVENTS)
