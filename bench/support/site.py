@@ -34,6 +34,8 @@ ONCE = Settings(refit_share=1e9, refit_hours=1e9)
 """Settings with which no version falls due; one is made when all has been learned."""
 LEARNED_EVENTS, LEARNED_PER_SECOND_PER_CAMERA = 60_000, 0.1
 """Events (and their rate) that a site learns before anything is measured; they fill its window."""
+UNIT = Path(__file__).parents[2] / "deploy" / "camtopod.service"
+"""The unit whose environment a measured daemon gets."""
 STOP_SECONDS = 20.0
 """Longest wait for the daemon to stop, seconds."""
 LOOK_SECONDS = 0.02
@@ -155,7 +157,9 @@ def running(
         f'[bus]\nlisten = ["tcp/127.0.0.1:0"]\n{bus}\n[state]\ndirectory = "{folder}/state"\n'
         f"[learn]\n{learn}\n[limits]\n{limits}\n"
     )
-    environment = {**os.environ, "OMP_NUM_THREADS": "1"}
+    lines = UNIT.read_text().splitlines()
+    settings = [line.removeprefix("Environment=") for line in lines if "Environment=" in line]
+    environment = os.environ | dict(one.split("=") for one in " ".join(settings).split())
     command = [sys.executable, "-m", "camtopod", "--config", str(config), "run"]
     with (folder / "log").open("wb") as log:
         process = subprocess.Popen(command, stderr=log, env=environment)

@@ -109,7 +109,7 @@ class Daemon:
         self.progress = Progress()
         """Progress of the daemon's loops and, before they run, of the start."""
         self.topology: Topology | None = None
-        """The newest version, as published."""
+        """The newest version, without what takes most memory: its model and weak links."""
 
     @property
     def endpoint(self) -> str:
@@ -176,7 +176,7 @@ class Daemon:
 
         # Publish the newest version again, and start the threads.
         if self.topology is not None:
-            self._bus.publish("topology", self.topology, "topology")
+            self._bus.publish("topology", self._version({}), "topology")
         status_seconds = config.limits.status_seconds + STALL_SECONDS
         self._start_thread("receive", self._intake.work, STALL_SECONDS)
         self._start_thread("store", self._intake.store, STALL_SECONDS)
@@ -344,9 +344,9 @@ class Daemon:
 
         # Predictions, from the newest version until there is another.
         self._live = Live(self._publish_prediction)
-        self.topology = newest_topology(self._journal)
-        if self.topology is not None:
-            self._live.use(Predictor(self.topology))
+        if (newest := newest_topology(self._journal)) is not None:
+            self._live.use(Predictor(newest))
+            self.topology = replace(newest, model=None, weak_links=None)
 
         # Event time as the learner knows it; the newest events may be newer than the snapshot.
         recent = recent_events(self._journal)
@@ -412,15 +412,10 @@ class Daemon:
 
         Raises `QueryError`.
         """
-        # The newest version is at hand.
         if (newest := self.topology) is None:
             raise QueryError("nothing has been learned yet")
         wanted = parameters.get("version", str(newest.version))
         epoch = parameters.get("epoch", newest.epoch)
-        if (epoch, wanted) == (newest.epoch, str(newest.version)):
-            return newest
-
-        # Older ones are in the journal.
         try:
             if re.fullmatch("[0-9]{1,18}", wanted):
                 content = self._journal.version(epoch, int(wanted))
@@ -469,7 +464,7 @@ class Daemon:
 
     def _announce(self, version: NewVersion, topology: Topology) -> None:
         """Publish a version that is stored, with its delta, and log its alarms."""
-        self.topology = topology
+        self.topology = replace(topology, model=None, weak_links=None)
         if version.delta is not None:
             self.bus.publish_raw("topology/delta", version.delta, "topology-delta")
         self.bus.publish_raw("topology", version.packed, "topology")

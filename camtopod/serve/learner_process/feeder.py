@@ -12,6 +12,8 @@ import threading
 from collections.abc import Callable
 from itertools import islice
 
+from msgspec.structs import replace
+
 from camtopod.records import CatchingUp
 from camtopod.serve.learner_process.messages import (
     INPUTS_MAX,
@@ -156,7 +158,7 @@ class LearnerFeeder:
         assert isinstance(progress, LearnProgress)
         learned = progress.position - self.position
         self.position = progress.position
-        self.progress = progress
+        self.progress = replace(progress, versions=[], state=None)  # these are large
         if progress.unreadable:
             log.error(
                 "%d entries of the journal are no valid events for this program: they are not"
