@@ -11,8 +11,13 @@ from typing import Annotated, Literal
 
 from msgspec import Meta, Struct, field
 
-CAMERA_PATTERN = r"^[A-Za-z0-9_.-]{1,64}\Z"
-"""Regular expression of a camera id; ``\\Z`` refuses the newline that ``$`` would allow."""
+NAME_PATTERN = r"^[A-Za-z0-9_.-]{1,64}\Z"
+"""Regular expression of a name; ``\\Z`` refuses the newline that ``$`` would allow."""
+RESERVED = ("daemon", ".", "..")
+"""Names that no camera may have: ``status/daemon`` is the daemon's, and spools are named after
+cameras."""
+CAMERA_PATTERN = r"^(?!(daemon|\.|\.\.)\Z)[A-Za-z0-9_.-]{1,64}\Z"
+"""Regular expression of a camera id: a name that is not reserved."""
 ZONE_PATTERN = r"^[A-Za-z0-9_.-]{1,64}/[0-9]{1,9}\Z"
 """Regular expression of a zone id, CAMERA/NUMBER."""
 TOPOLOGY_SCHEMA = "camtopod/topology/1"

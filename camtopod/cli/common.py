@@ -20,8 +20,8 @@ from msgspec.structs import replace
 
 from camtopod.cli import exits
 from camtopod.cli.exits import CommandError, InputError
-from camtopod.config import RESERVED, Config, secret_files, settings
-from camtopod.records import CAMERA_PATTERN
+from camtopod.config import Config, secret_files, settings
+from camtopod.records import CAMERA_PATTERN, RESERVED
 from camtopod.redact import redact
 from camtopod.serve.runtime import Progress, systemd
 from camtopod.visible import visible, visible_lines
@@ -95,7 +95,9 @@ def counted(number: int, thing: str) -> str:
 
 def camera_id(text: str) -> str:
     """Parse a camera's id; for argparse."""
-    if not re.match(CAMERA_PATTERN, text) or text in (*RESERVED, ".", ".."):
+    if text in RESERVED:
+        raise argparse.ArgumentTypeError(f"{text!r} is reserved: call the camera otherwise")
+    if not re.match(CAMERA_PATTERN, text):
         raise argparse.ArgumentTypeError(
             f"{text!r} is no camera id: use 1 to 64 of the characters A-Z a-z 0-9 _ . -"
         )

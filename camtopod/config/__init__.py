@@ -13,7 +13,6 @@ from camtopod.config import (
 )
 from camtopod.config.settings import (
     DEFAULT_ENDPOINT as DEFAULT_ENDPOINT,
-    RESERVED as RESERVED,
     TABLES as TABLES,
     BusSettings as BusSettings,
     CameraSettings as CameraSettings,

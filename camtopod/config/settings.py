@@ -29,14 +29,12 @@ from camtopod.config.toml_tables import (
     syntax,
 )
 from camtopod.learn.settings import Settings
-from camtopod.records import CAMERA_PATTERN
+from camtopod.records import NAME_PATTERN, RESERVED
 from camtopod.vision.detector.coco import LABELS
 from camtopod.vision.settings import DetectorSettings, VisionSettings
 
-RESERVED = ("daemon",)
-"""Names that no camera may have: ``status/daemon`` is the key of the daemon's status."""
 Name = Annotated[
-    str, Meta(pattern=CAMERA_PATTERN, description="1 to 64 of the characters A-Z a-z 0-9 _ . -")
+    str, Meta(pattern=NAME_PATTERN, description="1 to 64 of the characters A-Z a-z 0-9 _ . -")
 ]
 Positive = Annotated[float, Meta(gt=0)]
 Fraction = Annotated[float, Meta(ge=0, le=1)]
@@ -285,7 +283,7 @@ class Config(Struct, frozen=True, forbid_unknown_fields=True):
         """
         config = self
         if site is not None:
-            if not re.match(CAMERA_PATTERN, site):
+            if not re.match(NAME_PATTERN, site):
                 raise ValueError(f"site {site!r}: 1 to 64 of the characters A-Z a-z 0-9 _ . -")
             config = replace(config, site=SiteSettings(site))
         for endpoint in endpoints:
@@ -442,7 +440,7 @@ def _mistakes(config: Config) -> Iterator[tuple[Keys, str]]:
     detectors: dict[Keys, DetectorSettings] = {("detector",): config.detector}
     for name, camera in config.cameras.items():
         path: Keys = ("cameras", name)
-        if not re.match(CAMERA_PATTERN, name):
+        if not re.match(NAME_PATTERN, name):
             yield path, "a camera's id is 1 to 64 of the characters A-Z a-z 0-9 _ . -"
         if name in RESERVED:
             yield path, "this name is taken on the bus; call the camera otherwise"

@@ -188,12 +188,12 @@ class Authority:
         return folder
 
     def revoke(self, role: Role, name: str) -> None:
-        """Revoke the certificate of ``name``.
+        """Revoke the certificate of ``name``, also once more.
 
         It takes effect when the daemon has the new access list.
         """
         theirs = [one for one in self.issued if (one.certificate.role, one.of) == (role, name)]
-        if not any(one.valid for one in theirs):
+        if not theirs:
             raise KeysError(f"{role} {name} has no certificate; `camtopod keys list` shows who has")
         self._keep(self._without(theirs))
 

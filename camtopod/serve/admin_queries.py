@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import msgspec
 from msgspec import Struct
+from msgspec.structs import fields
 
 from camtopod.admin import Command, Forget, Rename, Reset, TakeBack
 from camtopod.serve.bus import QueryError
@@ -27,6 +28,7 @@ def parameters_of(command: Command) -> tuple[str, dict[str, str]]:
 def command_of(key: str, parameters: dict[str, str]) -> Command:
     """Return the command that a query asks for; raise `QueryError`."""
     asked = {**parameters, "type": key.removeprefix("admin/")}
+    asked.pop("format", None)  # of the answer
     try:
         command: Command = msgspec.convert(
             asked,
@@ -35,4 +37,11 @@ def command_of(key: str, parameters: dict[str, str]) -> Command:
         )
     except msgspec.ValidationError as error:
         raise QueryError(f"{key}: {error}") from None
+
+    # Fields with defaults are the daemon's own.
+    unknown = asked.keys() - {"type", *(field.name for field in fields(command))}
+    own = [field for field in fields(command) if not field.required]
+    unknown |= {one.name for one in own if getattr(command, one.name) != one.default}
+    if unknown:
+        raise QueryError(f"{key}: unknown parameter {', '.join(sorted(unknown))}: nothing is done")
     return command

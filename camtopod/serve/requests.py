@@ -12,7 +12,7 @@ from typing import Annotated, Literal
 from msgspec import Meta, Struct
 
 from camtopod import codec
-from camtopod.records import CAMERA_PATTERN
+from camtopod.records import NAME_PATTERN
 
 SEQ_MAX = 2**63 - 1
 """Largest sequence number."""
@@ -33,7 +33,7 @@ Mark = Annotated[int, Meta(ge=0, le=SEQ_MAX)]
 """The highest number of a boot of which something is known; 0 if nothing is."""
 Boot = Annotated[str, Meta(min_length=1, max_length=64)]
 """Incarnation of a publisher."""
-Number = Annotated[str, Meta(min_length=1, max_length=32, pattern=CAMERA_PATTERN)]
+Number = Annotated[str, Meta(min_length=1, max_length=32, pattern=NAME_PATTERN)]
 """Random text that a grabber draws for each hello."""
 Reason = Literal["", "malformed", "hello", "held", "busy", "clock", "cameras"]
 """Why nothing more is taken.

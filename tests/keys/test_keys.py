@@ -170,6 +170,30 @@ def test_from_nothing_to_a_site(tmp_path: Path, capsys: pytest.CaptureFixture[st
     assert [one.name for one in listed] == ["daemon", "lobby", "reader:wall"]
 
 
+def test_the_access_list_follows_from_the_ledger_whatever_went_before(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    keys = tmp_path / "keys"
+    run(keys, "init", "--host", "hub.example")
+    run(keys, "camera", "lobby", "hall")
+    in_the_way = keys / "daemon" / ".access.json.new"
+
+    def listed() -> list[str]:
+        access_list = (keys / "daemon/access.json").read_bytes()
+        return [one.name for one in rules.read_access(access_list).certificates]
+
+    for again in (["revoke", "camera", "lobby"], ["list"], ["camera", "hall"]):
+        run(keys, "camera", "lobby", "--replace")
+        assert len(listed()) == 3
+        in_the_way.mkdir()
+        assert run(keys, "revoke", "camera", "lobby") == exits.FAILED
+        assert ".access.json.new" in capsys.readouterr().err
+        assert len(listed()) == 3
+        in_the_way.rmdir()
+        assert run(keys, *again) == (exits.FAILED if again[0] == "camera" else exits.DONE)
+        assert listed() == ["daemon", "hall"]
+
+
 @pytest.mark.parametrize(
     "wrong",
     [

@@ -47,7 +47,9 @@ def cameras(daemon: Daemon) -> set[str]:
 
 def followed(view: TopologySubscriber, daemon: Daemon) -> bool:
     view.update()
-    return view.topology == daemon.topology
+    held = view.topology
+    newest = daemon.topology
+    return held is not None and newest is not None and held.digest == newest.digest
 
 
 def fresh(camera: str, number: int, kind: str = "entry") -> Event:
@@ -174,6 +176,9 @@ def test_a_command_that_makes_no_sense_is_refused_with_the_reason(
         ("admin/forget", {}, "camera"),
         ("admin/rename", {"old": "b"}, "new"),
         ("admin/rename", {"old": "b", "new": "a b"}, "new"),
+        ("admin/rename", {"old": "b", "new": "daemon"}, "new"),
+        ("admin/forget", {"camera": "b", "take_back": "TRUE"}, "unknown parameter take_back"),
+        ("admin/reset", {"t": "5"}, "unknown parameter t"),
     ],
 )
 def test_a_malformed_query_is_refused_with_the_reason(

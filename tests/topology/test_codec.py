@@ -22,13 +22,13 @@ from camtopod.codec import (
     to_json,
     to_msgpack,
 )
-from camtopod.records import Event, Lacks, NextCamera, Prediction
+from camtopod.records import RESERVED, Event, Lacks, NextCamera, Prediction
 
 GOOD = {"camera": "lobby", "kind": "entry", "t": 1700000000.25, "x": 0.31, "y": 0.88, "track": "17"}
 NUMBERS = st.floats(0, 1)
 EVENTS = st.builds(
     Event,
-    st.from_regex(r"[A-Za-z0-9_.-]{1,64}", fullmatch=True),
+    st.from_regex(r"[A-Za-z0-9_.-]{1,64}", fullmatch=True).filter(lambda id_: id_ not in RESERVED),
     st.sampled_from(["entry", "exit"]),
     st.floats(T_MIN, T_MAX, exclude_max=True),
     track=st.none() | st.text(max_size=20),
@@ -83,7 +83,7 @@ def test_more_fields_and_numbered_tracks_are_welcome() -> None:
     ("field", "values"),
     [
         ("t", ["late", None, ..., 1e12, -1e12, T_MAX, T_MIN - 1, [], True]),
-        ("camera", ["", "a b", "a/b", "a" * 65, "a\n", "ä", 5, None, ...]),
+        ("camera", ["", "daemon", ".", "..", "a b", "a/b", "a" * 65, "a\n", "ä", 5, None, ...]),
     ],
 )
 def test_time_and_camera_must_be_one(field: str, values: list[object]) -> None:

@@ -11,7 +11,7 @@ from urllib.parse import urlsplit
 
 from camtopod.cli import exits
 from camtopod.cli.exits import CommandError, InputError
-from camtopod.config import RESERVED
+from camtopod.records import RESERVED
 from camtopod.vision.source import kind_of, percent_encoded
 
 _GIVEN = re.compile(r"(?:([A-Za-z0-9_.-]{1,64})=)?(.+)")
@@ -38,7 +38,7 @@ def named_sources(arguments: Sequence[str]) -> dict[str, str]:
         raise InputError("no camera given on standard input")
 
     # Names that are given come first: the others make way.
-    taken = {*RESERVED, ".", ".."}
+    taken = {*RESERVED}
     for name, _ in given:
         if name in taken:
             raise CommandError(

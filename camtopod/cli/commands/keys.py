@@ -170,13 +170,13 @@ def _run(args: argparse.Namespace, config: Config) -> int:
         raise CommandError(
             f"{args.keys} is the authority of site {authority.site}, not of {args.site}"
         )
-    if what == "list":
-        return _list(authority, now)
     if args.cameras and len(args.names) > 1:
         raise CommandError("--for needs exactly one NAME: the program that publishes the events")
 
-    # Issue or revoke; the access list is written even if this fails half-way.
+    # The access list follows from the ledger, whatever an earlier command could not write.
     try:
+        if what == "list":
+            return _list(authority, now)
         for name in args.names:
             if what == "revoke":
                 authority.revoke(args.role, name)
@@ -210,15 +210,16 @@ def _issue(authority: Authority, args: argparse.Namespace, config: Config, name:
 
 
 def _write_access(authority: Authority, config: Config) -> None:
-    """Write the access list, for the daemon and for a separate zenoh router."""
+    """Write the access list, for the daemon and for a separate zenoh router, if it has changed."""
     folder = authority.folder / DAEMON
     access = msgspec.json.format(msgspec.json.encode(authority.access), indent=1)
-    secret_files.write(folder / ACCESS, access)
     listen = [endpoint for endpoint in config.bus.listen if endpoint.startswith("tls/")]
     text = rules.router_json5(
         authority.access, listen or ["tls/[::]:7447"], config.bus.message_bytes_max
     )
-    secret_files.write(folder / "router.json5", text.encode())
+    for path, content in ((folder / ACCESS, access), (folder / "router.json5", text.encode())):
+        if not path.exists() or path.read_bytes() != content:
+            secret_files.write(path, content)
 
 
 def _example(site: str, config: Config, certificate: rules.Certificate, folder: str) -> str:

@@ -14,9 +14,10 @@ from msgspec import Struct
 
 from camtopod import records
 from camtopod.cli.generated.example_config import attribute_docs
-from camtopod.config import RESERVED, TABLES, CameraSettings, Config, fields
+from camtopod.config import TABLES, CameraSettings, Config, fields
 from camtopod.records import (
     DELTA_SCHEMA,
+    RESERVED,
     TOPOLOGY_SCHEMA,
     Delta,
     Event,

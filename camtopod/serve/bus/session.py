@@ -24,7 +24,7 @@ import zenoh
 from camtopod import codec
 from camtopod.config import BusSettings, Config
 from camtopod.keys.rules import PREFIX
-from camtopod.records import CAMERA_PATTERN
+from camtopod.records import NAME_PATTERN
 from camtopod.redact import redact
 from camtopod.serve.bus import access, sockets
 from camtopod.serve.bus.access import BusError as BusError
@@ -286,16 +286,16 @@ class Bus(contextlib.AbstractContextManager["Bus"]):
     def list_alive(self, role: str) -> list[str]:
         """Return the names of the programs of a role that are on the bus.
 
-        Names that do not match `CAMERA_PATTERN` are left out.
+        Names that do not match `NAME_PATTERN` are left out.
         """
         names = [key.rsplit("/", 1)[-1] for key in self._alive(self._full(f"alive/{role}/*"))]
-        return [name for name in names if re.match(CAMERA_PATTERN, name)]
+        return [name for name in names if re.match(NAME_PATTERN, name)]
 
     def list_sites(self) -> list[str]:
         """Return the names of all sites that have a daemon on this bus, sorted."""
         keys = self._alive(f"{PREFIX}/*/alive/daemon/*")
         names = {key.removeprefix(f"{PREFIX}/").partition("/")[0] for key in keys}
-        return sorted(name for name in names if re.match(CAMERA_PATTERN, name))
+        return sorted(name for name in names if re.match(NAME_PATTERN, name))
 
     def _alive(self, keys: str) -> list[str]:
         """Return the keys of the liveliness tokens that match ``keys``."""
@@ -312,7 +312,7 @@ class Bus(contextlib.AbstractContextManager["Bus"]):
 
         def change(sample: zenoh.Sample) -> None:
             name = str(sample.key_expr).rsplit("/", 1)[-1]
-            if re.match(CAMERA_PATTERN, name):
+            if re.match(NAME_PATTERN, name):
                 on_change(name, sample.kind == zenoh.SampleKind.PUT)
 
         key = self._full(f"alive/{role}/*")

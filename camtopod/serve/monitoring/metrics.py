@@ -100,7 +100,7 @@ def grabbers(bus: Bus) -> dict[str, GrabberStatus]:
     found = {}
     for key, payload in answers:
         camera = key.removeprefix("status/")
-        if camera == "daemon" or not re.match(CAMERA_PATTERN, camera):
+        if not re.match(CAMERA_PATTERN, camera):
             continue
         with suppress(codec.Rejected):
             found[camera] = codec.read(GrabberStatus, payload, pack=True)
