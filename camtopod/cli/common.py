@@ -18,6 +18,7 @@ from typing import BinaryIO, NamedTuple
 
 from msgspec.structs import replace
 
+from camtopod import files
 from camtopod.cli import exits
 from camtopod.cli.exits import CommandError, InputError
 from camtopod.config import Config, secret_files, settings
@@ -119,17 +120,28 @@ def writing(path: str | Path) -> Iterator[None]:
 
 
 @contextlib.contextmanager
-def open_output(path: str) -> Iterator[BinaryIO]:
-    """Open a file for writing bytes; ``-`` is standard output, which is flushed and left open.
+def open_output(
+    path: str | Path, mode: int | None = None, live: bool = False
+) -> Iterator[BinaryIO]:
+    """Open a file for writing bytes, as `files.writing`; standard output is flushed and left open.
+
+    live: what is written is in the file at once; without end, it would never be whole.
 
     Raises `CommandError`.
     """
-    if path == "-":
+    if is_standard_output(path):
         yield sys.stdout.buffer
         sys.stdout.buffer.flush()
         return
-    with writing(path), open(path, "wb") as file:
+    with writing(path), open(path, "wb") if live else files.writing(path, mode) as file:
         yield file
+
+
+def is_standard_output(path: str | Path) -> bool:
+    """Return True for ``-``, and for a name of what standard output is connected with."""
+    with contextlib.suppress(OSError):
+        return str(path) == "-" or os.path.samestat(os.stat(path), os.fstat(1))
+    return False
 
 
 class _Formatter(logging.Formatter):

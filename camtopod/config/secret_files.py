@@ -8,6 +8,8 @@ import stat
 from collections.abc import Iterable
 from pathlib import Path
 
+from camtopod import files
+
 BYTES_MAX = 4096
 """Most bytes of a file that `read` looks at."""
 
@@ -36,26 +38,12 @@ def write(path: Path, content: bytes, mode: int = 0o600) -> None:
     mode: permissions of the file. With another mode than 0600 the file is shared: it gets the owner
         and the group of its folder, if this user may set them.
     """
-    # Write a new file beside the old one.
-    new = path.with_name(f".{path.name}.new")
-    new.unlink(missing_ok=True)
-    fd = os.open(new, os.O_WRONLY | os.O_CREAT | os.O_EXCL, mode)
-    with os.fdopen(fd, "wb") as file:
+    with files.writing(path, mode) as file:
         if mode != 0o600:
             with contextlib.suppress(PermissionError):
                 its = path.parent.stat()
-                os.fchown(fd, its.st_uid, its.st_gid)
+                os.fchown(file.fileno(), its.st_uid, its.st_gid)
         file.write(content)
-        file.flush()
-        os.fsync(file.fileno())
-
-    # Put it in the old one's place.
-    os.replace(new, path)
-    folder = os.open(path.parent, os.O_RDONLY)
-    try:
-        os.fsync(folder)  # else a power cut could bring the old file back
-    finally:
-        os.close(folder)
 
 
 def find_exposed(paths: Iterable[Path]) -> list[str]:

@@ -237,7 +237,7 @@ class Feed:
             reason = f"no status from the daemon for {self._silent_seconds:.0f} s"
         behind = None
         if status.catching_up is not None:
-            behind = math.floor(100 * status.catching_up.share)
+            behind = math.floor(100 * min(max(0.0, status.catching_up.share), 1.0))
         return Live(not reason, reason, heard, behind)
 
     def _cameras(self, now: float, figures: dict[str, CameraFigures]) -> list[CameraHealth]:

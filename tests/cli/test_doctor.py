@@ -124,7 +124,7 @@ def test_no_secret_is_in_it(
         f"holds a secret: {tmp_path}/lobby (-rw-r--r--",
         f"{tmp_path}/lobby holds a secret and can be read by others",
         f"{daemon.endpoint}#connect_private_key_base64=*** is reached after",
-        'lobby: {"camera": "lobby", "state": "stalled", "reason": "rtsp://***@h and *** and *** and *** and ***',
+        'lobby: {"state": "stalled", "reason": "rtsp://***@h and *** and *** and *** and ***',
         '"rejects": {',
         "CAMTOPOD_MQTT_PASSWORD",
     ):

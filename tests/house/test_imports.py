@@ -27,7 +27,7 @@ PACKAGES = sorted(
 )
 
 FLOORS = (
-    "records admin arrays redact visible soundness codec event_time publishers mqtt untrusted_xml",
+    "files records admin arrays redact visible soundness codec event_time publishers mqtt untrusted_xml",
     "topology",
     "predict",
     "learn.settings learn.limits",

@@ -27,7 +27,7 @@ import numpy as np
 from msgspec import Struct
 
 from camtopod.cli import exits
-from camtopod.cli.common import writing
+from camtopod.cli.common import open_output, writing
 from camtopod.cli.terminal import Progress
 from camtopod.codec import to_json
 from camtopod.config import BusSettings, Config, Limits, SiteSettings, StateSettings
@@ -122,8 +122,9 @@ def run(args: argparse.Namespace) -> int:
     result = score(topology, recording.truth)
 
     # Write the results.
-    (args.out / "topology.json").write_bytes(to_json(topology) + b"\n")
-    (args.out / "truth.json").write_bytes(to_json(recording.truth) + b"\n")
+    for name, content in (("topology", topology), ("truth", recording.truth)):
+        with open_output(args.out / f"{name}.json") as file:
+            file.write(to_json(content) + b"\n")
     picture = args.out / "map.png"
     notes = result.text().splitlines()
     write_map(picture, recording.plan, recording.truth, topology, notes)

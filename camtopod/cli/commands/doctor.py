@@ -23,11 +23,12 @@ from typing import Any
 
 import msgspec
 
-from camtopod import __version__
+from camtopod import __version__, codec
 from camtopod.cli import exits
-from camtopod.cli.common import configuration, with_options, writing
+from camtopod.cli.common import configuration, open_output, with_options
 from camtopod.cli.exits import CommandError
 from camtopod.config import TABLES, Config, secret_files
+from camtopod.records import DaemonStatus, GrabberStatus
 from camtopod.redact import redact, remember
 from camtopod.serve.bus import BusError, access, dial, sites_instead
 from camtopod.serve.runtime import clock
@@ -57,8 +58,8 @@ def add_parser(subparsers: Any) -> None:
     )
     parser.add_argument(
         "--out",
-        type=Path,
         metavar="FILE",
+        default="-",
         help="write the report to FILE (default: standard output)",
     )
 
@@ -92,12 +93,10 @@ def run(args: argparse.Namespace) -> int:
     )
 
     # Write it.
-    if args.out is None:
-        sys.stdout.write(report)
-        return exits.DONE
-    with writing(args.out):
-        secret_files.write(args.out, report.encode())
-    print(f"{args.out} is written; look through it before you share it", file=sys.stderr)
+    with open_output(args.out, 0o600) as file:
+        file.write(report.encode())
+    if args.out != "-":
+        print(f"{args.out} is written; look through it before you share it", file=sys.stderr)
     return exits.DONE
 
 
@@ -204,7 +203,10 @@ def _bus(config: Config) -> Iterator[str]:
             yield f"{role}s there: {names or f'none seen{hidden}'}"
         if others := sites_instead(bus, config):
             yield f"sites with a daemon on this bus: {', '.join(others)}"
-        statuses = {key.removeprefix("status/"): _status(raw) for key, raw in bus.query("status/*")}
+        statuses = {
+            (name := key.removeprefix("status/")): _status(name, raw)
+            for key, raw in bus.query("status/*")
+        }
     for name, status in sorted(statuses.items()):
         samples = status.get("reject_samples", {})  # each quotes the refused text at its end
         for reason, quotes in samples.items():
@@ -214,11 +216,15 @@ def _bus(config: Config) -> Iterator[str]:
         yield f"no program answers a query for its status{hidden}"
 
 
-def _status(raw: bytes) -> dict[str, Any]:
-    """Return a decoded status, or the reason why it cannot be read."""
+def _status(name: str, raw: bytes) -> dict[str, Any]:
+    """Return the status of a camera or of ``daemon``, or the reason why it cannot be read."""
     try:
-        return msgspec.msgpack.decode(raw, type=dict[str, Any])
-    except ValueError as error:
+        status: Any = codec.read(
+            DaemonStatus if name == "daemon" else GrabberStatus, raw, pack=True
+        )
+        told = msgspec.to_builtins(status).items()
+        return {field: value for field, value in told if value is not None}
+    except codec.Rejected as error:
         return {"unreadable": str(error)}
 
 

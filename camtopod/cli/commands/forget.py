@@ -16,6 +16,7 @@ from camtopod.cli.exits import CommandError
 from camtopod.cli.site_choice import right_site
 from camtopod.serve.admin_queries import Done, parameters_of
 from camtopod.serve.bus import QueryError, dial
+from camtopod.visible import visible
 
 ANSWER_SECONDS = 30.0
 """Longest wait for the daemon's answer; it answers when the command is on its disk."""
@@ -67,5 +68,8 @@ def carry_out(args: argparse.Namespace, command: Command) -> int:
             if config.bus.tls.ca:
                 what += "; with certificates, only that of the daemon may do this"
             raise CommandError(what, exits.BUS)
-    print(codec.read(Done, answers[0][1], pack=True).done)
+    try:
+        print(visible(codec.read(Done, answers[0][1], pack=True).done))
+    except codec.Rejected as error:
+        raise CommandError(f"the answer of the daemon cannot be read: {error}") from None
     return exits.DONE

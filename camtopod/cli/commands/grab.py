@@ -25,6 +25,7 @@ from camtopod.cli.common import (
     camera_id,
     configuration,
     ends_within,
+    is_standard_output,
     open_output,
     signals,
     start_logging,
@@ -32,7 +33,7 @@ from camtopod.cli.common import (
 from camtopod.cli.exits import CommandError
 from camtopod.config import CameraSettings, Config, detector_line
 from camtopod.serve.runtime import clock, systemd
-from camtopod.vision.source import RETRY_SEPARATOR, captured_log
+from camtopod.vision.source import RETRY_SEPARATOR, captured_log, kind_of
 
 if TYPE_CHECKING:
     from camtopod.records import Event
@@ -146,6 +147,7 @@ def _one(args: argparse.Namespace, stop: threading.Event) -> int:
     heartbeats = HeartbeatSender()
     with contextlib.ExitStack() as stack:
         # Save standard output: from here on FFmpeg's messages arrive on it.
+        to_stdout = args.out is not None and is_standard_output(args.out)
         output: BinaryIO = stack.enter_context(os.fdopen(os.dup(1), "wb"))
         ffmpeg_log = stack.enter_context(captured_log())
         from camtopod.vision.grabber import Grabber
@@ -171,9 +173,9 @@ def _one(args: argparse.Namespace, stop: threading.Event) -> int:
 
         if args.out is None:
             return _to_bus(grabber, args, config, stop, heartbeats)
-        if args.out == "-":
+        if to_stdout:
             return _to_lines(grabber, output, stop, heartbeats)
-        with open_output(args.out) as file:
+        with open_output(args.out, live=kind_of(settings.source) != "file") as file:
             return _to_lines(grabber, file, stop, heartbeats)
 
 

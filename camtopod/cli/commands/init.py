@@ -12,7 +12,7 @@ from typing import Any
 from msgspec.structs import replace
 
 from camtopod.cli import exits
-from camtopod.cli.common import configuration, counted, writing
+from camtopod.cli.common import configuration, counted, open_output, writing
 from camtopod.cli.exits import CommandError, InputError
 from camtopod.cli.generated import table
 from camtopod.config import TABLES, CameraSettings, Config, secret_files, settings as configurations
@@ -134,8 +134,8 @@ def run(args: argparse.Namespace) -> int:
         for name, path in secrets.items():
             path.parent.mkdir(mode=0o700, exist_ok=True)
             secret_files.write(path, _located(cameras[name]).encode() + b"\n")
-        secret_files.write(args.out.resolve(), text.encode(), mode)
-        args.out.chmod(mode)
+        with open_output(args.out, mode) as file:
+            file.write(text.encode())
 
     # Say what comes next.
     _say(f"{args.out} has {', '.join(cameras)}")

@@ -7,15 +7,13 @@ its own; otherwise only the last one, in one fit of the last window.
 from __future__ import annotations
 
 import argparse
-import os
 import sys
 from contextlib import ExitStack
-from pathlib import Path
 from typing import Any, BinaryIO
 
 from camtopod.cli.common import configuration, open_output
 from camtopod.cli.events.event_lines import LineReader
-from camtopod.cli.exits import CommandError, InputError
+from camtopod.cli.exits import InputError
 from camtopod.cli.terminal import Progress, busiest_links, topology_lines, transit
 from camtopod.codec import to_json
 from camtopod.learn.learner import STEPS, Learner
@@ -60,33 +58,27 @@ def run(args: argparse.Namespace) -> int:
     """
     config = configuration(args)
     reader = LineReader()
-    if (
-        args.topology
-        and args.topology != "-"
-        and not os.access(Path(args.topology).parent, os.W_OK)
-    ):
-        raise CommandError(f"cannot write {args.topology}: no such directory, or no permission")
+    to_stdout = not (args.updates or sys.stdout.isatty())
+    out = args.topology or ("-" if to_stdout else None)
 
-    # Feed all events to the learner.
+    # Feed all events to the learner, and write the topology.
     with ExitStack() as stack:
+        written = stack.enter_context(open_output(out)) if out else None
         learner = Learner(
             config.learn, site=config.site.name, epoch=EPOCH, only_last=args.updates is None
         )
         updates = stack.enter_context(open_output(args.updates)) if args.updates else None
         _feed(learner, reader, args.events, updates)
+        if (summary := reader.summary()) is not None:
+            print(f"camtopod: {summary}", file=sys.stderr)
+        topology = learner.topology
+        if topology is None:
+            raise InputError(f"no event lines in {', '.join(args.events)}: nothing to learn")
+        if written is not None:
+            written.write(to_json(topology) + b"\n")
 
-    # Report what was not learned from.
-    if (summary := reader.summary()) is not None:
-        print(f"camtopod: {summary}", file=sys.stderr)
-
-    # Write the topology.
-    topology = learner.topology
-    if topology is None:
-        raise InputError(f"no event lines in {', '.join(args.events)}: nothing to learn")
-    if args.topology or not (args.updates or sys.stdout.isatty()):
-        with open_output(args.topology or "-") as out:
-            out.write(to_json(topology) + b"\n")
-    elif not args.updates:
+    # Say what was learned.
+    if not (out or args.updates):
         print("\n".join(link_lines(topology)))
         print("camtopod: --topology OUT.json keeps the topology", file=sys.stderr)
     for line in topology_lines(topology):

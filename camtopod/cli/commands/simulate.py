@@ -4,11 +4,10 @@ from __future__ import annotations
 
 import argparse
 import sys
-from pathlib import Path
 from typing import Any
 
 from camtopod.cli import exits
-from camtopod.cli.common import open_output, writing
+from camtopod.cli.common import open_output
 from camtopod.codec import to_json
 from camtopod.sim.simulation import SimSettings, simulate
 
@@ -72,8 +71,8 @@ def run(args: argparse.Namespace) -> int:
     with open_output(args.events) as file:
         file.writelines(to_json(event) + b"\n" for event in events)
     if args.truth:
-        with writing(args.truth):
-            Path(args.truth).write_bytes(to_json(truth) + b"\n")
+        with open_output(args.truth) as file:
+            file.write(to_json(truth) + b"\n")
 
     # Summarise.
     links = sum(link.relation != "visible" for link in truth.links)

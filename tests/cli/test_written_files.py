@@ -1,0 +1,131 @@
+"""What commands write: whole files, or an older one as it was; pipes, devices, standard output."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import resource
+import stat
+import sys
+import threading
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+from synthetic_topology import synthetic_topology
+
+from camtopod import codec
+from camtopod.cli import exits, main
+from camtopod.cli.commands import doctor
+from camtopod.records import Event
+
+COMMANDS = {
+    "report": ("report", "{topology}", "--out"),
+    "export": ("export", "{topology}", "--format", "json", "--out"),
+    "learn": ("learn", "{events}", "--topology"),
+    "updates": ("learn", "{events}", "--updates"),
+    "ingest": ("--config", "none", "ingest", "jsonl", "{events}", "--out"),
+    "simulate": ("simulate", "--cameras", "3", "--hours", "0.1", "--events"),
+    "truth": ("simulate", "--cameras", "3", "--hours", "0.1", "--events", "/dev/null", "--truth"),
+    "doctor": ("--config", "none", "doctor", "--out"),
+}
+ROOM = 40
+"""Bytes of a file until the disk is full."""
+
+
+@pytest.fixture(params=COMMANDS)
+def command(
+    request: pytest.FixtureRequest, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> list[str]:
+    """Return the words of a command; the name of its output is missing."""
+    monkeypatch.setattr(doctor, "_bus", lambda _: ["not looked for"])
+    topology, events = tmp_path / "given.json", tmp_path / "given.jsonl"
+    topology.write_bytes(codec.to_json(synthetic_topology(4)))
+    seen = [Event("lobby", "exit" if k % 2 else "entry", 60.0 * k, 0.5, 0.5) for k in range(20)]
+    events.write_bytes(b"".join(codec.to_json(event) + b"\n" for event in seen))
+    return [word.format(topology=topology, events=events) for word in COMMANDS[request.param]]
+
+
+@contextlib.contextmanager
+def full_disk() -> Iterator[None]:
+    """Let no file grow beyond `ROOM`."""
+    _, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (ROOM, hard))
+    try:
+        yield
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, (hard, hard))
+
+
+def test_a_file_is_whole_or_as_it_was(
+    command: list[str], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    folder = tmp_path / "results"
+    folder.mkdir()
+    good = folder / "good"
+    good.write_bytes(b"good")
+    good.chmod(0o604)
+    link = tmp_path / "link"
+    link.symlink_to(good)
+
+    # Through a link, on a full disk.
+    with full_disk():
+        assert main.main([*command, str(link)]) == exits.FAILED
+    assert f"cannot write {link}: File too large" in capsys.readouterr().err
+    assert good.read_bytes() == b"good"
+    assert [*folder.iterdir()] == [good], "nothing is left beside it"
+
+    # The same with room.
+    assert main.main([*command, str(link)]) == exits.DONE
+    assert len(good.read_bytes()) > ROOM
+    assert [*folder.iterdir()] == [good]
+    assert link.is_symlink()
+    assert stat.S_IMODE(good.stat().st_mode) == (0o600 if "doctor" in command else 0o604)
+
+
+def test_a_folder_that_is_missing_is_named(
+    command: list[str],
+    capsys: pytest.CaptureFixture[str],
+    monkeypatch: pytest.MonkeyPatch,
+    tmp_path: Path,
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    assert main.main([*command, "nowhere/out"]) == exits.FAILED
+    assert "cannot write nowhere/out: there is no folder nowhere" in capsys.readouterr().err
+    assert main.main([*command, "."]) == exits.FAILED
+    assert "cannot write .: Is a directory" in capsys.readouterr().err
+
+
+def test_pipes_and_devices_are_written_into(
+    command: list[str], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main.main([*command, "/dev/full"]) == exits.FAILED
+    assert "No space left" in capsys.readouterr().err
+    assert stat.S_ISCHR(os.stat("/dev/full").st_mode)
+
+    pipe = tmp_path / "pipe"
+    os.mkfifo(pipe)
+    read: list[bytes] = []
+    reader = threading.Thread(target=lambda: read.append(pipe.read_bytes()))
+    reader.start()
+    assert main.main([*command, str(pipe)]) == exits.DONE
+    reader.join()
+    assert len(read[0]) > ROOM
+    assert pipe.is_fifo()
+
+
+def test_a_dash_and_its_other_names_are_standard_output(
+    command: list[str],
+    tmp_path: Path,
+    capfdbinary: pytest.CaptureFixture[bytes],
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    before = {*tmp_path.iterdir()}
+    sizes = []
+    for name in ("-", "/dev/stdout"):
+        assert main.main([*command, name]) == exits.DONE
+        sys.stdout.flush()
+        sizes.append(len(capfdbinary.readouterr().out))
+    assert min(sizes) > ROOM
+    assert {*tmp_path.iterdir()} == before
