@@ -160,6 +160,9 @@ class Feed:
                 self._connected_since = self._clock()
             if (newest := self._view.update()) is not None:
                 self.show(newest)
+            elif self.topology is not None and self._new_cameras(self.map):
+                self._draw(self.topology)
+                self._page_queues.send("cameras", b"null")
 
     def show(self, topology: Topology) -> None:
         """Show a version from now on."""
@@ -171,12 +174,31 @@ class Feed:
             self._predictions.clear()
 
         # Everything that the page asks for; then open pages ask.
-        self.map = draw(topology, self.map)
+        self._draw(topology)
         self.topology = topology
         self.explanations = Explanations(topology)
         self.versions = [*self.versions, summary(topology, before)][-VERSIONS_MAX:]
-        self.map_json = codec.to_json(self.map)
         self._page_queues.send("version", self._version())
+
+    def _draw(self, topology: Topology) -> None:
+        """Draw the map of a version, with the cameras that it does not know yet."""
+        self.map = draw(topology, self.map, self._new_cameras(None))
+        self.map_json = codec.to_json(self.map)
+
+    def _new_cameras(self, drawn: Map | None) -> set[str]:
+        """Return the cameras with a publisher that a map does not show; None: all with one."""
+        figures: dict[str, CameraFigures] = {}
+        if self._daemon is not None:
+            figures = self._daemon[0].cameras
+        grabbers = dict(self._grabbers)
+        names = {*grabbers, *(name for name, one in figures.items() if one.alive)}
+        if drawn is not None:
+            names -= drawn.cameras.keys()
+        now = self._clock()
+        absent = ("", "silent", "forgotten")
+        return {
+            name for name in names if self._state(name, grabbers.get(name), now)[0] not in absent
+        }
 
     def hello(self) -> bytes:
         """Return the first messages for a page that has just connected: server-sent events."""

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 
 from msgspec import Struct
 from msgspec.structs import replace
@@ -27,6 +27,8 @@ class MapCamera(Struct, frozen=True):
     zones: int
     entries: int
     exits: int
+    new: bool = False
+    """True if the camera is on the site, and not in the version yet."""
 
 
 class Direction(Struct, frozen=True, rename={"from_": "from"}):
@@ -71,24 +73,30 @@ class Map(Struct, frozen=True):
     """Missing evidence for the first link between views, in words; "" if there is a link."""
 
 
-def draw(topology: Topology, before: Map | None = None) -> Map:
+def draw(topology: Topology, before: Map | None = None, new: Iterable[str] = ()) -> Map:
     """Return the map of a version.
 
     before: the previous map, whose camera positions are kept as far as the network is the same.
+    new: cameras of the site that are not in the version yet.
     """
     # Edges and counts of events.
     drawn = map_edges(topology)
-    entries: dict[str, list[int]] = {camera.id: [0, 0] for camera in topology.cameras}
+    entries = dict.fromkeys((camera.id for camera in topology.cameras), 0)
+    exits = entries.copy()
     for zone in topology.zones:
-        entries[zone.camera][0] += zone.entries
-        entries[zone.camera][1] += zone.exits
+        entries[zone.camera] += zone.entries
+        exits[zone.camera] += zone.exits
 
     # Nodes.
-    at = _places(topology, drawn, before)
+    new = set(new) - entries.keys()
+    at = _places([*entries, *new], drawn, before)
     cameras = {
-        camera.id: MapCamera(*at[camera.id], len(camera.zones), *entries[camera.id])
+        camera.id: MapCamera(
+            *at[camera.id], len(camera.zones), entries[camera.id], exits[camera.id]
+        )
         for camera in topology.cameras
     }
+    cameras |= {name: MapCamera(*at[name], 0, 0, 0, new=True) for name in sorted(new)}
     return Map(
         topology.site,
         topology.epoch,
@@ -161,11 +169,8 @@ def why_provisional(pair: Pair | None, transitions: float, best: Link | None) ->
     return ""
 
 
-def _places(
-    topology: Topology, drawn: Mapping[str, MapEdge], before: Map | None
-) -> dict[str, Place]:
+def _places(names: list[str], drawn: Mapping[str, MapEdge], before: Map | None) -> dict[str, Place]:
     """Return the camera positions; those of before if the network is the same."""
-    names = [camera.id for camera in topology.cameras]
     joined = _joined(drawn)
     if before is None:
         return places(names, joined, {})

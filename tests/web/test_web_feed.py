@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import json
+import math
 import threading
 from typing import Any, cast
 
@@ -13,10 +14,11 @@ from fake_bus import OneBus
 from synthetic_topology import synthetic_topology
 
 from camtopod.publishers import GONE_SECONDS
-from camtopod.records import Event, InView, Look, NextCamera, Prediction
+from camtopod.records import Camera, Event, InView, Look, NextCamera, Prediction
 from camtopod.serve.bus.session import Bus
 from camtopod.web import feed
 from camtopod.web.feed import Feed
+from camtopod.web.map_data import Map
 from camtopod.web.outbox import MESSAGES_MAX, PageQueue, PageQueues
 
 SITE = synthetic_topology(12)
@@ -70,6 +72,11 @@ def prediction(camera: str, *probabilities: float) -> Prediction:
     return Prediction(camera, f"{camera}/1", 1.0, "somebody", 1, 0.1, next_, look, seen)
 
 
+def shown_map(rig: Rig) -> Map:
+    assert rig.feed.map is not None
+    return rig.feed.map
+
+
 def follow(rig: Rig) -> None:
     """Let the feed look after the bus once."""
     stop = threading.Event()
@@ -94,6 +101,25 @@ def test_versions_are_told_and_a_new_epoch_begins_anew(rig: Rig) -> None:
     assert json.loads(rig.feed.map_json)["epoch"] == "02K"
     assert [one.since for one in rig.feed.versions] == [None]
     assert b"event: past" not in rig.feed.hello()
+
+
+def test_a_camera_that_was_added_is_on_the_map_before_a_version_knows_it(rig: Rig) -> None:
+    rig.feed.show(SITE)
+    places = {name: (node.x, node.y) for name, node in shown_map(rig).cameras.items()}
+    rig.bus.publish("status/added", RUNNING)
+    follow(rig)
+    there = shown_map(rig).cameras
+
+    assert {name for name, camera in there.items() if camera.new} == {"added"}
+    assert json.loads(rig.feed.map_json)["cameras"]["added"]["new"] is True
+    assert all(math.dist((there[name].x, there[name].y), at) < 0.5 for name, at in places.items())
+    assert rig.pages.of("cameras") == [None], "open pages fetch the map"
+    follow(rig)
+    assert rig.pages.of("cameras") == [None], "once"
+
+    known = [*SITE.cameras, Camera("added", [])]
+    rig.feed.show(msgspec.structs.replace(SITE, version=SITE.version + 1, cameras=known))
+    assert not any(camera.new for camera in shown_map(rig).cameras.values())
 
 
 def test_predictions_are_told_without_who_it_was_and_so_many_a_second(rig: Rig) -> None:

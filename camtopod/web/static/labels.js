@@ -93,7 +93,8 @@ function placeNames(map, chosen, found, taken, measure) {
   for (const { node, x, y } of inSight) {
     if (wanted.length >= NAMES_MAX) break;
     const kind = chosen.has(node.id) || found.has(node.id) ? "name first" : "name";
-    const { half, height: tall, above } = measure(node.id, kind);
+    const text = node.camera.new ? `${node.id}: new, no version yet` : node.id;
+    const { half, height: tall, above } = measure(text, kind);
     const [wide, high] = map.halves(node);
     const places = [node.side, ...SIDES].map(([dx, dy]) => {
       const [mx, my] = [x + dx * (wide + half + 2), y + dy * (high + tall / 2 + 3)];
@@ -103,7 +104,7 @@ function placeNames(map, chosen, found, taken, measure) {
     const box = places.find((one) => inside(one) && taken.free(...one)) ?? (chosen.has(node.id) ? places[0] : null);
     if (!box) continue;
     taken.add(...box);
-    wanted.push({ text: node.id, x: box[0] + half, y: box[1] + above, kind });
+    wanted.push({ text, x: box[0] + half, y: box[1] + above, kind });
   }
   return wanted;
 }

@@ -11,7 +11,7 @@ export class Connection {
   #lostSince = null;
   #refused = ""; // why the server does not let this page in, in its own words
 
-  // handlers: {version, prediction, past, event, beat, lost(since or null, why)}
+  // handlers: {version, cameras, prediction, past, event, beat, lost(since or null, why)}
   constructor(handlers) {
     this.handlers = handlers;
     this.offset = 0; // seconds that the server's clock is ahead of this one's
@@ -41,7 +41,7 @@ export class Connection {
     const query = this.#camera === null ? "" : `?${new URLSearchParams({ camera: this.#camera })}`;
     const events = (this.#events = new EventSource(`live${query}`));
     this.#opened = performance.now();
-    for (const name of ["version", "prediction", "past", "event", "beat"]) {
+    for (const name of ["version", "cameras", "prediction", "past", "event", "beat"]) {
       events.addEventListener(name, (message) => {
         const content = JSON.parse(message.data);
         this.#alive(name === "beat" ? content.now : null);

@@ -75,6 +75,7 @@ class App {
           else if (!this.#shown || this.#shown.failed) this.#again();
           this.askHealth();
         },
+        cameras: () => this.load(), // one has come that no version knows yet
         lost: (since, why) => {
           this.#lost = since;
           this.#refused = why;

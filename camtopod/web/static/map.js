@@ -243,7 +243,8 @@ export class NetworkMap {
     element.classList.toggle("ill", ill);
     element.classList.toggle("gone", gone);
     const state = ill ? ", needs attention" : gone ? ", gone" : "";
-    const name = `Camera ${id}, ${plural(camera.zones, "zone")}${state}`;
+    const learned = camera.new ? "new, no version yet" : plural(camera.zones, "zone");
+    const name = `Camera ${id}, ${learned}${state}`;
     if (element.getAttribute("aria-label") !== name) element.setAttribute("aria-label", name);
   }
 

@@ -7,7 +7,13 @@ import { count, percent, plural, seconds, span, transit } from "./words.js";
 export function nodeTip({ id, camera }) {
   return [
     h("b", {}, id),
-    h("span", {}, `${plural(camera.zones, "zone")} · about ${count(camera.entries)} in, ${count(camera.exits)} out`),
+    h(
+      "span",
+      {},
+      camera.new
+        ? "new, no version yet"
+        : `${plural(camera.zones, "zone")} · about ${count(camera.entries)} in, ${count(camera.exits)} out`,
+    ),
   ];
 }
 
