@@ -39,7 +39,9 @@ class VisionSettings(Struct, frozen=True, forbid_unknown_fields=True):
     """Frames per second to analyse, as near as the source's rate allows; the rest is only grabbed.
     """
     working_width: Annotated[int, Meta(ge=1)] = 320
-    """Wider frames are scaled down to this width (pixels) before analysis."""
+    """Wider frames are scaled down to this width (pixels) before analysis, portrait ones to the
+    same area: this is their height.
+    """
     ignore: Areas = ()
     """Areas in which motion is ignored (a tree, a street behind the fence, a clock in the
     picture): polygons of [x, y] points in fractions of the picture, such as [[[0.0, 0.0],

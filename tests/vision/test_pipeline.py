@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import cv2
 import numpy as np
 import pytest
 from rendered_scenes import FPS, HEIGHT, WIDTH, Person, Picture, Place, Scene, line
@@ -63,6 +64,16 @@ def test_a_quiet_scene_has_no_events_whatever_the_light_does() -> None:
     assert Scene([], noise=3.0).events(20) == []
     assert Scene([], light=lambda t: 0.75 if 8 < t < 14 else 1.0).events(20) == []
     assert Scene([], light=lambda t: 1.0 + 0.25 * np.sin(t)).events(20) == []
+
+
+def test_people_are_seen_in_a_portrait_picture_too() -> None:
+    """A picture is scaled down to an equal area, whichever of its sides is the longer one."""
+    scene = Scene([Person(line(5.0, (-0.05, 0.9), (1.05, 0.8), 7.0), tall=0.6, shade=20)])
+    for size in ((640, 360), (360, 640)):
+        pipeline, events = ViewPipeline("cam", VisionSettings()), []
+        for k in range(round(16 * FPS)):
+            events += pipeline.process(k / FPS, cv2.resize(scene.picture(k / FPS), size))
+        assert passages(events + pipeline.finish()) == [("entry", "left"), ("exit", "right")]
 
 
 def test_two_who_cross_are_two_passages() -> None:

@@ -77,6 +77,17 @@ def test_a_video_shows_tracks_events_and_areas_in_the_camera_s_time(tmp_path: Pa
     assert count(empty, overlay._DOOR) > 80
 
 
+def test_a_portrait_camera_is_shown_whole_at_the_size_of_a_screen(tmp_path: Path) -> None:
+    preview = Preview(tmp_path / "now.png", "cam", SETTINGS, WORDS, pytest.fail)
+    pipeline = ViewPipeline("cam", SETTINGS, preview)
+    for k in range(round(4 * FPS)):
+        pipeline.process(k / FPS, np.full((640, 360), 120, np.uint8))
+    preview.close()
+    height, width = cv2.imread(str(tmp_path / "now.png")).shape[:2]
+    assert width == overlay.WIDTH, "room for the words"
+    assert height <= 1080 * 1.05
+
+
 def test_a_picture_is_replaced_now_and_then(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

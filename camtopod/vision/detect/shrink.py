@@ -11,12 +11,19 @@ import cv2
 from camtopod.vision.detect.background import Luma
 
 
-def shrunk(image: Luma, width_max: int) -> Luma:
-    """Return ``image`` (H, W) scaled to at most ``width_max`` pixels of width, as a copy."""
+def shrunk(image: Luma, side_max: int) -> Luma:
+    """Return ``image`` (H, W) scaled to at most ``side_max`` pixels on its longer side, a copy.
+
+    A portrait image so has as many pixels as the same image turned, and people as many in either.
+    """
     height, width = image.shape
-    if width <= width_max:
+    longer = max(height, width)
+    if longer <= side_max:
         return image.copy()
-    size = (width_max, round(height * width_max / width))
+    size = (
+        max(1, round(width * side_max / longer)),
+        max(1, round(height * side_max / longer)),
+    )
 
     # Halve as long as possible.
     while (

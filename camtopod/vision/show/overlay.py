@@ -26,7 +26,7 @@ from camtopod.vision.show.shown_file import Picture, ShowError, open_shown_file
 from camtopod.vision.track import Decision, Track
 
 WIDTH = 960
-"""Width of the drawn picture, pixels; the working picture is enlarged to it."""
+"""Width of the drawn picture, pixels; the working picture's longer side is enlarged to it."""
 PATH_SECONDS = 5.0
 """Length of the drawn paths, seconds."""
 EVENT_SECONDS = 3.0
@@ -144,8 +144,8 @@ class Preview:
     def _drawn(self, analysis: Analysis) -> Picture:
         """Return the drawn picture of a frame that was remembered last."""
         height, width = analysis.frame.shape
-        factor = WIDTH / width
-        size = (WIDTH, 2 * round(height * factor / 2))  # video needs even numbers
+        factor = WIDTH / max(height, width)
+        size = (round(width * factor), 2 * round(height * factor / 2))  # video needs even numbers
         picture = cv2.cvtColor(
             cv2.resize(analysis.frame, size, interpolation=cv2.INTER_LINEAR), cv2.COLOR_GRAY2BGR
         )
@@ -174,6 +174,8 @@ class Preview:
             state += f"  detector {'' if analysis.detector.trusted else 'not '}trusted, "
             state += f"agreement {analysis.detector.agreement:.2f}"
         _write(picture, (6, 16), f"{self._camera}  {self._words.time(analysis.t)}{state}", _WORDS)
+        beside = WIDTH - size[0]
+        picture = cv2.copyMakeBorder(picture, 0, 0, 0, beside, cv2.BORDER_CONSTANT, value=_GROUND)
         return cv2.vconcat([picture, self._strip()])
 
     def _draw_track(self, picture: Picture, track: Track, factor: float, lost: bool) -> None:
