@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import contextlib
 import re
+from collections.abc import AsyncIterator
 from typing import Any
 
 import msgspec
@@ -26,6 +27,8 @@ LOOPBACK_ONLY = (
     "this API answers programs on its own machine only: set [web] password_file and token_file, "
     "or let camtopod web listen on 127.0.0.1"
 )
+NAMES_SAID = 20
+"""Cameras that the answer to an unknown one names."""
 _EVERY_CAMERA = "*"
 """Stands for all cameras; no camera has this id."""
 
@@ -86,6 +89,10 @@ class Api:
             return error(400, "camera: the id of the camera whose view the object left")
         if unknown := sorted(set(given) - set(ASKED)):
             return error(400, f"unknown parameter {unknown[0][:20]!r}: use {', '.join(ASKED)}")
+        known = self._feed.names()
+        if known and camera not in known:
+            some = ", ".join(sorted(known)[:NAMES_SAID])
+            return error(404, f"there is no camera {camera}; there are {some}")
         return self._asked(f"predict/{camera}", given, 400)
 
     async def predictions(self, request: Request) -> Response:
@@ -98,7 +105,7 @@ class Api:
             return error(503, "too many programs read predictions")
 
         messages = self._readers.messages(page_queue, lambda: b": still here\n\n")
-        return StreamingResponse(messages, media_type="text/event-stream")
+        return streamed(messages)
 
     def _asked(self, key: str, given: dict[str, str], refused: int) -> Response:
         """Return the daemon's answer to a query; ``refused`` is the status of a refusal."""
@@ -123,6 +130,12 @@ class Api:
             encoded = codec.to_json(prediction)
             for camera in (prediction.camera, _EVERY_CAMERA):
                 self._readers.send("prediction", encoded, camera, passing=True)
+
+
+def streamed(messages: AsyncIterator[bytes]) -> Response:
+    """Return the response with server-sent events, which no proxy may hold back (nginx would)."""
+    headers = {"X-Accel-Buffering": "no"}
+    return StreamingResponse(messages, headers=headers, media_type="text/event-stream")
 
 
 def content(value: Any) -> Response:

@@ -16,10 +16,11 @@ from typing import Any
 import uvicorn
 from starlette.applications import Starlette
 from starlette.concurrency import run_in_threadpool
+from starlette.exceptions import HTTPException
 from starlette.middleware import Middleware
 from starlette.middleware.gzip import GZipMiddleware
 from starlette.requests import Request
-from starlette.responses import FileResponse, Response, StreamingResponse
+from starlette.responses import FileResponse, Response
 from starlette.routing import Route
 from starlette.staticfiles import StaticFiles
 
@@ -27,15 +28,14 @@ from camtopod.config import CameraSettings, Config
 from camtopod.records import CAMERA_PATTERN
 from camtopod.serve.bus import Bus
 from camtopod.serve.runtime import STALL_SECONDS, Beat, Clock, Progress
-from camtopod.web.api import Api, content, error
+from camtopod.web.api import Api, content, error, streamed
+from camtopod.web.connections import CONNECTIONS_MAX, Connection
 from camtopod.web.feed import Feed
 from camtopod.web.guards import Guard
 from camtopod.web.login import Login
 from camtopod.web.outbox import PageQueues
 from camtopod.web.pictures import picture_of
 
-CONNECTIONS_MAX = 1_024
-"""Open connections; requests on further ones are answered with 503."""
 CLOSE_SECONDS = 2
 """Time that open responses have to end when the server stops."""
 STATIC = resources.files("camtopod.web").joinpath("static")
@@ -130,7 +130,7 @@ class Routes:
                 async for message in self._page_queues.messages(page_queue, self._feed.beat):
                     yield message
 
-        return StreamingResponse(stream(), media_type="text/event-stream")
+        return streamed(stream())
 
 
 def application(
@@ -183,7 +183,10 @@ def application(
         Middleware(Guard, names=names, login=login),
         Middleware(GZipMiddleware, minimum_size=1000, compresslevel=5),
     ]
-    app = Starlette(routes=routes, middleware=middleware, lifespan=living)
+    handlers: Any = {HTTPException: refused}
+    app = Starlette(
+        routes=routes, middleware=middleware, exception_handlers=handlers, lifespan=living
+    )
     app.mount("/static", StaticFiles(directory=str(STATIC)))
     return app
 
@@ -224,9 +227,10 @@ def serving(
         access_log=False,
         lifespan="on",
         server_header=False,
-        limit_concurrency=CONNECTIONS_MAX,
+        limit_concurrency=CONNECTIONS_MAX + 1,
         timeout_graceful_shutdown=CLOSE_SECONDS,
-        http="h11",
+        http=Connection,
+        proxy_headers=False,  # any client can write them
     )
     server = uvicorn.Server(settings)
 
@@ -247,6 +251,13 @@ def serving(
         server.should_exit = True
         for thread in threads:
             thread.join(CLOSE_SECONDS + 1)
+
+
+def refused(request: Request, refusal: HTTPException) -> Response:
+    """Return the response to a request without a route, in JSON as all others."""
+    answer = error(refusal.status_code, refusal.detail)
+    answer.headers.update(refusal.headers or {})
+    return answer
 
 
 def _found(details: Any, what: str) -> Response:

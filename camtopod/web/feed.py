@@ -226,6 +226,11 @@ class Feed:
             "cameras": self._cameras(now, figures),
         }
 
+    def names(self) -> set[str]:
+        """Return the cameras that are learned of or that the daemon counts."""
+        counted = self._daemon[0].cameras if self._daemon else ()
+        return {*(self.map.cameras if self.map else ()), *counted}
+
     def hours_of(self, camera: str) -> dict[str, object] | None:
         """Return a camera's events by the hour, since this server has followed the daemon."""
         return self._hourly.of(camera, self._clock())

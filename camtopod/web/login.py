@@ -8,13 +8,14 @@ from __future__ import annotations
 
 import hashlib
 import hmac
+import ipaddress
 import logging
 import secrets
 from collections import Counter
 from importlib import resources
 from urllib.parse import parse_qs
 
-from starlette.requests import Request
+from starlette.requests import ClientDisconnect, Request
 from starlette.responses import HTMLResponse, JSONResponse, RedirectResponse, Response
 
 from camtopod.config import secret_files
@@ -25,7 +26,7 @@ log = logging.getLogger(__name__)
 SESSION_SECONDS = 7 * 86_400
 """Time for which a login is valid."""
 TRIES_PER_MINUTE_MAX = 5
-"""Wrong passwords from one address within a minute; further ones are not compared."""
+"""Wrong passwords of one guesser within a minute; further ones are not compared."""
 PASSWORD_CHARACTERS_MIN = 8
 """Shortest password."""
 TOKEN_CHARACTERS_MIN = 20
@@ -60,7 +61,7 @@ class Login:
         self._key = secrets.token_bytes(32)
         self._minute = 0.0
         self._wrong: Counter[str] = Counter()
-        """By address: wrong passwords in this minute."""
+        """By guesser: wrong passwords in this minute."""
 
     def lets_in(self, request: Request) -> bool:
         """Return True if a request has the token or the cookie, or asks for the login page."""
@@ -85,14 +86,17 @@ class Login:
             return _login_page("", 200)
         if int(request.headers.get("content-length", 1 << 31)) > secret_files.BYTES_MAX:
             return _login_page(WRONG, 413)
-        content = (await request.body()).decode("utf-8", "replace")
+        try:
+            content = (await request.body()).decode("utf-8", "replace")
+        except ClientDisconnect:  # or it took too long
+            return Response()
         password = parse_qs(content).get("password", [""])[0]
 
         # Count wrong passwords by the minute.
         if self._clock() // 60 != self._minute:
             self._minute = self._clock() // 60
             self._wrong.clear()
-        address = str(request.client and request.client.host)
+        address = guesser(request)
         if self._wrong[address] >= TRIES_PER_MINUTE_MAX:
             return _login_page(TOO_MANY, 429)
         if not _same(password, self._password):
@@ -107,7 +111,7 @@ class Login:
             cookie_name(request),
             f"{ends}.{self._signature(ends)}",
             max_age=SESSION_SECONDS,
-            secure=request.url.scheme == "https",
+            secure=request.headers.get("x-forwarded-proto") == "https",
             httponly=True,
             samesite="strict",
         )
@@ -121,6 +125,19 @@ class Login:
 
     def _signature(self, text: str) -> str:
         return hmac.new(self._key, text.encode(), hashlib.sha256).hexdigest()
+
+
+def guesser(request: Request) -> str:
+    """Return whose wrong passwords count together: those of all addresses that one may choose from.
+
+    What a header says of addresses is not believed. To itself a machine has many, and in IPv6 a
+    client has a whole network.
+    """
+    host = request.client.host if request.client else "::1"
+    address = ipaddress.ip_address(host.partition("%")[0])
+    if address.is_loopback:
+        return "this machine"
+    return str(address) if address.version == 4 else str(ipaddress.ip_network((address, 64), False))
 
 
 def cookie_name(request: Request) -> str:

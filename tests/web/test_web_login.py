@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import contextlib
+import http.client
 import json
 from collections.abc import Iterator
 from pathlib import Path
@@ -10,6 +12,7 @@ from urllib.parse import quote, urlsplit
 import pytest
 from chromium import Browser
 from page_fixture import Answer, Shown
+from starlette.requests import Request
 from synthetic_topology import synthetic_topology
 
 from camtopod.cli.commands import web
@@ -113,12 +116,36 @@ def test_guesses_are_limited_even_the_right_one(client: Client) -> None:
     for _ in range(login.TRIES_PER_MINUTE_MAX):
         assert client.log_in("wrong").status == 403
     refused = client.log_in(PASSWORD)
-    elsewhere = client.log_in(PASSWORD, x_forwarded_for="192.0.2.2")
+    elsewhere = [client.log_in(PASSWORD, x_forwarded_for=f"192.0.2.{k}") for k in range(3)]
+    own = http.client.HTTPConnection("127.0.0.1", client.port, 20, ("127.0.0.2", 0))
+    with contextlib.closing(own):
+        own.request("POST", "/login", f"password={quote(PASSWORD)}")
+        again = own.getresponse().status
     client.now += 60.0
 
     assert (refused.status, login.TOO_MANY in refused.text) == (429, True)
-    assert elsewhere.status == 303
+    assert [one.status for one in elsewhere] == [429] * 3, "anybody can write that header"
+    assert again == 429, "a machine has many addresses to itself"
     assert client.log_in(PASSWORD).status == 303
+
+
+@pytest.mark.parametrize(
+    ("one", "other", "together"),
+    [
+        ("2001:db8:0:7::1", "2001:db8:0:7:f::2", True),
+        ("2001:db8:0:7::1", "2001:db8:0:8::1", False),
+        ("fe80::1%eth0", "fe80::2%eth1", True),
+        ("192.0.2.1", "192.0.2.2", False),
+        ("::1", "127.9.9.9", True),
+    ],
+)
+def test_addresses_that_one_may_choose_from_count_together(
+    one: str, other: str, together: bool
+) -> None:
+    counted = {
+        login.guesser(Request({"type": "http", "client": (host, 1)})) for host in (one, other)
+    }
+    assert (len(counted) == 1) is together
 
 
 def test_programs_give_the_token(client: Client) -> None:

@@ -21,7 +21,8 @@ from synthetic_topology import synthetic_topology
 from camtopod.cli import exits, main
 from camtopod.config.settings import BusSettings
 from camtopod.serve.bus import session as buses
-from camtopod.web import outbox
+from camtopod.web import connections, outbox
+from camtopod.web.login import Login
 
 SITE = synthetic_topology(12)
 
@@ -114,6 +115,71 @@ def test_idle_and_slow_clients_keep_nobody_out(server: Shown) -> None:
 
         assert server.ask("/data/map").status == 200
         assert stream.readline() == b"retry: 1000\n"
+
+
+def asking(stack: contextlib.ExitStack, port: int, text: str) -> socket.socket:
+    """Return a connection that has sent ``text``."""
+    made = stack.enter_context(socket.create_connection(("127.0.0.1", port), 20))
+    made.sendall(text.encode())
+    return made
+
+
+def ended(connection: socket.socket) -> bool:
+    """Wait for the end of a connection."""
+    with contextlib.suppress(ConnectionResetError):
+        while connection.recv(4096):
+            pass
+    return True
+
+
+HALVES = [
+    "POST /login HTTP/1.1\r\nHost: localhost\r\nContent-Length: 100\r\n\r\nabcd",
+    "GET /data/map HTTP/1.1\r\nHost: loc",
+    "",
+]
+"""Requests that are not whole."""
+
+
+def test_who_never_ends_a_request_gives_its_place_to_the_newest(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr(connections, "CONNECTIONS_MAX", 12)
+    shown = Shown(SITE, login=Login("correct horse", "a-token-of-enough-characters"))
+    token = "Bearer a-token-of-enough-characters"
+    with shown.serving() as port, contextlib.ExitStack() as stack:
+        first = asking(stack, port, HALVES[0])
+        for _ in range(12):
+            for half in HALVES:
+                asking(stack, port, half)
+            assert shown.ask("/data/health", authorization=token).status == 200
+        assert ended(first)
+
+
+def test_a_request_has_one_deadline_and_a_stream_none(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(connections, "REQUEST_SECONDS", 0.3)
+    shown = Shown(SITE, login=Login("correct horse", "a-token-of-enough-characters"))
+    head = "GET /live HTTP/1.1\r\nHost: localhost\r\n"
+    token = "Authorization: Bearer a-token-of-enough-characters\r\n"
+    with shown.serving() as port, contextlib.ExitStack() as stack:
+        stream = asking(stack, port, f"{head}{token}\r\n").makefile("rb")
+        halves = [asking(stack, port, half) for half in HALVES]
+        assert all(map(ended, halves))
+        assert b"X-Accel-Buffering: no\r\n".lower() in {stream.readline().lower() for _ in range(9)}
+        shown.publish(msgspec.structs.replace(SITE, version=2))
+        while stream.readline() != b'data: ["01J",2]\n':
+            pass
+
+
+def test_errors_are_json_and_a_camera_that_is_none_is_named(server: Shown) -> None:
+    for path, method, status in (
+        ("/api/nope", "GET", 404),
+        ("/nowhere", "GET", 404),
+        ("/api/topology", "POST", 405),
+        ("/api/predict?camera=nope", "GET", 404),
+    ):
+        answer = server.ask(path, method)
+        assert (answer.status, [*json.loads(answer.content)]) == (status, ["error"]), path
+    assert "there are cam0000, cam0001, " in server.ask("/api/predict?camera=nope").text
 
 
 # --- the command
