@@ -77,7 +77,7 @@ HOMES = {
     "paho": ("mqtt",),
     "prometheus_client": ("serve.monitoring.metrics",),
     "starlette": ("web.app", "web.api", "web.guards", "web.login"),
-    "uvicorn": ("web.app",),
+    "uvicorn": ("web.app", "web.connections"),
     "rich": ("cli.commands.watch",),
     "cv2": ("vision", "sim", "export"),
     "sqlite3": ("serve.storage", "serve.outbox", "serve.daemon"),
