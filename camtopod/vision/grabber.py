@@ -52,8 +52,9 @@ class Grabber:
         self.camera = camera
         self._source: RecordedSource | LiveSource
         if kind_of(source) == "file":
-            path = source.removeprefix("file://")
-            self._source = RecordedSource(path, settings, start, realtime, detector is not None)
+            self._source = RecordedSource(
+                source, settings, start, realtime, detector is not None, ffmpeg_log
+            )
         else:
             self._source = LiveSource(
                 source, settings, wall_clock, ffmpeg_log, detector is not None

@@ -12,7 +12,7 @@ from urllib.parse import urlsplit
 from camtopod.cli import exits
 from camtopod.cli.exits import CommandError, InputError
 from camtopod.records import RESERVED
-from camtopod.vision.source import kind_of, percent_encoded
+from camtopod.vision.source import device_number, kind_of, percent_encoded
 
 _GIVEN = re.compile(r"(?:([A-Za-z0-9_.-]{1,64})=)?(.+)")
 """Argument of the form [NAME=]SOURCE."""
@@ -60,7 +60,7 @@ def named_sources(arguments: Sequence[str]) -> dict[str, str]:
 def _id_of(source: str) -> str:
     """Return the id of a camera after its host, file or device; other characters are hyphens."""
     if kind_of(source) == "device":
-        return f"device-{int(source)}"
+        return f"device-{device_number(source)}"
     text = Path(source).stem
     if kind_of(source) != "file":
         try:

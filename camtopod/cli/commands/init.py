@@ -18,7 +18,7 @@ from camtopod.cli.generated import table
 from camtopod.config import TABLES, CameraSettings, Config, secret_files, settings as configurations
 from camtopod.redact import redact
 from camtopod.visible import visible
-from camtopod.vision.source import SETTLE_SECONDS_MAX, Probe, kind_of
+from camtopod.vision.source import SETTLE_SECONDS_MAX, Probe, file_path, kind_of
 
 SECRETS = "secrets"
 """Folder of the passwords, beside the configuration."""
@@ -261,7 +261,7 @@ def _located(source: str) -> str:
     """Return the source, a file with its absolute path: programs may start in another directory."""
     if kind_of(source) != "file":
         return source
-    return str(Path(source.removeprefix("file://")).absolute())
+    return str(Path(file_path(source)).absolute())
 
 
 def _next(args: argparse.Namespace, settings: Config, cameras: Collection[str]) -> str:

@@ -24,6 +24,8 @@ from camtopod.vision.source.probe import (
 from camtopod.vision.source.recorded import RecordedSource as RecordedSource
 from camtopod.vision.source.source_url import (
     RETRY_SEPARATOR as RETRY_SEPARATOR,
+    device_number as device_number,
+    file_path as file_path,
     kind_of as kind_of,
     percent_encoded as percent_encoded,
 )

@@ -9,20 +9,26 @@ Properties of OpenCV's FFmpeg backend that this code respects:
 - Without ``rtsp_transport;tcp`` it switches to UDP.
 - To reduce the frame rate, skip `retrieve`, never `grab`, or the stream falls behind.
 - The luma plane must be requested before the first `retrieve`, which fixes the conversion.
+- `retrieve` calls a picture good that FFmpeg could not convert, and returns an older one, or none.
 """
 
 from __future__ import annotations
 
 import os
-from typing import Literal, NamedTuple
+from typing import Any, Literal, NamedTuple
 
 import cv2
 import numpy as np
 
 from camtopod.vision.detect import Luma, shrunk
 from camtopod.vision.settings import VisionSettings
-from camtopod.vision.source.ffmpeg_log import default_environment
-from camtopod.vision.source.source_url import kind_of, percent_encoded
+from camtopod.vision.source.ffmpeg_log import FfmpegLog, environment
+from camtopod.vision.source.source_url import (
+    device_number,
+    file_path,
+    kind_of,
+    percent_encoded,
+)
 
 STREAM_OPTIONS = "rtsp_transport;tcp|probesize;32768|analyzeduration;300000"
 """FFmpeg options of streams. The small probe gives the first frame after 0.6 s instead of 1.9 s."""
@@ -34,6 +40,8 @@ _DECODER_OPTION = "video_codec"
 """FFmpeg option that names a decoder."""
 LUMA_FORMATS = frozenset({"I420", "YV12", "Y42B", "444P", "NV12", "NV21", "Y800"})
 """FFmpeg's names of pixel formats that begin with a plane of 8-bit luma."""
+PATIENT_OPTIONS = "probesize;1000000000|analyzeduration;1000000000"
+"""FFmpeg options of a file whose pictures have no known size: its video begins late."""
 OPEN_SECONDS_MAX = 5.0
 """Timeout for opening a stream."""
 READ_SECONDS_MAX = 3.0
@@ -42,6 +50,27 @@ IMAGE_WIDTH_MAX = 1920
 """Largest width (pixels) of an image in colour, which a detector examines."""
 _VIDEO_RANGE = (16 + np.arange(256) * 219 / 255).round().astype(np.uint8)
 """Luma as video has it, 16 to 235, by the grey level of the image in colour."""
+DAMAGED_PICTURES_MAX = 250
+"""Pictures after a fault that are taken for damaged if none comes that is coded by itself.
+
+Encoders seldom put such pictures farther apart; with others the damage heals little by little.
+"""
+REORDERED_PICTURES = 3
+"""Pictures by which a picture may come later than the message about it, as B pictures do."""
+_CODED_BY_ITSELF = ord("I")
+_CODECS = {
+    "avc1": "H.264",
+    "h264": "H.264",
+    "hev1": "H.265",
+    "hevc": "H.265",
+    "hvc1": "H.265",
+    "mjpg": "MJPEG",
+    "fmp4": "MPEG-4",
+    "mp4v": "MPEG-4",
+    "vp09": "VP9",
+    "av01": "AV1",
+}
+"""Name of a codec by its four-character code."""
 _STEP_RATE = 0.1
 """Weight of the newest interval in the running mean of frame intervals."""
 
@@ -73,13 +102,20 @@ class Source:
 
 
 class Capture:
-    """An open OpenCV capture. For a single thread; unusable after the first failed `grab`."""
+    """An open OpenCV capture. For a single thread; a stream is unusable after a failed `grab`."""
 
-    def __init__(self, source: str, settings: VisionSettings, colour: bool = False) -> None:
+    def __init__(
+        self,
+        source: str,
+        settings: VisionSettings,
+        colour: bool = False,
+        ffmpeg_log: FfmpegLog | None = None,
+    ) -> None:
         """Open ``source``; `is_open` tells if that worked. Blocks for at most the open timeout.
 
         colour: convert frames to colour, as `image` requires. The luma then differs from that of
             the video by its rounding.
+        ffmpeg_log: tells which pictures are damaged or none; without it all are believed.
         """
         cv2.utils.logging.setLogLevel(0)  # its messages contain URLs with passwords
         # Images are so small that waking more threads costs more than it gains.
@@ -88,10 +124,19 @@ class Capture:
         # Open with timeouts (streams) and one decoder thread.
         kind = kind_of(source)
         options = os.environ.get(OPTIONS_VARIABLE, STREAM_OPTIONS if kind == "stream" else "")
-        if kind == "device":
-            self._capture = cv2.VideoCapture(int(source))
+        number = device_number(source)
+        if number is not None:
+            self._capture = cv2.VideoCapture(number)
         else:
             self._capture = _opened(source, kind == "stream", options)
+            if kind == "file" and self.is_open and self.size == (0, 0):
+                options = options or PATIENT_OPTIONS
+                self._capture = _opened(source, False, options)
+        self._ffmpeg_log = ffmpeg_log or FfmpegLog()
+        self.fault = ""
+        """Why the latest picture that could not be decoded was none; "" if that is not known."""
+        self._damaged = 0
+        """Number of pictures that are taken for damaged unless one comes coded by itself."""
 
         # Request the luma plane if the pixel format has one.
         self._width_max = settings.working_width
@@ -126,23 +171,51 @@ class Capture:
 
     @property
     def codec(self) -> str:
-        """Four-character code of the codec; "" if unknown."""
-        return _four_characters(self._capture, cv2.CAP_PROP_FOURCC).strip("\0 ")
+        """Name of the codec."""
+        code = _four_characters(self._capture, cv2.CAP_PROP_FOURCC).strip("\0 ")
+        return _CODECS.get(code.lower(), code or "unknown codec")
+
+    @property
+    def seconds(self) -> float:
+        """Duration that a file declares; 0.0 if unknown."""
+        fps = float(self._capture.get(cv2.CAP_PROP_FPS))
+        return max(0.0, float(self._capture.get(cv2.CAP_PROP_FRAME_COUNT)) / fps) if fps else 0.0
 
     def grab(self) -> float | None:
-        """Take the next frame without converting it; None if the source has ended or died.
+        """Take the next frame without converting it; None if there is none.
 
-        Returns its presentation time in seconds, 0.0 if unknown.
+        Then a stream has died; a file has ended, or has a part that cannot be read. Returns the
+        frame's presentation time in seconds, 0.0 if unknown.
         """
-        if not self._capture.grab():
+        good = self._capture.grab()
+        if fault := self._ffmpeg_log.newest_fault():
+            self.fault = fault
+            self._damaged = DAMAGED_PICTURES_MAX
+        if not good:
             return None
+        if self._damaged:
+            self._damaged -= 1
+            coded = int(self._capture.get(cv2.CAP_PROP_FRAME_TYPE))
+            late = DAMAGED_PICTURES_MAX - self._damaged > REORDERED_PICTURES
+            if coded == _CODED_BY_ITSELF and late:
+                self._damaged = 0
         return float(self._capture.get(cv2.CAP_PROP_POS_MSEC)) / 1000.0
 
     def retrieve(self) -> Luma | None:
-        """Return the grabbed frame's luma (H, W) at working size; None if it cannot be decoded."""
-        good, self._image = self._capture.retrieve(self._image)
-        if not good or self._image is None:
+        """Return the grabbed frame's luma (H, W) at working size.
+
+        None if it is no picture: damaged, or it could not be decoded or converted; `fault` has the
+        reason.
+        """
+        if self._damaged:
             return None
+        good, image = self._capture.retrieve(self._image)
+        fault = self._ffmpeg_log.newest_fault()
+        if fault or not good:
+            unknown = "the size of its pictures is unknown" if self.size == (0, 0) else ""
+            self.fault = fault or unknown or self.fault
+            return None
+        self._image = image
         luma = shrunk(_grey(self._image), self._width_max)
         if self._from_colour:
             luma = cv2.LUT(luma, _VIDEO_RANGE)
@@ -221,10 +294,13 @@ def _opened(source: str, stream: bool, options: str) -> cv2.VideoCapture:
             cv2.CAP_PROP_READ_TIMEOUT_MSEC,
             round(1000 * READ_SECONDS_MAX),
         ]
+    else:
+        source = f"file:{file_path(source)}"  # what is before a colon is no protocol
     if _DEVICES_OPTION in options:
         parameters += [cv2.CAP_PROP_HW_ACCELERATION, cv2.VIDEO_ACCELERATION_ANY]
-    with default_environment(OPTIONS_VARIABLE, options):
-        return cv2.VideoCapture(source, cv2.CAP_FFMPEG, parameters)
+    name: Any = os.fsencode(source)  # need not be UTF-8: OpenCV crashes on such a string
+    with environment(OPTIONS_VARIABLE, options):
+        return cv2.VideoCapture(name, cv2.CAP_FFMPEG, parameters)
 
 
 def _four_characters(capture: cv2.VideoCapture, of: int) -> str:

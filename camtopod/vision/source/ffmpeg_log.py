@@ -1,7 +1,8 @@
-"""Find out why a stream cannot be opened, from FFmpeg's log.
+"""Find out from FFmpeg's log why a source cannot be opened, and which pictures are none.
 
-OpenCV does not report the reason; FFmpeg logs it, and OpenCV prints that to standard output. Only
-recognised reasons are passed on, in our own words: FFmpeg's may contain addresses and passwords.
+OpenCV reports neither, and even calls a picture good that FFmpeg could not convert. FFmpeg logs
+both, and OpenCV prints that to standard output. Only what is recognised is passed on, in our own
+words: FFmpeg's may contain addresses and passwords.
 """
 
 from __future__ import annotations
@@ -42,8 +43,18 @@ _PHRASES = {
     b"Immediate exit requested": "the host does not answer",
     b"End of file": "the host closes the connection: is it a camera's port?",
     b"Connection reset": "the host closes the connection: is it a camera's port?",
+    b"moov atom not found": "its recording was never finished, and its index is missing",
 }
 """Reason by phrase in FFmpeg's log."""
+_FAULTS = {
+    "interlaced video cannot be read": rb"Cannot convert interlaced",
+    "its pictures cannot be converted": rb"Failed initializing scaling|: fmt:.* -> fmt:",
+    "there is no decoder for it": rb"support hardware accelerated",
+    "damaged video": rb"damaged|Packet corrupt|RTP: missed|while decoding MB|concealing \d"
+    rb"|block unavailable|Invalid NAL|splitting the input|missing picture|Could not find ref"
+    rb"|Error constructing|Error at MB|skipped MB|bad vlc|error y=|no frame!",
+}
+"""Fault of pictures by what FFmpeg logs while it decodes or converts them."""
 
 
 def reason_in(output: bytes) -> str:
@@ -64,9 +75,17 @@ class FfmpegLog:
 
     def __init__(self, fd: int | None = None) -> None:
         self._fd = fd
+        self._reason = ""
 
     def newest_reason(self) -> str:
-        """Return the newest reason, or "". Never blocks."""
+        """Return the newest reason since the last query for it, or "". Never blocks."""
+        self.newest_fault()
+        reason = self._reason
+        self._reason = ""
+        return reason
+
+    def newest_fault(self) -> str:
+        """Return what FFmpeg says of the pictures since the last query, or "". Never blocks."""
         if self._fd is None:
             return ""
         _LIBC.fflush(None)
@@ -74,24 +93,29 @@ class FfmpegLog:
         with suppress(BlockingIOError):
             while chunk := os.read(self._fd, _READ_BYTES):  # nothing: the pipe has been closed
                 output = (output + chunk)[-_READ_BYTES:]
-        return reason_in(output)
+        if not output:
+            return ""
+        self._reason = reason_in(output) or self._reason
+        return next((words for words, said in _FAULTS.items() if re.search(said, output)), "")
 
 
 @contextmanager
-def default_environment(name: str, value: str) -> Iterator[None]:
+def environment(name: str, value: str) -> Iterator[None]:
     """Set a variable of the environment, which OpenCV reads, while the block runs.
 
-    A value that the user has set takes precedence. The environment is restored afterwards, so it
-    does not affect child processes.
+    An empty value changes nothing. It is restored afterwards, so child processes do not get it.
     """
-    if not value or name in os.environ:
+    if not value:
         yield
         return
+    before = os.environ.get(name)
     os.environ[name] = value
     try:
         yield
     finally:
         del os.environ[name]
+        if before is not None:
+            os.environ[name] = before
 
 
 @contextmanager
@@ -111,7 +135,7 @@ def captured_log() -> Iterator[FfmpegLog]:
     os.dup2(writer, _STANDARD_OUTPUT, inheritable=False)
     os.close(writer)
     try:
-        with default_environment(LEVEL_VARIABLE, LEVEL_WARNINGS):
+        with environment(LEVEL_VARIABLE, LEVEL_WARNINGS):
             yield FfmpegLog(reader)
     finally:
         _LIBC.fflush(None)  # or its output would mix with what is printed next

@@ -127,7 +127,7 @@ class LiveSource(Source):
 
             # Open and read. `_called` marks the begin of each call that may block.
             self._called = time.monotonic()
-            capture = Capture(self._source, self._settings, self._colour)
+            capture = Capture(self._source, self._settings, self._colour, self._ffmpeg_log)
             began = time.monotonic()
             if capture.is_open:
                 self.connections += 1

@@ -25,7 +25,7 @@ from camtopod.vision.settings import DetectorSettings, VisionSettings
 from camtopod.vision.source.capture import Capture
 from camtopod.vision.source.ffmpeg_log import FfmpegLog, captured_log
 from camtopod.vision.source.recorded import FPS_UNKNOWN, RecordedSource
-from camtopod.vision.source.source_url import kind_of
+from camtopod.vision.source.source_url import device_number, kind_of
 
 PROBE_SECONDS = 2.0
 """Time for which frames are counted, from the first one on."""
@@ -61,19 +61,6 @@ _COMPARED_WIDTH = 320
 """Width (pixels) of the pictures that are compared."""
 _ROWS = 64
 """Rows of which the median is taken at once, to save memory."""
-_CODECS = {
-    "avc1": "H.264",
-    "h264": "H.264",
-    "hev1": "H.265",
-    "hevc": "H.265",
-    "hvc1": "H.265",
-    "mjpg": "MJPEG",
-    "fmp4": "MPEG-4",
-    "mp4v": "MPEG-4",
-    "vp09": "VP9",
-    "av01": "AV1",
-}
-"""Name of a codec by its four-character code."""
 
 
 class ProbeRequest(Struct):
@@ -185,14 +172,14 @@ def probe(request: ProbeRequest, ffmpeg_log: FfmpegLog) -> Probe:
     source = request.source
     settings = request.settings
     kind = kind_of(source)
-    path = source.removeprefix("file://")
     if kind == "file":
         try:
-            RecordedSource(path, settings, 0.0, False).close()
+            RecordedSource(source, settings, 0.0, False, ffmpeg_log=ffmpeg_log).close()
         except OSError as error:
-            return Probe(error.strerror or str(error).removeprefix(f"{path}: "))
+            return Probe(error.strerror or str(error).removeprefix(f"{source}: "))
 
-    capture = Capture(path, settings, colour=request.picture or bool(request.detector.model))
+    colour = request.picture or bool(request.detector.model)
+    capture = Capture(source, settings, colour, ffmpeg_log)
     try:
         if not capture.is_open:
             why = _of_device(source) if kind == "device" else ffmpeg_log.newest_reason()
@@ -241,14 +228,14 @@ def _watched(capture: Capture, live: bool, settled: SettledPicture | None) -> Pr
     # Frame rate: of a live source as measured, of a file as declared.
     if not arrivals:
         return Probe("opens, but delivers no frame")
+    if not capture.has_image:
+        return Probe(f"frames come, none can be decoded: {capture.fault}".removesuffix(": "))
     times = stamps if stamps[-1] > stamps[0] else arrivals
     fps = capture.fps
     if live and len(times) > 1:
         fps = (len(times) - 1) / (times[-1] - times[0])
     width, height = capture.size
-    seen = Probe(
-        "", _CODECS.get(capture.codec.lower(), capture.codec or "unknown codec"), width, height, fps
-    )
+    seen = Probe("", capture.codec, width, height, fps)
     seen.remarks = _remarks(seen, contrast)
     return seen
 
@@ -292,9 +279,9 @@ def _remarks(seen: Probe, contrast: float) -> list[str]:
     return remarks
 
 
-def _of_device(number: str) -> str:
+def _of_device(source: str) -> str:
     """Return why a device cannot be opened."""
-    path = f"/dev/video{int(number)}"
+    path = f"/dev/video{device_number(source)}"
     if not os.path.exists(path):
         return f"{path} does not exist"
     if not os.access(path, os.R_OK | os.W_OK):

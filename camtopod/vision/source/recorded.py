@@ -3,11 +3,14 @@
 from __future__ import annotations
 
 import os
+import stat
 import time
 from collections.abc import Iterator
 
 from camtopod.vision.settings import VisionSettings
 from camtopod.vision.source.capture import Capture, Frame, FrameSelector, Source
+from camtopod.vision.source.ffmpeg_log import FfmpegLog
+from camtopod.vision.source.source_url import file_path
 
 FPS_UNKNOWN = 25.0
 """Frame rate assumed if a file has neither time stamps nor a frame rate."""
@@ -32,25 +35,28 @@ class RecordedSource(Source):
         start: float,
         realtime: bool,
         colour: bool = False,
+        ffmpeg_log: FfmpegLog | None = None,
     ) -> None:
-        """Open the file.
+        """Open the file, of which ``path`` may be the URL.
 
         realtime: read at the file's own pace, not as fast as it decodes.
         colour: frames have an image in colour.
+        ffmpeg_log: tells which frames are damaged or none.
 
         Raises `OSError`, `SourceError`.
         """
-        with open(path, "rb") as file:  # reports why it cannot be read, which OpenCV does not
-            if os.fstat(file.fileno()).st_size == 0:
-                raise SourceError(f"{path}: the file is empty")
+        ffmpeg_log = ffmpeg_log or FfmpegLog()
+        if why := _no_file(path):
+            raise SourceError(f"{path}: {why}")
         self._path = path
         self._settings = settings
         self._start = start
         self._realtime = realtime
-        self._capture: Capture | None = Capture(path, settings, colour)
+        self._capture: Capture | None = Capture(path, settings, colour, ffmpeg_log)
         if not self._capture.is_open:
             self.close()
-            raise SourceError(f"{path}: not a video this program can decode")
+            why = ffmpeg_log.newest_reason()
+            raise SourceError(f"{path}: not a video this program can decode{why and ': '}{why}")
         self.reason = "not read yet"
         self.connections = 1
         self.overdue_seconds = 0.0
@@ -70,8 +76,6 @@ class RecordedSource(Source):
                 break
             position = self._position(stamp, position)
             self.grabbed += 1
-            self.state = "running"
-            self.reason = ""
             if not selector.wants(position):
                 continue
 
@@ -79,13 +83,19 @@ class RecordedSource(Source):
             if frame is None:
                 self.dropped += 1
                 continue
+            self.state = "running"
+            self.reason = ""
             if self._realtime:
                 yield from _until(began + position)
             yield frame._replace(t=self._start + position)
 
+        if self._capture is not None and self.state == "connecting":
+            codec, why = self._capture.codec, self._capture.fault
+            self.close()
+            raise SourceError(
+                f"{self._path}: no frame in it can be decoded ({codec}){why and ': '}{why}"
+            )
         self.close()
-        if not self.grabbed:
-            raise SourceError(f"{self._path}: no frame in it can be decoded")
         self.state = "ended"
         self.reason = "the file is at its end"
 
@@ -104,6 +114,23 @@ class RecordedSource(Source):
         if self._capture is not None:
             self._capture.release()
             self._capture = None
+
+
+def _no_file(source: str) -> str:
+    """Return why a source is no file with a video; "" if it may be one.
+
+    Raises `OSError` if it cannot be read, with the reason, which OpenCV does not tell.
+    """
+    if source == "-":
+        return "standard input cannot be read: write the video to a file first"
+    path = file_path(source)
+    found = os.stat(path)
+    if stat.S_ISFIFO(found.st_mode) or stat.S_ISSOCK(found.st_mode):
+        return "a pipe cannot be read: write the video to a file first"
+    if stat.S_ISCHR(found.st_mode) or stat.S_ISBLK(found.st_mode):
+        return "not a video device: a camera is /dev/video0 or 0, for example"
+    with open(path, "rb"):
+        return "" if found.st_size else "the file is empty"
 
 
 def _until(due: float) -> Iterator[None]:

@@ -1,0 +1,127 @@
+"""Files as recorders and people leave them: names, pipes, and pictures that are none."""
+
+from __future__ import annotations
+
+import os
+import shutil
+import subprocess
+from pathlib import Path
+from typing import Any
+
+import cv2
+import pytest
+from rendered_scenes import Person, Scene, line
+from serving import camtopod
+
+from camtopod.cli.main import main
+from camtopod.codec import event_from_json
+from camtopod.records import Event
+from camtopod.vision import pipeline
+
+SECONDS = 7.5
+REAL = cv2.VideoCapture
+needs_ffmpeg = pytest.mark.skipif(shutil.which("ffmpeg") is None, reason="no ffmpeg")
+
+
+@pytest.fixture(scope="module")
+def film(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Write a film in which somebody walks through."""
+    people = [Person(line(1.8, (-0.05, 0.55), (1.05, 0.5), 4.0), tall=0.3)]
+    return Scene(people).film(tmp_path_factory.mktemp("film") / "film.mp4", SECONDS)
+
+
+@pytest.fixture(autouse=True)
+def quick(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Begin sooner."""
+    monkeypatch.setattr(pipeline, "BOOTSTRAP_SECONDS", 1.0)
+
+
+def grab(source: Path | str, out: Path) -> tuple[int, list[Event]]:
+    """Return exit status and events of ``camtopod grab``."""
+    out.touch()
+    status = main(["grab", "--camera", "cam", str(source), "--out", str(out)])
+    return status, [event_from_json(event) for event in out.read_bytes().splitlines()]
+
+
+@pytest.mark.parametrize("name", ["12:00:00.mp4", "http:a%20b#?|.mp4", os.fsdecode(b"caf\xe9.mp4")])
+def test_a_file_may_have_any_name(
+    name: str, film: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    shutil.copy(film, name)
+    status, events = grab(name, tmp_path / "out")
+    assert (status, [event.kind for event in events]) == (0, ["entry", "exit"])
+
+
+@pytest.mark.parametrize("url", ["file://{}", "file://localhost{}", "FILE://{}"])
+def test_a_file_may_be_a_url(url: str, film: Path, tmp_path: Path) -> None:
+    shutil.copy(film, tmp_path / "my film.mp4")
+    assert len(grab(url.format(tmp_path / "my%20film.mp4"), tmp_path / "out")[1]) == 2
+
+
+def test_what_is_no_file_is_said(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    os.mkfifo(tmp_path / "pipe")
+    for source, said in (
+        (tmp_path / "pipe", "a pipe cannot be read"),
+        ("-", "standard input cannot be read"),
+        ("/dev/null", "not a video device"),
+    ):
+        assert grab(source, tmp_path / "out") == (66, [])
+        assert said in capsys.readouterr().err
+
+
+class Faulty:
+    """OpenCV's capture of a real film, in which some calls are other ones."""
+
+    def __init__(self, *arguments: Any) -> None:
+        self._capture = REAL(*arguments)
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self._capture, name)
+
+
+class Unconverted(Faulty):
+    """Pictures that FFmpeg cannot convert: OpenCV calls them good all the same."""
+
+    def retrieve(self, *arguments: Any) -> Any:
+        os.write(1, b"[OPENCV:FFMPEG:16] Cannot convert interlaced to progressive frames\n")
+        return self._capture.retrieve(*arguments)
+
+
+def test_pictures_that_are_none_are_not_analysed(
+    film: Path,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    monkeypatch.setattr("cv2.VideoCapture", Unconverted)
+    assert grab(film, tmp_path / "out") == (66, [])
+    assert "no frame in it can be decoded (MPEG-4): interlaced" in capsys.readouterr().err
+
+
+def made(film: Path, options: str) -> Path:
+    """Return a film made of ``film`` with options of ffmpeg."""
+    path = film.with_name("made.ts")
+    command = f"ffmpeg -nostdin -loglevel error -y -i {film} {options}"
+    subprocess.run([*command.split(), str(path)], check=True)
+    return path
+
+
+@needs_ffmpeg
+def test_interlaced_video_is_refused_in_words(film: Path) -> None:
+    fields = "-flags +ilme+ildct -vf tinterlace=interleave_top,setfield=tff"
+    path = made(film, f"-c:v mpeg2video {fields}")
+    with camtopod(
+        "grab", "--camera", "c", str(path), "--out", "-", stderr=subprocess.PIPE
+    ) as grabber:
+        said = grabber.communicate(timeout=60)[1]
+    assert grabber.returncode == 66
+    assert b"interlaced video cannot be read" in said
+
+
+@needs_ffmpeg
+def test_video_that_begins_long_after_the_sound_is_read(film: Path, tmp_path: Path) -> None:
+    sound = "-f lavfi -i sine=d=15 -c:a mp2"
+    path = made(film, f"{sound} -vf setpts=PTS+7/TB -c:v mpeg2video -b:v 4M")
+    status, events = grab(path, tmp_path / "out")
+    assert (status, len(events)) == (0, 2)
