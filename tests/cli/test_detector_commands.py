@@ -113,6 +113,21 @@ def test_a_model_that_cannot_be_read_is_78_with_its_line(
     assert main(["--config", str(path), "grab", "--camera", "b", str(film), "--out", out]) == 0
 
 
+def test_a_model_that_opencv_crashes_on_is_78_with_its_line(
+    tmp_path: Path, film: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """It is tried in a process of its own."""
+    model = write_model(tmp_path / "person.onnx", "yolox")
+    content = bytearray(model.read_bytes())
+    content[content.index(b"Conv")] ^= 0x80
+    model.write_bytes(content)
+    path = write(tmp_path, f'[cameras.a]\nsource = "{film}"\n[detector]\nmodel = "{model}"\n')
+    grab = ["grab", "--camera", "a", "--out", str(tmp_path / "out")]
+    for command in (["check", str(path)], ["--config", str(path), *grab]):
+        assert main(command) == 78
+        assert f"{path}:4: detector.model: OpenCV cannot " in capsys.readouterr().err
+
+
 # --- grab -----------------------------------------------------------------------------------------
 
 

@@ -20,6 +20,8 @@ from camtopod.config import CameraSettings, Config, detector_line, key_lines
 from camtopod.redact import redact, remember
 from camtopod.serve.bus import BusError, dial
 from camtopod.visible import visible
+from camtopod.vision.detector.model import ModelReport
+from camtopod.vision.settings import DetectorSettings
 from camtopod.vision.source import (
     OPEN_SECONDS_MAX,
     PROBE_SECONDS,
@@ -91,11 +93,24 @@ def _probe(settings: CameraSettings, picture: bool) -> Probe:
             timeout=seconds,
             check=False,
         )
+        if done.returncode == 0:
+            return msgspec.json.decode(done.stdout, type=Probe)
+        why = f"the process that tried it: {exit_reason(done.returncode)}"
     except subprocess.TimeoutExpired:
-        return Probe(f"no answer within {seconds:.0f} s")
-    if done.returncode != 0:
-        return Probe(f"the process that probed it {exit_reason(done.returncode)}")
-    return msgspec.json.decode(done.stdout, type=Probe)
+        why = f"no answer within {seconds:.0f} s"
+
+    # What the library died of: the model, if it dies of that alone, or the source.
+    model = settings.detector.model
+    if model and not settings.source:
+        return Probe(detector=ModelReport(f"OpenCV cannot run {model}: {why}"))
+    if model and (report := try_detector(settings.detector)).problem:
+        return Probe(detector=report)
+    return Probe(why)
+
+
+def try_detector(detector: DetectorSettings) -> ModelReport:
+    """Load and run a model in a process of its own, as OpenCV may crash on it."""
+    return _probe(CameraSettings(detector=detector), picture=False).detector
 
 
 def check_site(path: Path, config: Config, folder: Path | None) -> int:

@@ -24,7 +24,6 @@ from camtopod.config import (
 )
 from camtopod.serve.bus import access
 from camtopod.visible import visible
-from camtopod.vision.detector.onnx_header import HeaderError, input_size
 from camtopod.vision.settings import VisionSettings
 
 
@@ -93,7 +92,7 @@ def run(args: argparse.Namespace) -> int:
     except OSError as error:
         raise InputError(f"cannot read {path}: {error.strerror}") from None
 
-    # Models that cannot be read.
+    # Models that cannot be used.
     problems = list(_model_problems(path, loaded, raw.decode()))
     if problems:
         print("\n".join(map(visible, problems)), file=sys.stderr)
@@ -119,20 +118,19 @@ def run(args: argparse.Namespace) -> int:
 
 
 def _model_problems(path: Path, config: Config, text: str) -> Iterator[str]:
-    """Yield a sentence, with file and line, for each model of a detector that cannot be read.
+    """Yield a sentence, with file and line, for each model of a detector that cannot be used.
 
     text: content of the configuration file ``path``.
     """
-    models = {config.detector.model: ""}
-    for name, camera in config.cameras.items():
-        models.setdefault(camera.detector.model, name)
-    for model, camera_name in models.items():
-        try:
-            if model:
-                input_size(model)
-        except HeaderError as error:
-            line, name = detector_line(text, camera_name, "model")
-            yield f"{path}:{line}: {name}: {error}"
+    from camtopod.cli.cameras.probe import try_detector
+
+    detectors = {config.detector: ""}
+    for camera_name, camera in config.cameras.items():
+        detectors.setdefault(camera.detector, camera_name)
+    for detector, camera_name in detectors.items():
+        if detector.model and (report := try_detector(detector)).problem:
+            line, name = detector_line(text, camera_name, report.key)
+            yield f"{path}:{line}: {name}: {report.problem}"
 
 
 def _camera_lines(path: Path, config: Config, text: str) -> Iterator[str]:

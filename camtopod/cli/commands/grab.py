@@ -194,18 +194,22 @@ def _settings(args: argparse.Namespace, config: Config) -> CameraSettings:
 
 
 def _detector(args: argparse.Namespace, settings: CameraSettings) -> Detector | None:
-    """Load the camera's detector, if it has one. Raises `CommandError` with file and line."""
+    """Load the camera's detector, if it has one, once it was tried.
+
+    Raises `CommandError` with file and line.
+    """
     if not settings.detector.model:
         return None
+    from camtopod.cli.cameras.probe import try_detector
     from camtopod.vision.detector.detector import Detector
-    from camtopod.vision.detector.model import DetectorError, Model
+    from camtopod.vision.detector.model import Model
 
-    try:
-        return Detector(Model(settings.detector), settings.detector)
-    except DetectorError as error:
+    report = try_detector(settings.detector)
+    if report.problem:
         text = args.config.read_text(encoding="utf-8")
-        line, name = detector_line(text, args.camera, error.key)
-        raise CommandError(f"{args.config}:{line}: {name}: {error}", exits.CONFIG) from None
+        line, name = detector_line(text, args.camera, report.key)
+        raise CommandError(f"{args.config}:{line}: {name}: {report.problem}", exits.CONFIG)
+    return Detector(Model(settings.detector), settings.detector)
 
 
 def _preview(args: argparse.Namespace, settings: VisionSettings) -> Preview | None:

@@ -128,7 +128,7 @@ def _possible(outputs: Sequence[Array], size: Size) -> list[Form]:
         if boxes.shape[2] != 4 or boxes.shape[:2] != scores.shape[:2]:
             return []
         return [Form("rt-detr", scores.shape[2], logits=_are_logits(scores))]
-    if len(outputs) != 1 or shapes[0][0] != 1:
+    if len(outputs) != 1 or shapes[0][:1] != (1,):
         return []
     output = outputs[0]
     shape = shapes[0]
