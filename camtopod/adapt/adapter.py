@@ -7,6 +7,7 @@ from collections.abc import Mapping
 from fnmatch import fnmatchcase
 from typing import Any
 
+from camtopod.adapt.camera_names import CameraNames
 from camtopod.codec import Rejected
 from camtopod.records import Event
 
@@ -14,6 +15,14 @@ LINE_BYTES_MAX = 1024 * 1024
 """Longest accepted line, bytes. Frigate's lines grow with the path of an object."""
 REMEMBERED_MAX = 10_000
 """Objects remembered, the latest ones, so that a repeated message counts once."""
+OUTSIDE_MAX = 0.1
+"""Largest distance of a foot point from the picture, in fractions of it.
+
+A box may reach a little beyond the border. One that lies further out is in other units, or refers
+to a picture of another size.
+"""
+OUTSIDE_BOXES = 20
+"""Boxes of a camera outside its picture after which that is said: a tracker errs now and then."""
 ANY_CAMERA = ""
 """Key in `Sizes` for all cameras that are not named."""
 
@@ -31,6 +40,14 @@ class Adapter:
 
     topic = "#"
     """MQTT topic of these lines below the program's prefix."""
+    outside_cause = "is --size right?"
+    """What to see to if boxes lie outside the picture."""
+
+    def __init__(self) -> None:
+        self.cameras = CameraNames()
+        self.notes: list[str] = []
+        """What the user has to know; the caller says it and empties the list."""
+        self._outside: set[str] = set()
 
     def receive(self, line: bytes) -> list[Event]:
         """Return the events that a line makes certain. Raises `Rejected` for an unusable line.
@@ -50,6 +67,15 @@ class Adapter:
     def close(self) -> list[Event]:
         """Return the events that are certain once no more lines come."""
         return []
+
+    def _check_places(self, camera: str, outside: int) -> None:
+        """Note it once if many boxes of a camera lie outside its picture."""
+        if outside >= OUTSIDE_BOXES and camera not in self._outside:
+            self._outside.add(camera)
+            self.notes.append(
+                f"camera {camera}: {outside} boxes lie outside the picture and are not used: "
+                f"{self.outside_cause}"
+            )
 
 
 def size_of(camera: str, sizes: Sizes) -> Size:

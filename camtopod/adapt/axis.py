@@ -12,6 +12,9 @@ are not followed. Colours, snapshots and plates are not read.
 
 from __future__ import annotations
 
+import re
+from typing import Any
+
 from msgspec import Struct, field
 
 from camtopod import codec
@@ -20,8 +23,8 @@ from camtopod.adapt.camera_streams import Name, StreamAdapter, TrackedBox, secon
 from camtopod.codec import Rejected
 from camtopod.records import Event
 
-_SOURCES = ("com.axis.", "axis.scene.", "frame")
-"""Beginnings of a last topic level that names the kind of data, not the camera."""
+_SOURCE = re.compile(r"(com\.axis|axis\.scene)\..*|frame(\.v\d.*)?")
+"""A topic level that names the kind of data, not the camera."""
 
 
 class _Box(Struct, frozen=True):
@@ -55,10 +58,10 @@ class _Frame(Struct, frozen=True):
 
     timestamp: str = ""
     channel_id: int = 1
-    detections: list[_Detection] = []
-    observations: list[_Detection] = []
-    track_events: list[_TrackEvent] = []
-    operations: list[_TrackEvent] = []
+    detections: list[_Detection] | None = None
+    observations: list[_Detection] | None = None
+    track_events: list[_TrackEvent] | None = None
+    operations: list[_TrackEvent] | None = None
     frame: _Frame | None = None
     data: _Frame | None = None
 
@@ -72,35 +75,39 @@ class Axis(StreamAdapter):
     labels: kinds of objects (``Human``, ``Car``) that count; empty for all.
     """
 
+    outside_cause = "they are not in fractions of the picture"
+
     def receive(self, line: bytes) -> list[Event]:
         """Return the events that a frame makes certain. Raises `Rejected`."""
         levels, text = split_topic(line)
         frame = codec.read(_Frame, text)
         frame = frame.data or frame
         frame = frame.frame or frame
-        if not frame.timestamp:
-            raise Rejected("malformed", "is no frame")
+        boxes = _either(frame.detections, frame.observations)
+        changes = _either(frame.track_events, frame.operations)
+        if not frame.timestamp or _either(boxes, changes) is None:
+            raise Rejected("malformed", "is no frame: has no timestamp, detections or track_events")
 
         # The camera.
-        named = [level for level in levels if not level.startswith(_SOURCES)]
+        named = [level for level in levels if not _SOURCE.fullmatch(level)]
         camera = self._id_of("".join(named[-1:]))
         if frame.channel_id > 1:
             camera = f"{camera}-{frame.channel_id}"
 
         # Boxes, and the objects that are gone.
         seen = []
-        for one in frame.detections or frame.observations:
+        for one in boxes or []:
             if (box := one.bounding_box) is not None:
                 name = _either(one.object_track_id, one.track_id)
                 sides = (box.left, box.top, box.right, box.bottom)
                 seen.append(TrackedBox(name, sides, one.kind.type))
         ended = [
             _either(change.object_track_id, change.id)
-            for change in frame.track_events or frame.operations
+            for change in changes or []
             if change.type in ("TrackEnded", "DeleteOperation")
         ]
         return self._stream(camera).update(seen, ended, seconds_of(frame.timestamp))
 
 
-def _either(name: Name, forerunners: Name) -> Name:
-    return forerunners if name is None else name
+def _either(value: Any, forerunners: Any) -> Any:
+    return forerunners if value is None else value

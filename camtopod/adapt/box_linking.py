@@ -11,6 +11,11 @@ from camtopod.adapt.tracks import LIFE_SECONDS, LOST_SECONDS, TRACKS_MAX
 
 REACH = 0.75
 """Largest distance of a box from a predicted middle, in larger sides of the smaller box."""
+ALIKE = 0.5
+"""Least ratio of two boxes' larger sides for them to be one object whose kind has changed.
+
+A face or plate is far smaller than what it is part of.
+"""
 
 Box = tuple[float, float, float, float]
 """Left, top, right, bottom, pixels."""
@@ -30,21 +35,23 @@ class _Track(Struct):
         ahead = min(max(t - self.t, 0.0), LIFE_SECONDS)
         return x + ahead * self.velocity[0], y + ahead * self.velocity[1]
 
-    def move(self, box: Box, t: float) -> None:
+    def move(self, kind: str, box: Box, t: float) -> None:
         """Record that the track was seen there."""
         if t > self.t:
             # Half of the old velocity, and half of the newest step.
             steps = zip(_middle(self.box), _middle(box), self.velocity, strict=True)
             x, y = (((new - old) / (t - self.t) + v) / 2 for old, new, v in steps)
             self.velocity = (x, y)
+        self.kind = kind
         self.box = box
         self.t = t
 
 
 class BoxLinker:
-    """Links the boxes in one camera into tracks, each of one kind, numbered from 1. Deterministic.
+    """Links the boxes in one camera into tracks, numbered from 1. Deterministic.
 
-    The nearest pair of box and track is linked first. Two people who meet and turn back may
+    The nearest pair of box and track of one kind is linked first; a box that is left continues a
+    track of another kind, as detectors change their mind. Two people who meet and turn back may
     exchange numbers: entries and exits stay the same, only their pairing into passages does not. At
     most `TRACKS_MAX` tracks are kept; tracks not seen for `LOST_SECONDS` are forgotten.
     """
@@ -60,11 +67,11 @@ class BoxLinker:
         }
         found: dict[int, int] = {}
         taken: set[int] = set()
-        for _, number, index in sorted(self._pairs(kinds, boxes, t)):
+        for _, _, number, index in sorted(self._pairs(kinds, boxes, t)):
             if number not in taken and index not in found:
                 found[index] = number
                 taken.add(number)
-                self._tracks[number].move(boxes[index], t)
+                self._tracks[number].move(kinds[index], boxes[index], t)
         return [
             found.get(index) or self._begin(kinds[index], box, t) for index, box in enumerate(boxes)
         ]
@@ -79,17 +86,17 @@ class BoxLinker:
 
     def _pairs(
         self, kinds: Sequence[str], boxes: Sequence[Box], t: float
-    ) -> list[tuple[float, int, int]]:
-        """Return (distance, track, index of the box) of all pairs near enough to be one object."""
+    ) -> list[tuple[bool, float, int, int]]:
+        """Return (kinds differ, distance, track, box's index) of pairs that may be one object."""
         pairs = []
         for number, track in self._tracks.items():
             there = track.at(t)
             for index, box in enumerate(boxes):
                 distance = math.dist(there, _middle(box))
-                if kinds[index] == track.kind and distance <= REACH * min(
-                    _larger_side(track.box), _larger_side(box)
-                ):
-                    pairs.append((distance, number, index))
+                smaller, larger = sorted((_larger_side(track.box), _larger_side(box)))
+                differ = kinds[index] != track.kind
+                if distance <= REACH * smaller and (not differ or smaller >= ALIKE * larger):
+                    pairs.append((differ, distance, number, index))
         return pairs
 
 

@@ -12,7 +12,7 @@ from datetime import UTC, datetime
 from typing import NamedTuple
 
 from camtopod import codec
-from camtopod.adapt.adapter import Adapter, Size, remember
+from camtopod.adapt.adapter import OUTSIDE_MAX, Adapter, Size
 from camtopod.adapt.tracks import TRACKS_MAX, TrackEvents
 from camtopod.codec import Rejected
 from camtopod.records import CAMERA_PATTERN, Event
@@ -24,11 +24,6 @@ SILENT_SECONDS = 2.5
 
 Many sources send nothing while the view is empty. An exit that waited for the next frame would be
 too late to be learned.
-"""
-PARTS = frozenset({"head", "face", "humanface", "licenseplate"})
-"""Kinds of boxes that are part of an object, in lower case.
-
-They have ids of their own: a person whose head is tracked too would count twice.
 """
 
 Box = tuple[float, float, float, float]
@@ -50,12 +45,13 @@ class CameraStream:
     """Tracks of one camera, or of one analytics module of a camera."""
 
     def __init__(self, camera: str, size: Size, labels: Collection[str]) -> None:
-        self.tracks = TrackEvents(camera, size)
-        self._labels = labels
-        self._kinds: dict[Name, str] = {}
-        """Latest known kind of each track: trackers do not classify an object in each frame."""
+        self.tracks = TrackEvents(camera, size, outside_max=OUTSIDE_MAX, wanted=labels)
         self.arrived = 0.0
         """When the latest frame came, seconds of the clock of `StreamAdapter.silent`."""
+        self._t = -math.inf
+        self._empty = False
+        self._keeps_sending = False
+        """While the view is empty."""
 
     def update(self, seen: Sequence[TrackedBox], ended: Iterable[Name], t: float) -> list[Event]:
         """Return the events that a frame at ``t`` (seconds) makes certain.
@@ -67,21 +63,27 @@ class CameraStream:
         self.require_newer(t)
         if len(seen) > TRACKS_MAX:
             raise Rejected("too-many", f"more than {TRACKS_MAX} objects in a frame")
-        for one in seen:
-            if one.name is not None and one.kind:
-                remember(self._kinds, one.name, one.kind)
-
-        # Boxes of the wanted kinds, or of all that are no part of another object.
-        wanted = []
-        for one in seen:
-            kind = (one.kind or self._kinds.get(one.name, "")).lower()
-            if kind in self._labels or (not self._labels and kind not in PARTS):
-                wanted.append(one)
-        events = self.tracks.update([one.name for one in wanted], [one.box for one in wanted], t)
+        if self._empty and t - self._t > SILENT_SECONDS:
+            self._keeps_sending = False
+        elif self._empty and not seen:
+            self._keeps_sending = True
+        self._empty = not seen
+        self._t = t
+        names, boxes, kinds = zip(*seen, strict=True) if seen else ((), (), ())
+        events = self.tracks.update(names, boxes, t, kinds)
         for name in ended:
-            self._kinds.pop(name, None)
             events += self.tracks.end(name)
         return events
+
+    def lose(self) -> list[Event]:
+        """Return the exits of all objects, as no frame has come for too long.
+
+        Of a camera that keeps sending while its view is empty the frames are late (the broker or
+        the network stalls), so nobody has left.
+        """
+        if self._keeps_sending and not self._empty:
+            return []
+        return self.tracks.lose()
 
     def require_newer(self, t: float) -> None:
         """Raise `Rejected` if a frame at ``t`` comes after a later one."""
@@ -97,39 +99,45 @@ class StreamAdapter(Adapter):
     """
 
     def __init__(self, camera: str | None = None, labels: Collection[str] = ()) -> None:
+        super().__init__()
         self._camera = camera
         self._named: str | None = None
         """What the messages call the one camera."""
-        self._labels = frozenset(label.lower() for label in labels)
+        self._labels = labels
         self._streams: dict[tuple[str, str], CameraStream] = {}
-        self._now = 0.0
-        self._checked = 0.0
+        self._called = self._now = self._checked = 0.0
 
     def silent(self, now: float) -> list[Event]:
         """Return the exits of the objects of cameras that have sent no frame for `SILENT_SECONDS`.
 
         now: as for `Adapter.silent`.
         """
-        self._now = now
-        if now - self._checked < SILENT_SECONDS / 5:
+        # Time in which this program stood still does not count: frames may wait to be read.
+        passed = now - self._called
+        self._called = now
+        if passed <= SILENT_SECONDS:
+            self._now += passed
+        if self._now - self._checked < SILENT_SECONDS / 5:
             return []
-        self._checked = now
-        silent = (one for one in self._streams.values() if now - one.arrived > SILENT_SECONDS)
-        return [event for stream in silent for event in stream.tracks.lose()]
+        self._checked = self._now
+        silent = (s for s in self._streams.values() if self._now - s.arrived > SILENT_SECONDS)
+        return [event for stream in silent for event in stream.lose()]
 
     def close(self) -> list[Event]:
         """Return the exits of objects out of sight. Those in a camera's last frame are in view."""
+        for stream in self._streams.values():
+            self._check_places(stream.tracks.camera, stream.tracks.outside)
         return [event for stream in self._streams.values() for event in stream.tracks.close()]
 
     def _id_of(self, given: str) -> str:
-        """Return the camera's id: the one camera's, or ``given``. Raises `Rejected`."""
+        """Return the camera's id: the one camera's, or that of its name. Raises `Rejected`."""
         if self._camera is not None:
             if self._named is None:
                 self._named = given
             if given != self._named:
                 raise Rejected("other-camera", "another camera than the first: omit --camera")
             return self._camera
-        return given
+        return self.cameras.id_of(given)
 
     def _stream(self, camera: str, size: Size = (1, 1), module: str = "") -> CameraStream:
         """Return the stream of a camera's analytics module, new or known. Raises `Rejected`.
@@ -139,11 +147,12 @@ class StreamAdapter(Adapter):
         stream = self._streams.get((camera, module))
         if stream is None:
             if not re.match(CAMERA_PATTERN, camera):
-                raise Rejected("no-camera", "names no camera: give --camera ID")
+                raise Rejected("no-camera", f"{camera[:80]!r} is no camera id")
             if len(self._streams) >= STREAMS_MAX:
                 raise Rejected("too-many-cameras", f"more than {STREAMS_MAX} cameras")
             stream = CameraStream(camera, size, self._labels)
             self._streams[camera, module] = stream
+        self._check_places(camera, stream.tracks.outside)
         stream.arrived = self._now
         return stream
 

@@ -44,7 +44,7 @@ FORMATS = {
     "frigate": Format(
         "messages of frigate/events, one a line (mosquitto_sub -t frigate/events)",
         lambda given: Frigate(given.size, given.label),
-        ("size", "label"),
+        ("size", "label", "rename"),
     ),
     "mot": Format(
         "a MOTChallenge text file",
@@ -55,22 +55,22 @@ FORMATS = {
     "scenescape": Format(
         "messages of scenescape/data/camera/ID, one a line",
         lambda given: SceneScape(given.size, given.label, given.tracked),
-        ("size", "label", "tracked"),
+        ("size", "label", "tracked", "rename"),
     ),
     "axis": Format(
         "AXIS scene metadata, one message a line",
         lambda given: Axis(given.camera, given.label),
-        ("label", "camera"),
+        ("label", "camera", "rename"),
     ),
     "onvif": Format(
         "scene descriptions of Profile M, XML documents or JSON messages",
         lambda given: Onvif(given.camera, given.label),
-        ("label", "camera"),
+        ("label", "camera", "rename"),
     ),
     "deepstream": Format(
         "messages of nvmsgconv, one a line",
         lambda given: DeepStream(given.size, given.camera, given.label),
-        ("size", "label", "camera"),
+        ("size", "label", "camera", "rename"),
     ),
 }
 """All formats, by name."""

@@ -18,18 +18,22 @@ from collections.abc import Collection
 from typing import Annotated
 
 from msgspec import Meta, Struct
+from msgspec.structs import replace
 
 from camtopod import codec
 from camtopod.adapt.adapter import (
     ANY_CAMERA,
+    OUTSIDE_MAX,
     Adapter,
     Sizes,
     remember,
     size_of,
     split_topic,
 )
+from camtopod.adapt.kinds import Votes, plain
+from camtopod.adapt.tracks import in_picture
 from camtopod.codec import Rejected
-from camtopod.records import CameraId, Event, Kind
+from camtopod.records import Event, Kind
 
 ENTRY_SECONDS_MAX = 5.0
 """Time after the first sighting within which an object must move for its entry to count.
@@ -47,7 +51,7 @@ class _Seen(Struct, frozen=True):
     """State of an object in a message."""
 
     id: Annotated[str, Meta(min_length=1, max_length=codec.TRACK_CHARACTERS_MAX)]
-    camera: CameraId
+    camera: str
     frame_time: float
     """Time of the latest sighting."""
     box: Box
@@ -68,9 +72,14 @@ class _Message(Struct, frozen=True):
 
 
 class _Object(Struct):
-    """State of an object: its ``entry`` until that is certain, and whether it has ended."""
+    """State of an object: its ``entry`` until that is told, and whether it has ended."""
 
     entry: Event | None
+    votes: Votes
+    counted: bool = False
+    """Most messages had a wanted kind; from then on it goes on counting."""
+    came: bool = False
+    """It moved soon enough after the entry."""
     ended: bool = False
 
 
@@ -79,14 +88,15 @@ class Frigate(Adapter):
 
     sizes: sizes of the pictures that Frigate detects in (``detect: width, height``). Not needed if
         Frigate sends ``path_data``, which is less exact.
-    labels: kinds of objects that count; empty for all.
+    labels: kinds of objects that count, whatever their case; empty for all.
     """
 
     topic = "events"
 
     def __init__(self, sizes: Sizes, labels: Collection[str] = ()) -> None:
+        super().__init__()
         self._sizes = sizes
-        self._labels = frozenset(labels)
+        self._labels = frozenset(map(plain, labels))
         self._objects: dict[str, _Object] = {}  # in order of the latest message
 
     def receive(self, line: bytes) -> list[Event]:
@@ -95,20 +105,23 @@ class Frigate(Adapter):
         if message.type not in ("new", "update", "end"):
             raise Rejected("bad-value", "type is not new, update or end - at `$.type`")
 
-        now = message.after
+        camera = self.cameras.id_of(message.after.camera)
+        now = replace(message.after, camera=camera)
+        message = replace(message, before=replace(message.before, camera=camera), after=now)
         if not all(codec.T_MIN <= seen.frame_time < codec.T_MAX for seen in (message.before, now)):
             raise Rejected("bad-value", "frame_time is not between 1970 and 3000")
-        if now.false_positive or (self._labels and now.label not in self._labels):
+        if now.false_positive:
             return []
 
         known = self._objects.get(now.id) or self._met(message)
         remember(self._objects, now.id, known)
+        known.votes.add(now.label, self._labels)
         return self._changed(known, message)
 
     def _met(self, message: _Message) -> _Object:
         """Return the state of an object at its first message; it enters if it is new."""
         if message.type != "new":
-            return _Object(None)
+            return _Object(None, Votes())
         first = message.before
         now = message.after
         if first.id == now.id and first.false_positive and self._knows_size(now.camera):
@@ -117,7 +130,7 @@ class Frigate(Adapter):
             entry = _at_point("entry", now, now.path_data[0])
         else:
             entry = self._event("entry", now)
-        return _Object(entry)
+        return _Object(entry, Votes())
 
     def _changed(self, known: _Object, message: _Message) -> list[Event]:
         """Return the events that a message makes certain, and update the object."""
@@ -125,24 +138,23 @@ class Frigate(Adapter):
             return []
         now = message.after
         moved = now.position_changes is None or now.position_changes > 0
+        moves = moved and not now.stationary
 
         # An entry is certain once the object has moved soon enough after it.
+        if known.entry is not None and not known.came:
+            if message.type != "new" and now.frame_time - known.entry.t > ENTRY_SECONDS_MAX:
+                known.entry = None
+            known.came = moves
+
+        # It is told once the object counts; its exit, too, unless it was standing.
         events = []
-        if (
-            known.entry is not None
-            and now.frame_time - known.entry.t > ENTRY_SECONDS_MAX
-            and message.type != "new"
-        ):
-            known.entry = None
-        if known.entry is not None and moved and not now.stationary:
+        known.ended = message.type == "end"
+        known.counted |= known.votes.count(self._labels)
+        if known.counted and known.came and known.entry is not None:
             events.append(known.entry)
             known.entry = None
-
-        # An exit, unless the object was standing.
-        if message.type == "end":
-            if moved and not now.stationary:
-                events.append(self._event("exit", now))
-            known.ended = True
+        if known.counted and known.ended and moves:
+            events.append(self._event("exit", now))
         return events
 
     def _knows_size(self, camera: str) -> bool:
@@ -164,5 +176,7 @@ class Frigate(Adapter):
 
 def _at_point(kind: Kind, seen: _Seen, point: Point) -> Event:
     (x, y), t = point
-    x, y = round(min(max(x, 0.0), 1.0), 4), round(min(max(y, 0.0), 1.0), 4)
-    return Event(seen.camera, kind, round(t, 6), x, y, seen.id)
+    foot = in_picture(x, y, OUTSIDE_MAX)
+    if foot is None:
+        raise Rejected("outside", "the object lies outside the picture: is --size right?")
+    return Event(seen.camera, kind, round(t, 6), *foot, seen.id)

@@ -8,7 +8,7 @@ from array import array
 import numpy as np
 
 from camtopod import codec
-from camtopod.adapt.adapter import ANY_CAMERA, Adapter, Sizes
+from camtopod.adapt.adapter import ANY_CAMERA, OUTSIDE_MAX, Adapter, Sizes
 from camtopod.adapt.tracks import TrackEvents
 from camtopod.codec import Rejected
 from camtopod.records import Event
@@ -29,13 +29,14 @@ class Mot(Adapter):
     def __init__(self, camera: str | None, sizes: Sizes, fps: float | None, start: float) -> None:
         """Prepare for a file of ``fps`` frames per second. Raises `ValueError`."""
         size = sizes.get(camera or "") or sizes.get(ANY_CAMERA)
+        super().__init__()
         if camera is None or size is None or fps is None:
             raise ValueError("mot needs --camera, --fps, and --size of that camera")
         if not 0 < fps < math.inf:
             raise ValueError("--fps must be a number above 0")
         if not math.isfinite(start):
             raise ValueError("--start must be a finite number of seconds")
-        self._tracks = TrackEvents(camera, size)
+        self._tracks = TrackEvents(camera, size, outside_max=OUTSIDE_MAX)
         self._fps = fps
         self._start = start
         self._rows = array("d")
@@ -74,6 +75,7 @@ class Mot(Adapter):
             events += self._tracks.update(
                 rows[first:end, 1], rows[first:end, 2:], self._time(frame)
             )
+        self._check_places(self._tracks.camera, self._tracks.outside)
         return sorted(events + self._tracks.close(), key=lambda event: event.t)
 
     def _time(self, frame: float) -> float:

@@ -114,6 +114,8 @@ class Onvif(StreamAdapter):
     labels: kinds of objects (``Human``, ``Vehicle``) that count; empty for all.
     """
 
+    outside_cause = "the camera sends no Transformation, or a wrong one, from its units to -1 to 1"
+
     def __init__(self, camera: str | None = None, labels: Collection[str] = ()) -> None:
         super().__init__(camera, labels)
         self._text = bytearray()

@@ -19,7 +19,7 @@ from camtopod.adapt.adapter import Sizes, size_of, split_topic
 from camtopod.adapt.box_linking import BoxLinker
 from camtopod.adapt.camera_streams import Box, Name, StreamAdapter, TrackedBox, seconds_of
 from camtopod.codec import Rejected
-from camtopod.records import CameraId, Event
+from camtopod.records import Event
 
 
 class _Pixels(Struct, frozen=True):
@@ -35,7 +35,7 @@ class _Detection(Struct, frozen=True):
 
 
 class _Message(Struct, frozen=True):
-    id: CameraId
+    id: str
     timestamp: str
     objects: dict[str, list[_Detection]]
 
@@ -60,7 +60,8 @@ class SceneScape(StreamAdapter):
         """Return the events that a frame makes certain. Raises `Rejected`."""
         message = codec.read(_Message, split_topic(line, "*/data/camera/*")[1])
         t = seconds_of(message.timestamp)
-        stream = self._stream(message.id, size_of(message.id, self._sizes))
+        camera = self._id_of(message.id)
+        stream = self._stream(camera, size_of(camera, self._sizes))
         stream.require_newer(t)  # before its boxes are linked to those of later frames
 
         # Boxes in pixels.
@@ -78,10 +79,10 @@ class SceneScape(StreamAdapter):
 
         # Names by the tracker's ids, or by linking.
         if not self._tracked:
-            names = list(self._linkers.setdefault(message.id, BoxLinker()).link(kinds, boxes, t))
-        seen = [
-            TrackedBox(f"{kind}-{name}", box, kind)
-            for name, box, kind in zip(names, boxes, kinds, strict=True)
-            if name is not None
-        ]
-        return stream.update(seen, [], t)
+            names = list(self._linkers.setdefault(camera, BoxLinker()).link(kinds, boxes, t))
+        known = [name for name in names if name is not None]
+        if len(set(known)) < len(known):
+            raise Rejected(
+                "same-id", "two objects have one id, so they are not tracked: omit --tracked"
+            )
+        return stream.update(list(map(TrackedBox, names, boxes, kinds)), [], t)

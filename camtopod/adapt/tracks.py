@@ -5,12 +5,14 @@ from __future__ import annotations
 import itertools
 import math
 import re
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from typing import Any
 
 import numpy as np
 from msgspec import Struct
 
+from camtopod.adapt.adapter import remember
+from camtopod.adapt.kinds import Votes, plain
 from camtopod.codec import TRACK_CHARACTERS_MAX
 from camtopod.records import CAMERA_PATTERN, Event, Kind
 
@@ -22,6 +24,8 @@ LOST_SECONDS = 2.0
 It delays exits, as `LIFE_SECONDS` delays entries, and must stay below the lateness
 (`learn.lateness_seconds`, 5 s).
 """
+UNCLASSIFIED_SECONDS = 4.0
+"""Longest time that an entry waits for the kind of its object; as long as the lateness allows."""
 TRACKS_MAX = 1000
 """Tracks followed at a time; boxes of further ones are counted as refused."""
 
@@ -35,12 +39,15 @@ class _Place(Struct, frozen=True):
 
 
 class _Track(Struct):
-    """Beginning and latest position of a track; ``lived`` once it counts as an object."""
+    """Beginning and latest position of a track; ``counted`` once it has had its entry."""
 
     first: _Place
     last: _Place
     from_start: bool
-    lived: bool = False
+    votes: Votes
+    counted: bool = False
+    left: bool = False
+    """Its exit was told while no frames came."""
 
 
 class TrackEvents:
@@ -53,6 +60,10 @@ class TrackEvents:
     the same events. Objects in view at the start (within two `LIFE_SECONDS`, as
     trackers need a moment) have no entry.
 
+    With ``kinds`` the majority of a track's sightings decides whether it counts, and once it has
+    counted it goes on counting. Its entry waits for a kind, up to `UNCLASSIFIED_SECONDS` if all
+    count. So pass the boxes of all kinds, and let ``wanted`` choose.
+
     camera: id of the camera, ``[A-Za-z0-9_.-]{1,64}``.
     size (pixels): width and height of the picture; (1, 1) if boxes are fractions of it.
     boot: a name of this run, unique among the camera's runs. With it events are numbered (``seq``
@@ -60,6 +71,9 @@ class TrackEvents:
     life_seconds: shortest track that counts as an object.
     lost_seconds: time without a sighting after which a track has ended.
     tracks_max: tracks followed at a time.
+    outside_max: boxes whose foot point is further outside the picture than this fraction of it are
+        not used; without it such foot points are clipped.
+    wanted: kinds that count; empty for all but faces, heads and plates (`kinds.PARTS`).
 
     Raises `ValueError` for an invalid argument.
 
@@ -85,6 +99,8 @@ class TrackEvents:
         life_seconds: float = LIFE_SECONDS,
         lost_seconds: float = LOST_SECONDS,
         tracks_max: int = TRACKS_MAX,
+        outside_max: float = math.inf,
+        wanted: Collection[str] = (),
     ) -> None:
         if not re.match(CAMERA_PATTERN, camera):
             raise ValueError(f"camera {camera!r}: 1 to 64 of the characters A-Z a-z 0-9 _ . -")
@@ -101,7 +117,13 @@ class TrackEvents:
         self._life = life_seconds
         self._lost = lost_seconds
         self._max = tracks_max
+        self._outside_max = outside_max
+        self._wanted = frozenset(map(plain, wanted))
         self._tracks: dict[str, _Track] = {}  # the one seen last is last
+        self._verdicts: dict[str, Votes] = {}
+        """What lost tracks were, as the kind may be told once only."""
+        self._kinds_come = False
+        self._waited_in_vain = False
         self._start = self._t = -math.inf
         self.entries = 0
         self.exits = 0
@@ -109,13 +131,19 @@ class TrackEvents:
         """Boxes without an id (None or negative), which the tracker does not follow (yet)."""
         self.unusable = 0
         """Boxes that are not four finite numbers."""
+        self.outside = 0
+        """Boxes beyond ``outside_max``."""
         self.refused = 0
         """Boxes of tracks beyond ``tracks_max``."""
         self.late = 0
         """Frames ignored because a later one came before them."""
 
     def update(
-        self, ids: Sequence[Any] | Any | None, boxes: Sequence[Any] | Any, t: float
+        self,
+        ids: Sequence[Any] | Any | None,
+        boxes: Sequence[Any] | Any,
+        t: float,
+        kinds: Sequence[str] | None = None,
     ) -> list[Event]:
         """Process one frame; return the events that are now certain.
 
@@ -123,10 +151,12 @@ class TrackEvents:
             ``tracker_id`` while nothing is tracked).
         boxes ((n, 4) or (n, 2, 2), pixels): left, top, right, bottom; a list or an array.
         t (seconds): capture time of the frame.
+        kinds (n): what the objects are (``person``), empty where it is unknown; None if that is not
+            known of any object.
 
         A frame up to ``lost_seconds`` earlier than a previous one is ignored and counted
         (``late``). One further back means that the clock was set: tracking restarts. Raises
-        `ValueError` if ids and boxes do not match or ``t`` is not finite.
+        `ValueError` if ids, boxes and kinds do not match or ``t`` is not finite.
         """
         # Check and normalise the arguments.
         corners = np.asarray(boxes, dtype=float)
@@ -137,6 +167,8 @@ class TrackEvents:
             raise ValueError(
                 f"{len(labels)} ids, but boxes of shape {corners.shape}: n ids need boxes (n, 4)"
             )
+        if kinds is not None and len(kinds) != len(labels):
+            raise ValueError(f"{len(labels)} ids, but {len(kinds)} kinds")
         t = round(float(t), 6)
         if not math.isfinite(t):
             raise ValueError("t is not a finite number of seconds")
@@ -155,9 +187,13 @@ class TrackEvents:
         lost = itertools.takewhile(
             lambda item: t - item[1].last.t > self._lost, self._tracks.items()
         )
-        events = self._exits([label for label, _ in lost])
-        for label, corner in zip(labels, corners.reshape(-1, 4).tolist(), strict=True):
-            events += self._seen(label, corner, t)
+        events = []
+        for ended, track in list(lost):
+            remember(self._verdicts, ended, track.votes.verdict())
+            events += self._exits([ended])
+        named: Sequence[str | None] = kinds or [None] * len(labels)
+        for label, corner, what in zip(labels, corners.reshape(-1, 4).tolist(), named, strict=True):
+            events += self._seen(label, corner, what, t)
         return events
 
     def end(self, name: Any) -> list[Event]:
@@ -165,8 +201,15 @@ class TrackEvents:
         return self._exits([label for label in [_label(name)] if label in self._tracks])
 
     def lose(self) -> list[Event]:
-        """End all tracks, as no frame has come for too long; return their exits."""
-        return self._exits(list(self._tracks))
+        """Return the exits of all tracks, as no frame has come for too long.
+
+        A track that the next frames show within ``lost_seconds`` of their times goes on.
+        """
+        events = []
+        for label, track in self._tracks.items():
+            events += self._exit(label, track)
+            track.left = True
+        return events
 
     def is_late(self, t: float) -> bool:
         """Return True if `update` would ignore a frame of this time as out of order."""
@@ -175,10 +218,14 @@ class TrackEvents:
     def close(self) -> list[Event]:
         """End the recording; return the exits of tracks that were out of sight in its last frame.
 
-        The others are still in view.
+        The others are still in view; their entries wait no longer.
         """
-        gone = [label for label, track in self._tracks.items() if track.last.t != self._t]
-        events = self._exits(gone)
+        events = []
+        for label, track in self._tracks.items():
+            if track.last.t == self._t:
+                events += self._entry(label, track)
+            else:
+                events += self._exit(label, track)
         self._begin_anew()
         return events
 
@@ -190,6 +237,7 @@ class TrackEvents:
             "exits": self.exits,
             "untracked": self.untracked,
             "unusable": self.unusable,
+            "outside": self.outside,
             "refused": self.refused,
             "late": self.late,
         }
@@ -201,9 +249,28 @@ class TrackEvents:
     def _exits(self, labels: Sequence[str]) -> list[Event]:
         """Remove tracks; return the exits of those that count as objects."""
         gone = [(label, self._tracks.pop(label)) for label in labels]
-        return [self._event("exit", label, track.last) for label, track in gone if track.lived]
+        return [event for label, track in gone for event in self._exit(label, track)]
 
-    def _seen(self, label: str | None, corners: list[float], t: float) -> list[Event]:
+    def _exit(self, label: str, track: _Track) -> list[Event]:
+        """Return the exit of a track that counts, and its entry if that has waited for the kind."""
+        if track.left:
+            return []
+        events = self._entry(label, track)
+        if track.counted:
+            events.append(self._event("exit", label, track.last))
+        return events
+
+    def _entry(self, label: str, track: _Track) -> list[Event]:
+        """Return the entry of a track that counts as an object from now on."""
+        lived = track.last.t - track.first.t >= self._life
+        if track.counted or not lived or not track.votes.count(self._wanted):
+            return []
+        track.counted = True
+        return [] if track.from_start else [self._event("entry", label, track.first)]
+
+    def _seen(
+        self, label: str | None, corners: list[float], kind: str | None, t: float
+    ) -> list[Event]:
         """Record a box; return the entry if its track now counts as an object."""
         if label is None:
             self.untracked += 1
@@ -211,29 +278,36 @@ class TrackEvents:
         if not all(map(math.isfinite, corners)):
             self.unusable += 1
             return []
+        left, _, right, bottom = corners
+        x, y = (left + right) / 2 / self.size[0], bottom / self.size[1]
+        foot = in_picture(x, y, self._outside_max)
+        if foot is None:
+            self.outside += 1
+            return []
 
         # Begin the track or update it.
-        place = self._foot(corners, t)
+        place = _Place(t, *foot)
         track = self._tracks.pop(label, None)
         if track is None:
             if len(self._tracks) >= self._max:
                 self.refused += 1
                 return []
-            track = _Track(place, place, from_start=t - self._start <= 2 * LIFE_SECONDS)
+            from_start = t - self._start <= 2 * LIFE_SECONDS
+            track = _Track(place, place, from_start, self._verdicts.pop(label, Votes()))
         track.last = place
+        track.left = False
+        track.votes.add(kind or "", self._wanted)
         self._tracks[label] = track
 
-        # The entry is certain once the track has lived long enough.
-        if track.lived or t - track.first.t < self._life:
+        # The entry is certain once the track has lived long enough, and its kind is known.
+        known = track.votes.known()
+        self._kinds_come |= known
+        may_come = self._kinds_come or not self._waited_in_vain
+        waits = kind is not None and not known and may_come
+        if waits and t - track.first.t < UNCLASSIFIED_SECONDS:
             return []
-        track.lived = True
-        return [] if track.from_start else [self._event("entry", label, track.first)]
-
-    def _foot(self, corners: list[float], t: float) -> _Place:
-        """Return the bottom centre of the box, clipped to the picture."""
-        left, _, right, bottom = corners
-        x, y = (left + right) / 2 / self.size[0], bottom / self.size[1]
-        return _Place(t, round(min(max(x, 0.0), 1.0), 4), round(min(max(y, 0.0), 1.0), 4))
+        self._waited_in_vain |= waits
+        return self._entry(label, track)
 
     def _event(self, kind: Kind, label: str, at: _Place) -> Event:
         if kind == "entry":
@@ -245,6 +319,13 @@ class TrackEvents:
             seq = self._seq
             self._seq += 1
         return Event(self.camera, kind, at.t, at.x, at.y, label, self._boot, seq)
+
+
+def in_picture(x: float, y: float, outside_max: float) -> tuple[float, float] | None:
+    """Return a foot point (fractions of the picture) clipped to it; None if it is far outside."""
+    if max(-x, x - 1, -y, y - 1) > outside_max:
+        return None
+    return round(min(max(x, 0.0), 1.0), 4), round(min(max(y, 0.0), 1.0), 4)
 
 
 def _label(value: Any) -> str | None:
