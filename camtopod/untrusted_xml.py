@@ -15,16 +15,22 @@ DOCUMENT_BYTES_MAX = 1024 * 1024
 def parse_xml(document: bytes) -> Element:
     """Return the root of a document.
 
-    Raises `Rejected` if it is too long, malformed, or has a DOCTYPE, which may hold entities.
+    Raises `Rejected` if it is too long, not UTF-8, malformed, or has a DOCTYPE, which may hold
+    entities.
     """
     if len(document) > DOCUMENT_BYTES_MAX:
         raise Rejected("too-long", f"a document of more than {DOCUMENT_BYTES_MAX} bytes")
-    if b"<!DOCTYPE" in document.upper() or b"<!ENTITY" in document.upper():
+    try:
+        text = document.decode("utf-8")
+    except UnicodeDecodeError:
+        text = "\0"
+    if "\0" in text:  # as in UTF-16, which the parser would recognise by itself
+        raise Rejected("malformed", "XML that is not UTF-8")
+    if "<!DOCTYPE" in text.upper() or "<!ENTITY" in text.upper():
         raise Rejected("doctype", "a document with a DOCTYPE, which may hold entities")
 
-    # The encoding is fixed, so that no other one hides a DOCTYPE.
     try:
-        return ElementTree.fromstring(document, ElementTree.XMLParser(encoding="utf-8"))
+        return ElementTree.fromstring(text)
     except (ElementTree.ParseError, ValueError) as error:
         raise Rejected("malformed", f"is no XML: {error}") from None
 

@@ -3,7 +3,10 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Iterator
+from collections import deque
+from collections.abc import Callable, Iterable, Iterator
+
+from msgspec.structs import replace
 
 from camtopod.records import Event
 from camtopod.vision.detector.detector import Detector
@@ -13,6 +16,8 @@ from camtopod.vision.source import FfmpegLog, LiveSource, RecordedSource, State,
 
 HEARTBEAT_SECONDS = 0.5
 """`Grabber.events` yields at least this often (processing of a single frame aside)."""
+SHIFTS_KEPT = 16
+"""Number of the latest settings of the wall clock that are kept, to label events with."""
 
 
 class Grabber:
@@ -62,6 +67,8 @@ class Grabber:
         self._pipeline = ViewPipeline(camera, settings, observer, detector)
         self._analysis_seconds = 0.0
         self._last_t: float | None = None
+        self._shifts = deque([(float("-inf"), 0.0)], SHIFTS_KEPT)
+        """Capture times from which on the wall clock was shifted, and by how much, seconds."""
 
     def events(self) -> Iterator[Event | None]:
         """Yield events as they become certain, and None at least about once a second.
@@ -80,12 +87,14 @@ class Grabber:
 
             if frame is not None:
                 began = time.thread_time()
+                if frame.shift != self._shifts[-1][1]:
+                    self._shifts.append((frame.t, frame.shift))
                 events = self._pipeline.process(frame.t, frame.luma, frame.image)
                 self._analysis_seconds += time.thread_time() - began
-                self._last_t = frame.t
+                self._last_t = frame.t + frame.shift
 
             # Yield the events, or None if nothing was yielded for the heartbeat interval.
-            yield from events
+            yield from self._labelled(events)
             now = time.monotonic()
             if events:
                 yielded_at = now
@@ -94,7 +103,13 @@ class Grabber:
                 yield None
 
         # The source has ended.
-        yield from self._pipeline.finish()
+        yield from self._labelled(self._pipeline.finish())
+
+    def _labelled(self, events: Iterable[Event]) -> Iterator[Event]:
+        """Yield events with the time that the wall clock showed then; it may have been set."""
+        for event in events:
+            shift = next((shift for t, shift in reversed(self._shifts) if t <= event.t), 0.0)
+            yield replace(event, t=event.t + shift)
 
     @property
     def state(self) -> State:

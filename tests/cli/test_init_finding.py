@@ -2,12 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+import socket
+import time
+from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
+from urllib.parse import urlsplit
 
 import pytest
 from onvif_camera import USER, OnvifCamera, onvif_camera
 
+from bench.support.rtsp_streams import Host, silent
 from camtopod.cli import exits
 from camtopod.cli.cameras import onvif, probe as probes
 from camtopod.cli.cameras.finding import streams_by_onvif, streams_by_path
@@ -62,11 +66,55 @@ def test_what_is_wrong_with_a_camera_is_said(camera: OnvifCamera) -> None:
         onvif.streams(f"onvif://{LOGIN}@{blind.address}")
 
 
-def test_documents_that_could_do_harm_are_refused() -> None:
-    long = b"x" * (DOCUMENT_BYTES_MAX + 1)
-    for document in (b"<!DOCTYPE x [<!ENTITY a 'b'>]><x>&a;</x>", b"<x>", b"", long):
+@pytest.mark.parametrize("url", ["rtsp://192.0.2.66/s", "rtsp://192.0.2.66:554/127.0.0.1", "x", ""])
+def test_a_password_goes_to_the_host_that_was_given_alone(url: str) -> None:
+    with onvif_camera([PROFILES[0]], {"main": url}) as camera:
+        found, missing = streams_by_onvif({"a": f"onvif://{LOGIN}@{camera.address}"})
+    assert found == {}
+    assert "names a stream at another host" in missing["a"]
+    assert "give the stream's rtsp:// URL" in missing["a"]
+
+
+def test_a_stream_cannot_hide_another_host_in_its_path() -> None:
+    with onvif_camera([PROFILES[0]], {"main": "rtsp://localhost/a@192.0.2.66/b"}) as camera:
+        found, _ = streams_by_onvif({"a": f"onvif://{LOGIN}@{camera.address}"})
+    assert urlsplit(percent_encoded(found["a"])).hostname == "localhost", "this machine's name"
+
+
+def drip(client: socket.socket) -> None:
+    """Answer a byte at a time, without end."""
+    client.recv(65536)
+    client.sendall(b"HTTP/1.1 200 OK\r\n")
+    while True:
+        client.sendall(b"a")
+        time.sleep(0.02)
+
+
+def drip_content(client: socket.socket) -> None:
+    client.recv(65536)
+    client.sendall(b"HTTP/1.1 200 OK\r\n\r\n")
+    drip(client)
+
+
+@pytest.mark.parametrize("treat", [silent, drip, drip_content])
+def test_a_camera_that_answers_without_end_is_given_up(
+    treat: Callable[[socket.socket], None], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(onvif, "SECONDS", 0.2)
+    host = Host(treat)
+    address = host.url.partition("@")[2].partition("/")[0]
+    with pytest.raises(onvif.OnvifError, match=r"no answer by ONVIF .* within 0 s|timed out"):
+        onvif.streams(f"onvif://{address}")
+    host.close()
+
+
+@pytest.mark.parametrize("encoding", ["utf-8", "utf-16", "utf-16-le", "utf-16-be", "utf-32"])
+def test_documents_that_could_do_harm_are_refused(encoding: str) -> None:
+    bomb = "<?xml version='1.0'?><!DOCTYPE x [<!ENTITY a 'b'>]><x>&a;</x>"
+    long = "x" * (DOCUMENT_BYTES_MAX + 1)
+    for document in (bomb, bomb.replace("?>", f" encoding='{encoding}'?>"), "<x>", "", long):
         with pytest.raises(Rejected):
-            parse_xml(document)
+            parse_xml(document.encode(encoding))
 
 
 # --- paths of makers ------------------------------------------------------------------------------

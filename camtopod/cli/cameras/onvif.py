@@ -1,6 +1,7 @@
 """Ask a camera for its streams by ONVIF (Core and Media Service Specifications, version 10).
 
-The password is sent as the digest of a WS-Security username token, never in the clear.
+The password is sent as the digest of a WS-Security username token, never in the clear, and to the
+host that was given alone.
 """
 
 from __future__ import annotations
@@ -12,9 +13,9 @@ import hashlib
 import http.client
 import re
 import secrets
+import socket
+import threading
 import time
-import urllib.request
-from urllib.error import HTTPError
 from urllib.parse import quote, unquote, urlsplit
 from xml.etree.ElementTree import Element
 from xml.sax.saxutils import escape, quoteattr
@@ -31,7 +32,9 @@ SCHEME = "onvif"
 DEVICE_PATH = "/onvif/device_service"
 """Usual path of the device service."""
 SECONDS = 5.0
-"""Longest time for one answer."""
+"""Longest time for one answer, however slowly it comes."""
+SECONDS_ALL = 30.0
+"""Longest time for all answers of a camera."""
 _DEVICE = "http://www.onvif.org/ver10/device/wsdl"
 _MEDIA = "http://www.onvif.org/ver10/media/wsdl"
 _SCHEMA = "http://www.onvif.org/ver10/schema"
@@ -88,56 +91,99 @@ class _Camera:
     def __init__(self, source: str) -> None:
         try:
             parts = urlsplit(percent_encoded(source))
-            self._base = f"http://{parts.netloc.rpartition('@')[2]}"
+            self._address = parts.netloc.rpartition("@")[2]
+            self._host = parts.hostname or ""
             self._user = unquote(parts.username or "")
             self._password = unquote(parts.password or "")
         except ValueError:
             raise OnvifError("write it like onvif://USER:PASSWORD@HOST") from None
-        self._device = self._base + (parts.path.rstrip("/") or DEVICE_PATH)
+        self._deadline = time.monotonic() + SECONDS_ALL
+        self._device = parts.path.rstrip("/") or DEVICE_PATH
         self._ahead: float | None = None
         self._ahead = self._clock_ahead()
 
     def media_service(self) -> str:
-        """Return the URL of the media service, at the host that was given."""
+        """Return the path of the media service, at the host that was given."""
         body = self.ask(
             self._device,
             f'<GetCapabilities xmlns="{_DEVICE}"><Category>Media</Category></GetCapabilities>',
         )
         for media in all_of(body, "Media"):
             if found := re.fullmatch(r"\w+://[^/]+(/.+)", text_of(media, "XAddr")):
-                return self._base + found[1]
+                return found[1]
         raise OnvifError("the camera names no media service")
 
     def with_login(self, url: str) -> str:
-        """Return a URL of a stream with user name and password."""
+        """Return a URL of a stream with user name and password.
+
+        Raises `OnvifError` if it is at another host, which must not get them.
+        """
         scheme, _, rest = url.partition("://")
         if not self._user or "@" in rest.partition("/")[0]:
             return url
-        return f"{scheme}://{quote(self._user, safe='')}:{quote(self._password, safe='')}@{rest}"
+        try:
+            host = urlsplit(url).hostname or ""
+        except ValueError:
+            host = ""
+        if not _addresses(host) & _addresses(self._host):
+            raise OnvifError(
+                f"the camera names a stream at another host, {host or 'unreadable'}, which does "
+                "not get the password: give the stream's rtsp:// URL"
+            )
+        login = f"{quote(self._user, safe='')}:{quote(self._password, safe='')}"
+        return f"{scheme}://{login}@{rest.replace('@', '%40')}"  # one @, before the host
 
-    def ask(self, url: str, body: str) -> Element:
+    def ask(self, path: str, body: str) -> Element:
         """Send a request and return the answer's document. Raises `OnvifError`."""
         envelope = (
             '<?xml version="1.0" encoding="UTF-8"?>'
             '<s:Envelope xmlns:s="http://www.w3.org/2003/05/soap-envelope">'
             f"<s:Header>{self._token()}</s:Header><s:Body>{body}</s:Body></s:Envelope>"
         )
-        request = urllib.request.Request(
-            url, envelope.encode(), {"Content-Type": "application/soap+xml; charset=utf-8"}
-        )
-        opener = urllib.request.build_opener(urllib.request.ProxyHandler({}))
         try:
-            with opener.open(request, timeout=SECONDS) as answer:
-                return parse_xml(answer.read(DOCUMENT_BYTES_MAX + 1))
-        except HTTPError as error:
-            with error:
-                fault = error.read(DOCUMENT_BYTES_MAX)
+            status, answer = self._exchange(path, envelope.encode())
+            if status < 300:
+                return parse_xml(answer)
+            reason = f"status {status}"
+            if status in (401, 403) or b"NotAuthorized" in answer or b"FailedAuth" in answer:
+                raise OnvifError("the camera refuses the user name or password")
+        except (OSError, ValueError, http.client.HTTPException, Rejected) as error:
             reason = str(error)
-            if error.code in (401, 403) or b"NotAuthorized" in fault or b"FailedAuth" in fault:
-                raise OnvifError("the camera refuses the user name or password") from None
-        except (OSError, http.client.HTTPException, Rejected) as error:
-            reason = str(error)
-        raise OnvifError(f"no answer by ONVIF at {url}: {reason}")
+        raise OnvifError(f"no answer by ONVIF at http://{self._address}{path}: {reason}")
+
+    def _exchange(self, path: str, body: bytes) -> tuple[int, bytes]:
+        """Return status and content of an answer, as far as it is read.
+
+        One deadline bounds the whole: each byte renews a socket's own timeout.
+        """
+        seconds = min(SECONDS, self._deadline - time.monotonic())
+        if seconds <= 0.0:
+            raise TimeoutError("it answers too slowly")
+        connection = http.client.HTTPConnection(self._address, timeout=seconds)
+        timed_out = threading.Event()
+
+        def end(link: socket.socket) -> None:
+            timed_out.set()
+            with contextlib.suppress(OSError):
+                link.shutdown(socket.SHUT_RDWR)  # which ends a read that waits
+
+        with contextlib.closing(connection):
+            connection.connect()
+            timer = threading.Timer(seconds, end, [connection.sock])
+            timer.start()
+            try:
+                headers = {"Content-Type": "application/soap+xml; charset=utf-8"}
+                connection.request("POST", path, body, headers)
+                answer = connection.getresponse()
+                content = answer.read(DOCUMENT_BYTES_MAX + 1)
+            except (OSError, http.client.HTTPException):
+                if not timed_out.is_set():
+                    raise
+            finally:
+                timer.cancel()
+        if timed_out.is_set():
+            raise TimeoutError(f"no whole answer within {seconds:.0f} s")
+        return answer.status, content
 
     def _clock_ahead(self) -> float:
         """Return by how many seconds the camera's clock is ahead; it refuses other times."""
@@ -169,3 +215,11 @@ class _Camera:
             f"<Created xmlns={quoteattr(_SECURITY + 'wssecurity-utility-1.0.xsd')}>{created}"
             "</Created></UsernameToken></Security>"
         )
+
+
+def _addresses(host: str) -> set[str]:
+    """Return a host's name and its addresses, as far as they are known."""
+    found = {host}
+    with contextlib.suppress(OSError, UnicodeError):
+        found |= {str(entry[4][0]) for entry in socket.getaddrinfo(host, None)}
+    return found

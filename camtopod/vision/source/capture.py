@@ -86,6 +86,8 @@ class Frame(NamedTuple):
     luma: Luma
     image: Luma | None = None
     """The same in colour and at full size (H, W, 3), if it was asked for."""
+    shift: float = 0.0
+    """By how many seconds the wall clock has been set since ``t`` began to count."""
 
 
 class Source:

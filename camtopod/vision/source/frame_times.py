@@ -1,9 +1,13 @@
-"""Capture times of frames, from presentation stamps anchored to arrival times.
+"""Capture times of frames, from presentation stamps as far as arrivals bear them out.
 
 Frames arrive late, never early. Over one connection the smallest difference (arrival - stamp) is
 therefore the best estimate of the offset between the source's time base and ours; any excess is
-delay. The minimum is taken over the last half minute, so that it follows a drifting time base, or
-one that runs at a wrong rate, and forgets the burst of old frames after opening.
+delay. The minimum is taken over the last half minute, so that it forgets the burst of old frames
+after opening.
+
+Delay passes: some frame of any few bursts is prompt. Where none has been lately, the stamps run at
+a wrong rate, stick, or lost time, and arrivals are used instead. Stamps that run fast need no rule:
+each frame has the smallest difference so far, so that its capture time is its arrival.
 """
 
 from __future__ import annotations
@@ -15,8 +19,18 @@ WINDOW_SECONDS = 30.0
 """Length of the window of the minimum."""
 JUMP_SECONDS = 5.0
 """Jump of stamps that starts a new time base: backwards, or forwards by this more than arrivals."""
-LAG_SECONDS_MAX = 10.0
-"""Longest plausible delay of a frame; a stamp that implies more is not trusted."""
+LAG_SECONDS_MAX = 15.0
+"""Longest plausible delay of a frame, that of a segment of HLS; more is not trusted."""
+PROMPT_SECONDS = 0.3
+"""Delay of a prompt frame at most.
+
+It is what a busy network adds to the promptest of several frames; over the window, stamps whose
+rate is more than one in a hundred too slow exceed it.
+"""
+PROMPT_WITHIN_SECONDS = 1.0
+"""Time within which some frame is prompt, unless frames come in bursts with longer gaps."""
+PROMPT_WITHIN_GAPS = 2.0
+"""The same in gaps between bursts: so that it holds the end of one."""
 
 
 class StampClock:
@@ -26,8 +40,8 @@ class StampClock:
         self._minima: deque[tuple[float, float]] = deque()
         """(arrival, arrival - stamp), both ascending: candidates for the minimum of the window."""
         self._last: tuple[float, float] | None = None
-        self.resets = 0
-        self.untrusted = 0
+        self._gap = 0.0
+        """Longest time between two arrivals, which fades over the window."""
 
     def record(self, stamp: float, arrival: float) -> None:
         """Record that a frame with presentation time ``stamp`` (seconds) arrived at ``arrival``."""
@@ -38,9 +52,9 @@ class StampClock:
         if self._last is not None:
             step = stamp - self._last[0]
             elapsed = arrival - self._last[1]
+            self._gap = max(elapsed, self._gap * (1.0 - elapsed / WINDOW_SECONDS))
             if step <= 0.0 or step > elapsed + JUMP_SECONDS:
                 self._minima.clear()
-                self.resets += 1
         self._last = (stamp, arrival)
 
         # Minimum of a sliding window: keep ascending offsets only, drop those too old.
@@ -51,14 +65,21 @@ class StampClock:
         while self._minima[0][0] < arrival - WINDOW_SECONDS:
             self._minima.popleft()
 
-    def captured(self, stamp: float, arrival: float) -> float:
-        """Return a frame's capture time, or its arrival if the stamp cannot be trusted.
+    def captured(self, stamp: float, arrival: float) -> float | None:
+        """Return a frame's capture time; None if its stamp cannot be trusted.
 
         The frame must have been passed to `record`.
         """
         if 0.0 < stamp < math.inf and self._minima:
             captured = stamp + self._minima[0][1]
-            if arrival - LAG_SECONDS_MAX <= captured <= arrival:
+            if self._borne_out and arrival - LAG_SECONDS_MAX <= captured <= arrival:
                 return captured
-        self.untrusted += 1
-        return arrival
+        return None
+
+    @property
+    def _borne_out(self) -> bool:
+        """True if some frame has been prompt lately."""
+        newest, _ = self._minima[-1]
+        since = newest - max(PROMPT_WITHIN_SECONDS, PROMPT_WITHIN_GAPS * self._gap)
+        lately = next(offset for arrival, offset in self._minima if arrival >= since)
+        return lately - self._minima[0][1] <= PROMPT_SECONDS

@@ -46,6 +46,8 @@ MARGIN_SECONDS = 1.0
 """Time that a call of OpenCV may exceed its timeouts by."""
 TIME_STEP_MIN_SECONDS = 0.001
 """Smallest difference of the capture times of consecutive frames."""
+CLOCK_STEP_SECONDS = 0.05
+"""Least step of the wall clock that is followed; capture times are no more exact than that."""
 
 
 class LiveSource(Source):
@@ -72,11 +74,17 @@ class LiveSource(Source):
         self._stop = threading.Event()
         self._thread = threading.Thread(target=self._run, name="capture", daemon=True)
         self.reason = "not connected yet"
+        self._ahead = wall_clock() - time.monotonic()
+        """By how much the wall clock was ahead of the monotonic clock, seconds."""
+        self._shift = 0.0
         self._latest = float("-inf")
         self._called: float | None = None
 
     def frames(self) -> Iterator[Frame | None]:
-        """Yield frames with wall-clock capture times; None if there is none for half a second.
+        """Yield frames with ascending capture times; None if there is none for half a second.
+
+        Intervals are those of the monotonic clock; the times are the wall clock's, unless it has
+        been set since the beginning: `Frame.shift` says by how much.
 
         Call it once. `close` or leaving the iteration stops the capture thread.
         """
@@ -90,13 +98,9 @@ class LiveSource(Source):
     def _next(self) -> Frame | None:
         """Return the next frame, or None after the heartbeat interval."""
         try:
-            frame = self._queue.get(timeout=HEARTBEAT_SECONDS)
+            return self._queue.get(timeout=HEARTBEAT_SECONDS)
         except queue.Empty:
             return None
-        if frame.t < self._latest + TIME_STEP_MIN_SECONDS:  # re-anchored: keep times ascending
-            frame = frame._replace(t=self._latest + TIME_STEP_MIN_SECONDS)
-        self._latest = frame.t
-        return frame
 
     @property
     def overdue_seconds(self) -> float:
@@ -157,6 +161,7 @@ class LiveSource(Source):
         selector = FrameSelector(self._settings.analysed_fps)
         held: list[tuple[float, float, Frame]] = []
         first: float | None = None
+        moment = float("-inf")
         while not self._stop.is_set():
             # Grab a frame.
             self._called = asked = time.monotonic()
@@ -167,9 +172,6 @@ class LiveSource(Source):
                     return "no frame within the read timeout"
                 return "the source ended or closed the connection"
 
-            if arrival - asked > READ_SECONDS_MAX / 2:
-                self.dropped += 1  # the first frames after a stall are old
-                continue
             if first is None:
                 first = arrival
             self.grabbed += 1
@@ -178,7 +180,8 @@ class LiveSource(Source):
 
             # Decode it if it is to be analysed.
             clock.record(stamp, arrival)
-            if not selector.wants(stamp if stamp > 0.0 else arrival):
+            moment = max(moment, clock.captured(stamp, arrival) or arrival)
+            if not selector.wants(moment):
                 continue
             retrieved = capture.frame()
             if retrieved is None:
@@ -189,11 +192,22 @@ class LiveSource(Source):
             held.append((stamp, arrival, retrieved))
             if arrival - first >= SETTLE_SECONDS:
                 for shown, came, frame in held:
-                    age = time.monotonic() - clock.captured(shown, came)
-                    self._hand_on(frame._replace(t=self._wall_clock() - age))
+                    captured = clock.captured(shown, came)
+                    if captured is None:
+                        self.untrusted_stamps += 1
+                        captured = came
+                    self._latest = max(captured, self._latest + TIME_STEP_MIN_SECONDS)
+                    t = self._latest + self._ahead
+                    self._hand_on(frame._replace(t=t, shift=self._shift_now()))
                 held.clear()
-            self.untrusted_stamps = clock.untrusted
         return "closed"
+
+    def _shift_now(self) -> float:
+        """Return by how many seconds the wall clock has been set since the beginning."""
+        shift = self._wall_clock() - time.monotonic() - self._ahead
+        if abs(shift - self._shift) > CLOCK_STEP_SECONDS:
+            self._shift = shift
+        return self._shift
 
     def _hand_on(self, frame: Frame) -> None:
         """Queue a frame, dropping the oldest one if the queue is full: nobody else puts any in."""

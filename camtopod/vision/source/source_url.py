@@ -12,7 +12,10 @@ RETRY_SEPARATOR = "; trying again in "
 _SCHEME = re.compile(r"([A-Za-z][A-Za-z0-9+.-]*)://(.*)", re.DOTALL)
 _DEVICE = re.compile(r"(?:/dev/video)?([0-9]+)")
 _FILE_URL = re.compile(r"file://(?:localhost(?=/))?", re.IGNORECASE)
-_HOST = re.compile(r"(\[[0-9A-Fa-f:.]+\]|[A-Za-z0-9_.-]+)(:\d+)?(?=[/?]|$)")
+_HOST = re.compile(
+    r"(?P<name>(?P<address>\[[0-9A-Fa-f:.]+(?:%\w+)?\]|\d+\.\d+\.\d+\.\d+(?=[:/?]|$))"
+    r"|[A-Za-z0-9_.-]+)(?P<port>:\d+)?(?=[/?]|$)"
+)
 _ENCODED = re.compile(r"(?:[^%]|%[0-9A-Fa-f]{2})*")
 
 
@@ -45,18 +48,38 @@ def file_path(source: str) -> str:
 def percent_encoded(url: str) -> str:
     """Return ``url`` with user name and password percent-encoded.
 
-    Both may contain ``@``, ``:`` and ``/`` as they are. The host begins after the first ``@`` that
-    is followed by a host name and optionally a port. Text that is already encoded stays unchanged.
+    Both may contain ``@``, ``:``, ``/`` and ``?`` as they are. The host is the last text after an
+    ``@`` that looks most like one: an IP address before a name with a dot or a port, and these
+    before a plain name; but in the query only if there is none before it. What stands before the
+    first ``:`` or ``/`` is the host itself if it is an IP address, or if no such text follows; so
+    no piece of a password is looked up as a name. Text that is already encoded stays unchanged.
     """
     match = _SCHEME.match(url)
-    if match is None or _HOST.match(match.group(2)):  # begins with the host: no password
+    if match is None:
         return url
     scheme, rest = match.groups()
-    for at in (m.start() for m in re.finditer("@", rest)):
-        if _HOST.match(rest, at + 1):
-            user, colon, password = rest[:at].partition(":")
-            return f"{scheme}://{_quoted(user)}{colon}{_quoted(password)}{rest[at:]}"
-    return url
+    begins = _HOST.match(rest)
+    if begins is not None and begins["address"]:
+        return url
+
+    # Rank the @ by what follows each.
+    hosts = {
+        at.start(): host
+        for at in re.finditer("@", rest)
+        if (host := _HOST.match(rest, at.end())) is not None
+    }
+
+    def rank(at: int) -> tuple[bool, bool, bool, int]:
+        host = hosts[at]
+        named = "." in host["name"] or host["port"] is not None
+        likely = host["address"] is not None or named
+        return likely, "?" not in rest[:at], host["address"] is not None, at
+
+    at = max(hosts, key=rank, default=None)
+    if at is None or (begins is not None and not (begins["port"] and rank(at)[0])):
+        return url  # no user name
+    user, colon, password = rest[:at].partition(":")
+    return f"{scheme}://{_quoted(user)}{colon}{_quoted(password)}{rest[at:]}"
 
 
 def _quoted(text: str) -> str:
