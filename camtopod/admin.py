@@ -12,9 +12,14 @@ from camtopod.records import CameraId
 
 
 class Forget(Struct, frozen=True, tag="forget"):
-    """Remove a camera and all that was learned of it; its name is refused from then on."""
+    """Remove a camera and all that was learned of it; its name is refused from then on.
+
+    until (Unix seconds): of the old name of a renamed camera, which the daemon forgets itself:
+        earlier events still count for the camera.
+    """
 
     camera: CameraId
+    until: float | None = None
 
 
 class TakeBack(Struct, frozen=True, tag="take-back"):

@@ -21,8 +21,8 @@ class Done(Struct):
 
 def parameters_of(command: Command) -> tuple[str, dict[str, str]]:
     """Return the key below the site, and the parameters, of the query for a command."""
-    parameters: dict[str, str] = msgspec.to_builtins(command)
-    return f"admin/{parameters.pop('type')}", parameters
+    parameters = {one.name: getattr(command, one.name) for one in fields(command) if one.required}
+    return f"admin/{command.__struct_config__.tag}", parameters
 
 
 def command_of(key: str, parameters: dict[str, str]) -> Command:

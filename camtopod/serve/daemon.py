@@ -72,7 +72,6 @@ from camtopod.serve.runtime import (
     clock as clocks,
 )
 from camtopod.serve.storage import (
-    NAMES_KEY,
     Journal,
     JournalWriter,
     Learned,
@@ -321,16 +320,18 @@ class Daemon:
 
     def _reset(self) -> Reset:
         """Return the whole command that begins the site anew; its epoch is stored with it."""
+        epoch = clocks.ulid(self._clock(), after=self._last_epoch)
+        return Reset(self._clock(), self._last_epoch, epoch)
+
+    def _begun(self, epoch: str) -> None:
+        """Note that a command has begun an epoch."""
         self._live.forget()
-        ended = self._last_epoch
-        self._last_epoch = clocks.ulid(self._clock(), after=ended)
-        return Reset(self._clock(), ended, self._last_epoch)
+        self._last_epoch = epoch
 
     def _rewind(self, to: float) -> Rewind:
         """Return the command that takes event time back to ``to`` (Unix seconds)."""
-        self._live.forget()
         ended = self._last_epoch
-        self._last_epoch = clocks.ulid(self._clock(), after=ended)
+        self._begun(clocks.ulid(self._clock(), after=ended))
         log.error(
             "this machine's clock was set back: what was learned of later events is dropped, and"
             " event time continues from the clock, in epoch %s",
@@ -369,7 +370,7 @@ class Daemon:
         self._intake = Intake(
             numbers,
             cameras,
-            Names(read_names(self._journal.meta(NAMES_KEY)), self._clock),
+            Names(read_names(self._journal), self._clock),
             Merger(lateness, limits.future_seconds_max, event_clock, now),
             event_clock,
             JournalWriter(self._journal, self._clock),
@@ -429,7 +430,7 @@ class Daemon:
         """Execute the operator's command of a query. Raises `QueryError`."""
         command = command_of(key, parameters)
         try:
-            return Done(execute(self._intake, command, self.topology, self._reset))
+            return Done(execute(self._intake, command, self.topology, self._reset, self._begun))
         except CommandRefused as error:
             raise QueryError(str(error)) from None
         except (sqlite3.Error, StateError) as error:

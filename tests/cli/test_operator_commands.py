@@ -28,7 +28,7 @@ from camtopod.cli.main import main
 from camtopod.serve.bus import Bus, dial
 from camtopod.serve.daemon import Daemon
 from camtopod.serve.ingest import read_names
-from camtopod.serve.storage import NAMES_KEY, Journal
+from camtopod.serve.storage import Journal
 
 EVENTS = [*numbered(walkers(60)), closing_event()]
 
@@ -132,7 +132,7 @@ def test_what_was_answered_survives_a_kill(tmp_path: Path) -> None:
     forget.communicate(timeout=60)
 
     journal = Journal(state)
-    forgotten = read_names(journal.meta(NAMES_KEY)).forgotten
+    forgotten = read_names(journal).forgotten
     commands = [entry for _, entry in journal.entries() if entry and entry.kind == "command"]
     journal.close()
     assert (set(forgotten), len(commands)) == ({"b"}, 1)

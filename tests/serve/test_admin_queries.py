@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import contextlib
 import logging
+import sqlite3
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -17,6 +19,7 @@ from camtopod.records import CameraFigures, Event
 from camtopod.serve.admin_queries import Done, command_of, parameters_of
 from camtopod.serve.bus import Bus, QueryError, TopologySubscriber
 from camtopod.serve.daemon import Daemon
+from camtopod.serve.storage import Journal
 
 
 @pytest.fixture
@@ -38,6 +41,12 @@ def learned(daemon: Daemon, bus: Bus) -> None:
     put(bus, *events)
     wait_for(lambda: all_out(daemon, len(events)), "all to be learned")
     assert set("abc") <= cameras(daemon)
+
+
+def seen(daemon: Daemon, bus: Bus) -> None:
+    """Let three cameras send an event each."""
+    put(bus, *numbered([fresh(camera, 0) for camera in "abc"]))
+    wait_for(lambda: daemon.status().events.stored == 3, "the events")
 
 
 def cameras(daemon: Daemon) -> set[str]:
@@ -94,6 +103,60 @@ def test_a_forgotten_camera_leaves_at_once_and_its_spool_empties(
     assert daemon.status().names.forgotten == {}
 
 
+def test_a_command_is_in_force_when_it_is_stored_and_not_before(
+    site: Site, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    daemon = site.daemon()
+    bus = site.client(daemon)
+    seen(daemon, bus)
+    epoch = daemon.epoch
+
+    def full(*given: object, **more: object) -> None:
+        raise sqlite3.OperationalError("database or disk is full")
+
+    with monkeypatch.context() as patch:
+        patch.setattr(Journal, "commit", full)
+        for command in (Forget("b"), Rename("b", "yard"), Reset()):
+            with pytest.raises(
+                QueryError, match="journal cannot be written: database or disk is f"
+            ):
+                ask(bus, command)
+        put(bus, fresh("a", 1))  # waits to be stored
+        wait_for(lambda: daemon.status().state == "degraded", "the disk to be found full")
+        with pytest.raises(QueryError, match="disk is full; nothing has changed"):
+            ask(bus, Forget("b"))
+        status = daemon.status()
+        assert (status.names.forgotten, status.names.renamed, status.names.reset) == ({}, {}, None)
+
+    # There is room again: nothing is made up for.
+    wait_for(lambda: daemon.status().state == "running", "the journal to be written")
+    put(bus, fresh("b", 2))
+    wait_for(lambda: daemon.status().events.stored == 5, "events to be stored")
+    status = daemon.status()
+    assert (status.cameras["b"].newest, status.names.forgotten) == (fresh("b", 2).t, {})
+    assert "command" not in {row[0] for row in journal_of_stopped(site, daemon)}
+    assert site.daemon().epoch == epoch
+
+
+def test_what_is_forgotten_stays_so_when_the_note_of_it_is_damaged(site: Site) -> None:
+    daemon = site.daemon()
+    bus = site.client(daemon)
+    seen(daemon, bus)
+    ask(bus, Forget("b"))
+    ask(bus, Rename("c", "yard"))
+    put(bus, fresh("yard", 5))
+    wait_for(lambda: "c" in daemon.status().names.forgotten, "the old name to end")
+    daemon.stop()
+    with contextlib.closing(sqlite3.connect(site.directory / "state" / "journal.db")) as database:
+        database.execute("UPDATE meta SET value = replace(value, 'b', 'x') WHERE key = 'names'")
+        database.commit()
+
+    daemon = site.daemon()
+    put(site.client(daemon), fresh("b", 9), fresh("c", 3), fresh("c", 8))
+    wait_for(lambda: daemon.status().names.forgotten == {"b": 1, "c": 1}, "what is refused")
+    assert daemon.status().cameras["yard"].events == 1
+
+
 def journal_of_stopped(site: Site, daemon: Daemon) -> list[tuple[str, str, str | None, int | None]]:
     daemon.stop()
     return journal_of(site)
@@ -137,6 +200,42 @@ def test_a_renamed_camera_goes_on_whichever_name_its_grabber_uses(site: Site) ->
     assert status.cameras["yard"].events == before + 1
     kinds = [row[0] for row in journal_of_stopped(site, daemon)]
     assert kinds[-4:] == ["event", "command", "event", "refused"]
+
+
+def test_what_the_old_name_has_of_before_counts_for_the_new_one(site: Site) -> None:
+    daemon = site.daemon()
+    bus = site.client(daemon)
+    seen(daemon, bus)
+    ask(bus, Rename("b", "yard"))
+    put(bus, *numbered([fresh("yard", 20)], "new"))
+    wait_for(lambda: "b" in daemon.status().names.forgotten, "the old name to end")
+    before = daemon.status().cameras["yard"].events
+
+    # Its spool delivers twenty events of before, and one that two cameras would have to send.
+    publisher = site.publisher()
+    publisher.attach(site.client(daemon))
+    publisher.publish(*(fresh("b", n) for n in range(20)), fresh("b", 21))
+    assert publisher.wait_stored(10)
+    status = daemon.status()
+    assert status.cameras["yard"].events == before + 20
+    assert status.names.forgotten == {"b": 1}
+
+    # Under a third name it is still the same camera; the name that is free begins a new one.
+    ask(bus, Rename("yard", "court"))
+    publisher.publish(fresh("b", 19), fresh("b", 22))
+    assert publisher.wait_stored(10)
+    assert daemon.status().cameras["court"].events == before + 21
+    ask(bus, TakeBack("b"))
+    publisher.publish(fresh("b", 18))
+    assert publisher.wait_stored(10)
+    assert daemon.status().cameras["b"].events == 1
+    daemon.stop()
+    with contextlib.closing(Journal(site.directory / "state")) as journal:
+        refused = [one for _, one in journal.entries() if one is not None and one.kind == "refused"]
+    assert [codec.event_from_bytes(one.raw).t for one in refused] == [
+        fresh("b", 21).t,
+        fresh("b", 22).t,
+    ]
 
 
 def test_a_renamed_camera_can_get_its_name_back(site: Site) -> None:

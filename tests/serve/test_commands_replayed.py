@@ -12,7 +12,7 @@ from camtopod.admin import Command, Forget, Rename, Reset, TakeBack
 from camtopod.codec import read, to_msgpack
 from camtopod.records import Topology
 from camtopod.serve.ingest import Names, Received, read_names
-from camtopod.serve.storage import NAMES_KEY, Entry
+from camtopod.serve.storage import Entry
 
 __all__ = ["start"]
 
@@ -27,12 +27,12 @@ def give(one: Installation, command: Command, learn: bool = True) -> None:
     site = set("abcx")
     if isinstance(command, Reset):
         command = Reset(command.t, one.epoch, one.new_epoch())
-    names = Names(read_names(one.journal.meta(NAMES_KEY)), lambda: 1.0)
+    names = Names(read_names(one.journal), lambda: 1.0)
     if isinstance(command, TakeBack):
-        received = names.carry_out(Forget("x"), site)[0]
+        received = names.prepare(Forget("x"), site)[1]
         one.journal.commit([received.entry], meta=received.meta)
-    names.state = read_names(one.journal.meta(NAMES_KEY))
-    received = names.carry_out(command, site)[0]
+    names.state = read_names(one.journal)
+    received = names.prepare(command, site)[1]
     one.journal.commit([received.entry], meta=received.meta)
     if learn:
         one.run()
@@ -40,7 +40,7 @@ def give(one: Installation, command: Command, learn: bool = True) -> None:
 
 def rest(one: Installation) -> None:
     """Learn the other events, as far as the daemon would pass them on."""
-    names = Names(read_names(one.journal.meta(NAMES_KEY)), lambda: 1.0)
+    names = Names(read_names(one.journal), lambda: 1.0)
     passed = [
         entry
         for event in EVENTS[AT:]

@@ -204,6 +204,17 @@ def test_entries_are_forgotten_by_age_behind_both_snapshots(tmp_path: Path) -> N
         assert kept(again) == [62], "numbers are never given twice"
 
 
+def test_commands_are_kept_for_ever_and_the_oldest_entry_is_another(tmp_path: Path) -> None:
+    command = Entry("command", "", None, None, b"forget")
+    with closing(Journal(tmp_path, KeepSettings(journal_days=2.0))) as journal:
+        journal.commit([entry(1), command, entry(2)], now=NOW)
+        journal.commit([entry(3)], snapshot=Snapshot(3, "E", b""), now=NOW + 9 * 86_400)
+        journal.commit([], snapshot=Snapshot(4, "E", b""))
+        journal.prune(NOW + 9 * 86_400)
+        assert journal.commands() == [(NOW, command)]
+        assert (journal.first(), kept(journal)) == (4, [4])
+
+
 def test_a_transaction_of_any_size_is_there_as_it_was_given(tmp_path: Path) -> None:
     with closing(Journal(tmp_path)) as journal:
         given = [Entry("event", f"c{k % 130}", "b1", k, b"%d" % k) for k in range(2_345)]

@@ -28,7 +28,7 @@ from camtopod.serve.ingest import (
     read_names,
 )
 from camtopod.serve.requests import Answer, Batch, Hello
-from camtopod.serve.storage import NAMES_KEY, Journal, JournalWriter
+from camtopod.serve.storage import Journal, JournalWriter
 
 START = 1_700_000_000.0
 """Unix seconds at which the clocks of a test begin."""
@@ -87,7 +87,7 @@ class IntakeBench:
         self.intake = Intake(
             Numbers(self.journal.numbers()),
             Cameras(self.limits.cameras_max),
-            Names(read_names(self.journal.meta(NAMES_KEY)), lambda: self.wall),
+            Names(read_names(self.journal), lambda: self.wall),
             Merger(LATENESS, future, event_clock, self.now - merge.SETTLE_SECONDS * settled),
             event_clock,
             JournalWriter(self.journal, lambda: self.wall),

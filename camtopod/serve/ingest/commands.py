@@ -4,10 +4,8 @@ from __future__ import annotations
 
 import logging
 import math
-import threading
+import time
 from collections.abc import Callable
-
-from msgspec.structs import replace
 
 from camtopod.admin import Command, Forget, Rename, Reset
 from camtopod.records import Topology
@@ -16,21 +14,27 @@ from camtopod.serve.ingest.names import CommandRefused
 
 log = logging.getLogger(__name__)
 
-STORED_SECONDS_MAX = 20.0
-"""Longest wait until an operator's command is stored."""
+STORED_SECONDS_MAX = 5.0
+"""Longest wait until an operator's command can be stored; no event is taken meanwhile."""
 
 
 def execute(
-    intake: Intake, command: Command, topology: Topology | None, reset: Callable[[], Reset]
+    intake: Intake,
+    command: Command,
+    topology: Topology | None,
+    reset: Callable[[], Reset],
+    begun: Callable[[str], None],
 ) -> str:
     """Execute a command; return its effect as a sentence, once it is stored. Any thread.
 
+    It is in force when it is stored, and not before.
+
     topology: the newest version.
     reset: returns the whole command of a reset.
+    begun: notes the epoch that a reset has begun.
 
-    Raises `CommandRefused` and `sqlite3.Error`.
+    Raises `CommandRefused` and `sqlite3.Error`; then nothing has changed.
     """
-    stored = threading.Event()
     with intake.turn:
         if isinstance(command, Reset):
             command = reset()
@@ -38,7 +42,19 @@ def execute(
         known = {*intake.numbers.cameras, *cameras.status(set())}
         if topology is not None:
             known.update(camera.id for camera in topology.cameras)
-        entry, effect = intake.names.carry_out(command, known)
+        names, received, effect = intake.names.prepare(command, known)
+
+        # Store it behind what was received before.
+        deadline = time.monotonic() + STORED_SECONDS_MAX
+        while intake.queue.waiting:
+            if intake.writer.reason or time.monotonic() > deadline:
+                why = intake.writer.reason or "the disk does not answer"
+                raise CommandRefused(f"{why}; nothing has changed, try again later")
+            time.sleep(0.005)
+        intake.writer.store_command(received.entry, received.meta)
+
+        # Put it in force.
+        intake.names.state = names
         match command:
             case Forget(camera):
                 cameras.forget(camera)
@@ -47,12 +63,7 @@ def execute(
             case Reset():
                 cameras.forget_all()
                 intake.event_clock.newest = -math.inf
-        intake.queue.put([replace(entry, stored=stored)])
-
-    if not stored.wait(STORED_SECONDS_MAX):
-        raise CommandRefused(
-            f"it is not stored after {STORED_SECONDS_MAX:g} s, as the disk does not answer; the"
-            " status of the daemon will show whether it was carried out"
-        )
+                begun(command.epoch)
+        intake.note_stored([received])
     log.warning("%s", effect)
     return effect

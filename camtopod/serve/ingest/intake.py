@@ -26,6 +26,8 @@ import threading
 from collections import Counter
 from collections.abc import Callable, Sequence
 
+from msgspec.structs import replace
+
 from camtopod import codec
 from camtopod.admin import Rewind
 from camtopod.config import Limits
@@ -179,13 +181,7 @@ class Intake:
             added = set(map(id, new))
             ready = [received for received in ready if id(received.entry) in added]
 
-        # Hand it to the learner.
-        self._count_stored(ready)
-        if ready:
-            self._learn(ready)
-        for received in ready:
-            if received.stored is not None:
-                received.stored.set()
+        self.note_stored(ready)
 
         # 6. Answer.
         for entry in entries:
@@ -274,7 +270,9 @@ class Intake:
         if received.event is None or self.cameras.count(received.event):
             return [received]
         self.counts["flood"] += 1
-        return [] if received.entry.seq is None else [received.only_stored("refused")]
+        if received.entry.seq is None:
+            return []
+        return [Received(replace(received.entry, kind="refused", raw=b""))]  # a disk is finite
 
     def _rewind(self, wall: float) -> None:
         """Take event time back, as this machine's clock was set back to ``wall``."""
@@ -283,8 +281,8 @@ class Intake:
             self.event_clock.newest = wall
             self.queue.put([command_received(self._rewind_to(wall), {})])
 
-    def _count_stored(self, ready: Sequence[Received]) -> None:
-        """Count what is stored: for the status, and for the answer to its request."""
+    def note_stored(self, ready: Sequence[Received]) -> None:
+        """Count what is stored, for status and answers, and hand it to the learner."""
         for received in ready:
             late = self.event_clock.note_stored(received)
             self.counts["stored"] += received.event is not None
@@ -293,6 +291,8 @@ class Intake:
             if camera is not None and (pending := camera.pending) is not None:
                 pending.late += late
                 pending.refused += received.entry.kind in ("refused", "future")
+        if ready:
+            self._learn(list(ready))
 
     def _room(self) -> int:
         """Return how many further events may be taken."""

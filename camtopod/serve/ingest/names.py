@@ -3,9 +3,11 @@
 An event of a forgotten name, or one from before a reset, becomes an entry "refused": it is
 acknowledged, so that its spool empties, and not learned. An event under the old name of a renamed
 camera counts for the new name, and is acknowledged under the old one. Once the camera sends under
-the new name itself, the old name is forgotten, as two programs must not publish one camera.
+the new name itself, the old name is forgotten, as two programs must not publish one camera; what
+the old name has of the time before still counts.
 
-The state is stored with each command that changes it, in the same transaction.
+The state follows from the commands in the journal. It is stored with each command that changes it,
+in the same transaction, and made again from them if that is damaged.
 """
 
 from __future__ import annotations
@@ -19,9 +21,9 @@ from msgspec.structs import replace
 
 from camtopod import codec
 from camtopod.admin import Command, Forget, Rename, Reset, Rewind, TakeBack
-from camtopod.records import NamesStatus
+from camtopod.records import Event, NamesStatus
 from camtopod.serve.ingest.received import Received, command_received
-from camtopod.serve.storage import NAMES_KEY
+from camtopod.serve.storage import NAMES_KEY, Journal, read_command
 
 log = logging.getLogger(__name__)
 
@@ -38,17 +40,34 @@ class NamesState(Struct, frozen=True):
 
     forgotten: refused names, each with the time (Unix seconds) since which it is.
     aliases: old names of renamed cameras -> their present names.
+    ended: of forgotten names that were aliases, the camera, and the time (Unix seconds) before
+        which an event still counts for it.
     since (Unix seconds): when the site was reset; None if it never was.
     """
 
     forgotten: dict[str, float] = {}
     aliases: dict[str, str] = {}
+    ended: dict[str, tuple[str, float]] = {}
     since: float | None = None
 
 
-def read_names(stored: str | None) -> NamesState:
-    """Return the state as it was stored in the journal. Raises `codec.Rejected`."""
-    return NamesState() if stored is None else codec.read(NamesState, stored.encode())
+def read_names(journal: Journal) -> NamesState:
+    """Return the state as it is stored in the journal, or made again from its commands."""
+    stored = journal.meta(NAMES_KEY)
+    state = NamesState()
+    try:
+        if stored is not None:
+            return codec.read(NamesState, stored.encode())
+    except codec.Rejected as error:
+        log.error("the journal's names cannot be read: %s", error)
+    for t, entry in journal.commands():
+        try:
+            command = read_command(entry.raw)
+            camera = getattr(command, "camera", getattr(command, "old", ""))
+            state, _ = carried_out(state, command, {camera}, t)
+        except (codec.Rejected, CommandRefused) as error:
+            log.error("a command in the journal is left out: %s", error)
+    return state
 
 
 def carried_out(
@@ -65,8 +84,8 @@ def carried_out(
     there = {state.aliases.get(name, name) for name in {*cameras, *state.aliases}}
     there -= state.forgotten.keys()
     match command:
-        case Forget(camera):
-            return _forget(state, camera, there, now)
+        case Forget(camera, until):
+            return _forget(state, camera, until, there, now)
         case TakeBack(camera):
             return _take_back(state, camera)
         case Rename(old, new):
@@ -81,15 +100,20 @@ def carried_out(
             return state, "what was learned of later events is dropped"
 
 
-def _forget(state: NamesState, camera: str, there: Set[str], now: float) -> tuple[NamesState, str]:
+def _forget(
+    state: NamesState, camera: str, until: float | None, there: Set[str], now: float
+) -> tuple[NamesState, str]:
     _require(camera, there | state.aliases.keys())
 
     # Forget its old names, too: events under them would count for it.
     names = [camera, *(old for old, new in state.aliases.items() if new == camera)]
     forgotten = dict.fromkeys(names, now) | state.forgotten
     aliases = {old: new for old, new in state.aliases.items() if old not in names}
+    ended = {old: end for old, end in state.ended.items() if end[0] != camera}
+    if until is not None and camera in state.aliases:
+        ended[camera] = (state.aliases[camera], until)
     return (
-        replace(state, forgotten=forgotten, aliases=aliases),
+        replace(state, forgotten=forgotten, aliases=aliases, ended=ended),
         f"{camera} is forgotten: the next version is without it, and its events, also under an"
         f" older name, are refused until `camtopod forget --take-back {camera}`",
     )
@@ -101,8 +125,9 @@ def _take_back(state: NamesState, camera: str) -> tuple[NamesState, str]:
             f"{camera} is not forgotten; forgotten names: {listed(state.forgotten)}"
         )
     forgotten = {name: since for name, since in state.forgotten.items() if name != camera}
+    ended = {name: end for name, end in state.ended.items() if name != camera}
     return (
-        replace(state, forgotten=forgotten),
+        replace(state, forgotten=forgotten, ended=ended),
         f"events of {camera} are accepted again, as of a new camera",
     )
 
@@ -122,10 +147,15 @@ def _rename(state: NamesState, old: str, new: str, there: Set[str]) -> tuple[Nam
     aliases = {name: new if now == old else now for name, now in state.aliases.items()} | {old: new}
     aliases.pop(new, None)
     forgotten = {name: since for name, since in state.forgotten.items() if name != new}
+    ended = {
+        name: (new if now == old else now, until)
+        for name, (now, until) in state.ended.items()
+        if name != new
+    }
     return (
-        replace(state, forgotten=forgotten, aliases=aliases),
+        replace(state, forgotten=forgotten, aliases=aliases, ended=ended),
         f"{old} goes on as {new}: events that still come as {old} count for {new} until {new} sends"
-        f" its own; from then on {old} is refused",
+        f" its own; what {old} sends of a later time is refused",
     )
 
 
@@ -143,7 +173,7 @@ def listed(names: Iterable[str]) -> str:
 
 
 class Names:
-    """The names in force. One thread at a time calls `carry_out` and `apply`.
+    """The names in force. One thread at a time calls `prepare` and `apply`.
 
     state: as it was stored.
     clock: returns Unix seconds.
@@ -155,14 +185,16 @@ class Names:
         self.refused: Counter[str] = Counter()
         """Events refused since the start, by forgotten name; "" for those before the reset."""
 
-    def carry_out(self, command: Command, cameras: Set[str]) -> tuple[Received, str]:
-        """Execute a command; return its entry and its effect, in words. Raises `CommandRefused`.
+    def prepare(self, command: Command, cameras: Set[str]) -> tuple[NamesState, Received, str]:
+        """Return the state after a command, its entry, and its effect in words.
+
+        Raises `CommandRefused`.
 
         cameras: those that have ever sent anything.
         """
-        self.state, effect = carried_out(self.state, command, cameras, self._clock())
-        meta = {NAMES_KEY: codec.to_json(self.state).decode()}
-        return command_received(command, meta), effect
+        state, effect = carried_out(self.state, command, cameras, self._clock())
+        meta = {NAMES_KEY: codec.to_json(state).decode()}
+        return state, command_received(command, meta), effect
 
     def apply(self, received: Received) -> list[Received]:
         """Return the entries to store for one: renamed or refused, if its camera is.
@@ -174,16 +206,19 @@ class Names:
         state = self.state
         if event is None:
             return [received]
-        if event.camera in state.forgotten:
-            return self._refuse(received, event.camera)
         if state.since is not None and event.t < state.since:
             return self._refuse(received, "")
-        if (name := state.aliases.get(event.camera)) is not None:
+        name = state.aliases.get(event.camera)
+        if event.camera in state.forgotten:
+            name, until = state.ended.get(event.camera, (None, 0.0))
+            if name is None or event.t >= until:
+                return self._refuse(received, event.camera)
+        if name is not None:
             event = replace(event, camera=name)
             entry = replace(received.entry, raw=codec.to_msgpack(event))
             return [replace(received, entry=entry, event=event)]
         if event.camera in state.aliases.values():
-            return [*self._end_aliases(event.camera), received]
+            return [*self._end_aliases(event), received]
         return [received]
 
     def status(self) -> NamesStatus:
@@ -197,7 +232,7 @@ class Names:
         )
 
     def _refuse(self, received: Received, name: str) -> list[Received]:
-        """Count a refused event, and return its entry, which has only its number."""
+        """Count a refused event, and return its entry."""
         self.refused[name] += 1
         if self.refused[name] == 1:
             what = "from before the reset are refused"
@@ -206,10 +241,11 @@ class Names:
             log.warning("events %s", what)
         return [] if received.entry.seq is None else [received.only_stored("refused")]
 
-    def _end_aliases(self, camera: str) -> list[Received]:
-        """Forget the old names of a camera that sends under its new name now."""
+    def _end_aliases(self, first: Event) -> list[Received]:
+        """Forget the old names of a camera that sends its ``first`` event under its new name."""
         made = []
-        for old in [alias for alias, name in self.state.aliases.items() if name == camera]:
-            log.info("%s sends under its new name: %s is refused from now on", camera, old)
-            made.append(self.carry_out(Forget(old), {old})[0])
+        for old in [alias for alias, name in self.state.aliases.items() if name == first.camera]:
+            log.info("%s sends under its new name: %s has ended", first.camera, old)
+            self.state, received, _ = self.prepare(Forget(old, first.t), {old})
+            made.append(received)
         return made

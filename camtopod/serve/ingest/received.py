@@ -7,7 +7,6 @@ not learned. An invalid publication is dropped.
 from __future__ import annotations
 
 import re
-import threading
 from typing import Literal
 
 from msgspec import Struct
@@ -27,7 +26,6 @@ class Received(Struct, frozen=True, gc=False):
     advance: event time that advances without an event, Unix seconds.
     command: a command.
     meta: what is stored under other keys in the same transaction (`Journal.set_meta`).
-    stored: set when the entry is stored, if somebody waits for that.
     """
 
     entry: Entry
@@ -35,13 +33,11 @@ class Received(Struct, frozen=True, gc=False):
     advance: float | None = None
     command: Command | None = None
     meta: dict[str, str] = {}
-    stored: threading.Event | None = None
 
     def only_stored(self, kind: Literal["future", "refused"]) -> Received:
-        """Return the entry by which an event is stored and not learned; refused: its number."""
+        """Return the entry by which an event is stored and not learned."""
         entry = self.entry
-        raw = entry.raw if kind == "future" else b""
-        return Received(Entry(kind, entry.camera, entry.boot, entry.seq, raw))
+        return Received(Entry(kind, entry.camera, entry.boot, entry.seq, entry.raw))
 
 
 def command_received(command: Command, meta: dict[str, str]) -> Received:

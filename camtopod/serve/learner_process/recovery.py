@@ -86,7 +86,9 @@ def recover(
         position, loaded = _newest_state(journal, process)
 
     # Entries that follow may begin further epochs, the last of which is the journal's.
-    begun = [_epochs(entry) for entry in journal.corrections(position)]
+    begun = [
+        _epochs(entry) for _, entry in journal.commands(position) if entry.kind == "correction"
+    ]
     if begun and begun[-1][1] == epoch:
         epoch = begun[0][0]
 

@@ -187,14 +187,15 @@ class Spool:
                 damaged = []
                 size = 0
                 statement = f"SELECT * FROM {_WAITING} ORDER BY seq"
-                for id_, *row, crc in self._db.execute(statement, (camera, boot, have)):
-                    if sqlite_file.crc(*row) != crc:
-                        damaged.append((id_,))
+                for row in self._db.execute(statement, (camera, boot, have)):
+                    if not sqlite_file.sound(row[1:]):
+                        damaged.append(row[:1])
                         continue
-                    size += len(row[-1])
+                    _, _, _, seq, raw, _ = row
+                    size += len(raw)
                     if len(events) == most or (events and size > BATCH_BYTES_MAX):
                         break
-                    events.append((row[-2], row[-1]))
+                    events.append((seq, raw))
 
                 if damaged:
                     with sqlite_file.transaction(self._db):
@@ -224,7 +225,7 @@ class Spool:
             old = self.boot(camera)
             above = camera, old, self._marks[camera].get(old, 0)
             rows = self._db.execute(f"SELECT * FROM {_WAITING} ORDER BY seq", above).fetchall()
-            good = [row for row in rows if sqlite_file.crc(*row[1:-1]) == row[-1]]
+            good = [row for row in rows if sqlite_file.sound(row[1:])]
             with sqlite_file.transaction(self._db):
                 for seq, (id_, *_, raw, _) in enumerate(good, 1):
                     event = replace(codec.event_from_bytes(raw), boot=new, seq=seq)

@@ -58,10 +58,10 @@ def copy(
     """Insert the undamaged rows of another spool; return the number of new events."""
     copied = 0
     for _, *columns in events:
-        if len(columns) == 5 and sqlite_file.crc(*columns[:-1]) == columns[-1]:
+        if len(columns) == 5 and sqlite_file.sound(columns):
             copied += database.execute(INSERT, columns).rowcount
     for mark in marks:
-        if len(mark) == 4 and sqlite_file.crc(*mark[:-1]) == mark[-1]:
+        if len(mark) == 4 and sqlite_file.sound(mark):
             database.execute("INSERT OR IGNORE INTO mark VALUES (?, ?, ?, ?)", mark)
     return copied
 

@@ -27,7 +27,7 @@ from camtopod.config import KeepSettings
 from camtopod.records import JournalStatus
 from camtopod.serve.storage import journal_schema, sqlite_file
 from camtopod.serve.storage.journal_schema import FORMAT, SCHEMA, last_entry, rescue
-from camtopod.serve.storage.sqlite_file import crc
+from camtopod.serve.storage.sqlite_file import crc, sound
 from camtopod.serve.storage.witness import Witness
 
 log = logging.getLogger(__name__)
@@ -60,6 +60,9 @@ EntryKind = Literal["event", "future", "refused", "advance", "command", "correct
 learner died of it twice.
 """
 
+
+_COMMANDS = "('command', 'correction')"
+"""Kinds of entries that are kept for ever, as the names follow from them (in SQL)."""
 
 Stream = tuple[str, str]
 """(camera, boot)."""
@@ -241,14 +244,14 @@ class Journal:
                 self._pragma(name) for name in ("page_size", "freelist_count", "page_count")
             )
             too_large = (pages - free) * size > keep.journal_bytes_max
-            first = self._db.execute("SELECT COALESCE(MIN(id), 0) FROM entry").fetchone()[0]
-            until = min(first + PRUNED_ROWS_MAX, oldest + 1)
+            until = min(self.first() + PRUNED_ROWS_MAX, oldest + 1)
             kept_from = math.inf if too_large else now - keep.journal_days * 86_400
 
             # Delete entries, streams and versions.
             with sqlite_file.transaction(self._db):
                 gone = self._db.execute(
-                    "DELETE FROM entry WHERE id < ? AND stored < ?", (until, kept_from)
+                    f"DELETE FROM entry WHERE id < ? AND stored < ? AND kind NOT IN {_COMMANDS}",
+                    (until, kept_from),
                 ).rowcount
                 self._db.execute(
                     "DELETE FROM stream WHERE entry <="
@@ -282,15 +285,15 @@ class Journal:
             for row in rows:
                 yield from ((missing, None) for missing in range(after + 1, row[0]))
                 after = row[0]
-                yield row[0], Entry(*row[2:7]) if crc(*row[:7]) == row[7] else None
+                yield row[0], Entry(*row[2:7]) if sound(row) else None
 
-    def corrections(self, after: int) -> list[Entry]:
-        """Return the corrections after an entry. Raises `sqlite3.Error`."""
-        with self._access():
-            rows = self._db.execute(
-                "SELECT * FROM entry WHERE id > ? AND kind = 'correction' ORDER BY id", (after,)
-            ).fetchall()
-        return [Entry(*row[2:7]) for row in rows if crc(*row[:7]) == row[7]]
+    def commands(self, after: int = 0) -> list[tuple[float, Entry]]:
+        """Return the commands and corrections after an entry, and when they were stored.
+
+        Raises `sqlite3.Error`.
+        """
+        rows = self._rows(f"entry WHERE id > ? AND kind IN {_COMMANDS} ORDER BY id", after)
+        return [(row[1], Entry(*row[2:7])) for row in rows]
 
     def skip(self, number: int) -> bool:
         """Mark an entry as skipped; return False if there is none.
@@ -315,45 +318,26 @@ class Journal:
         """
         numbers: dict[Stream, int] = {}
         with self._access():
-            for *row, checksum in self._db.execute(
-                "SELECT camera, boot, seq, entry, crc FROM stream ORDER BY entry"
-            ).fetchall():
-                stream = (row[0], row[1])
-                seq = row[2]
-                if crc(*row) != checksum:
-                    entries = self._db.execute(
-                        "SELECT * FROM entry WHERE camera = ? AND boot = ? ORDER BY seq DESC",
-                        stream,
-                    )
-                    seq = next((one[5] for one in entries if crc(*one[:-1]) == one[-1]), None)
-                    log.error("a number of camera %s in the journal is damaged", row[0])
-                if seq is not None:
-                    numbers[stream] = seq
+            for row in self._db.execute("SELECT * FROM stream ORDER BY entry").fetchall():
+                stream = row[:2]
+                if sound(row):
+                    numbers[stream] = row[2]
+                    continue
+                log.error("a number of camera %s in the journal is damaged", row[0])
+                entry = "entry WHERE camera = ? AND boot = ? ORDER BY seq DESC"
+                if entries := self._rows(entry, *stream):
+                    numbers[stream] = entries[0][5]
         return numbers
 
     def versions(self, epoch: str) -> dict[int, str]:
         """Return version -> digest for the versions of an epoch, which may have been published."""
-        with self._access():
-            return dict(
-                self._db.execute(
-                    "SELECT version, digest FROM version WHERE epoch = ? ORDER BY version", (epoch,)
-                )
-            )
+        rows = self._rows("version WHERE epoch = ? ORDER BY version", epoch)
+        return {row[2]: row[4] for row in rows}
 
     def version(self, epoch: str, version: int) -> bytes | None:
         """Return a version as JSON; None if it is not kept or damaged."""
-        with self._access():
-            row = self._db.execute(
-                "SELECT * FROM version WHERE epoch = ? AND version = ?", (epoch, version)
-            ).fetchone()
-        if row is None:
-            return None
-        if crc(*row[:7]) != row[7]:
-            log.error(
-                "version %d of the journal is damaged and left out; it is still in the file", row[2]
-            )
-            return None
-        return zlib.decompress(row[6])
+        rows = self._rows("version WHERE epoch = ? AND version = ?", epoch, version)
+        return zlib.decompress(rows[0][6]) if rows else None
 
     def newest_version(self) -> bytes | None:
         """Return the undamaged version that was stored last, of any epoch, as JSON; else None."""
@@ -366,20 +350,17 @@ class Journal:
 
     def snapshots(self) -> list[Snapshot]:
         """Return the snapshots, the newest first. Damaged ones are logged and left out."""
-        with self._access():
-            rows = self._db.execute("SELECT * FROM snapshot ORDER BY position DESC").fetchall()
-        for row in rows:
-            if crc(*row[:4]) != row[4]:
-                log.error(
-                    "the snapshot at entry %d is damaged and not used; it is still in the file",
-                    row[0],
-                )
-        return [Snapshot(row[0], row[1], row[3]) for row in rows if crc(*row[:4]) == row[4]]
+        rows = self._rows("snapshot ORDER BY position DESC")
+        return [Snapshot(row[0], row[1], row[3]) for row in rows]
 
     def first(self) -> int:
-        """Return the number of the oldest entry that is kept; 0 if there is none."""
+        """Return the number of the oldest entry that is kept, but for commands; 0 if there is none.
+
+        Commands are kept for ever.
+        """
         with self._access():
-            return int(self._db.execute("SELECT COALESCE(MIN(id), 0) FROM entry").fetchone()[0])
+            oldest = f"SELECT MIN(id) FROM entry WHERE kind NOT IN {_COMMANDS}"
+            return int(self._db.execute(oldest).fetchone()[0] or 0)
 
     def __len__(self) -> int:
         """Return the number of the newest entry, which is how many there have ever been."""
@@ -398,6 +379,18 @@ class Journal:
         with self._access():
             self._db.close()
             self._lock.close()
+
+    def _rows(self, which: str, *values: object) -> list[tuple[Any, ...]]:
+        """Return the undamaged rows of a table; ``which``: what follows FROM.
+
+        Damaged rows are logged and left out; they stay in the file. Raises `sqlite3.Error`.
+        """
+        with self._access():
+            rows = self._db.execute(f"SELECT * FROM {which}", values).fetchall()
+        for row in rows:
+            if not sound(row):
+                log.error("a row of the journal's %s is damaged, and left out", which.split()[0])
+        return list(filter(sound, rows))
 
     def _has(self, entry: Entry) -> bool:
         """Return True if an entry with this number (boot, seq) is stored."""

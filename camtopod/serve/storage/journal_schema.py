@@ -10,7 +10,7 @@ import logging
 import sqlite3
 from pathlib import Path
 
-from camtopod.serve.storage.sqlite_file import crc, readable
+from camtopod.serve.storage.sqlite_file import crc, readable, sound
 from camtopod.serve.storage.witness import JournalExtent
 
 log = logging.getLogger(__name__)
@@ -73,7 +73,7 @@ def rescue(database: sqlite3.Connection, aside: Path) -> int:
     ):
         places = ", ".join("?" * columns)
         for row in readable(aside, table, key):
-            if len(row) == columns and crc(*row[:-1]) == row[-1]:
+            if len(row) == columns and sound(row):
                 added = database.execute(
                     f"INSERT OR IGNORE INTO {table} VALUES ({places})", row
                 ).rowcount

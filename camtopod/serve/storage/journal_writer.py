@@ -93,6 +93,10 @@ class JournalWriter:
         self._too_much = self._too_much or bool(learned)
         return new
 
+    def store_command(self, entry: Entry, meta: Mapping[str, str]) -> None:
+        """Commit an operator's command at once, or raise `sqlite3.Error`: it is not tried again."""
+        self._journal.commit([entry], now=self._clock(), meta=meta)
+
     def prune(self) -> None:
         """After a snapshot, delete some of what exceeds the retention, the rest in later calls."""
         if not self._too_much:

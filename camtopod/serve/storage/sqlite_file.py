@@ -14,7 +14,7 @@ import logging
 import os
 import sqlite3
 import zlib
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -99,6 +99,11 @@ def crc(*columns: int | float | str | bytes | None) -> int:
     return zlib.crc32(_encode(columns))
 
 
+def sound(row: Sequence[Any]) -> bool:
+    """Return True if a row has the right checksum: its values, and their types, are as written."""
+    return bool(crc(*row[:-1]) == row[-1])
+
+
 class Connection(sqlite3.Connection):
     """A connection that knows which file it has opened."""
 
@@ -159,8 +164,7 @@ def connect(
             if not _shape_of(schema) <= set(database.execute(_SHAPE)):
                 raise Damaged(f"{path} is damaged: its tables are not those of this program")
             for table in needed_tables:
-                rows = database.execute(f"SELECT * FROM {table}")
-                if any(crc(*row[:-1]) != row[-1] for row in rows):
+                if not all(map(sound, database.execute(f"SELECT * FROM {table}"))):
                     raise Damaged(f"{path} is damaged: a row of its table {table}")
             _switch_to_wal(database, path)
             undo.pop_all()

@@ -95,6 +95,8 @@ def test_a_damaged_number_is_that_of_the_newest_entry(bench: IntakeBench) -> Non
     bench.journal._db.execute("UPDATE stream SET seq = 9")
     bench.restart()
     assert bench.hello(boots=["b1"]).have == {"b1": 2}
+    assert bench.store({1: -2.0, 2: -1.0, 3: -0.5}).have == {"b1": 3}
+    assert [seq for _, _, seq in bench.stored] == [1, 2, 3]
 
 
 def test_a_boot_without_number_and_entries_comes_again_too_late_to_be_learned(
