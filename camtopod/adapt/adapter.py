@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from fnmatch import fnmatchcase
 from typing import Any
 
@@ -43,10 +43,10 @@ class Adapter:
     outside_cause = "is --size right?"
     """What to see to if boxes lie outside the picture."""
 
-    def __init__(self) -> None:
-        self.cameras = CameraNames()
-        self.notes: list[str] = []
-        """What the user has to know; the caller says it and empties the list."""
+    def __init__(self, camera: str | None = None) -> None:
+        self.cameras = CameraNames(camera)
+        self.say: Callable[[str], None] = lambda note: None
+        """Tells the user something; set by the caller."""
         self._outside: set[str] = set()
 
     def receive(self, line: bytes) -> list[Event]:
@@ -72,7 +72,7 @@ class Adapter:
         """Note it once if many boxes of a camera lie outside its picture."""
         if outside >= OUTSIDE_BOXES and camera not in self._outside:
             self._outside.add(camera)
-            self.notes.append(
+            self.say(
                 f"camera {camera}: {outside} boxes lie outside the picture and are not used: "
                 f"{self.outside_cause}"
             )

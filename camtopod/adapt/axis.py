@@ -90,9 +90,8 @@ class Axis(StreamAdapter):
 
         # The camera.
         named = [level for level in levels if not _SOURCE.fullmatch(level)]
-        camera = self._id_of("".join(named[-1:]))
-        if frame.channel_id > 1:
-            camera = f"{camera}-{frame.channel_id}"
+        channel = f"-{frame.channel_id}" * (frame.channel_id > 1)
+        camera = self.cameras.id_of("".join(named[-1:]), channel)
 
         # Boxes, and the objects that are gone.
         seen = []

@@ -12,10 +12,7 @@ from camtopod.adapt.tracks import LIFE_SECONDS, LOST_SECONDS, TRACKS_MAX
 REACH = 0.75
 """Largest distance of a box from a predicted middle, in larger sides of the smaller box."""
 ALIKE = 0.5
-"""Least ratio of two boxes' larger sides for them to be one object whose kind has changed.
-
-A face or plate is far smaller than what it is part of.
-"""
+"""Least ratio of two boxes' larger sides if their kinds differ: no plate continues a car."""
 
 Box = tuple[float, float, float, float]
 """Left, top, right, bottom, pixels."""

@@ -9,42 +9,41 @@ from camtopod.codec import Rejected
 from camtopod.records import CAMERA_PATTERN
 
 CAMERAS_MAX = 1000
-"""Cameras followed; messages of further ones are refused."""
+"""Cameras (or analytics modules of cameras) followed; messages of further ones are refused."""
 
 
 class CameraNames:
-    """Gives each name an id of its own: ``Front Door`` is ``front_door``."""
+    """Gives each name an id of its own: ``Front Door`` is ``front_door``.
 
-    def __init__(self) -> None:
+    only: id of the one camera, whatever its name; None if there may be several.
+    """
+
+    def __init__(self, only: str | None = None) -> None:
         self.renamed: dict[str, str] = {}
         """Ids that the user chose, by name."""
-        self._ids: dict[str, str] = {}
+        self._only = only
         self._names: dict[str, str] = {}
 
-    def id_of(self, name: str) -> str:
-        """Return a camera's id. Raises `Rejected`, also if another name has it already."""
-        if name in self._ids:
-            return self._ids[name]
-        if not name:
+    def id_of(self, name: str, channel: str = "") -> str:
+        """Return the id of a camera, with its channel behind it. Raises `Rejected`."""
+        if not name and self._only is None:
             raise Rejected("no-camera", "names no camera: give --camera ID")
-        camera = self.renamed.get(name) or _folded(name)
-        called = repr(name[:64])
+        camera = (self._only or self.renamed.get(name) or _folded(name)) + channel
         if not re.match(CAMERA_PATTERN, camera):
             raise Rejected(
                 "no-camera",
-                f"camera {called}: an id is 1 to 64 of the characters A-Z a-z 0-9 _ . -: "
+                f"camera {name[:64]!r}: an id is 1 to 64 of the characters A-Z a-z 0-9 _ . -: "
                 "give --rename NAME=ID",
             )
-        if camera in self._names:
+        if camera not in self._names and len(self._names) >= CAMERAS_MAX:
+            raise Rejected("too-many-cameras", f"more than {CAMERAS_MAX} cameras")
+        first = self._names.setdefault(camera, name + channel)
+        if first != name + channel:
             raise Rejected(
                 "same-camera",
-                f"cameras {self._names[camera][:64]!r} and {called} would both be {camera}: "
-                "give --rename NAME=ID",
+                f"cameras {first[:64]!r} and {name[:64]!r} would both be {camera}: "
+                "give --rename NAME=ID, and no --camera",
             )
-        if len(self._ids) >= CAMERAS_MAX:
-            raise Rejected("too-many-cameras", f"more than {CAMERAS_MAX} cameras")
-        self._ids[name] = camera
-        self._names[camera] = name
         return camera
 
 

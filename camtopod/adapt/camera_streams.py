@@ -6,19 +6,17 @@ Shared by `axis`, `onvif`, `deepstream` and `scenescape`, whose messages are fra
 from __future__ import annotations
 
 import math
-import re
 from collections.abc import Collection, Iterable, Sequence
 from datetime import UTC, datetime
 from typing import NamedTuple
 
 from camtopod import codec
 from camtopod.adapt.adapter import OUTSIDE_MAX, Adapter, Size
+from camtopod.adapt.camera_names import CAMERAS_MAX
 from camtopod.adapt.tracks import TRACKS_MAX, TrackEvents
 from camtopod.codec import Rejected
-from camtopod.records import CAMERA_PATTERN, Event
+from camtopod.records import Event
 
-STREAMS_MAX = 1000
-"""Cameras (or analytics modules of cameras) followed; messages of further ones are refused."""
 SILENT_SECONDS = 2.5
 """Time without a frame after which a camera's objects have left.
 
@@ -99,10 +97,7 @@ class StreamAdapter(Adapter):
     """
 
     def __init__(self, camera: str | None = None, labels: Collection[str] = ()) -> None:
-        super().__init__()
-        self._camera = camera
-        self._named: str | None = None
-        """What the messages call the one camera."""
+        super().__init__(camera)
         self._labels = labels
         self._streams: dict[tuple[str, str], CameraStream] = {}
         self._called = self._now = self._checked = 0.0
@@ -129,16 +124,6 @@ class StreamAdapter(Adapter):
             self._check_places(stream.tracks.camera, stream.tracks.outside)
         return [event for stream in self._streams.values() for event in stream.tracks.close()]
 
-    def _id_of(self, given: str) -> str:
-        """Return the camera's id: the one camera's, or that of its name. Raises `Rejected`."""
-        if self._camera is not None:
-            if self._named is None:
-                self._named = given
-            if given != self._named:
-                raise Rejected("other-camera", "another camera than the first: omit --camera")
-            return self._camera
-        return self.cameras.id_of(given)
-
     def _stream(self, camera: str, size: Size = (1, 1), module: str = "") -> CameraStream:
         """Return the stream of a camera's analytics module, new or known. Raises `Rejected`.
 
@@ -146,10 +131,8 @@ class StreamAdapter(Adapter):
         """
         stream = self._streams.get((camera, module))
         if stream is None:
-            if not re.match(CAMERA_PATTERN, camera):
-                raise Rejected("no-camera", f"{camera[:80]!r} is no camera id")
-            if len(self._streams) >= STREAMS_MAX:
-                raise Rejected("too-many-cameras", f"more than {STREAMS_MAX} cameras")
+            if len(self._streams) >= CAMERAS_MAX:
+                raise Rejected("too-many-cameras", f"more than {CAMERAS_MAX} cameras")
             stream = CameraStream(camera, size, self._labels)
             self._streams[camera, module] = stream
         self._check_places(camera, stream.tracks.outside)

@@ -78,7 +78,7 @@ class DeepStream(StreamAdapter):
         sensor = message.sensor.id
         if message.sensorId != "":
             sensor = message.sensorId
-        camera = self._id_of(str(sensor))
+        camera = self.cameras.id_of(str(sensor))
         one = message.object
         if message.objects is None and one is None:
             raise Rejected("malformed", "has neither objects nor object")

@@ -30,7 +30,7 @@ from camtopod.adapt.adapter import (
     size_of,
     split_topic,
 )
-from camtopod.adapt.kinds import Votes, plain
+from camtopod.adapt.kinds import Votes, counts, plain, vote
 from camtopod.adapt.tracks import in_picture
 from camtopod.codec import Rejected
 from camtopod.records import Event, Kind
@@ -75,7 +75,7 @@ class _Object(Struct):
     """State of an object: its ``entry`` until that is told, and whether it has ended."""
 
     entry: Event | None
-    votes: Votes
+    votes: Votes = None
     counted: bool = False
     """Most messages had a wanted kind; from then on it goes on counting."""
     came: bool = False
@@ -115,13 +115,13 @@ class Frigate(Adapter):
 
         known = self._objects.get(now.id) or self._met(message)
         remember(self._objects, now.id, known)
-        known.votes.add(now.label, self._labels)
+        known.votes = vote(known.votes, now.label, self._labels)
         return self._changed(known, message)
 
     def _met(self, message: _Message) -> _Object:
         """Return the state of an object at its first message; it enters if it is new."""
         if message.type != "new":
-            return _Object(None, Votes())
+            return _Object(None)
         first = message.before
         now = message.after
         if first.id == now.id and first.false_positive and self._knows_size(now.camera):
@@ -130,7 +130,7 @@ class Frigate(Adapter):
             entry = _at_point("entry", now, now.path_data[0])
         else:
             entry = self._event("entry", now)
-        return _Object(entry, Votes())
+        return _Object(entry)
 
     def _changed(self, known: _Object, message: _Message) -> list[Event]:
         """Return the events that a message makes certain, and update the object."""
@@ -149,7 +149,7 @@ class Frigate(Adapter):
         # It is told once the object counts; its exit, too, unless it was standing.
         events = []
         known.ended = message.type == "end"
-        known.counted |= known.votes.count(self._labels)
+        known.counted |= counts(known.votes, self._labels)
         if known.counted and known.came and known.entry is not None:
             events.append(known.entry)
             known.entry = None

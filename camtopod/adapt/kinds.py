@@ -4,51 +4,30 @@ from __future__ import annotations
 
 from collections.abc import Collection
 
-from msgspec import Struct
-
-PARTS = frozenset(
-    {"head", "humanhead", "face", "humanface", "plate", "numberplate", "licenseplate"}
-)
+PARTS = {"head", "humanhead", "face", "humanface", "plate", "numberplate", "licenseplate"}
 """Kinds that are part of an object, as `plain` writes them.
 
 They have tracks of their own: a person whose head is tracked too would count twice.
 """
+Votes = int | None
+"""Sightings of an object as a kind that counts, less the others; None while no kind is known."""
 
 
-class Votes(Struct):
-    """Sightings of an object by what they take it for: trackers change their mind about a kind."""
+def vote(votes: Votes, kind: str, labels: Collection[str]) -> Votes:
+    """Return the votes with one more sighting; one without a kind does not vote.
 
-    wanted: int = 0
-    unwanted: int = 0
+    labels: the kinds that count, as `plain` writes them; empty for all but `PARTS`.
+    """
+    name = plain(kind)
+    if not name:
+        return votes
+    wanted = name in labels or (not labels and name not in PARTS)
+    return (votes or 0) + (1 if wanted else -1)
 
-    def add(self, kind: str, labels: Collection[str]) -> None:
-        """Count a sighting; one without a kind does not vote.
 
-        labels: the wanted kinds, as `plain` writes them; empty for all but `PARTS`.
-        """
-        name = plain(kind)
-        if not name:
-            return
-        if name in labels or (not labels and name not in PARTS):
-            self.wanted += 1
-        else:
-            self.unwanted += 1
-
-    def verdict(self) -> Votes:
-        """Return what they say as one vote, which later ones outweigh; none if they are none."""
-        wanted = self.known() and self.wanted >= self.unwanted
-        return Votes(int(wanted), int(self.wanted < self.unwanted))
-
-    def known(self) -> bool:
-        """Return True if a sighting had a kind."""
-        return self.wanted + self.unwanted > 0
-
-    def count(self, labels: Collection[str]) -> bool:
-        """Return True if the object counts: no majority is against it.
-
-        One of unknown kind counts unless kinds are wanted.
-        """
-        return self.wanted >= self.unwanted and (self.known() or not labels)
+def counts(votes: Votes, labels: Collection[str]) -> bool:
+    """Return True if no majority is against it; of unknown kind it counts if all do."""
+    return not labels if votes is None else votes >= 0
 
 
 def plain(kind: str) -> str:

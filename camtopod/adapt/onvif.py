@@ -131,7 +131,7 @@ class Onvif(StreamAdapter):
         given = ""
         if levels:
             given = levels[levels.index("onvif-mj") - 1]
-        return self._read(self._id_of(given), _many(codec.read(_Message, message).frames))
+        return self._read(self.cameras.id_of(given), _many(codec.read(_Message, message).frames))
 
     def _xml(self, line: bytes) -> list[Event]:
         """Return the events of the documents that end in a line. Raises `Rejected`."""
@@ -144,7 +144,7 @@ class Onvif(StreamAdapter):
             start = 0
             if not self._text.strip():
                 self._text.clear()
-            events += self._read(self._id_of(""), _frames_of(document))
+            events += self._read(self.cameras.id_of(""), _frames_of(document))
         if len(self._text) > DOCUMENT_BYTES_MAX:
             self._text.clear()
             raise Rejected("too-long", f"a document of more than {DOCUMENT_BYTES_MAX} bytes")

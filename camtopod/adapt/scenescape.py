@@ -60,7 +60,7 @@ class SceneScape(StreamAdapter):
         """Return the events that a frame makes certain. Raises `Rejected`."""
         message = codec.read(_Message, split_topic(line, "*/data/camera/*")[1])
         t = seconds_of(message.timestamp)
-        camera = self._id_of(message.id)
+        camera = self.cameras.id_of(message.id)
         stream = self._stream(camera, size_of(camera, self._sizes))
         stream.require_newer(t)  # before its boxes are linked to those of later frames
 

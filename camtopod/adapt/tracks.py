@@ -12,7 +12,7 @@ import numpy as np
 from msgspec import Struct
 
 from camtopod.adapt.adapter import remember
-from camtopod.adapt.kinds import Votes, plain
+from camtopod.adapt.kinds import Votes, counts, plain, vote
 from camtopod.codec import TRACK_CHARACTERS_MAX
 from camtopod.records import CAMERA_PATTERN, Event, Kind
 
@@ -121,7 +121,7 @@ class TrackEvents:
         self._wanted = frozenset(map(plain, wanted))
         self._tracks: dict[str, _Track] = {}  # the one seen last is last
         self._verdicts: dict[str, Votes] = {}
-        """What lost tracks were, as the kind may be told once only."""
+        """What lost tracks were, as one vote: the kind may be told once only."""
         self._kinds_come = False
         self._waited_in_vain = False
         self._start = self._t = -math.inf
@@ -189,9 +189,10 @@ class TrackEvents:
         )
         events = []
         for ended, track in list(lost):
-            remember(self._verdicts, ended, track.votes.verdict())
+            if track.votes is not None:
+                remember(self._verdicts, ended, min(max(track.votes, -1), 1))
             events += self._exits([ended])
-        named: Sequence[str | None] = kinds or [None] * len(labels)
+        named: Sequence[str | None] = [None] * len(labels) if kinds is None else kinds
         for label, corner, what in zip(labels, corners.reshape(-1, 4).tolist(), named, strict=True):
             events += self._seen(label, corner, what, t)
         return events
@@ -263,7 +264,7 @@ class TrackEvents:
     def _entry(self, label: str, track: _Track) -> list[Event]:
         """Return the entry of a track that counts as an object from now on."""
         lived = track.last.t - track.first.t >= self._life
-        if track.counted or not lived or not track.votes.count(self._wanted):
+        if track.counted or not lived or not counts(track.votes, self._wanted):
             return []
         track.counted = True
         return [] if track.from_start else [self._event("entry", label, track.first)]
@@ -293,17 +294,16 @@ class TrackEvents:
                 self.refused += 1
                 return []
             from_start = t - self._start <= 2 * LIFE_SECONDS
-            track = _Track(place, place, from_start, self._verdicts.pop(label, Votes()))
+            track = _Track(place, place, from_start, self._verdicts.pop(label, None))
         track.last = place
         track.left = False
-        track.votes.add(kind or "", self._wanted)
+        track.votes = vote(track.votes, kind or "", self._wanted)
         self._tracks[label] = track
 
         # The entry is certain once the track has lived long enough, and its kind is known.
-        known = track.votes.known()
-        self._kinds_come |= known
-        may_come = self._kinds_come or not self._waited_in_vain
-        waits = kind is not None and not known and may_come
+        self._kinds_come |= track.votes is not None
+        may_come = kind is not None and (self._kinds_come or not self._waited_in_vain)
+        waits = may_come and track.votes is None
         if waits and t - track.first.t < UNCLASSIFIED_SECONDS:
             return []
         self._waited_in_vain |= waits

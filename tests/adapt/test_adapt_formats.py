@@ -15,7 +15,7 @@ import frigate_messages as says
 import pytest
 from hypothesis import given, settings, strategies as st
 
-from camtopod.adapt import FORMATS, FormatOptions, camera_streams
+from camtopod.adapt import FORMATS, FormatOptions, camera_names, camera_streams
 from camtopod.adapt.adapter import Adapter
 from camtopod.adapt.axis import Axis
 from camtopod.adapt.camera_streams import seconds_of
@@ -188,7 +188,7 @@ def test_scenescape_frame_that_comes_too_late_changes_nothing() -> None:
 
 
 def test_scenescape_limits_and_refusals(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(camera_streams, "STREAMS_MAX", 1)
+    monkeypatch.setattr(camera_names, "CAMERAS_MAX", 1)
     monkeypatch.setattr(camera_streams, "TRACKS_MAX", 3)
     adapter = SceneScape({"": (800, 600)}, ["person"])
     person = {"id": 1, "bounding_box": {"x": -0.1, "y": 0.2, "width": 0.1, "height": 0.4}}

@@ -76,6 +76,7 @@ def test_from_standard_input_to_standard_output(
         ("mot x.txt --camera a --fps 0 --size 4x4", "above 0"),
         ("mot x.txt --camera a --fps 5 --size b=4x4", "--size of that camera"),
         ("frigate x.txt --size 4by4", "write it like 1280x720"),
+        ("mot x.txt --rename a=b", "--rename is for frigate, scenescape, axis, onvif, deepstream"),
         ("frigate x.txt --fps 5", "--fps is for mot, not frigate"),
         ("scenescape x.txt --ca y.pem", "are for mqtt[s]:// only"),
         ("mot mqtt://h/m --camera a --fps 5 --size 4x4", "cannot be read from MQTT"),

@@ -357,6 +357,7 @@ def test_frigate_cameras_have_ids_and_sizes_by_them(tmp_path: Path) -> None:
         (["Tor #1"], [], "camera 'Tor #1': an id is 1 to 64 of the characters"),
         (["Front Door", "front door"], [], "cameras 'Front Door' and 'front door' would both be"),
         (["a", "b"], ["--rename", "b=a"], "cameras 'a' and 'b' would both be a"),
+        (["a", "b"], ["--camera", "c"], "cameras 'a' and 'b' would both be c"),
         ([""], [], "names no camera: give --camera ID"),
     ],
 )

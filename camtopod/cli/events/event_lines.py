@@ -95,6 +95,7 @@ class LineReader:
 
         Of a rejected line nothing is quoted, as it may name people.
         """
+        adapter.say = lambda note: log.warning("%s: %s", path, note)
         for number, text in lines:
             events = []
             if live:
@@ -109,11 +110,9 @@ class LineReader:
                     self.reject(error.reason, f"{path}:{number}: {error}")
             self.events += len(events)
             yield from events
-            _say_notes(path, adapter)
         events = adapter.close()
         self.events += len(events)
         yield from events
-        _say_notes(path, adapter)
 
     def reject(self, reason: str, where: str, text: bytes = b"") -> None:
         """Count a rejected line; print the first one of each reason to standard error."""
@@ -132,12 +131,6 @@ class LineReader:
             return None
         reasons = ", ".join(f"{reason} {n}" for reason, n in sorted(self.rejected.items()))
         return f"{sum(self.rejected.values())} of {self.read} lines were rejected: {reasons}"
-
-
-def _say_notes(path: str, adapter: Adapter) -> None:
-    for note in adapter.notes:
-        log.warning("%s: %s", path, note)
-    adapter.notes.clear()
 
 
 def numbered(file: BinaryIO, bytes_max: int) -> Iterator[tuple[int, bytes]]:

@@ -16,7 +16,16 @@ from camtopod.cli.common import camera_id
 from camtopod.cli.events import broker_options
 from camtopod.cli.events.event_lines import LineReader, numbered, open_input
 from camtopod.cli.exits import CommandError
-from camtopod.records import CAMERA_PATTERN, Event
+from camtopod.records import Event
+
+
+def _renaming(text: str) -> tuple[str, str]:
+    """Parse NAME=ID; for argparse."""
+    name, _, camera = text.rpartition("=")
+    if not name:
+        raise argparse.ArgumentTypeError(f"{text!r}: write it like 'Front Door=front_door'")
+    return name, camera_id(camera)
+
 
 _OPTIONS: dict[str, tuple[str, dict[str, Any]]] = {
     "size": (
@@ -35,7 +44,7 @@ _OPTIONS: dict[str, tuple[str, dict[str, Any]]] = {
     ),
     "rename": (
         "camera id instead of the other program's name for a camera; may be repeated",
-        {"metavar": "NAME=ID", "action": "append", "default": []},
+        {"metavar": "NAME=ID", "type": _renaming, "action": "append", "default": []},
     ),
     "fps": ("frames per second", {"type": float, "metavar": "N"}),
     "start": (
@@ -101,7 +110,7 @@ def adapter_for(args: argparse.Namespace) -> Adapter | None:
             )
     if chosen.make is None:
         return None
-    renamed = _renamed(values.pop("rename"))
+    renamed = dict(values.pop("rename"))
     try:
         adapter = chosen.make(FormatOptions(**{**values, "size": _sizes(args.size)}))
     except ValueError as error:
@@ -113,21 +122,6 @@ def adapter_for(args: argparse.Namespace) -> Adapter | None:
 def _formats(option: str) -> str:
     """Return the names of the formats that have an option."""
     return ", ".join(name for name, one in FORMATS.items() if option in one.options)
-
-
-def _renamed(given: list[str]) -> dict[str, str]:
-    """Return name -> camera id, from the values of --rename. Raises `CommandError`."""
-    renamed = {}
-    for text in given:
-        name, _, camera = text.rpartition("=")
-        if not name or not re.match(CAMERA_PATTERN, camera):
-            raise CommandError(
-                f"--rename {text!r}: write it like 'Front Door=front_door', with an id of the "
-                "characters A-Z a-z 0-9 _ . -",
-                exits.USAGE,
-            )
-        renamed[name] = camera
-    return renamed
 
 
 def _sizes(given: list[str]) -> dict[str, Size]:
