@@ -28,7 +28,7 @@ from camtopod.records import Event, Kind
 from camtopod.vision.detect import Luma
 from camtopod.vision.settings import VisionSettings
 from camtopod.vision.source.capture import Capture, FrameSelector
-from camtopod.vision.source.recorded import FPS_UNKNOWN
+from camtopod.vision.source.file_times import FPS_UNKNOWN
 
 SUFFIXES = (".mp4", ".avi", ".mkv", ".mov", ".m4v", ".webm")
 """File names of clips end so."""

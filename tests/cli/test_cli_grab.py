@@ -50,7 +50,8 @@ class FakeGrabber:
         self.state = "ended"
 
     def statistics(self) -> dict[str, int | float]:
-        return {"frames": 7}
+        figures = dict.fromkeys(("frames_dropped", "frames_analysed", "entries", "exits"), 0)
+        return {"frames": 7, **figures}
 
     def close(self) -> None:
         self.closed = True

@@ -5,11 +5,14 @@ from __future__ import annotations
 import os
 import shutil
 import subprocess
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 import cv2
+import numpy as np
 import pytest
+from msgspec.structs import replace
 from rendered_scenes import Person, Scene, line
 from serving import camtopod
 
@@ -97,6 +100,109 @@ def test_pictures_that_are_none_are_not_analysed(
     monkeypatch.setattr("cv2.VideoCapture", Unconverted)
     assert grab(film, tmp_path / "out") == (66, [])
     assert "no frame in it can be decoded (MPEG-4): interlaced" in capsys.readouterr().err
+
+
+class Damaged(Faulty):
+    """A part that cannot be read, after which the file goes on."""
+
+    lost = 7
+    grabs = 0
+
+    def grab(self) -> bool:
+        self.grabs += 1
+        return self._capture.grab() and not 7 < self.grabs <= 7 + self.lost
+
+
+class Smeared(Faulty):
+    """Pictures that follow from one with an error, of which FFmpeg tells."""
+
+    grabs = 0
+
+    def grab(self) -> bool:
+        self.grabs += 1
+        if self.grabs == 15:
+            os.write(1, b"[OPENCV:FFMPEG:16] error while decoding MB 5 3, bytestream -7\n")
+        return self._capture.grab()
+
+    def get(self, of: int) -> float:
+        if of == cv2.CAP_PROP_FRAME_TYPE:
+            return float(ord("I" if self.grabs % 10 == 1 else "P"))
+        return self._capture.get(of)
+
+
+@pytest.mark.parametrize(("faults", "lost"), [(Damaged, 7), (Smeared, 6)])
+def test_damage_does_not_end_a_file(
+    faults: type[Faulty],
+    lost: int,
+    film: Path,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    monkeypatch.setattr("cv2.VideoCapture", faults)
+    status, events = grab(film, tmp_path / "out")
+    assert (status, [event.kind for event in events]) == (0, ["entry", "exit"])
+    said = capsys.readouterr().err.splitlines()[-1]
+    assert "warning: camera cam has ended: 7.4 s of 7.4 s read" in said
+    assert f"{52 - lost} pictures analysed, {lost} could not be decoded, 1 entry, 1 exit" in said
+
+
+def test_a_file_that_was_cut_ends_early(
+    film: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    writer = cv2.VideoWriter(
+        str(tmp_path / "whole.avi"), cv2.VideoWriter.fourcc(*"MJPG"), 5, (320, 240)
+    )
+    for _ in range(20):
+        writer.write(np.full((240, 320, 3), 99, np.uint8))
+    writer.release()
+    whole = (tmp_path / "whole.avi").read_bytes()
+    (tmp_path / "cut.avi").write_bytes(whole[: len(whole) // 2])
+    assert grab(tmp_path / "cut.avi", tmp_path / "out")[0] == 0
+    assert " of 4.0 s read (the video ends early" in capsys.readouterr().err
+
+
+def ahead(stamp: float, number: int) -> float:
+    return stamp + 95443e3 * (number == 20)
+
+
+def sticking(stamp: float, number: int) -> float:
+    return stamp if number < 20 else max(stamp, 6000 + number / 90)
+
+
+def begins_anew(stamp: float, number: int) -> float:
+    return stamp if number < 20 else stamp - 2000
+
+
+def paused(stamp: float, number: int) -> float:
+    return stamp + (100e3 if number >= 10 else 0)
+
+
+@pytest.mark.parametrize("wrong", [ahead, sticking, begins_anew, paused])
+def test_a_stamp_is_believed_as_far_as_the_rate_bears_it_out(
+    wrong: Callable[[float, int], float],
+    film: Path,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    plain = grab(film, tmp_path / "plain")[1]
+
+    class Stamped(Faulty):
+        grabs = 0
+
+        def grab(self) -> bool:
+            self.grabs += 1
+            return self._capture.grab()
+
+        def get(self, of: int) -> float:
+            value = self._capture.get(of)
+            return wrong(value, self.grabs) if of == cv2.CAP_PROP_POS_MSEC else value
+
+    monkeypatch.setattr("cv2.VideoCapture", Stamped)
+    found = grab(film, tmp_path / "out")[1]
+    if wrong is paused:  # truly: the video stands still for 100 s, as of one who records movement
+        plain = [replace(event, t=event.t + 100) for event in plain]
+    assert [event.t for event in found] == pytest.approx([event.t for event in plain], abs=0.2)
 
 
 def made(film: Path, options: str) -> Path:

@@ -24,6 +24,7 @@ from camtopod.cli.common import (
     SignalRequests,
     camera_id,
     configuration,
+    counted,
     ends_within,
     is_standard_output,
     open_output,
@@ -262,7 +263,7 @@ def _until_stopped(
             state = grabber.state
             causes.clear()
         cause = grabber.reason.partition(RETRY_SEPARATOR)[0]  # without the time of the next attempt
-        if cause not in causes:
+        if cause not in causes and state != "ended":
             causes.add(cause)
             words = f"camera {grabber.camera} is {state}: {grabber.reason}"
             log.info("%s", words.removesuffix(": "))
@@ -271,6 +272,23 @@ def _until_stopped(
         if stop.is_set():
             return
     heartbeats.beat(grabber.state, grabber.reason)
+    if grabber.state == "ended":
+        _log_end(grabber)
+
+
+def _log_end(grabber: Grabber) -> None:
+    """Log what was read of a file and what was found; a warning if a part was not decoded."""
+    figures = grabber.statistics()
+    undecoded = int(figures["frames_dropped"])
+    analysed = counted(int(figures["frames_analysed"]), "picture")
+    parts = [grabber.reason, f"{analysed} analysed"]
+    if undecoded:
+        parts.append(f"{undecoded} could not be decoded")
+    for kind, kinds in (("entry", "entries"), ("exit", "exits")):
+        number = int(figures[kinds])
+        parts.append(f"{number} {kind if number == 1 else kinds}")
+    level = logging.WARNING if undecoded else logging.INFO
+    log.log(level, "camera %s has ended: %s", grabber.camera, ", ".join(parts))
 
 
 def _to_lines(

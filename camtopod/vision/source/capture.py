@@ -178,10 +178,15 @@ class Capture:
         return _CODECS.get(code.lower(), code or "unknown codec")
 
     @property
+    def pictures(self) -> int:
+        """Number of pictures that a file declares; 0 if unknown."""
+        return max(0, int(self._capture.get(cv2.CAP_PROP_FRAME_COUNT)))
+
+    @property
     def seconds(self) -> float:
         """Duration that a file declares; 0.0 if unknown."""
         fps = float(self._capture.get(cv2.CAP_PROP_FPS))
-        return max(0.0, float(self._capture.get(cv2.CAP_PROP_FRAME_COUNT)) / fps) if fps else 0.0
+        return self.pictures / fps if fps > 0.0 else 0.0
 
     def grab(self) -> float | None:
         """Take the next frame without converting it; None if there is none.

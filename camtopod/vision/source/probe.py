@@ -24,7 +24,8 @@ from camtopod.vision.detector.model import ModelReport, try_model
 from camtopod.vision.settings import DetectorSettings, VisionSettings
 from camtopod.vision.source.capture import Capture
 from camtopod.vision.source.ffmpeg_log import FfmpegLog, captured_log
-from camtopod.vision.source.recorded import FPS_UNKNOWN, RecordedSource
+from camtopod.vision.source.file_times import FPS_UNKNOWN
+from camtopod.vision.source.recorded import RecordedSource
 from camtopod.vision.source.source_url import device_number, kind_of
 
 PROBE_SECONDS = 2.0

@@ -10,10 +10,18 @@ from collections.abc import Iterator
 from camtopod.vision.settings import VisionSettings
 from camtopod.vision.source.capture import Capture, Frame, FrameSelector, Source
 from camtopod.vision.source.ffmpeg_log import FfmpegLog
+from camtopod.vision.source.file_times import FileTimes
 from camtopod.vision.source.source_url import file_path
 
-FPS_UNKNOWN = 25.0
-"""Frame rate assumed if a file has neither time stamps nor a frame rate."""
+FAILURES_MIN = 1000
+"""Failures to read a picture, on end, before the end of a file that declares none.
+
+A read after the end takes microseconds.
+"""
+FAILURES_MAX = 100_000
+"""The same in a file that declares so many more pictures: more than an hour of damage."""
+EARLY_SECONDS = 1.0
+"""Time by which a video may end before the file, whose sound goes on."""
 HEARTBEAT_SECONDS = 0.5
 """Longest time until `RecordedSource.frames` yields while it waits."""
 
@@ -65,49 +73,80 @@ class RecordedSource(Source):
     def frames(self) -> Iterator[Frame | None]:
         """Yield the frames to analyse, or None while waiting.
 
-        Raises `SourceError` if the file holds no frame.
+        What cannot be read is passed over, up to the declared end. Raises `SourceError` if no frame
+        of the file can be decoded.
         """
+        assert self._capture is not None
         selector = FrameSelector(self._settings.analysed_fps)
+        times = FileTimes(self._capture.fps)
+        waiting: list[Frame | None] = []
+        """Frames whose positions are not known yet; None for those that are not analysed."""
+        failures = 0
         began = time.monotonic()
-        position = 0.0
         while self._capture is not None:
             stamp = self._capture.grab()
             if stamp is None:
-                break
-            position = self._position(stamp, position)
+                failures += 1
+                if failures > self._failures_max:
+                    break
+                continue
+            self.dropped += failures
+            failures = 0
             self.grabbed += 1
-            if not selector.wants(position):
-                continue
 
-            frame = self._capture.frame()
-            if frame is None:
-                self.dropped += 1
-                continue
-            self.state = "running"
-            self.reason = ""
-            if self._realtime:
-                yield from _until(began + position)
-            yield frame._replace(t=self._start + position)
+            # Decode it if it is to be analysed, and yield it when its position is known.
+            positions = times.place(stamp)
+            waiting.append(None)
+            if selector.wants(times.latest):
+                waiting[-1] = self._capture.frame()
+                self.dropped += waiting[-1] is None
+            if positions:
+                yield from self._placed(waiting, positions, began)
+                waiting.clear()
+            self.untrusted_stamps = times.untrusted
 
-        if self._capture is not None and self.state == "connecting":
-            codec, why = self._capture.codec, self._capture.fault
-            self.close()
-            raise SourceError(
-                f"{self._path}: no frame in it can be decoded ({codec}){why and ': '}{why}"
-            )
-        self.close()
-        self.state = "ended"
-        self.reason = "the file is at its end"
+        yield from self._placed(waiting, times.rest(), began)
+        if self._capture is not None:
+            self._end(self._capture, times)
 
-    def _position(self, stamp: float, last: float) -> float:
-        """Return the position in seconds, by the frame rate where stamps do not increase."""
-        if not self.grabbed:
-            return max(0.0, stamp)
-        if stamp > last:
-            return stamp
-        self.untrusted_stamps += 1
+    def _placed(
+        self, frames: list[Frame | None], positions: list[float], began: float
+    ) -> Iterator[Frame | None]:
+        """Yield frames with their positions, in real time if that was asked for."""
+        for frame, position in zip(frames, positions, strict=True):
+            if frame is not None:
+                self.state = "running"
+                self.reason = ""
+                if self._realtime:
+                    yield from _until(began + position)
+                yield frame._replace(t=self._start + position)
+
+    @property
+    def _failures_max(self) -> int:
+        """Number of failures on end after which there is nothing more in the file."""
         assert self._capture is not None
-        return last + 1.0 / (self._capture.fps or FPS_UNKNOWN)
+        remaining = self._capture.pictures - self.grabbed
+        return min(max(FAILURES_MIN, remaining), FAILURES_MAX)
+
+    def _end(self, capture: Capture, times: FileTimes) -> None:
+        """Say how much was read. Raises `SourceError` if that was nothing."""
+        codec, fault, declared = capture.codec, capture.fault, capture.seconds
+        self.close()
+        if self.state == "connecting":
+            why = f"no frame in it can be decoded ({codec})"
+            raise SourceError(f"{self._path}: {why}{fault and ': '}{fault}")
+        read = times.latest + times.interval
+        self.reason = f"{read:.1f} s of {max(read, declared):.1f} s read"
+        notes = []
+        if read < declared - EARLY_SECONDS:
+            notes.append("the video ends early, or begins late")
+        if self.dropped and fault:
+            notes.append(fault)
+        if times.untrusted:
+            notes.append(f"{times.untrusted} time stamps not believed")
+        if notes:
+            self.reason += f" ({'; '.join(notes)})"
+        self.state = "ended"
 
     def close(self) -> None:
         """Release the file."""
