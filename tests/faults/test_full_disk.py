@@ -11,6 +11,7 @@ import shutil
 import sqlite3
 import subprocess
 import sys
+from argparse import Namespace
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Literal
@@ -22,6 +23,8 @@ from serving import wait_for
 from sizes import size
 from vfs import EIO, FULL, Fault, Op, Vfs
 from written import FILES, Open, State, Written, WrittenJournal
+
+from camtopod.serve.storage import StateError
 
 Kind = Literal["full", "short", "eio"]
 KINDS: tuple[Kind, ...] = ("full", "short", "eio")
@@ -172,6 +175,39 @@ def test_the_harness_sees_a_false_acknowledgement(quick_path: Path, disk_watch: 
         fails_at(Careless, "full", 30, 1, states, quick_path, disk_watch)
 
 
+@pytest.mark.parametrize("killed", [False, True])
+@pytest.mark.parametrize("name", FILES)
+def test_a_start_only_reads(
+    name: str, killed: bool, quick_path: Path, disk_watch: Vfs, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    with contextlib.closing(FILES[name](quick_path)) as one:
+        for number in range(1, 4):
+            one.step(number)
+        before = one.state()
+        if killed:
+            shutil.copytree(quick_path, quick_path / "copy")
+    directory = quick_path / "copy" if killed else quick_path
+
+    def no_room(op: Op) -> Fault | None:
+        faults = {"write": FULL, "shm": EIO["shm"]}
+        return Fault(faults[op.kind]) if op.kind in faults else None
+
+    # The disk is full: everything is there, and nothing can be added.
+    monkeypatch.setattr(shutil, "disk_usage", lambda path: Namespace(free=0))
+    with disk_watch.watching(no_room), contextlib.closing(FILES[name](directory)) as one:
+        assert one.state() == before
+        with pytest.raises(sqlite3.Error):
+            one.step(4)
+
+    # It is none that memory can be shared on, as those of a network or of FUSE.
+    monkeypatch.setattr(shutil, "disk_usage", lambda path: Namespace(free=10**9))
+    kind = "disk I/O error; the file was not modified: the state needs a local disk .* of type \\w+"
+    with disk_watch.watching(no_room), pytest.raises(StateError, match=kind):
+        FILES[name](directory)
+    with contextlib.closing(FILES[name](directory)) as one:
+        assert one.state() == before
+
+
 # --- under the daemon, on a disk that is really full ----------------------------------------------
 
 
@@ -236,4 +272,6 @@ def test_a_daemon_on_a_full_file_system(small_disk: Path, tmp_path: Path) -> Non
             assert daemon.status().state == "running"
 
         assert [seq for seq, _ in stored(state)] == list(range(1, grabber.made + 1))
+        with full(small_disk), grabber.daemon() as daemon:
+            assert daemon.status().state == "running", "it ended cleanly, and only reads"
         print(f"{acknowledged} of {grabber.made} acknowledged before the disk was full")

@@ -12,6 +12,7 @@ import fcntl
 import functools
 import logging
 import os
+import shutil
 import sqlite3
 import zlib
 from collections.abc import Iterator, Sequence
@@ -26,6 +27,9 @@ DAMAGED_FILES_MAX = 8
 """Maximum number of damaged files set aside beside one database; with more, no new one is begun."""
 THOROUGH_BYTES_MAX = 64 * 2**20
 """Size, in bytes, up to which indices are compared with their tables on opening; this takes 1 s."""
+
+SHARED_BYTES = 32 * 2**10
+"""Size, in bytes, of the smallest file by which SQLite shares memory between programs."""
 
 _SHAPE = """
 SELECT m.type, m.name, m.tbl_name, x.name, x.type, x."notnull", x.pk
@@ -141,43 +145,81 @@ def connect(
     """
     try:
         _make_private(path)
-        database = sqlite3.connect(
-            path,
-            timeout=2.0,
-            isolation_level=None,
-            check_same_thread=False,
-            factory=Connection,
-        )
-        with contextlib.ExitStack() as undo, damage_noticed(path):
-            undo.callback(database.close)
-            database.text_factory = _text
-
-            # Under FULL, power cuts lost newly created tables in half of the cases measured.
-            database.execute("PRAGMA synchronous=EXTRA")
-            _scan(database, path)
-            with transaction(database):
-                if not database.execute("SELECT 1 FROM sqlite_schema").fetchone():
-                    _create(database, schema)
-                    row = "format", str(format_number)
-                    database.execute("INSERT INTO meta VALUES (?, ?, ?)", (*row, crc(*row)))
-                _check_format(database, path, format_number)
-            if not _shape_of(schema) <= set(database.execute(_SHAPE)):
-                raise Damaged(f"{path} is damaged: its tables are not those of this program")
-            for table in needed_tables:
-                if not all(map(sound, database.execute(f"SELECT * FROM {table}"))):
-                    raise Damaged(f"{path} is damaged: a row of its table {table}")
-            _switch_to_wal(database, path)
-            undo.pop_all()
-            return database
+        try:
+            return _open(path, schema, format_number, needed_tables)
+        except sqlite3.OperationalError as error:
+            # On a full disk there is no room for the memory that is shared with other programs.
+            if not _is_io(error) or shutil.disk_usage(path.parent).free >= SHARED_BYTES:
+                raise
+            log.warning("%s is on a full disk: no other program can read it meanwhile", path)
+            return _open(path, schema, format_number, needed_tables, "EXCLUSIVE")
     except sqlite3.Error as error:
+        remedy = "see whether the disk is full, or move the file away to start anew"
+        if _is_io(error):
+            remedy = (
+                "the state needs a local disk that has room and is in order, and this is a file"
+                f" system of type {_file_system(path)}"
+            )
         raise StateError(
-            f"cannot use {path}: {error}; the file was not modified: "
-            f"see whether the disk is full, or move the file away to start anew"
+            f"cannot use {path}: {error}; the file was not modified: {remedy}"
         ) from None
     except StateError:
         raise
     except OSError as error:
         raise StateError(f"cannot use {path}: {error.strerror}") from None
+
+
+def _open(
+    path: Path,
+    schema: str,
+    format_number: int,
+    needed_tables: tuple[str, ...],
+    locking: str = "NORMAL",
+) -> Connection:
+    """Do what `connect` does; with ``locking`` EXCLUSIVE without memory shared through a file."""
+    database = sqlite3.connect(
+        path, timeout=2.0, isolation_level=None, check_same_thread=False, factory=Connection
+    )
+    with contextlib.ExitStack() as undo, damage_noticed(path):
+        undo.callback(database.close)
+        database.text_factory = _text
+        database.execute(f"PRAGMA locking_mode={locking}")
+
+        # Under FULL, power cuts lost newly created tables in half of the cases measured.
+        database.execute("PRAGMA synchronous=EXTRA")
+        _scan(database, path)
+        with transaction(database):
+            if not database.execute("SELECT 1 FROM sqlite_schema").fetchone():
+                _create(database, schema)
+                row = "format", str(format_number)
+                database.execute("INSERT INTO meta VALUES (?, ?, ?)", (*row, crc(*row)))
+            _check_format(database, path, format_number)
+        if not _shape_of(schema) <= set(database.execute(_SHAPE)):
+            raise Damaged(f"{path} is damaged: its tables are not those of this program")
+        for table in needed_tables:
+            if not all(map(sound, database.execute(f"SELECT * FROM {table}"))):
+                raise Damaged(f"{path} is damaged: a row of its table {table}")
+        _switch_to_wal(database, path)
+        undo.pop_all()
+        return database
+
+
+def _is_io(error: sqlite3.Error) -> bool:
+    """Return True if the file system has failed."""
+    code = getattr(error, "sqlite_errorcode", 0) & 0xFF
+    return code in (sqlite3.SQLITE_IOERR, sqlite3.SQLITE_CANTOPEN)
+
+
+def _file_system(path: Path) -> str:
+    """Return the type of the file system that has a path, as "ext4" or "fuse.mergerfs"."""
+    found = (Path(), "unknown")
+    with contextlib.suppress(OSError):
+        for line in Path("/proc/mounts").read_text("utf-8", "replace").splitlines():
+            mount, kind = line.split(" ")[1:3]
+            place = Path(mount.replace("\\040", " "))
+            if path.resolve().is_relative_to(place) and place >= found[0]:
+                found = (place, kind)
+    return found[1]
 
 
 def connect_or_recreate(
@@ -335,7 +377,10 @@ def _switch_to_wal(database: sqlite3.Connection, path: Path) -> None:
     """Switch to WAL mode. Raises `StateError` if that is impossible."""
     mode = database.execute("PRAGMA journal_mode=WAL").fetchone()[0]
     if mode != "wal":
-        raise StateError(f"{path}: SQLite cannot write safely on this file system ({mode})")
+        raise StateError(
+            f"{path}: SQLite cannot write safely on a file system of type {_file_system(path)}"
+            f" ({mode}): the state needs a local disk"
+        )
     database.execute("PRAGMA wal_autocheckpoint=200")  # pages in the log
     database.execute("PRAGMA journal_size_limit=1048576")  # bytes that a longer log is cut to
     database.execute("PRAGMA mmap_size=0")
