@@ -13,7 +13,6 @@ are not followed. Colours, snapshots and plates are not read.
 from __future__ import annotations
 
 import re
-from typing import Any
 
 from msgspec import Struct, field
 
@@ -83,9 +82,10 @@ class Axis(StreamAdapter):
         frame = codec.read(_Frame, text)
         frame = frame.data or frame
         frame = frame.frame or frame
-        boxes = _either(frame.detections, frame.observations)
-        changes = _either(frame.track_events, frame.operations)
-        if not frame.timestamp or _either(boxes, changes) is None:
+        boxes = frame.detections or frame.observations
+        changes = frame.track_events or frame.operations
+        own = (frame.detections, frame.observations, frame.track_events, frame.operations)
+        if not frame.timestamp or own == (None, None, None, None):
             raise Rejected("malformed", "is no frame: has no timestamp, detections or track_events")
 
         # The camera.
@@ -108,5 +108,5 @@ class Axis(StreamAdapter):
         return self._stream(camera).update(seen, ended, seconds_of(frame.timestamp))
 
 
-def _either(value: Any, forerunners: Any) -> Any:
-    return forerunners if value is None else value
+def _either(name: Name, forerunners: Name) -> Name:
+    return forerunners if name is None else name

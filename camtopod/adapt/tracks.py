@@ -304,7 +304,7 @@ class TrackEvents:
         self._kinds_come |= track.votes is not None
         may_come = kind is not None and (self._kinds_come or not self._waited_in_vain)
         waits = may_come and track.votes is None
-        if waits and t - track.first.t < UNCLASSIFIED_SECONDS:
+        if waits and (track.from_start or t - track.first.t < UNCLASSIFIED_SECONDS):
             return []
         self._waited_in_vain |= waits
         return self._entry(label, track)

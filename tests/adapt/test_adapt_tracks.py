@@ -93,6 +93,47 @@ def test_passages_are_those_of_the_definition(
     assert len(found) == len({(e.kind, e.track, e.t) for e in found})
 
 
+def counted_by_definition(sightings: list[tuple[float, str]]) -> set[tuple[str, float]]:
+    """Return the events of a person's track: it counts from the first sighting on at which it has
+    lived and no majority is against it.
+    """
+    events = set()
+    passages: list[list[tuple[float, str]]] = []
+    for t, kind in sightings:
+        if not passages or t - passages[-1][-1][0] > tracks.LOST_SECONDS:
+            passages.append([])
+        passages[-1].append((t, kind))
+    votes: list[int] = []
+    for passage in passages:
+        start = passage[0][0]
+        votes = [1 if sum(votes) > 0 else -1 if sum(votes) < 0 else 0] if votes else []
+        counts = False
+        for t, kind in passage:
+            votes += [1 if kind == "person" else -1] if kind else []
+            counts |= t - start >= tracks.LIFE_SECONDS and votes != [] and sum(votes) >= 0
+        if counts:
+            events |= {("entry", start), ("exit", passage[-1][0])}
+    return events
+
+
+@given(
+    st.lists(
+        st.tuples(st.sampled_from((0.25, 0.5, 3.0)), st.sampled_from(("", "person", "dog"))),
+        max_size=30,
+    )
+)
+def test_a_track_counts_by_the_majority_of_its_sightings(steps: list[tuple[float, str]]) -> None:
+    times = itertools.accumulate((step for step, _ in steps), initial=2.0)
+    sightings = [(t, kind) for t, (_, kind) in zip(times, steps, strict=False)]
+    events = TrackEvents("c", SIZE, wanted=("Person",))
+    found = events.update([], [], 0.0)
+    for t, kind in sightings:
+        found += events.update([1], [BOX], t, [kind])
+    found += events.update([], [], 1000.0) + events.close()
+    assert {(e.kind, e.t) for e in found} == counted_by_definition(sightings)
+    assert len(found) == len({(e.kind, e.t) for e in found})
+
+
 def test_events_are_reported_in_time_and_numbered_without_a_gap() -> None:
     """None is reported later than life or lost and a frame after its time: the lateness of the
     learner is 5 s.
@@ -177,6 +218,8 @@ def test_nonsense_is_said_at_once() -> None:
     for boxes in ([BOX], np.zeros((4, 2)), np.zeros(8), np.zeros((1, 8))):
         with pytest.raises(ValueError, match=r"2 ids.*n ids need boxes \(n, 4\)"):
             events.update([1, 2], boxes, 0.0)
+    with pytest.raises(ValueError, match="1 ids, but 2 kinds"):
+        events.update([1], [BOX], 0.0, ["person", "dog"])
     with pytest.raises(ValueError, match="finite"):
         events.update([1], [BOX], math.nan)
     assert events.statistics()["tracks"] == 0

@@ -150,6 +150,12 @@ def test_what_is_found_to_be_a_part_late_has_no_event(tmp_path: Path, name: str)
     assert short(wanted[1]) == PASSAGE
 
 
+def test_a_part_that_is_in_view_at_the_start_has_no_exit(tmp_path: Path) -> None:
+    """It has no entry to tell, so there is time to find out what it is."""
+    messages = walk(axis, lambda t: "Face" if t >= 9 else "")[20:]
+    assert ingested(tmp_path, "axis", messages, "--camera", "lobby")[1] == []
+
+
 def test_what_is_never_classified_counts_and_a_cut_recording_keeps_its_entry(
     tmp_path: Path,
 ) -> None:

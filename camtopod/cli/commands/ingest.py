@@ -113,7 +113,7 @@ def run(args: argparse.Namespace) -> int:
     if reader.read and not reader.events:
         log.warning(
             "%d lines gave no event: no object entered or left, or only such as do not count "
-            "(untracked, stationary, or not among --label)",
+            "(untracked, stationary, outside the picture, a face or plate, not among --label)",
             reader.read,
         )
     return status
