@@ -8,6 +8,8 @@ from __future__ import annotations
 
 from msgspec import Struct
 
+ELSEWHERE = "events from another program"
+"""State of a camera whose events come without the status of a grabber."""
 GONE_SECONDS = 86_400.0
 """Event time without an event after which a camera without a grabber is gone."""
 RETURNS_MIN = 3

@@ -18,7 +18,7 @@ import msgspec
 
 from camtopod import codec
 from camtopod.predict import seen_now
-from camtopod.publishers import is_gone
+from camtopod.publishers import ELSEWHERE, is_gone
 from camtopod.records import (
     CAMERA_PATTERN,
     CameraFigures,
@@ -75,7 +75,7 @@ class ShownPrediction(msgspec.Struct, frozen=True, rename={"next_": "next"}):
 class CameraHealth(msgspec.Struct, frozen=True):
     """A camera's row on the health page.
 
-    state: of its grabber; or ``forgotten``, ``silent``, ``gone``, ``no grabber``, ``unknown``.
+    state: of its grabber; or ``forgotten``, ``silent``, ``gone``, ``no grabber``, `ELSEWHERE`.
     newest (Unix seconds): time of its newest event.
     ahead (seconds): by how much its last event was ahead of the daemon's clock.
     """
@@ -288,11 +288,13 @@ class Feed:
                 events = counted.events
                 ahead = counted.ahead
                 if state == "no grabber" and counted.alive:
-                    state = "unknown"
+                    state = ELSEWHERE
             t = newest[name]
             if is_gone(state, t, last) or (t is None and state == "no grabber"):
                 state = "gone"
                 reason = ""
+            elif state == "no grabber" and events:
+                state = ELSEWHERE
             if state:
                 rows.append(CameraHealth(name, state, reason, events, t, ahead))
         return rows

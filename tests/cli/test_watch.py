@@ -29,7 +29,7 @@ from camtopod.cli.terminal.site_state import (
     prediction_line,
 )
 from camtopod.config.settings import BusSettings
-from camtopod.publishers import GONE_SECONDS
+from camtopod.publishers import ELSEWHERE, GONE_SECONDS
 from camtopod.records import (
     TOPOLOGY_SCHEMA,
     Alarm,
@@ -176,6 +176,7 @@ def test_a_camera_without_grabber_and_without_events_for_a_day_is_gone() -> None
     counters = {
         "here": {"events": 9, "newest": NOW, "alive": True},
         "lately": {"events": 9, "newest": NOW - day + 1},
+        "quiet": {"events": 0, "newest": NOW - day + 1},
         "phantom": {"events": 9, "newest": NOW - day - 1},
     }
     names = {"forgotten": {"old": 3}, "renamed": {"before": "after"}}
@@ -187,8 +188,9 @@ def test_a_camera_without_grabber_and_without_events_for_a_day_is_gone() -> None
     learned = msgspec.structs.replace(NOTHING, cameras=[Camera("learned", [])], model=model)
 
     assert cameras(site, learned) == {
-        "here": "unknown",
-        "lately": "no grabber",
+        "here": f"other {ELSEWHERE}",
+        "lately": f"other {ELSEWHERE}",
+        "quiet": "no grabber",
         "phantom": "gone",
         "learned": "gone",
         "old": "forgotten its events are refused until camtopod forget --take-back old",

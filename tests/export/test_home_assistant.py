@@ -9,20 +9,23 @@ import signal
 import sys
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 import msgspec
 import pytest
+from fake_bus import OneBus
 from mosquitto import PROGRAM, Broker, mosquitto
 from serving import T0, all_out, camtopod, closing_event, numbered, small_config, wait_for, walkers
 
 from camtopod.cli import exits
+from camtopod.cli.commands.bridge import HomeAssistantState
 from camtopod.cli.main import main
 from camtopod.export import homeassistant
 from camtopod.export.homeassistant import Topics
 from camtopod.records import (
     TOPOLOGY_SCHEMA,
     Alarm,
+    Camera,
     CameraFigures,
     DaemonStatus,
     Look,
@@ -32,7 +35,7 @@ from camtopod.records import (
     Status,
     Topology,
 )
-from camtopod.serve.bus import session as buses
+from camtopod.serve.bus import Bus, session as buses
 from camtopod.serve.daemon import Daemon
 
 TOPICS = Topics("hq")
@@ -155,6 +158,27 @@ def test_the_camera_to_look_at_is_the_likeliest_other_one() -> None:
         (to_hall(1.0), "none", 0.0),
     ):
         assert (shown(prediction)["look"], shown(prediction)["sees"]) == (look, sees)
+
+
+def test_a_camera_is_neither_on_nor_off_until_it_is_known() -> None:
+    """After a start of the daemon its status has cameras as they come."""
+    bus = OneBus()
+    bus.kept = {9: msgspec.structs.replace(TOPOLOGY, cameras=[Camera("lobby", [])])}
+    site = HomeAssistantState(cast(Bus, bus), TOPICS, 10)
+
+    def online(camera: str) -> str | None:
+        told = decoded(site.messages())
+        assert f"camtopod_hq/{camera}-online" in "".join(told), "it is announced all the same"
+        return told.get(TOPICS.topic_of(camera, "state"), {}).get("online")
+
+    bus.publish("status/daemon", DaemonStatus("running"))
+    assert online("lobby") is None
+    bus.publish("status/lobby", Status("running"))
+    assert online("lobby") == "ON"
+    bus.publish("status/daemon", DaemonStatus("running", cameras={"lobby": CameraFigures()}))
+    assert online("lobby") == "OFF"
+    bus.publish("status/yard", Status("stalled"))
+    assert online("yard") == "OFF"
 
 
 # --- with a broker --------------------------------------------------------------------------------

@@ -9,7 +9,7 @@ from msgspec.structs import replace
 from page_fixture import Shown, opened
 from synthetic_topology import synthetic_topology
 
-from camtopod.records import InView, Look, Prediction
+from camtopod.records import InView, Look, Prediction, Status
 
 SITE = synthetic_topology(4, as_of=time.time())
 A, B, C = (camera.id for camera in SITE.cameras[:3])
@@ -33,6 +33,62 @@ def test_it_links_to_the_recorder_and_counts_events_by_the_hour(browser: Browser
         assert "At the recorder" not in browser.text(".panel")
 
         assert browser.complaints() == []
+
+
+def test_the_header_leads_to_a_camera_that_needs_attention(browser: Browser) -> None:
+    shown = Shown(SITE)
+    with shown.serving():
+        opened(browser, shown)
+        browser.wait(lambda: browser.text("#live") == "live · version 1", "all to be well")
+        assert browser.count("nav .ill") == 0
+        shown.bus.publish(f"status/{A}", Status("stalled", "no picture for 9 s"))
+        browser.run("document.querySelector('#live').click()")  # which asks for the health
+        browser.wait(lambda: browser.text("#live") == "live, 1 camera needs attention", "it")
+        assert browser.text(".page h1") == "Health"
+        assert browser.text("nav .ill") == "Health"
+        shown.bus.publish(f"status/{A}", Status("running"))
+        browser.go("#/map")
+        browser.go("#/health")
+        browser.wait(lambda: browser.count("nav .ill") == 0, "the end of it")
+
+
+OVERLAPPING = """
+const texts = [...document.querySelectorAll('.zone text')].map((one) => one.getBoundingClientRect());
+const apart = (a, b) => a.right <= b.left || b.right <= a.left || a.bottom <= b.top || b.bottom <= a.top;
+const inner = texts.map(({ left, right, top, bottom }) => {
+  const air = 0.2 * (bottom - top);
+  return { left, right, top: top + air, bottom: bottom - air };
+});
+return inner.filter((a, k) => inner.slice(k + 1).some((b) => !apart(a, b))).length;
+"""
+
+
+def test_counts_of_zones_stand_beside_each_other(browser: Browser) -> None:
+    numbers = range(50, 72)
+    zones = [*SITE.zones] + [
+        replace(
+            SITE.zones[0],
+            id=f"{A}/{k}",
+            x=0.1 + 0.08 * (k % 10),
+            y=0.2 + 0.06 * (k // 10),
+            entries=30 * k,
+            exits=20 * k,
+        )
+        for k in numbers
+    ]
+    ids = [zone.id for zone in zones]
+    cameras = [
+        replace(one, zones=[id for id in ids if id.startswith(f"{one.id}/")])
+        for one in SITE.cameras
+    ]
+    shown = Shown(replace(SITE, cameras=cameras, zones=zones))
+    with shown.serving():
+        opened(browser, shown, f"#/camera/{A}")
+        browser.wait(lambda: browser.count(".scene .zone") > len(numbers), "the zones")
+        assert browser.run(OVERLAPPING) == 0
+        assert f"{A}/71: 2,130 in" in browser.run(
+            "return document.querySelector('.scene .zone title').textContent"
+        )
 
 
 def test_who_left_one_view_and_is_in_another_is_shown_at_both(browser: Browser) -> None:

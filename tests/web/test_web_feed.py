@@ -13,7 +13,7 @@ import pytest
 from fake_bus import OneBus
 from synthetic_topology import synthetic_topology
 
-from camtopod.publishers import GONE_SECONDS
+from camtopod.publishers import ELSEWHERE, GONE_SECONDS
 from camtopod.records import Camera, Event, InView, Look, NextCamera, Prediction
 from camtopod.serve.bus.session import Bus
 from camtopod.web import feed
@@ -183,7 +183,7 @@ def test_health_has_every_camera_that_anybody_knows_and_its_reason(rig: Rig) -> 
     learned = SITE.model.cameras[0].last_event
     assert set(rows) == {"a", "b", *NAMES}
     assert (rows["a"]["state"], rows["a"]["reason"]) == ("stalled", 500 * "x")
-    assert (rows["b"]["state"], rows["b"]["events"]) == ("unknown", 7)
+    assert (rows["b"]["state"], rows["b"]["events"]) == (ELSEWHERE, 7)
     assert (rows[NAMES[0]]["state"], rows[NAMES[0]]["newest"]) == ("no grabber", learned)
     assert "secret" not in str(rig.feed.health())
 
@@ -200,7 +200,7 @@ def test_a_camera_without_a_grabber_and_without_events_for_a_day_is_gone(rig: Ri
     rig.bus.publish("status/daemon", {**RUNNING, "cameras": counted})
 
     states = rig.states()
-    assert [states[name] for name in (gone, quiet, alive)] == ["gone", "no grabber", "unknown"]
+    assert [states[name] for name in (gone, quiet, alive)] == ["gone", "no grabber", ELSEWHERE]
     assert rig.rows()[gone]["newest"] == old - 1.0
 
 

@@ -11,8 +11,8 @@ from msgspec.structs import replace
 from page_fixture import Shown, opened
 from synthetic_topology import made_link, synthetic_topology
 
-from camtopod.records import Lacks
-from camtopod.web.map_data import draw
+from camtopod.records import Lacks, NextCamera, Prediction
+from camtopod.web.map_data import KNOWN_EXITS_MIN, draw
 
 SITE = synthetic_topology(4)
 NAMES = [camera.id for camera in SITE.cameras]
@@ -31,6 +31,29 @@ def test_before_the_first_version_it_says_how_many_events_there_are(browser: Bro
         browser.wait(lambda: "2 cameras" in browser.text(".page"), "the cameras")
         browser.go("#/map")
         browser.wait(lambda: "7 events from 2 cameras so far" in browser.text(".nothing"), "them")
+
+
+def test_what_is_likely_and_what_is_not_known_are_told_apart(browser: Browser) -> None:
+    """Nobody is said to leave the site before that is known, and half a chance is no fact."""
+    exits = {A.id: KNOWN_EXITS_MIN, B.id: KNOWN_EXITS_MIN - 1}
+    zones = [replace(zone, exits=exits.get(zone.id, 0)) for zone in SITE.zones]
+    shown = Shown(replace(YOUNG, weak_links=[], zones=zones))
+    with shown.serving():
+        opened(browser, shown)
+        for camera, leave, share, words in (
+            (A.camera, 0.9, 0.1, "leaves the site, 90 %"),
+            (B.camera, 0.9, 0.1, "not known yet"),
+            (B.camera, 0.35, 0.19, "most likely west, 19 %; others 46 %"),
+            (B.camera, 0.3, 0.6, "west 60 %, in 5.0 to 9.0 s"),
+        ):
+            next_ = [NextCamera("west", "west/1", share, 5.0, 7.0, 9.0)]
+            said = Prediction(camera, None, 1.0, None, 1, leave, next_)
+
+            def told(said: Prediction = said, words: str = f"{camera} → {words}") -> bool:
+                shown.bus.publish(f"prediction/{said.camera}", said)
+                return words in browser.text(".predictions")
+
+            browser.wait(told, words)
 
 
 def test_without_a_link_it_says_what_it_waits_for_and_dots_what_is_likely(browser: Browser) -> None:

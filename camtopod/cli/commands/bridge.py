@@ -85,10 +85,16 @@ class HomeAssistantState:
         messages = homeassistant.discovery(topics, cameras)
         messages |= homeassistant.site_state(topics, alive, site, topology)
         for camera in cameras:
-            counted = site.cameras.get(camera, CameraFigures())
-            messages |= homeassistant.camera_state(
-                topics, camera, counted, grabbers.get(camera), zones.get(camera, 0)
-            )
+            # After a start of the daemon, what is known of a camera comes with the statuses.
+            counted = site.cameras.get(camera)
+            if counted is not None or camera in grabbers:
+                messages |= homeassistant.camera_state(
+                    topics,
+                    camera,
+                    counted or CameraFigures(alive=True),
+                    grabbers.get(camera),
+                    zones.get(camera, 0),
+                )
             if (prediction := self._predictions.get(camera)) is not None:
                 messages |= homeassistant.prediction_state(topics, prediction)
         return messages

@@ -266,7 +266,8 @@ def _until_stopped(
         if cause not in causes and state != "ended":
             causes.add(cause)
             words = f"camera {grabber.camera} is {state}: {grabber.reason}"
-            log.info("%s", words.removesuffix(": "))
+            fine = state in ("connecting", "running", "ended")
+            log.log(logging.INFO if fine else logging.WARNING, "%s", words.removesuffix(": "))
 
         yield event
         if stop.is_set():

@@ -9,7 +9,7 @@ from collections.abc import Callable
 
 from camtopod import codec
 from camtopod.predict import seen_now
-from camtopod.publishers import is_gone
+from camtopod.publishers import ELSEWHERE, is_gone
 from camtopod.records import (
     CameraFigures,
     DaemonStatus,
@@ -27,11 +27,11 @@ LINKS_SHOWN = 20
 """Busiest links that are shown."""
 SILENT_SECONDS = 5.0
 """Time without a status after which its sender counts as silent; statuses come every second."""
-_FINE = ("running", "ended", "no grabber", "unknown", "gone")
+_FINE = ("running", "ended", "no grabber", "other", "gone")
 """States that need no attention.
 
 "gone" is a camera without a grabber, and without events for `camtopod.publishers.GONE_SECONDS`.
-"no grabber" and "unknown" are cameras of another program, which sends events but no status.
+"other" is a camera of another program, which sends events but no status.
 """
 
 
@@ -100,8 +100,8 @@ class SiteState:
         fine = []
         for name in {*self._cameras, *known}:
             figures = known.get(name, CameraFigures())
-            state, reason = self._camera_state(name, figures)
-            if is_gone(state, figures.newest, newest):
+            state, reason = self._camera_state(name)
+            if is_gone(state, figures.newest, newest) and not figures.alive:
                 state = "gone"
                 reason = ""
             elif name in names.forgotten:
@@ -109,6 +109,9 @@ class SiteState:
                 reason = f"its events are refused until camtopod forget --take-back {name}"
             elif name in names.renamed:
                 reason = reason or f"counts as {names.renamed[name]}"
+            elif state == "no grabber" and (figures.alive or figures.events):
+                state = "other"
+                reason = ELSEWHERE
             last = ""
             if figures.newest is not None and 0 <= now - figures.newest < 1e6:
                 last = f"{now - figures.newest:.0f} s"
@@ -119,11 +122,11 @@ class SiteState:
                 wrong.append(f"! {line}")
         return [*sorted(wrong), *sorted(fine)]
 
-    def _camera_state(self, name: str, figures: CameraFigures) -> tuple[str, str]:
-        """Return (state, reason) of a camera by its status and the daemon's figures."""
+    def _camera_state(self, name: str) -> tuple[str, str]:
+        """Return (state, reason) of a camera by its status."""
         status = self._cameras.get(name, Status())
         if not status.state:
-            return "unknown" if figures.alive else "no grabber", ""
+            return "no grabber", ""
         silence = self._steady() - self._heard[name]
         if silence > SILENT_SECONDS and status.state != "ended":
             return "silent", f"no status for {silence:.0f} s"

@@ -2,14 +2,15 @@
 
 import { fill, h, s } from "./dom.js";
 import { hourChart } from "./hours.js";
+import { Taken } from "./labels.js";
 import { link } from "./place.js";
-import { ago, clock, comesBack, count, expected, goneSince, percent, plural, seconds, span, stateClass } from "./words.js";
+import { ago, clock, comesBack, count, expected, goneSince, headline, percent, plural, seconds, span, stateClass } from "./words.js";
 
 const FRAME = [1600, 900]; // where there is no picture, pixels
 const MARGINS = [0.06, 0.2]; // around the picture, of its width or height: zones lie on its edges
 const SPREAD = 2; // standard deviations that a zone's ellipse shows
-const COUNTS_UNITS = 44; // half the width of a zone's counts, in 400ths of the picture's
-const NUMBER_UNITS = 8; // the same of its number
+const COUNT_UNITS = 2.9; // half the width of a letter of a zone's counts, in 400ths of the picture's
+const NUMBER_UNITS = 8; // half the width of its number
 const HEAD_BEFORE = 0.055; // a passage ends so much of the width before a zone's middle, for its head to be seen
 const EVENTS_SHOWN = 40;
 const PASSAGE_SHARE_MIN = 0.12;
@@ -75,7 +76,7 @@ export async function cameraPanel(app, id) {
     ],
     onEvent: (event) => event.camera === id && scene.add(event),
     onPrediction: (prediction) => {
-      if (prediction.camera === id) scene.left(prediction);
+      if (prediction.camera === id) scene.left(prediction, app.map?.cameras[id]?.known);
       else scene.sees(prediction);
     },
     onHealth: (rows) => {
@@ -221,17 +222,11 @@ class Scene {
   }
 
   // An exit as its prediction tells it, for those who may not read the events.
-  left(prediction) {
+  left(prediction, known) {
     const next = prediction.next[0];
-    const where = prediction.zone ?? prediction.camera;
-    const now = prediction.now[0];
-    if (now) this.pulse.textContent = `left at ${where}, now in view of ${now.camera} (${percent(now.probability)})`;
-    else if (!next || next.probability < prediction.leave)
-      this.pulse.textContent = `left at ${where}, probably leaves the site (${percent(prediction.leave)})`;
-    else {
-      const place = comesBack(prediction) ? `comes back to ${next.zone}` : `next at ${next.zone}`;
-      this.pulse.textContent = `left at ${where}, ${place} (${percent(next.probability)}) ${expected(next)}`;
-    }
+    const back = comesBack(prediction) && `back to ${next.zone}, ${percent(next.probability)}, ${expected(next)}`;
+    const words = back || headline(prediction, known).filter(Boolean).join(" ");
+    this.pulse.textContent = `left at ${prediction.zone ?? prediction.camera}: ${words}`;
     this.zones.get(prediction.zone)?.classList.add("active");
     setTimeout(() => this.zones.get(prediction.zone)?.classList.remove("active"), 1500);
   }
@@ -262,6 +257,8 @@ class Scene {
     this.zones = new Map();
     const placed = this.story.zones.filter((zone) => zone.x !== undefined && zone.x !== null);
     const [mx, my] = margins(placed);
+    const busiestFirst = [...placed].sort((one, other) => traffic(other) - traffic(one));
+    const taken = new Taken();
     const svg = s(
       "svg",
       {
@@ -273,7 +270,7 @@ class Scene {
       picture ? s("image", { href: picture, width, height }) : grid(width, height),
       picture ? s("rect", { class: "shade", width, height }) : null,
       this.#passages(placed),
-      placed.map((zone) => this.#zone(zone)),
+      busiestFirst.map((zone) => this.#zone(zone, taken)),
       this.marks,
     );
     svg.style.setProperty("--unit", `${width / 400}px`);
@@ -286,27 +283,39 @@ class Scene {
     );
   }
 
-  #zone(zone) {
+  // A zone with its number and its counts, as far as these fit beside those of zones before.
+  #zone(zone, taken) {
     const [width, height] = this.size;
     const { major, minor, turn } = ellipse(zone.cov, width, height);
     const [x, y] = [zone.x * width, zone.y * height];
     const unit = width / 400;
     const within = (value, from, to) => Math.min(to, Math.max(from, value));
-    const inside = within(x, COUNTS_UNITS * unit, width - COUNTS_UNITS * unit);
+    const [come, go] = [`${count(zone.entries)} in`, `${count(zone.exits)} out`];
+    const half = COUNT_UNITS * (come.length + go.length + 1) * unit;
+    const inside = within(x, half, width - half);
     const number = within(x, NUMBER_UNITS * unit, width - NUMBER_UNITS * unit);
     const line = within(y, NUMBER_UNITS * unit, height - NUMBER_UNITS * unit) + 0.012 * width;
     const below = line + (line + 16 * unit < height ? 12 * unit : -16 * unit);
-    const counts = s(
+    const free = (middle, half, base, tall) => {
+      const box = [middle - half, base - tall, middle + half, base].map((value) => value / unit);
+      if (!taken.free(...box)) return false;
+      taken.add(...box);
+      return true;
+    };
+    const name = zone.id.slice(zone.id.lastIndexOf("/") + 1);
+    const numbered = free(number, NUMBER_UNITS * unit, line, 11 * unit);
+    const counted = numbered && free(inside, half, below, 9 * unit);
+    const counts = counted && s(
       "text",
       { class: "counts", x: inside, y: below, "text-anchor": "middle" },
-      s("tspan", { class: "in" }, `${count(zone.entries)} in`),
-      s("tspan", { class: "out", dx: 5 * unit }, `${count(zone.exits)} out`),
+      s("tspan", { class: "in" }, come),
+      s("tspan", { class: "out", dx: 5 * unit }, go),
     );
     const element = s(
       "g",
       { class: "zone" },
       s("ellipse", { rx: major, ry: minor, transform: `translate(${x} ${y}) rotate(${turn})` }),
-      s("text", { x: number, y: line, "text-anchor": "middle" }, zone.id.slice(zone.id.lastIndexOf("/") + 1)),
+      numbered && s("text", { x: number, y: line, "text-anchor": "middle" }, name),
       counts,
       s("title", {}, `${zone.id}: ${count(zone.entries)} in, ${count(zone.exits)} out`),
     );
@@ -341,6 +350,10 @@ class Scene {
         return path;
       });
   }
+}
+
+function traffic(zone) {
+  return zone.entries + zone.exits;
 }
 
 // Half axes in pixels and the turn in degrees of `SPREAD` standard deviations of a covariance in picture fractions.

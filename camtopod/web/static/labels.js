@@ -199,7 +199,7 @@ export function edgeText({ a, edge, dx, dy }) {
 }
 
 // Which parts of the screen are taken, in a coarse grid so that a thousand are quickly asked.
-class Taken {
+export class Taken {
   #cells = new Map();
 
   add(...box) {

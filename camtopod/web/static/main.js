@@ -12,7 +12,7 @@ import { go, here, link } from "./place.js";
 import { Away, NotThere, openSource } from "./source.js";
 import { LinkTable } from "./table.js";
 import { Versions } from "./versions.js";
-import { ago, clock, count, troubled } from "./words.js";
+import { ago, clock, count, plural, troubled } from "./words.js";
 
 const PANELS = { camera: cameraPanel, pair: pairPanel, link: linkPanel };
 const RETRY_MILLISECONDS = 2000;
@@ -33,9 +33,10 @@ class App {
   constructor() {
     this.source = openSource();
     this.banner = h("div", { class: "banner", role: "alert", hidden: true }, this.#told, this.#age);
-    this.pill = h("span", { class: "pill off", id: "live" }, "…");
+    const href = this.source.live ? link("health") : null;
+    this.pill = h("a", { class: "pill off", id: "live", href, tabindex: "-1" }, "…"); // keys have the link beside it
     this.title = h("span", { class: "site" });
-    this.stage = h("div", { class: "stage" });
+    this.stage = h("div", { class: "stage" }, h("h1", { class: "visually-hidden" }, "Map of the cameras"));
     this.panel = h("aside", { class: "panel", hidden: true, tabindex: "-1", "aria-label": "Details" });
     this.inPanel = h("div", {});
     this.pages = h("div", { class: "pages", hidden: true });
@@ -260,8 +261,11 @@ class App {
     const live = this.health?.live;
     const since = this.#lost ?? (live && !live.live ? live.since : null);
     const behind = live?.catching_up ?? null;
-    const state = !live ? "…" : `${behind === null ? "live" : `catching up, ${behind} %`} · ${version}`;
-    this.pill.className = `pill ${since !== null ? "bad" : live && behind === null ? "good" : "off"}`;
+    const ill = [...this.rows.values()].filter((row) => troubled(row.state)).length;
+    const needy = ill && since === null ? `, ${plural(ill, "camera needs", "cameras need")} attention` : "";
+    const state = !live ? "…" : `${behind === null ? "live" : `catching up, ${behind} %`}${needy || ` · ${version}`}`;
+    this.pill.className = `pill ${since !== null || needy ? "bad" : live && behind === null ? "good" : "off"}`;
+    this.nav.querySelector("[data-name=health]").classList.toggle("ill", needy !== "");
     this.pill.textContent = since === null ? state : `not live · ${version}`;
     this.banner.hidden = since === null;
     document.body.classList.toggle("stale", since !== null);

@@ -282,7 +282,8 @@ export class NetworkMap {
     for (const node of inSight) {
       if (node.shot) continue;
       const href = this.pictures.get(node.id);
-      node.shot = [s("image", { href, preserveAspectRatio: "xMidYMid slice" }), s("rect", { class: "shot" })];
+      const image = s("image", { href, preserveAspectRatio: "xMidYMid meet" }); // all of one that is high
+      node.shot = [s("rect", { class: "behind" }), image, s("rect", { class: "shot" })];
       node.element.classList.add("pictured");
       node.element.append(...node.shot);
     }

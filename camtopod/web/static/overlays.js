@@ -2,7 +2,7 @@
 
 import { fill, h, say } from "./dom.js";
 import { go, link } from "./place.js";
-import { clock, comesBack, count, expected, percent, plural } from "./words.js";
+import { clock, comesBack, count, headline, plural, troubled } from "./words.js";
 
 const OPEN_MAX = 100; // cameras; on the map of a larger site the predictions' list would hide too much
 const HITS_SHOWN = 8;
@@ -10,6 +10,19 @@ const PREDICTIONS_SHOWN = 5;
 const ALARMS_SHOWN = 4;
 const LIST_MILLISECONDS = 700; // no list is read that changes faster
 const NARROW = matchMedia("(max-width: 720px)");
+
+// What the legend explains while it is in use: look, words, and whether `used` has it.
+const SIGNS = [
+  ["stroke overlapped", "views overlap", (used) => used.overlapped],
+  ["stroke unseen", "unseen path", (used) => used.unseen],
+  ["stroke unseen provisional", "provisional", (used) => used.provisional],
+  ["stroke unseen likely", "likely, not published yet", (used) => used.likely],
+  ["stroke wide", "wider: more traffic", (used) => used.overlapped + used.unseen > 1],
+  ["swatch dot", "predicted, under way", (used) => used.live],
+  ["swatch sees", "sees who just left another view", (used) => used.live && used.overlapped],
+  ["swatch ill", "needs attention", (used) => used.ill],
+  ["swatch gone", "gone", (used) => used.gone],
+];
 
 export class Overlays {
   #predictions = [];
@@ -47,6 +60,7 @@ export class Overlays {
       this.list,
     );
     this.waiting = h("p", { class: "overlay waiting", role: "status", hidden: true });
+    this.signs = SIGNS.map(([look, words]) => h("li", { hidden: true }, h("i", { class: look }), words));
     this.legend = h(
       "details",
       { class: "overlay key", open: !NARROW.matches },
@@ -54,15 +68,7 @@ export class Overlays {
       h(
         "ul",
         {},
-        h("li", {}, h("i", { class: "stroke overlapped" }), "views overlap"),
-        h("li", {}, h("i", { class: "stroke unseen" }), "unseen path"),
-        h("li", {}, h("i", { class: "stroke unseen provisional" }), "provisional"),
-        h("li", {}, h("i", { class: "stroke unseen likely" }), "likely, not published yet"),
-        h("li", {}, h("i", { class: "stroke wide" }), "wider: more traffic"),
-        app.source.live ? h("li", {}, h("i", { class: "swatch dot" }), "predicted, under way") : null,
-        app.source.live ? h("li", {}, h("i", { class: "swatch sees" }), "sees who just left another view") : null,
-        app.source.live ? h("li", {}, h("i", { class: "swatch ill" }), "needs attention") : null,
-        app.source.live ? h("li", {}, h("i", { class: "swatch gone" }), "gone") : null,
+        this.signs,
         h("li", { class: "quiet" }, "numbers: most frequent transit time, with arrows where the directions differ"),
       ),
     );
@@ -113,6 +119,10 @@ export class Overlays {
     const kinds = `${count(overlapped)} overlapping${provisional ? `, ${count(provisional)} provisional` : ""}`;
     const ids = Object.keys(map.cameras);
     const gone = ids.filter((id) => this.#gone.has(id)).length;
+    const ill = ids.some((id) => troubled(this.app.rows.get(id)?.state));
+    const unseen = edges.length - overlapped;
+    const used = { overlapped, unseen, provisional, likely, ill, gone, live: this.app.source.live };
+    for (const [k, [, , isUsed]] of SIGNS.entries()) this.signs[k].hidden = !isUsed(used);
     this.summary.textContent = [
       plural(ids.length - gone, "camera"),
       gone ? `${count(gone)} gone` : null,
@@ -156,26 +166,14 @@ export class Overlays {
     fill(
       this.list,
       this.#predictions.map((one) => {
-        const next = one.next[0];
-        const now = one.now[0];
+        const [place, words] = headline(one, this.app.map?.cameras[one.camera]?.known);
         return h(
           "li",
           {},
           h("a", { href: link("camera", one.camera) }, one.camera),
           " → ",
-          now
-            ? [h("b", {}, now.camera), h("span", { class: "quiet" }, ` ${percent(now.probability)}, in view now`)]
-            : one.look.length && one.look[0].probability >= one.leave
-            ? [
-                h("b", {}, one.look[0].camera),
-                h("span", { class: "quiet" }, ` ${percent(one.look[0].probability)}, look there now or next`),
-              ]
-            : next && next.probability >= one.leave
-            ? [
-                h("b", {}, next.camera),
-                h("span", { class: "quiet" }, ` ${percent(next.probability)}, ${expected(next)}`),
-              ]
-            : h("span", { class: "quiet" }, `leaves the site, ${percent(one.leave)}`),
+          place && [h("b", {}, place), " "],
+          h("span", { class: "quiet" }, words),
         );
       }),
     );

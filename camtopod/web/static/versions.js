@@ -222,7 +222,7 @@ function timeLine(all) {
     { class: "chart" },
     s(
       "svg",
-      { viewBox: `0 0 ${width} ${height}`, role: "img", "aria-label": label },
+      { viewBox: `0 0 ${width} ${height}`, role: "group", "aria-label": label },
       axisY(y, curved ? ticks(0, 1, 4) : [0], EDGE.left, width - EDGE.right, (v) => (curved ? `${100 * v} %` : "")),
       axisX(x, [...new Set(named.map((one) => one.as_of))], floor + 2, floor, (t) => axisTime(t, range)),
       curved

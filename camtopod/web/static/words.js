@@ -79,6 +79,19 @@ export function goneSince({ newest }) {
   return newest ? `gone since ${clock(newest)}` : "gone";
 }
 
+// Where an object goes, as [a camera or null, the rest in words]; it is told as a fact only if it is more likely than not.
+// known: whether it is known where objects of that camera go.
+export function headline({ camera, now, look, next, leave }, known) {
+  if (now.length) return [now[0].camera, `${percent(now[0].probability)}, in view now`];
+  const best = look[0] ?? next.find((one) => one.camera !== camera);
+  if (best?.probability > 0.5)
+    return [best.camera, `${percent(best.probability)}, ${look.length ? "look there now or next" : expected(best)}`];
+  if (known && leave > 0.5) return [null, `leaves the site, ${percent(leave)}`];
+  if (!best || leave > 0.5) return [null, "not known yet"];
+  const others = Math.max(0, 1 - leave - best.probability);
+  return [null, `most likely ${best.camera}, ${percent(best.probability)}; others ${percent(others)}`];
+}
+
 // Whether an object most likely appears next where it has just left.
 export function comesBack({ camera, next, now, leave }) {
   return !now.length && next.length > 0 && next[0].camera === camera && next[0].probability >= leave;
@@ -86,7 +99,8 @@ export function comesBack({ camera, next, now, leave }) {
 
 // Whether a camera's state asks for attention.
 export function troubled(state) {
-  return !["running", "ended", "unknown", "no grabber", "gone", "forgotten", undefined].includes(state);
+  const fine = ["running", "ended", "unknown", "no grabber", "events from another program", "gone", "forgotten"];
+  return state !== undefined && !fine.includes(state);
 }
 
 // The look of a state.
