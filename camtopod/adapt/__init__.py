@@ -3,7 +3,8 @@
 Read `formats` first, the table of all formats, and `adapter`, the interface that they implement.
 `tracks.TrackEvents` turns the tracks of any tracker into events; it is public, through
 `camtopod.client`. `mot` is the shortest format, then `frigate`; `axis`, `onvif`, `deepstream` and
-`scenescape` (with `box_linking`) share `camera_streams`.
+`scenescape` (with `box_linking`) share `camera_streams`. `kinds` decides what counts,
+`camera_names` gives cameras their ids.
 """
 
 from camtopod.adapt.adapter import (

@@ -17,7 +17,7 @@ from msgspec import Meta, Struct
 from camtopod import codec
 from camtopod.adapt.adapter import Sizes, size_of, split_topic
 from camtopod.adapt.box_linking import BoxLinker
-from camtopod.adapt.camera_streams import Box, Name, StreamAdapter, TrackedBox, seconds_of
+from camtopod.adapt.camera_streams import Name, StreamAdapter, TrackedBox, seconds_of
 from camtopod.codec import Rejected
 from camtopod.records import Event
 
@@ -64,25 +64,22 @@ class SceneScape(StreamAdapter):
         stream = self._stream(camera, size_of(camera, self._sizes))
         stream.require_newer(t)  # before its boxes are linked to those of later frames
 
-        # Boxes in pixels.
-        kinds: list[str] = []
-        boxes: list[Box] = []
-        names: list[Name] = []
-        for kind, detections in message.objects.items():
-            for one in detections:
-                if (box := one.bounding_box_px) is not None:
-                    kinds.append(kind)
-                    boxes.append((box.x, box.y, box.x + box.width, box.y + box.height))
-                    names.append(one.id)
-        if not boxes and any(message.objects.values()):
+        # Boxes in pixels, named by the tracker's ids, or by linking.
+        seen = [
+            TrackedBox(one.id, (box.x, box.y, box.x + box.width, box.y + box.height), kind)
+            for kind, detections in message.objects.items()
+            for one in detections
+            if (box := one.bounding_box_px) is not None
+        ]
+        if not seen and any(message.objects.values()):
             raise Rejected("no-pixels", "no object has a bounding_box_px")
-
-        # Names by the tracker's ids, or by linking.
         if not self._tracked:
-            names = list(self._linkers.setdefault(camera, BoxLinker()).link(kinds, boxes, t))
-        known = [name for name in names if name is not None]
-        if len(set(known)) < len(known):
+            linker = self._linkers.setdefault(camera, BoxLinker())
+            numbers = linker.link([one.kind for one in seen], [one.box for one in seen], t)
+            seen = [one._replace(name=name) for one, name in zip(seen, numbers, strict=True)]
+        names = [one.name for one in seen if one.name is not None]
+        if len(set(names)) < len(names):
             raise Rejected(
                 "same-id", "two objects have one id, so they are not tracked: omit --tracked"
             )
-        return stream.update(list(map(TrackedBox, names, boxes, kinds)), [], t)
+        return stream.update(seen, [], t)
