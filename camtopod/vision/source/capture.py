@@ -135,6 +135,7 @@ class Capture:
                 options = options or PATIENT_OPTIONS
                 self._capture = _opened(source, False, options)
         self._ffmpeg_log = ffmpeg_log or FfmpegLog()
+        self._ffmpeg_log.newest_fault()  # forgets those of opening, which looks far ahead
         self.fault = ""
         """Why the latest picture that could not be decoded was none; "" if that is not known."""
         self._damaged = 0
