@@ -39,6 +39,8 @@ _making = threading.Lock()
 _UNREADABLE = (msgspec.MsgspecError, ValueError, RecursionError)
 """What msgspec's decoders raise on bad input."""
 _T = TypeVar("_T")
+_AT_T = " - at `$.t`"
+_NO_TIME = f"t is no number of seconds between 1970 and 3000 (milliseconds, or text?){_AT_T}"
 _CUT_OFF = "Input data was truncated"
 """msgspec's message for input that ends too early."""
 
@@ -79,14 +81,17 @@ def _event(decoder: Any, raw: bytes) -> Event:
     try:
         event: Event = decoder.decode(raw)
     except _UNREADABLE as error:
-        raise _rejection(error) from None
+        rejection = _rejection(error)
+        if str(rejection).endswith(_AT_T):
+            rejection = Rejected("bad-value", _NO_TIME)
+        raise rejection from None
 
     # Check relations and values that the types cannot express.
     x = event.x
     y = event.y
     track = event.track
     if not T_MIN <= event.t < T_MAX:  # also true for NaN
-        raise Rejected("bad-value", "t is not a time between 1970 and 3000 - at `$.t`")
+        raise Rejected("bad-value", _NO_TIME)
     if (x is None) != (y is None):
         raise Rejected("half-position", "x and y go together: send both or neither")
     if not math.isfinite((x or 0.0) + (y or 0.0) + (event.clock_sd or 0.0)):

@@ -36,10 +36,12 @@ _MESSAGE = re.compile(rb"(?:([^{<]*) )?([{<].*)", re.DOTALL)
 
 
 class Adapter:
-    """Converter of one format, line by line."""
+    """Converter of one format, message by message: a line, or what `framing` finds."""
 
     topic = "#"
     """MQTT topic of these lines below the program's prefix."""
+    xml = False
+    """The messages may be XML documents."""
     outside_cause = "is --size right?"
     """What to see to if boxes lie outside the picture."""
 

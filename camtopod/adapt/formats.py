@@ -42,7 +42,7 @@ class Format(NamedTuple):
 FORMATS = {
     "jsonl": Format("event lines as `camtopod grab --out` writes them", mqtt=False),
     "frigate": Format(
-        "messages of frigate/events, one a line (mosquitto_sub -t frigate/events)",
+        "messages of frigate/events (mosquitto_sub -t frigate/events)",
         lambda given: Frigate(given.size, given.label),
         ("size", "label", "rename"),
     ),
@@ -53,12 +53,12 @@ FORMATS = {
         mqtt=False,
     ),
     "scenescape": Format(
-        "messages of scenescape/data/camera/ID, one a line",
+        "messages of scenescape/data/camera/ID",
         lambda given: SceneScape(given.size, given.label, given.tracked),
         ("size", "label", "tracked", "rename"),
     ),
     "axis": Format(
-        "AXIS scene metadata, one message a line",
+        "messages of AXIS scene metadata",
         lambda given: Axis(given.camera, given.label),
         ("label", "camera", "rename"),
     ),
@@ -68,7 +68,7 @@ FORMATS = {
         ("label", "camera", "rename"),
     ),
     "deepstream": Format(
-        "messages of nvmsgconv, one a line",
+        "messages of nvmsgconv",
         lambda given: DeepStream(given.size, given.camera, given.label),
         ("size", "label", "camera", "rename"),
     ),

@@ -1,7 +1,7 @@
 """Events from ONVIF scene descriptions (Profile M): XML of a metadata stream, or JSON by MQTT.
 
 - XML: documents ``tt:MetadataStream``, one after another, as an RTSP metadata stream carries them.
-  They may span lines, or share one.
+  With or without lines.
 - JSON: messages of ``PREFIX/onvif-mj/VideoAnalytics/PROFILE/MODULE``, whose keys are XML's names
   (attributes with ``@`` in front).
 
@@ -18,8 +18,6 @@ XML comes from the network: a document with a DOCTYPE, thus with entities, is re
 
 from __future__ import annotations
 
-import re
-from collections.abc import Collection
 from typing import Any
 from xml.etree.ElementTree import Element
 
@@ -30,10 +28,8 @@ from camtopod.adapt.adapter import split_topic
 from camtopod.adapt.camera_streams import Box, Name, StreamAdapter, TrackedBox, seconds_of
 from camtopod.codec import TRACK_CHARACTERS_MAX, Rejected
 from camtopod.records import Event
-from camtopod.untrusted_xml import DOCUMENT_BYTES_MAX, all_of, parse_xml, tag_of
+from camtopod.untrusted_xml import all_of, parse_xml, tag_of
 
-_END = re.compile(rb"</(?:[\w.-]+:)?MetadataStream\s*>|<(?:[\w.-]+:)?MetadataStream[^<>]*/>")
-"""End of a document."""
 _NUMBERS = frozenset({"x", "y", "left", "top", "right", "bottom", "Likelihood"})
 """Attributes that are numbers."""
 _SEVERAL = frozenset({"Object", "Delete", "Type"})
@@ -108,23 +104,19 @@ class _Message(Struct, frozen=True):
 
 
 class Onvif(StreamAdapter):
-    """Adapter for scene descriptions, XML or JSON (one object a line, its topic may be in front).
+    """Adapter for scene descriptions, XML or JSON (its topic may be in front).
 
     camera: the camera's id; None to take it from the topic's level before ``onvif-mj``.
     labels: kinds of objects (``Human``, ``Vehicle``) that count; empty for all.
     """
 
+    xml = True
     outside_cause = "the camera sends no Transformation, or a wrong one, from its units to -1 to 1"
 
-    def __init__(self, camera: str | None = None, labels: Collection[str] = ()) -> None:
-        super().__init__(camera, labels)
-        self._text = bytearray()
-        """XML after the last whole document."""
-
     def receive(self, line: bytes) -> list[Event]:
-        """Return the events that a line makes certain. Raises `Rejected`."""
-        if self._text or line.startswith(b"<"):
-            return self._xml(line)
+        """Return the events that a document or a message makes certain. Raises `Rejected`."""
+        if line.startswith(b"<"):
+            return self._read(self.cameras.id_of(""), _frames_of(line))
 
         # JSON by MQTT.
         levels, message = split_topic(line, "*/onvif-mj/VideoAnalytics/*")
@@ -132,23 +124,6 @@ class Onvif(StreamAdapter):
         if levels:
             given = levels[levels.index("onvif-mj") - 1]
         return self._read(self.cameras.id_of(given), _many(codec.read(_Message, message).frames))
-
-    def _xml(self, line: bytes) -> list[Event]:
-        """Return the events of the documents that end in a line. Raises `Rejected`."""
-        start = max(self._text.rfind(b"<"), 0)  # before it no document ends
-        self._text += line + b"\n"  # in front of the next line, which may go on in a tag
-        events = []
-        while (end := _END.search(self._text, start)) is not None:
-            document = bytes(self._text[: end.end()]).strip()
-            del self._text[: end.end()]
-            start = 0
-            if not self._text.strip():
-                self._text.clear()
-            events += self._read(self.cameras.id_of(""), _frames_of(document))
-        if len(self._text) > DOCUMENT_BYTES_MAX:
-            self._text.clear()
-            raise Rejected("too-long", f"a document of more than {DOCUMENT_BYTES_MAX} bytes")
-        return events
 
     def _read(self, camera: str, frames: list[_Frame]) -> list[Event]:
         """Return the events that frames make certain. Raises `Rejected`."""

@@ -362,7 +362,7 @@ def load(path: Path, raw: bytes | None = None) -> Config:
     if raw is None:
         raw = path.read_bytes()
     try:
-        text = raw.decode("utf-8")
+        text = raw.decode("utf-8-sig")  # Windows' editors put a byte order mark in front
     except UnicodeDecodeError as error:
         line = raw.count(b"\n", 0, error.start) + 1
         raise ConfigError(str(path), [Problem(line, "the file is not UTF-8")]) from None
@@ -371,6 +371,13 @@ def load(path: Path, raw: bytes | None = None) -> Config:
 
 def parse(text: str, name: str = "configuration") -> Config:
     """Return the configuration in ``text``; raise `ConfigError`, which calls the file ``name``."""
+    try:
+        return _parse(text, name)
+    except RecursionError:  # of the parser, or of what reads its tables
+        raise ConfigError(name, [Problem(1, "tables or arrays are nested too deeply")]) from None
+
+
+def _parse(text: str, name: str) -> Config:
     data, text, problems = syntax(text.replace("\r\n", "\n"))
     reader = TableReader(TABLES, key_lines(text))
     tables = data.pop("cameras", {})

@@ -58,7 +58,9 @@ def syntax(text: str) -> tuple[dict[str, Any], str, list[Problem]]:
     while True:
         try:
             return tomllib.loads("\n".join(lines)), "\n".join(lines), problems
-        except tomllib.TOMLDecodeError as error:
+        except ValueError as error:
+            if not isinstance(error, tomllib.TOMLDecodeError):  # of Python's int
+                error = ValueError("a number has too many digits")
             what, _, place = str(error).partition(" (at ")
             found = re.match(r"line (\d+), column", place)
             number = int(found[1]) if found else len(text.rstrip("\n").split("\n"))
@@ -79,7 +81,7 @@ def key_lines(text: str) -> dict[Keys, int]:
     lines: dict[Keys, int] = {}
     table: Keys = ()
     statement = ""
-    for number, line in enumerate(text.split("\n"), 1):
+    for number, line in enumerate(text.removeprefix("\ufeff").split("\n"), 1):
         statement += line + "\n"
         try:
             paths = list(_paths(tomllib.loads(statement)))

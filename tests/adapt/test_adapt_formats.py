@@ -15,7 +15,14 @@ import frigate_messages as says
 import pytest
 from hypothesis import given, settings, strategies as st
 
-from camtopod.adapt import FORMATS, FormatOptions, camera_names, camera_streams
+from camtopod.adapt import (
+    FORMATS,
+    LINE_BYTES_MAX,
+    FormatOptions,
+    camera_names,
+    camera_streams,
+    messages_in,
+)
 from camtopod.adapt.adapter import Adapter
 from camtopod.adapt.axis import Axis
 from camtopod.adapt.camera_streams import seconds_of
@@ -302,10 +309,10 @@ def test_onvif_documents_over_lines_and_on_one_line() -> None:
     documents = [onvif_xml(0)]
     documents += [onvif_xml(2 + n / 4, onvif_object(15, 32 + 32 * n)) for n in range(9)]
     documents.append(onvif_xml(4.1, '<tt:ObjectTree><tt:Delete ObjectId="15"/></tt:ObjectTree>'))
-    over_lines = [line for document in documents for line in document.splitlines()]
     on_one = b"".join(document.replace(b"\n", b" ") for document in documents)
 
-    for lines in (over_lines, [on_one]):
+    for stream in (b"\n".join(documents), on_one):
+        lines = messages_in(stream, LINE_BYTES_MAX, Onvif.xml)
         assert short(read(Onvif("gate", ["human"]), lines)) == [
             ("gate", "entry", 2.0, 0.1, 0.7498, "15"),
             ("gate", "exit", 4.0, 0.9, 0.7498, "15"),
@@ -332,8 +339,9 @@ def test_onvif_hostile_xml_is_refused_and_what_follows_is_read() -> None:
     assert refused(adapter, hidden.encode("utf-16")) in ("malformed", "doctype")
 
     good = [onvif_xml(0), *(onvif_xml(2 + n, onvif_object(1, 50)) for n in range(3))]
-    assert refused(adapter, b"<a/></MetadataStream>" + good[0]) == "malformed"
-    assert [e.kind for e in read(adapter, good[1:])] == ["entry"]
+    cut, *rest = messages_in(b"<a/></MetadataStream>" + b"".join(good), LINE_BYTES_MAX, xml=True)
+    assert refused(adapter, cut) == "malformed"
+    assert [e.kind for e in read(adapter, rest)] == ["entry"]
 
 
 # --- DeepStream -----------------------------------------------------------------------------------

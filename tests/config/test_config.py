@@ -146,6 +146,31 @@ def test_a_file_that_is_not_text(tmp_path: Path) -> None:
         load(tmp_path / "none.toml")
 
 
+def test_a_byte_order_mark_is_skipped(tmp_path: Path) -> None:
+    path = tmp_path / "c.toml"
+    path.write_bytes(b"\xef\xbb\xbf[site]\r\nname = 'hq'\r\n[cameras.a]\r\n")
+    config = load(path)
+    assert config.site.name == "hq"
+    assert f"{path}:3: cameras.a" in without_source(config, path.read_text("utf-8"), path)[0]
+
+
+@pytest.mark.parametrize(
+    ("text", "line", "said"),
+    [
+        ("a = " + "[" * 100_000 + "]" * 100_000, 1, "nested too deeply"),
+        ("a = " + "{a = " * 100_000, 1, "nested too deeply"),
+        (".".join("a" * 3_000) + " = 1", 1, "nested too deeply"),
+        ("[site]\nname = " + "1" * 5_000, 2, "too many digits"),
+    ],
+)
+def test_whatever_the_parser_raises_is_a_mistake_in_the_file(
+    text: str, line: int, said: str
+) -> None:
+    ((found, what),) = mistakes(text)
+    assert found == line
+    assert said in what
+
+
 @given(st.text(alphabet="[]{}=.,\"'#\n\\ ab1-", max_size=60))
 @settings(max_examples=100)
 def test_any_text_is_a_configuration_or_a_mistake_with_a_line(text: str) -> None:

@@ -336,6 +336,7 @@ def test_garbage_is_counted_quoted_once_and_survived(
     assert counts["too-long"] == 1
     quoted = [record for record in caplog.records if record.getMessage().startswith("rejected")]
     assert len(quoted) == len(counts)
+    assert '{"camera":"hall","kind":"entry"' in caplog.text, "MessagePack is quoted as text"
     assert "p@ss" not in caplog.text
     assert daemon.status().state == "running"
     daemon.stop()

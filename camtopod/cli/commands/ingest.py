@@ -98,7 +98,8 @@ def run(args: argparse.Namespace) -> int:
         if args.out is None:
             status = _publish(config, read, stack, stop, progress)
         else:
-            out = stack.enter_context(open_output(args.out, live=args.file.startswith("mqtt")))
+            live = not Path(args.file).is_file()
+            out = stack.enter_context(open_output(args.out, live=live))
             for batch in read:
                 out.writelines(to_json(event) + b"\n" for event in batch)
                 out.flush()

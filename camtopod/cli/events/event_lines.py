@@ -1,6 +1,6 @@
 """Reader of event lines from files and pipes.
 
-Valid lines become events; others are counted, and the first one of each reason is quoted.
+Valid lines become events; others are counted, and the first one of each mistake is quoted.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ from collections.abc import Iterable, Iterator
 from contextlib import ExitStack
 from typing import BinaryIO, NamedTuple
 
-from camtopod.adapt import LINE_BYTES_MAX, Adapter
+from camtopod.adapt import LINE_BYTES_MAX, Adapter, Frames
 from camtopod.cli.exits import InputError
 from camtopod.codec import EVENT_BYTES_MAX, Rejected, event_from_json, to_json
 from camtopod.records import Event
@@ -23,6 +23,17 @@ from camtopod.redact import redact
 from camtopod.visible import visible
 
 log = logging.getLogger(__name__)
+
+_PIECE_BYTES = 1 << 16
+"""Longest piece that is read at a time: whatever has come of it."""
+_PACKED = {
+    b"\x1f\x8b": "compressed: pipe it through gunzip -c",
+    b"BZh": "compressed: pipe it through bunzip2 -c",
+    b"\xfd7zXZ": "compressed: pipe it through xz -dc",
+    b"\x28\xb5\x2f\xfd": "compressed: pipe it through zstd -dc",
+    b"PK\x03\x04": "a zip file: pipe it through unzip -p",
+}
+"""First bytes of files that hold text in another form, and what to do."""
 
 
 class Line(NamedTuple):
@@ -45,6 +56,7 @@ class LineReader:
         self.read = 0
         self.events = 0
         self._files: list[BinaryIO] = []
+        self._quoted: set[tuple[str, str]] = set()
 
     def merged(self, paths: list[str]) -> Iterator[Line]:
         """Yield lines of several files, merged by event time.
@@ -71,7 +83,7 @@ class LineReader:
 
     def lines(self, path: str, file: BinaryIO) -> Iterator[Line]:
         """Yield the events of one file in the order of its lines; blank lines are skipped."""
-        for number, text in numbered(file, EVENT_BYTES_MAX):
+        for number, text in numbered(path, file, Frames(EVENT_BYTES_MAX)):
             self.read += 1
             try:
                 event = event_from_json(text)
@@ -93,7 +105,8 @@ class LineReader:
         live: the lines come as things happen. Empty lines are then occasions to ask the adapter for
             the events of cameras that are silent.
 
-        Of a rejected line nothing is quoted, as it may name people.
+        Of a rejected line nothing is quoted, as it may name people. Whatever an adapter raises, it
+        is this line that is rejected.
         """
         adapter.say = lambda note: log.warning("%s: %s", path, note)
         for number, text in lines:
@@ -108,6 +121,10 @@ class LineReader:
                     events += [event_from_json(to_json(event)) for event in adapter.receive(text)]
                 except Rejected as error:
                     self.reject(error.reason, f"{path}:{number}: {error}")
+                except Exception as error:  # no message of another program may end the reading
+                    log.debug("%s:%d", path, number, exc_info=True)
+                    what = f"it cannot be read ({type(error).__name__})"
+                    self.reject("unreadable", f"{path}:{number}: {what}")
             self.events += len(events)
             yield from events
         events = adapter.close()
@@ -115,13 +132,15 @@ class LineReader:
         yield from events
 
     def reject(self, reason: str, where: str, text: bytes = b"") -> None:
-        """Count a rejected line; print the first one of each reason to standard error."""
+        """Count a rejected line; print the first one of each reason and place in a message."""
         self.rejected[reason] += 1
-        if self.rejected[reason] == 1:
+        mistake = (reason, where.partition(" - at ")[2])
+        if mistake not in self._quoted:
+            self._quoted.add(mistake)
             quoted = text[:120].decode("utf-8", "backslashreplace")
             message = visible(redact(": ".join(filter(None, [where, quoted]))))
             print(
-                f"camtopod: {message} (further lines rejected for this reason are only counted)",
+                f"camtopod: {message} (further ones are only counted)",
                 file=sys.stderr,
             )
 
@@ -133,17 +152,32 @@ class LineReader:
         return f"{sum(self.rejected.values())} of {self.read} lines were rejected: {reasons}"
 
 
-def numbered(file: BinaryIO, bytes_max: int) -> Iterator[tuple[int, bytes]]:
-    """Yield the lines that are not blank with their numbers; a longer line is cut to ``bytes_max``
-    + 1.
+def numbered(path: str, file: BinaryIO, frames: Frames) -> Iterator[tuple[int, bytes]]:
+    """Yield the messages of a file as soon as they have come, with the numbers of their lines.
+
+    Raises `InputError` for a file that is no text in UTF-8 or ASCII.
     """
-    number = 0
-    while raw := file.readline(bytes_max + 2):
-        number += 1
-        while not raw.endswith(b"\n") and len(raw) > bytes_max and (more := file.readline(1 << 16)):
-            raw = raw[: bytes_max + 1] + (b"\n" if more.endswith(b"\n") else b"")
-        if text := raw.strip():
-            yield number, text
+    while piece := file.read1(_PIECE_BYTES):  # type: ignore[attr-defined]
+        if form := frames.is_new and _form(piece):
+            raise InputError(f"{path} is {form}")
+        yield from frames.feed(piece)
+    yield from frames.end()
+
+
+def _form(head: bytes) -> str:
+    """Return what a file is that begins with ``head``, and what to do; "" if it may be text."""
+    for magic, form in _PACKED.items():
+        if head.startswith(magic):
+            return form
+    zeros = [byte == 0 for byte in head[:4]]
+    for encoding, is_it in (
+        ("UTF-16", head.startswith((b"\xff\xfe", b"\xfe\xff"))),
+        ("UTF-16LE", zeros == [False, True] * 2),
+        ("UTF-16BE", zeros == [True, False] * 2),
+    ):
+        if is_it:
+            return f"in {encoding}: save it as UTF-8, or pipe it through iconv -f {encoding}"
+    return ""
 
 
 def open_input(path: str) -> BinaryIO:

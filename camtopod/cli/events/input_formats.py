@@ -10,7 +10,16 @@ from collections.abc import Iterator
 from typing import Any
 
 from camtopod import mqtt
-from camtopod.adapt import ANY_CAMERA, FORMATS, LINE_BYTES_MAX, Adapter, FormatOptions, Size
+from camtopod.adapt import (
+    ANY_CAMERA,
+    FORMATS,
+    LINE_BYTES_MAX,
+    Adapter,
+    FormatOptions,
+    Frames,
+    Size,
+    messages_in,
+)
 from camtopod.cli import exits
 from camtopod.cli.common import camera_id
 from camtopod.cli.events import broker_options
@@ -86,7 +95,11 @@ def events(
                 source, adapter.topic, with_topics=adapter.topic == "#"
             )
         stack.callback(messages.close)
-        lines = ((reader.read + 1, text) for text in messages.read(stop, ticks=True))
+        lines = (
+            (reader.read + 1, text)
+            for content in messages.read(stop, ticks=True)
+            for text in messages_in(content, LINE_BYTES_MAX, adapter.xml) or [b""]
+        )
         return reader.adapted(messages.topic, lines, adapter, live=True)
 
     if args.password_file or args.ca:
@@ -96,7 +109,8 @@ def events(
         stack.callback(file.close)
     if adapter is None:
         return (line.event for line in reader.lines(args.file, file))
-    return reader.adapted(args.file, numbered(file, LINE_BYTES_MAX), adapter)
+    frames = Frames(LINE_BYTES_MAX, adapter.xml)
+    return reader.adapted(args.file, numbered(args.file, file, frames), adapter)
 
 
 def adapter_for(args: argparse.Namespace) -> Adapter | None:
