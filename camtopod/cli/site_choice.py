@@ -8,7 +8,7 @@ import logging
 from msgspec.structs import replace
 
 from camtopod.config import Config, SiteSettings
-from camtopod.serve.bus import Bus, dial, sites_instead, take_only_site
+from camtopod.serve.bus import Bus, dial, in_words, sites_instead, take_only_site
 
 log = logging.getLogger(__name__)
 
@@ -35,6 +35,4 @@ def right_site(bus: Bus, config: Config) -> str:
 
 
 def _named(sites: list[str]) -> str:
-    if not sites:
-        return ""
-    return f"; there is a daemon of site {' and of site '.join(sites)}: add --site {sites[0]}"
+    return in_words(sites) + (f": add --site {sites[0]}" if sites else "")

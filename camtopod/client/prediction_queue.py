@@ -8,7 +8,7 @@ from collections import deque
 from camtopod import codec
 from camtopod.client.wakeup import ChangeSignal
 from camtopod.records import CAMERA_PATTERN, Prediction
-from camtopod.serve.bus import Bus
+from camtopod.serve.bus import Bus, guard
 
 WAITING_MAX = 1000
 """Predictions that may wait to be read; beyond it the oldest are dropped and counted."""
@@ -26,6 +26,7 @@ class PredictionQueue:
         self.dropped = 0
         """Predictions dropped because the queue was full."""
         self._unsubscribe = bus.subscribe(f"prediction/{camera or '*'}", self._on_prediction)
+        guard(self)
 
     @property
     def closed(self) -> bool:

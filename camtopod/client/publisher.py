@@ -15,7 +15,7 @@ from camtopod import codec
 from camtopod.client.site_view import Settings, settings_of
 from camtopod.config import Config
 from camtopod.records import CAMERA_PATTERN, Event
-from camtopod.serve.bus import Bus, BusError, dial
+from camtopod.serve.bus import Bus, BusError, dial, guard, note_use
 from camtopod.serve.outbox import Publisher as Outbox, open_spool
 from camtopod.serve.storage import StateError
 
@@ -35,7 +35,7 @@ class Publisher(contextlib.AbstractContextManager["Publisher"]):
 
     A daemon that is not there is waited for in the background, and events that no daemon has stored
     by the end are published when the camera's next publisher starts. All methods may be called from
-    any thread.
+    any thread, but not in a forked child (`BusError`): start processes by "spawn".
 
     camera: id of the camera; one program at a time may publish it.
     site, connect, config: as for `camtopod.client.Topology.connect`.
@@ -56,6 +56,7 @@ class Publisher(contextlib.AbstractContextManager["Publisher"]):
     ) -> None:
         if not re.match(CAMERA_PATTERN, camera):
             raise ValueError(f"camera {camera!r}: 1 to 64 of the characters A-Z a-z 0-9 _ . -")
+        note_use()
         settings = settings_of(site, connect, config)
         directory = settings.state_directory if state is None else Path(state)
         self.camera = camera
@@ -68,6 +69,7 @@ class Publisher(contextlib.AbstractContextManager["Publisher"]):
             target=self._keep_going, args=[settings], name=f"publisher of {camera}", daemon=True
         )
         self._thread.start()
+        guard(self)
         atexit.register(self.close)  # a thread inside zenoh must not see the interpreter end
 
     def publish(self, *events: Event) -> None:

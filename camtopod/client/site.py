@@ -29,7 +29,7 @@ class Topology(SiteView, contextlib.AbstractContextManager["Topology"]):
 
         Returns when the topology has been received, or when it is certain that there is none yet. A
         missing daemon behind a router and an empty topology are not errors: see `stale_since` and
-        `current`.
+        `current`; that other sites have a daemon, and this one has none, is logged.
 
         site: name of the site; without it the configuration's, else ``site`` or, if that has no
             daemon, the only one on the bus that has.
@@ -39,7 +39,9 @@ class Topology(SiteView, contextlib.AbstractContextManager["Topology"]):
             as `[bus.tls]` with the certificate that `camtopod keys reader` makes, or
             `connect_seconds`.
 
-        Raises `BusError` (an OSError) if no endpoint can be reached;
+        A forked child cannot use the bus: start processes by "spawn", and connect in each.
+
+        Raises `BusError` (an OSError) if no endpoint can be reached, and after a fork;
         `camtopod.config.settings.ConfigError` or OSError if the file cannot be read; ValueError for
         an invalid site or endpoint.
         """

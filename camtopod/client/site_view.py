@@ -31,6 +31,8 @@ from camtopod.serve.bus import (
     BusError,
     TopologySubscriber,
     dial,
+    guard,
+    in_words,
     sites_instead,
     take_only_site,
 )
@@ -77,8 +79,9 @@ class SiteView:
         # Close the session on failure: a program with an open session does not terminate.
         with contextlib.ExitStack() as undo:
             undo.callback(self._bus.close)
-            if site is None:
-                take_only_site(self._bus, settings, sites_instead(self._bus, settings))
+            others = sites_instead(self._bus, settings)
+            if others and not (site is None and take_only_site(self._bus, settings, others)):
+                log.warning("no daemon of site %s is there%s", self._bus.site, in_words(others))
             self._view = TopologySubscriber(self._bus)
             self._bus.subscribe("topology", lambda key, payload: self._wake.set())
             self._bus.watch_alive("daemon", self._on_daemon)
@@ -86,6 +89,7 @@ class SiteView:
             self._refresh()
             self._thread.start()
             undo.pop_all()
+        guard(self)
 
     @property
     def site(self) -> str:

@@ -13,6 +13,7 @@ from msgspec.structs import replace
 from serving import free_endpoint, small_config
 
 from camtopod.cli.site_choice import dial_as_reader, right_site
+from camtopod.client import Topology
 from camtopod.config import Config, SiteSettings
 from camtopod.serve.bus import dial
 from camtopod.serve.daemon import Daemon
@@ -54,6 +55,10 @@ def test_a_reader_keeps_the_site_that_it_was_told(
         assert site == "hq"
     said = "no daemon of site hq is there; there is a daemon of site mall: add --site mall"
     assert caplog.text.count(said) == 2
+    caplog.clear()
+    with Topology.connect("hq", connect=mall.endpoint) as view:
+        assert view.current is None
+    assert "no daemon of site hq is there; there is a daemon of site mall" in caplog.text
 
 
 def test_with_several_sites_none_is_taken(mall: Daemon, tmp_path: Path) -> None:

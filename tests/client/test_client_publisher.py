@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+import os
+import signal
 import subprocess
 import sys
+from collections.abc import Callable
 from pathlib import Path
 
 import pytest
@@ -11,7 +14,7 @@ from fake_bus_daemon import running
 from paths import ROOT
 from serving import WAIT_SECONDS, free_endpoint, wait_for, walkers
 
-from camtopod.client import Event, Publisher, StateError
+from camtopod.client import BusError, Event, Publisher, StateError, Topology
 
 EVENTS = [event for event in walkers(20) if event.camera == "a"]
 
@@ -43,6 +46,60 @@ def test_events_wait_for_a_daemon_that_comes_later(tmp_path: Path) -> None:
 
         assert publisher.wait_stored(WAIT_SECONDS)
         wait_for(lambda: daemon.status().events.stored == len(EVENTS), "all events")
+
+
+@pytest.mark.filterwarnings("ignore:.*fork:DeprecationWarning")
+def test_a_forked_child_is_told_at_once_and_takes_nothing_from_its_parent(tmp_path: Path) -> None:
+    endpoint = free_endpoint()
+    state = tmp_path / "state-of-a"
+    with (
+        running(tmp_path, endpoint) as daemon,
+        Topology.connect(connect=endpoint) as site,
+        site.predictions() as predictions,
+        Publisher("a", connect=endpoint, state=state) as publisher,
+    ):
+        publisher.publish(*EVENTS[:1])
+        for use in (
+            lambda: publisher.publish(EVENTS[1]),
+            lambda: publisher.wait_stored(WAIT_SECONDS),
+            lambda: site.current,
+            lambda: predictions.get(WAIT_SECONDS),
+            lambda: Topology.connect(connect=endpoint),
+            lambda: Publisher("b", connect=endpoint, state=state),
+        ):
+            assert "BusError: this process was forked" in said_by_child(use)
+        assert said_by_child(lambda: publisher.close()) == "done", "it is the parent's to close"
+        publisher.publish(*EVENTS[1:])
+        assert publisher.wait_stored(WAIT_SECONDS)
+        wait_for(lambda: daemon.status().events.stored == len(EVENTS), "the parent's events")
+
+        # A worker that lives on does not keep the spool.
+        worker = os.fork()
+        if worker == 0:
+            signal.pause()
+        publisher.close()
+        Publisher("a", connect=endpoint, state=state).close()
+        os.kill(worker, signal.SIGKILL)
+        os.waitpid(worker, 0)
+
+
+def said_by_child(use: Callable[[], object]) -> str:
+    """Return the error of ``use`` in a forked child, or "done"."""
+    receiving, sending = os.pipe()
+    child = os.fork()
+    if child == 0:
+        said = "done"
+        try:
+            use()
+        except BusError as error:
+            said = f"{type(error).__name__}: {error}"
+        os.write(sending, said.encode())
+        os._exit(0)
+    os.close(sending)
+    with open(receiving) as pipe:
+        said = pipe.read()
+    os.waitpid(child, 0)
+    return said
 
 
 def test_what_is_wrong_is_refused_before_anything_is_stored(tmp_path: Path) -> None:

@@ -2,14 +2,16 @@
 
 Start with `session`: `Bus`, one program's session, opened by `dial` (a client) or
 `open_daemon_session` (the daemon, which other programs connect to). `topology_subscriber` follows
-the daemon's topology, and `site_choice` finds the site where none was named. The other modules
-serve the daemon: `access` (who may connect), `sockets` (an option of connections) and
-`single_daemon` (detect a second daemon of the site).
+the daemon's topology, and `site_choice` finds the site where none was named. `forks`
+has what a forked child must not use. The other modules serve the daemon: `access` (who may
+connect), `sockets` (an option of connections) and `single_daemon` (detect a second daemon of the
+site).
 """
 
 from __future__ import annotations
 
 from camtopod.serve.bus import access as access, session as session
+from camtopod.serve.bus.forks import guard as guard, note_use as note_use
 from camtopod.serve.bus.session import (
     JSON as JSON,
     QUERY_SECONDS as QUERY_SECONDS,
@@ -23,6 +25,7 @@ from camtopod.serve.bus.session import (
 )
 from camtopod.serve.bus.single_daemon import OtherDaemons as OtherDaemons
 from camtopod.serve.bus.site_choice import (
+    in_words as in_words,
     sites_instead as sites_instead,
     take_only_site as take_only_site,
 )

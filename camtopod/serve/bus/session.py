@@ -26,7 +26,7 @@ from camtopod.config import BusSettings, Config
 from camtopod.keys.rules import PREFIX
 from camtopod.records import NAME_PATTERN
 from camtopod.redact import redact
-from camtopod.serve.bus import access, sockets
+from camtopod.serve.bus import access, forks, sockets
 from camtopod.serve.bus.access import BusError as BusError
 from camtopod.serve.runtime import clock
 
@@ -92,6 +92,7 @@ class Bus(contextlib.AbstractContextManager["Bus"]):
         self._closed = threading.Event()
         self._asked = threading.Condition()
         self._asking = 0  # requests that have not ended
+        forks.guard(self)
 
     def publish(self, key: str, message: Any, schema: str) -> None:
         """Publish a struct as MessagePack, without confirmation (see `camtopod.serve.outbox`)."""
@@ -440,7 +441,8 @@ def _open(
     connect: Sequence[str] = (),
     listen: Sequence[str] = (),
 ) -> zenoh.Session:
-    """Open a zenoh session with these settings and endpoints."""
+    """Open a zenoh session with these settings and endpoints. Raises `BusError` after a fork."""
+    forks.note_use()
     settings = zenoh.Config()
     endpoints = {"connect/endpoints": list(connect), "listen/endpoints": list(listen)}
     for key, value in {**values, **endpoints}.items():

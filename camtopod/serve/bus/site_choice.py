@@ -14,6 +14,11 @@ def sites_instead(bus: Bus, config: Config) -> list[str]:
     return [] if bus.site in sites else sites
 
 
+def in_words(others: list[str]) -> str:
+    """Return the sites that have a daemon, as the end of a message that one has none."""
+    return f"; there is a daemon of site {' and of site '.join(others)}" if others else ""
+
+
 def take_only_site(bus: Bus, config: Config, others: list[str]) -> bool:
     """Make ``bus`` one of the only site that has a daemon, if the configuration names no site.
 

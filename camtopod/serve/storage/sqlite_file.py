@@ -14,6 +14,7 @@ import logging
 import os
 import shutil
 import sqlite3
+import weakref
 import zlib
 from collections.abc import Iterator, Sequence
 from pathlib import Path
@@ -52,7 +53,7 @@ class Displaced(sqlite3.OperationalError):
 
 
 class Lock:
-    """Exclusive lock on a path, until it is closed or the process ends."""
+    """Exclusive lock on a path, until it is closed or the process ends; children do not keep it."""
 
     def __init__(self, path: Path) -> None:
         try:
@@ -71,6 +72,7 @@ class Lock:
                 f"{path} is held by another camtopod process; "
                 f"stop that one or use another state directory"
             ) from None
+        _locks.add(self)
 
     def read(self, size: int) -> bytes:
         """Return the first ``size`` bytes of the file. Raises `OSError`."""
@@ -85,6 +87,18 @@ class Lock:
         if self._fd >= 0:
             os.close(self._fd)
             self._fd = -1
+
+
+_locks: weakref.WeakSet[Lock] = weakref.WeakSet()
+
+
+def _release() -> None:
+    """Leave the parent's locks to the parent, in a forked child."""
+    for lock in list(_locks):
+        lock.close()
+
+
+os.register_at_fork(after_in_child=_release)
 
 
 def lock_reason(path: Path) -> str:
