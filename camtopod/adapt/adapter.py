@@ -16,13 +16,9 @@ LINE_BYTES_MAX = 1024 * 1024
 REMEMBERED_MAX = 10_000
 """Objects remembered, the latest ones, so that a repeated message counts once."""
 OUTSIDE_MAX = 0.1
-"""Largest distance of a foot point from the picture, in fractions of it.
-
-A box may reach a little beyond the border. One that lies further out is in other units, or refers
-to a picture of another size.
-"""
+"""Largest distance of a foot point from the picture, in fractions of it: boxes are inexact."""
 OUTSIDE_BOXES = 20
-"""Boxes of a camera outside its picture after which that is said: a tracker errs now and then."""
+"""Boxes of a camera outside its picture after which that is said: a few may be errors."""
 ANY_CAMERA = ""
 """Key in `Sizes` for all cameras that are not named."""
 

@@ -21,15 +21,8 @@ from msgspec import Meta, Struct
 from msgspec.structs import replace
 
 from camtopod import codec
-from camtopod.adapt.adapter import (
-    ANY_CAMERA,
-    OUTSIDE_MAX,
-    Adapter,
-    Sizes,
-    remember,
-    size_of,
-    split_topic,
-)
+from camtopod.adapt import adapter
+from camtopod.adapt.adapter import Adapter, Sizes, remember, size_of, split_topic
 from camtopod.adapt.kinds import Votes, counts, plain, vote
 from camtopod.adapt.tracks import in_picture
 from camtopod.codec import Rejected
@@ -158,7 +151,7 @@ class Frigate(Adapter):
         return events
 
     def _knows_size(self, camera: str) -> bool:
-        return camera in self._sizes or ANY_CAMERA in self._sizes
+        return camera in self._sizes or adapter.ANY_CAMERA in self._sizes
 
     def _event(self, kind: Kind, seen: _Seen) -> Event:
         """Return an event at the foot of the box, or at the end of the path if the size is unknown.
@@ -176,7 +169,7 @@ class Frigate(Adapter):
 
 def _at_point(kind: Kind, seen: _Seen, point: Point) -> Event:
     (x, y), t = point
-    foot = in_picture(x, y, OUTSIDE_MAX)
+    foot = in_picture(x, y, adapter.OUTSIDE_MAX)
     if foot is None:
         raise Rejected("outside", "the object lies outside the picture: is --size right?")
     return Event(seen.camera, kind, round(t, 6), *foot, seen.id)

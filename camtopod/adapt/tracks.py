@@ -191,7 +191,7 @@ class TrackEvents:
         for ended, track in list(lost):
             if track.votes is not None:
                 remember(self._verdicts, ended, min(max(track.votes, -1), 1))
-            events += self._exits([ended])
+            events += self._exit(ended, self._tracks.pop(ended))
         named: Sequence[str | None] = [None] * len(labels) if kinds is None else kinds
         for label, corner, what in zip(labels, corners.reshape(-1, 4).tolist(), named, strict=True):
             events += self._seen(label, corner, what, t)
@@ -199,7 +199,10 @@ class TrackEvents:
 
     def end(self, name: Any) -> list[Event]:
         """End the track of an id that the tracker declares ended; return its exit, if any."""
-        return self._exits([label for label in [_label(name)] if label in self._tracks])
+        label = _label(name)
+        if label is None or label not in self._tracks:
+            return []
+        return self._exit(label, self._tracks.pop(label))
 
     def lose(self) -> list[Event]:
         """Return the exits of all tracks, as no frame has come for too long.
@@ -246,11 +249,6 @@ class TrackEvents:
     def _begin_anew(self) -> None:
         self._tracks = {}
         self._t = -math.inf
-
-    def _exits(self, labels: Sequence[str]) -> list[Event]:
-        """Remove tracks; return the exits of those that count as objects."""
-        gone = [(label, self._tracks.pop(label)) for label in labels]
-        return [event for label, track in gone for event in self._exit(label, track)]
 
     def _exit(self, label: str, track: _Track) -> list[Event]:
         """Return the exit of a track that counts, and its entry if that has waited for the kind."""
