@@ -5,8 +5,10 @@ Each part is a module of this package with ``main(argv) -> int``.
 
 from __future__ import annotations
 
+import ast
 import sys
 from importlib import import_module
+from pathlib import Path
 from pkgutil import iter_modules
 
 import bench
@@ -19,7 +21,10 @@ def main(argv: list[str]) -> int:
         if not module.ispkg and not module.name.startswith("_")
     )
     if not argv or argv[0] not in parts:
-        print(f"usage: python -m bench {{{','.join(parts)}}} [ARGUMENTS]", file=sys.stderr)
+        print("usage: python -m bench PART [ARGUMENTS]; PART is one of", file=sys.stderr)
+        for name in parts:
+            said = ast.get_docstring(ast.parse(Path(bench.__path__[0], f"{name}.py").read_text()))
+            print(f"  {name:<11} {(said or '').splitlines()[0]}", file=sys.stderr)
         return 2
     part = import_module(f"bench.{argv[0]}")
     status: int = part.main(argv[1:])

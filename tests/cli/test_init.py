@@ -14,7 +14,7 @@ import msgspec
 import numpy as np
 import pytest
 from rendered_scenes import FPS, Person, Scene, line
-from serving import camtopod, small_config
+from serving import camtopod, free_endpoint, small_config
 
 from bench.support.rtsp_streams import Host, hang_up, rtsp_answer, silent
 from camtopod import redact
@@ -403,3 +403,20 @@ def test_check_probe_opens_the_cameras_and_the_bus(
         path.write_text(f'[site]\nname = "other"\n[bus]\nconnect = ["{daemon.endpoint}"]\n')
         assert main(["check", str(path), "--probe"]) == 69
         assert ", but no daemon of site other is there" in capsys.readouterr().err
+
+
+def test_check_probe_before_the_first_start_finds_nothing_wrong(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    path = tmp_path / "c.toml"
+    here = free_endpoint()
+    away = '[bus]\nconnect = ["tcp/127.0.0.1:1"]\nconnect_seconds = 0.1\n'
+    for text, status, said, warned in (
+        (f'[bus]\nlisten = ["{here}"]\nconnect_seconds = 0.1\n', 0, f"begins it at {here}", False),
+        (away, 69, "cannot reach", True),
+    ):
+        path.write_text(text)
+        assert main(["check", str(path), "--probe"]) == status
+        err = capsys.readouterr().err
+        assert said in err
+        assert ("no authentication" in err) is warned

@@ -6,7 +6,6 @@ import contextlib
 import fcntl
 import os
 import pty
-import signal
 import struct
 import subprocess
 import sys
@@ -233,9 +232,11 @@ class Terminal:
     def resize(self, columns: int, rows: int) -> None:
         fcntl.ioctl(self._fd, termios.TIOCSWINSZ, struct.pack("HHHH", rows, columns, 0, 0))
 
+    def press(self, key: bytes) -> None:
+        os.write(self._fd, key)
+
     def close(self) -> int:
-        """Interrupt the program and return its status."""
-        self.process.send_signal(signal.SIGINT)
+        """Wait for the program's end and return its status."""
         status = self.process.wait(30)
         self._reader.join(5)
         os.close(self._fd)
@@ -259,6 +260,7 @@ def test_in_a_terminal_through_a_restart(tmp_path: Path, monkeypatch: pytest.Mon
         wait_for(lambda: "1 rejected" in terminal.text, "word of the daemon that came back")
         terminal.resize(40, 10)
         wait_for(lambda: "the firs…" in terminal.text, "a narrow screen")
+        terminal.press(b"xq")
     assert terminal.close() == 0
     assert terminal.text.endswith("\x1b[?25h\x1b[?1049l"), "cursor and screen are as they were"
 

@@ -18,7 +18,7 @@ from camtopod.cli.common import writing
 from camtopod.cli.site_choice import right_site
 from camtopod.config import CameraSettings, Config, detector_line, key_lines
 from camtopod.redact import redact, remember
-from camtopod.serve.bus import BusError, dial
+from camtopod.serve.bus import BusError, access, dial
 from camtopod.visible import visible
 from camtopod.vision.detector.model import ModelReport
 from camtopod.vision.settings import DetectorSettings
@@ -162,6 +162,10 @@ def _print(line: str) -> None:
 def _bus(config: Config) -> tuple[int, str]:
     """Return exit status and state of the bus."""
     try:
+        access.check_files(config)
+    except BusError as error:
+        return exits.BUS, str(error)
+    try:
         with dial(config.certified(next(iter(config.cameras), ""))) as bus:
             # A camera's certificate does not allow to see whether a daemon is there.
             if bus.list_alive("daemon") or config.bus.tls.ca:
@@ -171,4 +175,6 @@ def _bus(config: Config) -> tuple[int, str]:
                 f"connected to {bus.endpoint}, but no daemon of site {bus.site} is there{advice}"
             )
     except BusError as error:
+        if config.listens:  # it is this machine that begins it
+            return exits.DONE, f"not there yet: `camtopod run` begins it at {config.listens[0]}"
         return exits.BUS, str(error)

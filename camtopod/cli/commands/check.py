@@ -100,7 +100,10 @@ def run(args: argparse.Namespace) -> int:
 
     # Warn of files and a bus that are open to others.
     warnings = secret_files.find_exposed(loaded.secrets(path))
-    for warning in filter(None, [*warnings, access.openness_warning(loaded)]):
+    open_to = access.openness_warning(loaded)
+    if open_to and not (loaded.listens and all(map(access.is_local, loaded.listens))):
+        warnings.append(open_to)  # on one machine, `run` says it
+    for warning in warnings:
         print(f"{path}: warning: {warning}", file=sys.stderr)
 
     # Say what holds for each camera.

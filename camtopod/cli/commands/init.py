@@ -97,9 +97,11 @@ def run(args: argparse.Namespace) -> int:
     settings = configuration(args)
     given = named_sources(args.sources)
     if adding and (twice := given.keys() & settings.cameras.keys()):
+        files = [settings.cameras[name].source_file for name in sorted(twice)]
+        places = " and ".join(filter(None, ["that table", *files]))
         raise CommandError(
             f"{args.out} has cameras.{', cameras.'.join(sorted(twice))} already: give another name "
-            f"(NAME=SOURCE) or edit that table; --force writes the whole file anew"
+            f"(NAME=SOURCE) or edit {places}; --force writes the whole file anew"
         )
     cameras, refusals = streams_by_onvif(given)
     for name, reason in refusals.items():

@@ -7,10 +7,15 @@ lines, again and again.
 from __future__ import annotations
 
 import argparse
+import contextlib
 import logging
+import os
+import select
 import sys
+import termios
 import threading
-from collections.abc import Callable
+import tty
+from collections.abc import Callable, Iterator
 from typing import Any
 
 from camtopod.cli import exits
@@ -29,6 +34,8 @@ from camtopod.serve.bus import TopologySubscriber
 from camtopod.serve.runtime import clock
 from camtopod.visible import visible
 
+log = logging.getLogger(__name__)
+
 REFRESH_SECONDS = 0.5
 """Interval between two views."""
 
@@ -39,7 +46,8 @@ def add_parser(subparsers: Any) -> None:
         "watch",
         help="show cameras, topology and predictions live in the terminal",
         description="Shows cameras, the learned topology and predictions as they arrive, until "
-        "interrupted: on the whole screen with rich ([terminal]), else as lines.",
+        "interrupted or, on the screen, q is pressed: on the whole screen with rich ([terminal]), "
+        "else as lines.",
         epilog="example: camtopod --site hq watch",
     )
     parser.add_argument("--once", action="store_true", help="show the state once and end")
@@ -84,6 +92,7 @@ def on_screen(view: Callable[[], list[str]], stop: threading.Event) -> bool:
         from rich.live import Live
         from rich.text import Text
     except ModuleNotFoundError:
+        log.info("with rich (pip install 'camtopod[terminal]') this fills the screen")
         return False
     console = Console()
     if console.is_dumb_terminal:
@@ -91,20 +100,45 @@ def on_screen(view: Callable[[], list[str]], stop: threading.Event) -> bool:
 
     logging.disable()  # messages would disturb the screen
     try:
-        with Live(console=console, screen=True, auto_refresh=False) as live:
+        with Live(console=console, screen=True, auto_refresh=False) as live, _keys():
             while not stop.is_set():
                 texts = [Text(part, no_wrap=True, overflow="ellipsis") for part in view()]
                 for text in texts:
                     text.highlight_regex("(?m)^!.*", "bold yellow")
                 state, *tables = texts
+                state.append("\nq ends it", style="dim")
                 screen = Layout()
                 state_part = Layout(state, size=len(state.plain.splitlines()) + 1)
                 screen.split_column(state_part, *map(Layout, tables))
                 live.update(screen, refresh=True)
-                stop.wait(REFRESH_SECONDS)
+                if _pressed(stop) in (b"q", b"Q"):
+                    break
     finally:
         logging.disable(logging.NOTSET)
     return True
+
+
+@contextlib.contextmanager
+def _keys() -> Iterator[None]:
+    """Take keys from the terminal one by one, unseen, while the block runs."""
+    if not sys.stdin.isatty():
+        yield
+        return
+    before = termios.tcgetattr(0)
+    tty.setcbreak(0)
+    try:
+        yield
+    finally:
+        termios.tcsetattr(0, termios.TCSADRAIN, before)
+
+
+def _pressed(stop: threading.Event) -> bytes:
+    """Return the key that is pressed until the next view; b"" if there is none."""
+    if not sys.stdin.isatty():
+        stop.wait(REFRESH_SECONDS)
+    elif select.select([0], [], [], REFRESH_SECONDS)[0]:
+        return os.read(0, 1)
+    return b""
 
 
 def parts(site: SiteState, topology: Topology | None, now: float) -> list[str]:
