@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import contextlib
+import re
 import sqlite3
+import threading
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -12,6 +14,7 @@ import pytest
 from serving import T0, small_config
 
 from camtopod import codec
+from camtopod.cli.commands import ingest as ingest_command
 from camtopod.cli.main import main
 from camtopod.config import Limits
 from camtopod.config.settings import SiteSettings
@@ -21,11 +24,11 @@ from camtopod.serve.outbox.spool_files import open_ingest_spool
 
 
 @contextlib.contextmanager
-def site(folder: Path, name: str, **limits: float) -> Iterator[Daemon]:
+def site(folder: Path, name: str, now: float = T0 + 100_000.0, **limits: float) -> Iterator[Daemon]:
     """Run a daemon of a site, with a state directory of its own."""
     config = small_config(folder / name, **limits)
     config = msgspec.structs.replace(config, site=SiteSettings(name))
-    with Daemon(config, clock=lambda: T0 + 100_000.0) as daemon:
+    with Daemon(config, clock=lambda: now) as daemon:
         yield daemon
 
 
@@ -92,23 +95,65 @@ def test_what_became_of_the_events_is_said(
         assert f"{events} events stored, {events - 1} of them late" in capsys.readouterr().err
         assert daemon.status().events.stored == 2 * events + 22
 
+        # A file that has grown, and one that only begins in the same way.
+        more = [Event("lobby", "exit", T0 + 20_010.0 + n) for n in range(4)]
+        grown = lines(recording, [Event("lobby", "entry", T0 + t) for t in times] + more[:2])
+        assert ingest(daemon, tmp_path, grown) == 0
+        assert "2 events stored\n" in capsys.readouterr().err
+        with grown.open("ab") as file:
+            file.write(codec.to_json(more[2]) + b"\n")
+        assert ingest(daemon, tmp_path, grown) == 0
+        assert "1 events stored\n" in capsys.readouterr().err
+        other = lines(tmp_path / "c.jsonl", [Event("lobby", "entry", T0), more[3]])
+        assert ingest(daemon, tmp_path, other) == 0
+        assert "2 events stored, 1 of them late" in capsys.readouterr().err
 
-def test_a_camera_too_many_ends_it_and_left_events_of_one_hold_nothing_up(
+
+def test_cameras_too_many_end_it_and_left_events_of_them_hold_nothing_up(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
+    """Also beside another process, which has a spool of its own."""
     right = lines(tmp_path / "a.jsonl", [Event("lobby", "entry", T0 + n) for n in range(10)])
-    wrong = lines(tmp_path / "b.jsonl", [Event("invented", "entry", T0 + n) for n in range(5)])
+    wrong = lines(tmp_path / "b.jsonl", [Event(f"name{n}", "entry", T0 + n) for n in range(100)])
 
     with site(tmp_path, "a", cameras_max=1) as daemon:
         assert ingest(daemon, tmp_path, right) == 0
         assert ingest(daemon, tmp_path, wrong) == 1
-        assert "5 events are dropped" in capsys.readouterr().err
+        said = capsys.readouterr().err
+        assert "limits.cameras_max (1) is reached" in said
+        assert re.search(r"; [0-9]+ events of [0-9]+ cameras? are dropped", said)
+        assert said.count("\n") < 5
         with contextlib.closing(open_ingest_spool(tmp_path / "here", "a", Limits())) as spool:
             spool.append([Event("invented", "entry", T0)])
+            assert ingest(daemon, tmp_path, right, "--anew") == 0
+            assert (spool.waiting("lobby"), spool.waiting("invented")) == (0, 1)
         assert ingest(daemon, tmp_path, right, "--anew") == 0
         with contextlib.closing(open_ingest_spool(tmp_path / "here", "a", Limits())) as spool:
             assert (spool.waiting("lobby"), spool.waiting("invented")) == (0, 1)
-    assert stored(tmp_path, "a") == 20
+    assert stored(tmp_path, "a") == 30
+
+
+def test_who_waits_for_a_daemon_that_takes_nothing_says_why(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    first = lines(tmp_path / "a.jsonl", [Event("lobby", "entry", T0 + 90_000.0)])
+    second = lines(tmp_path / "b.jsonl", [Event("lobby", "entry", T0)])
+    with site(tmp_path, "a") as daemon:
+        assert ingest(daemon, tmp_path, first) == 0
+
+    monkeypatch.setattr(ingest_command, "PATIENCE_SECONDS", 0.2)
+    with site(tmp_path, "a", now=T0) as daemon:
+        says = ingest_command.log.warning
+
+        def warning(text: str, *values: object) -> None:
+            says(text, *values)
+            threading.Thread(target=daemon.stop).start()
+
+        monkeypatch.setattr(ingest_command.log, "warning", warning)
+        assert ingest(daemon, tmp_path, second) == 69
+    said = capsys.readouterr().err
+    assert "still waiting, 1 events are not stored: this machine's clock is" in said
+    assert "1 events are not stored: is `camtopod run` running" in said
 
 
 def test_no_line_that_fits_is_an_input_that_cannot_be_read(tmp_path: Path) -> None:

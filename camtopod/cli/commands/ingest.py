@@ -7,9 +7,11 @@ import contextlib
 import hashlib
 import logging
 import queue
+import re
+import sys
 import threading
 from collections import Counter
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Collection, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import Any
@@ -18,7 +20,7 @@ import msgspec
 
 from camtopod.adapt import FORMATS
 from camtopod.cli import exits
-from camtopod.cli.common import configuration, open_output, start_logging, until_signal
+from camtopod.cli.common import configuration, counted, open_output, start_logging, until_signal
 from camtopod.cli.events.event_lines import LineReader
 from camtopod.cli.events.input_formats import add_options, events
 from camtopod.cli.exits import CommandError, InputError
@@ -28,7 +30,13 @@ from camtopod.codec import to_json
 from camtopod.config import Config
 from camtopod.records import Event
 from camtopod.serve.bus import Bus, dial
-from camtopod.serve.outbox import TRANSACTION_EVENTS_MAX, UNANSWERED, Publisher, open_ingest_spool
+from camtopod.serve.outbox import (
+    TRANSACTION_EVENTS_MAX,
+    UNANSWERED,
+    Publisher,
+    Spool,
+    open_ingest_spool,
+)
 
 log = logging.getLogger(__name__)
 
@@ -43,6 +51,8 @@ PATIENCE_SECONDS = 10.0
 A visible daemon is waited for: it may be busy with a refit, or its disk may be full, as its status
 says.
 """
+_FILE_BOOT = re.compile(r"file-([0-9]{1,15})-[0-9a-f]{32}")
+"""Boot of a file's events: its length when it was ingested first, in bytes, and its digest."""
 _TICK_SECONDS = 0.2
 """Interval at which input, stored events and progress are checked."""
 
@@ -91,15 +101,19 @@ def run(args: argparse.Namespace) -> int:
 
         # Read and publish, or write.
         source = events(args, reader, stack, stop)
-        if args.out is None and not args.anew and Path(args.file).is_file():
-            source = numbered_by(_digest(args.file), source)
-        read = batches(source, TRANSACTION_EVENTS_MAX, stop, tell)
+        is_file = Path(args.file).is_file()
         status = exits.DONE
         if args.out is None:
-            status = _publish(config, read, stack, stop, progress)
+            spool = open_ingest_spool(config.state_directory, config.site.name, config.limits)
+            stack.callback(spool.close)
+            if is_file and not args.anew:
+                known = {boot for camera in spool.cameras() for boot in spool.boots(camera)}
+                source = numbered_by(boot_of(Path(args.file), known), source)
+            read = batches(source, TRANSACTION_EVENTS_MAX, stop, tell)
+            status = _publish(config, spool, read, stack, stop, progress)
         else:
-            live = not Path(args.file).is_file()
-            out = stack.enter_context(open_output(args.out, live=live))
+            read = batches(source, TRANSACTION_EVENTS_MAX, stop, tell)
+            out = stack.enter_context(open_output(args.out, live=not is_file))
             for batch in read:
                 out.writelines(to_json(event) + b"\n" for event in batch)
                 out.flush()
@@ -120,10 +134,26 @@ def run(args: argparse.Namespace) -> int:
     return status
 
 
-def _digest(path: str) -> str:
-    """Return the boot of a file's events: they count once however often it is ingested."""
-    with open(path, "rb") as file:
-        return f"file-{hashlib.file_digest(file, 'sha256').hexdigest()[:32]}"
+def boot_of(path: Path, known: Collection[str]) -> str:
+    """Return the boot of a file's events: they count once however often it is ingested.
+
+    It is named after the file's length and content. A file that has grown since goes on with the
+    boot of its beginning.
+
+    known: boots of earlier events.
+    """
+    lengths = sorted({int(found[1]) for boot in known if (found := _FILE_BOOT.fullmatch(boot))})
+    digest = hashlib.sha256()
+    read = 0
+    with path.open("rb") as file:
+        for length in [*lengths, sys.maxsize]:
+            while piece := file.read(min(length - read, 1 << 20)):
+                digest.update(piece)
+                read += len(piece)
+            boot = f"file-{read}-{digest.hexdigest()[:32]}"
+            if boot in known:
+                break
+    return boot
 
 
 def numbered_by(boot: str, source: Iterator[Event]) -> Iterator[Event]:
@@ -139,15 +169,13 @@ def numbered_by(boot: str, source: Iterator[Event]) -> Iterator[Event]:
 
 def _publish(
     config: Config,
+    spool: Spool,
     source: Iterator[list[Event]],
     stack: contextlib.ExitStack,
     stop: threading.Event,
     progress: Progress,
 ) -> int:
     """Publish events, wait until all are stored and log the outcome; return the exit status."""
-    # Open the spool and connect to the bus.
-    spool = open_ingest_spool(config.state_directory, config.site.name, config.limits)
-    stack.callback(spool.close)
     bus = dial(config)
     stack.callback(bus.close)
     publisher = Publisher(spool)
@@ -240,6 +268,7 @@ def _wait(
     Raises `CommandError` if no daemon stores any, or if it does not take one of the cameras.
     """
     patience = PATIENCE_SECONDS
+    told = False
     before = publisher.count_waiting(own=True)
     while not stop.is_set():
         progress.show("%d events published, %d not yet stored", publisher.published, before)
@@ -249,16 +278,22 @@ def _wait(
             for camera in refused:
                 publisher.drop(camera)
             raise CommandError(
-                f"camera {', '.join(refused)}: {next(iter(refused.values()))}; "
-                f"{publisher.dropped} events are dropped"
+                f"{next(iter(refused.values()))}; {publisher.dropped} events of "
+                f"{counted(len(refused), 'camera')} are dropped"
             )
         if unanswered := publisher.own_cameras_unanswered():
             raise CommandError(f"camera {', '.join(unanswered)}: {UNANSWERED}", exits.BUS)
         publisher.retry()
         now = publisher.count_waiting(own=True)
         patience -= _TICK_SECONDS
-        if now < before or (patience <= 0 and bus.list_alive("daemon")):
+        if now < before:
             patience = PATIENCE_SECONDS
+        elif patience <= 0 and bus.list_alive("daemon"):
+            patience = PATIENCE_SECONDS
+            if not told:
+                told = True
+                why = publisher.own_reason() or "the daemon is busy: `camtopod doctor` tells more"
+                log.warning("still waiting, %d events are not stored: %s", now, why)
         before = now
         if patience <= 0:
             raise CommandError(

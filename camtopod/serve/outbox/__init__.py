@@ -12,6 +12,7 @@ from camtopod.serve.outbox.publisher import (
     UNANSWERED as UNANSWERED,
     Publisher as Publisher,
 )
+from camtopod.serve.outbox.spool import Spool as Spool
 from camtopod.serve.outbox.spool_files import (
     open_ingest_spool as open_ingest_spool,
     open_spool as open_spool,

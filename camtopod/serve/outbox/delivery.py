@@ -43,6 +43,8 @@ class Delivery:
         """Number of this process's events that the daemon has refused."""
         self.no_room = ""
         """Why the daemon does not take this camera, which is one too many; "" if it does."""
+        self.reason = ""
+        """Why the daemon took nothing of the last request, in its words; "" if it did."""
         self.unanswered = 0
         """Number of requests in a row that ended without an answer."""
         self._spool = spool
@@ -94,6 +96,7 @@ class Delivery:
         moved = self._note_marks(request, answer)
         if moved:
             self._retry_seconds = RETRY_SECONDS
+        self.reason = answer.detail
         self.no_room = ""
         if answer.reason == "cameras":
             self.no_room = answer.detail or "the daemon has as many cameras as cameras_max allows"

@@ -156,6 +156,12 @@ class Publisher:
             if delivery.no_room and self._spool.is_own(camera)
         }
 
+    def own_reason(self) -> str:
+        """Return why the daemon takes nothing of this process's cameras; "" if it tells no reason."""
+        deliveries = list(self._deliveries.copy().values())
+        reasons = (one.reason for one in deliveries if self._spool.is_own(one.camera))
+        return next(filter(None, reasons), "")
+
     def own_cameras_unanswered(self) -> list[str]:
         """Return this process's cameras for which a daemon that is there does not answer.
 
@@ -278,10 +284,10 @@ class Publisher:
                 answer = codec.read(Answer, payload, pack=True)
             except codec.Rejected as error:
                 self.rejects.add(error.reason, f"store/{camera}", str(error), payload)
-        before = delivery.no_room
+        lacking = any(one.no_room for one in self._deliveries.copy().values())
         delivery.on_answer(request, answer, time.monotonic())
-        if delivery.no_room and not before:
-            log.error("camera %s: %s", camera, delivery.no_room)
+        if delivery.no_room and not lacking:  # of many cameras the first one
+            log.error("%s", delivery.no_room)
         if delivery.unanswered == UNANSWERED_MAX and self._daemons:
             log.error("camera %s: %s", camera, UNANSWERED)
 
