@@ -188,7 +188,7 @@ def test_nobody_there_or_somebody_else(
     assert f"cannot reach 127.0.0.1:{port}" in capsys.readouterr().err
 
 
-def test_bytes_that_wait_have_a_limit(
+def test_bytes_that_wait_have_a_limit_and_prefixes_may_be_any(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
 ) -> None:
     monkeypatch.setattr(mqtt, "WAITING_BYTES_MAX", 1000)
@@ -203,6 +203,11 @@ def test_bytes_that_wait_have_a_limit(
             broker.publish([b"y" * 900])
             assert next(read) == b"y" * 900
             stop.set()
+        anywhere = mqtt.broker(f"mqtt://127.0.0.1:{broker.port}/+", patterns=True)
+        subscription = mqtt.MessageSubscription(anywhere, "#", with_topics=True)
+        with contextlib.closing(subscription) as messages:
+            broker.publish([b"z"])
+            assert next(messages.read(threading.Event())) == b"frigate/events z"
     assert "3 messages of frigate/events were dropped" in caplog.text
 
 

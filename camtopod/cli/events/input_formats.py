@@ -73,7 +73,8 @@ def add_options(parser: argparse.ArgumentParser) -> None:
         group.add_argument(f"--{option}", help=f"{meaning} ({_formats(option)})", **arguments)
     names = ", ".join(name for name, one in FORMATS.items() if one.mqtt)
     group = parser.add_argument_group(
-        "MQTT", f"FILE may be mqtt[s]://[USER@]HOST[:PORT]/PREFIX ({names})"
+        "MQTT",
+        f"FILE may be mqtt[s]://[USER@]HOST[:PORT]/PREFIX ({names}); + in PREFIX is any level",
     )
     broker_options.add_options(group)
 
@@ -89,7 +90,7 @@ def events(
     if args.file.startswith(("mqtt:", "mqtts:")):
         if adapter is None or not FORMATS[args.format].mqtt:
             raise CommandError(f"{args.format} cannot be read from MQTT, give a file", exits.USAGE)
-        source = broker_options.broker_of(args, args.file)
+        source = broker_options.broker_of(args, args.file, patterns=True)
         with broker_options.connecting(exits.INPUT):
             messages = mqtt.MessageSubscription(
                 source, adapter.topic, with_topics=adapter.topic == "#"
