@@ -157,7 +157,7 @@ class Publisher:
         }
 
     def own_reason(self) -> str:
-        """Return why the daemon takes nothing of this process's cameras; "" if it tells no reason."""
+        """Return why the daemon takes nothing of this process's cameras; "" if it does."""
         deliveries = list(self._deliveries.copy().values())
         reasons = (one.reason for one in deliveries if self._spool.is_own(one.camera))
         return next(filter(None, reasons), "")
