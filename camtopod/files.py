@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import errno
 import os
+import shutil
 import stat
 from collections.abc import Iterator
 from pathlib import Path
@@ -38,15 +39,26 @@ def writing(path: str | Path, mode: int | None = None) -> Iterator[BinaryIO]:
             yield file
             file.flush()
             os.fsync(fd)
-        os.replace(new, given.resolve())
-    except BaseException:
-        new.unlink(missing_ok=True)
-        raise
-    folder = os.open(new.parent, os.O_RDONLY)
-    try:
-        os.fsync(folder)  # else a power cut could bring the old file back
+        _put(new, given.resolve())
     finally:
-        os.close(folder)
+        new.unlink(missing_ok=True)
+
+
+def _put(new: Path, old: Path) -> None:
+    """Give a new file the name of an old one."""
+    try:
+        os.replace(new, old)
+    except OSError as error:
+        if error.errno != errno.EBUSY:
+            raise
+        shutil.copyfile(new, old)  # mounted alone, as containers do
+        return
+    with contextlib.suppress(OSError):  # not all file systems can
+        folder = os.open(old.parent, os.O_RDONLY)
+        try:
+            os.fsync(folder)  # else a power cut could bring the old file back
+        finally:
+            os.close(folder)
 
 
 def _opened(path: Path, mode: int | None) -> tuple[int, Path | None]:
@@ -65,10 +77,10 @@ def _opened(path: Path, mode: int | None) -> tuple[int, Path | None]:
         if before is None:
             raise
         return os.open(path, os.O_WRONLY | os.O_TRUNC), None
-    if mode is None and before is not None:
-        mode = stat.S_IMODE(before.st_mode)
-        with contextlib.suppress(PermissionError):
+    with contextlib.suppress(PermissionError):  # of others, or a file system without owners
+        if mode is None and before is not None:
+            mode = stat.S_IMODE(before.st_mode)
             os.fchown(fd, before.st_uid, before.st_gid)
-    if mode is not None:
-        os.fchmod(fd, mode)
+        if mode is not None:
+            os.fchmod(fd, mode)
     return fd, new

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import errno
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any, ClassVar
@@ -12,6 +13,7 @@ import pytest
 import serving
 from serving import T0, free_endpoint, small_config, wait_for
 
+from camtopod import files
 from camtopod.cli.cameras.heartbeat import HeartbeatReceiver
 from camtopod.cli.main import main
 from camtopod.codec import event_from_json
@@ -82,8 +84,27 @@ def test_lines_to_a_file_and_to_standard_output(
     made = FakeGrabber.made[0]
     assert (made.source, made.closed) == ("x.mp4", True)
     assert (made.options["start"], made.options["realtime"]) == (5.0, True)
-    assert main([*arguments, "-"]) == 0
-    assert capfdbinary.readouterr().out == out.read_bytes()
+    for name in ("-", "/dev/stdout"):
+        assert main([*arguments, name]) == 0
+        assert capfdbinary.readouterr().out == out.read_bytes()
+
+
+@pytest.mark.parametrize("failure", ["a full disk", "no picture"])
+def test_an_older_file_stays_if_its_successor_cannot_be_written(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, failure: str
+) -> None:
+    def full(_: int) -> None:
+        raise OSError(errno.ENOSPC, "No space left on device")
+
+    out = tmp_path / "e.jsonl"
+    out.write_text("of before")
+    if failure == "a full disk":
+        monkeypatch.setattr(files.os, "fsync", full)
+    else:
+        monkeypatch.setattr(FakeGrabber, "events", lambda _: iter([]))
+    assert main(["grab", "--camera", "lobby", "x.mp4", "--out", str(out)]) in (1, 66)
+    assert out.read_text() == "of before"
+    assert [*tmp_path.iterdir()] == [out]
 
 
 @pytest.mark.parametrize(

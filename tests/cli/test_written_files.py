@@ -129,3 +129,21 @@ def test_a_dash_and_its_other_names_are_standard_output(
         sizes.append(len(capfdbinary.readouterr().out))
     assert min(sizes) > ROOM
     assert {*tmp_path.iterdir()} == before
+
+
+def test_a_wrong_input_leaves_an_older_result(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    wrong, good = tmp_path / "wrong", tmp_path / "good"
+    wrong.write_text("no event\n")
+    good.write_text("good")
+    for command in (
+        ["ingest", "jsonl", str(wrong), "--out"],
+        ["learn", str(wrong), "--topology"],
+        ["export", str(wrong), "--format", "dot", "--out"],
+        ["report", str(wrong), "--out"],
+    ):
+        assert main.main(["--config", "none", *command, str(good)]) == exits.INPUT
+        assert good.read_text() == "good"
+    assert {*tmp_path.iterdir()} == {wrong, good}
+    assert "nothing to ingest" in capsys.readouterr().err

@@ -89,6 +89,8 @@ def test_cameras_with_a_picture_are_shown_by_it(browser: Browser, tmp_path: Path
         height = "return document.querySelector(arguments[0]).getBoundingClientRect().height"
         assert browser.run(height, f".node[data-id={NAMES[0]}] image") > 40
         assert browser.run(height, f".node[data-id={NAMES[0]}] circle") == 0
+        fitted = "return document.querySelector('.node image').getAttribute('preserveAspectRatio')"
+        assert browser.run(fitted) == "xMidYMid meet", "all of one that is high"
         for _ in range(12):
             browser.run("document.querySelector('[title=\"Zoom out\"]').click()")
         browser.wait(

@@ -177,7 +177,9 @@ def _one(args: argparse.Namespace, stop: threading.Event) -> int:
         if to_stdout:
             return _to_lines(grabber, output, stop, heartbeats)
         with open_output(args.out, live=kind_of(settings.source) != "file") as file:
-            return _to_lines(grabber, file, stop, heartbeats)
+            if status := _to_lines(grabber, file, stop, heartbeats):
+                raise CommandError(f"no event is written to {args.out}", status)
+            return exits.DONE
 
 
 def _settings(args: argparse.Namespace, config: Config) -> CameraSettings:

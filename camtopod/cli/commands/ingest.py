@@ -118,13 +118,13 @@ def run(args: argparse.Namespace) -> int:
                 out.writelines(to_json(event) + b"\n" for event in batch)
                 out.flush()
 
-    # Report what was not used.
-    if (summary := reader.summary()) is not None:
-        log.warning("%s", summary)
-    if reader.read and sum(reader.rejected.values()) == reader.read:
-        raise InputError(
-            f"no line of {args.file} is valid {args.format}: nothing to ingest, see above"
-        )
+        # Report what was not used.
+        if (summary := reader.summary()) is not None:
+            log.warning("%s", summary)
+        if reader.read and sum(reader.rejected.values()) == reader.read:
+            raise InputError(
+                f"no line of {args.file} is valid {args.format}: nothing to ingest, see above"
+            )
     if reader.read and not reader.events:
         log.warning(
             "%d lines gave no event: no object entered or left, or only such as do not count "
