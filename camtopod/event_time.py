@@ -11,6 +11,7 @@ from __future__ import annotations
 
 from collections.abc import Set
 
+import numpy as np
 from msgspec import Struct
 
 BEHIND_EVENTS = 20
@@ -23,6 +24,11 @@ MICROSECONDS = 1_000_000
 def microseconds(t: float) -> int:
     """Return seconds as integer microseconds, so that equal times are equal and sums are exact."""
     return round(t * MICROSECONDS)
+
+
+def utc_text(t: float) -> str:
+    """Return Unix seconds as date and time of day, UTC, as in the log."""
+    return f"{np.datetime64(round(t), 's')}Z"
 
 
 class CameraDelay(Struct):

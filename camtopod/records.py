@@ -174,6 +174,7 @@ class Link(Struct, frozen=True, omit_defaults=True, rename={"from_": "from"}):
     mahalanobis_variance: Var(d) of the thesis (table 4.3).
     histogram: transit times on the lag bins of the topology's model.
     lacks: evidence that a weak link still needs; None if waiting does not help.
+    provisional: why the link is not to be relied on, in words; "" if it is.
     """
 
     from_: str
@@ -186,6 +187,7 @@ class Link(Struct, frozen=True, omit_defaults=True, rename={"from_": "from"}):
     mahalanobis_variance: Number
     histogram: Histogram | None = None
     lacks: Lacks | None = None
+    provisional: str = ""
 
 
 class Pair(Struct, frozen=True, omit_defaults=True):
@@ -373,8 +375,8 @@ class Alarm(Struct, frozen=True):
     """A change of the site that ``version`` found; ``t`` is the ``as_of`` of that version.
 
     kind: ``link_opened``, ``link_closed``, ``link_changed``, ``zone_new``, ``zone_gone``,
-        ``camera_silent``, ``camera_back``, ``camera_moved``, ``camera_doubled`` or
-        ``clock_changed``; more may be added.
+        ``camera_silent``, ``camera_back``, ``camera_moved``, ``camera_doubled``,
+        ``camera_repeats`` or ``clock_changed``; more may be added.
     subject: a camera, a zone, or two zones (``lobby/1->hall/2``).
     detail: a text for people.
     """

@@ -28,6 +28,7 @@ from camtopod.records import (
 from camtopod.topology import (
     DIGITS,
     LagBins,
+    camera_of,
     counts_histogram,
     estimate_markov_chain,
     find_camera_pairs,
@@ -148,6 +149,26 @@ def with_clock_offsets(links: list[Link], zones: list[Zone], ahead: dict[str, fl
             )
         result.append(link)
     return result
+
+
+def with_provisional(topology: Topology, repeats: dict[str, tuple[float, str]]) -> Topology:
+    """Return a topology whose links from and to cameras that repeat themselves are provisional.
+
+    repeats: `AlarmState.repeats`.
+    """
+    if not repeats:
+        return topology
+
+    def marked(link: Link) -> Link:
+        ends = dict.fromkeys((camera_of(link.from_), camera_of(link.to)))
+        why = [f"{name} {repeats[name][1]}" for name in ends if name in repeats]
+        return replace(link, provisional=" ".join(why)) if why else link
+
+    return replace(
+        topology,
+        links=[marked(link) for link in topology.links],
+        weak_links=[marked(link) for link in topology.weak_links or []],
+    )
 
 
 def empty_topology(settings: Settings, bins: LagBins) -> Topology:

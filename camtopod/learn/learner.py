@@ -22,15 +22,21 @@ from copy import deepcopy
 import numpy as np
 from msgspec.structs import replace
 
-from camtopod.event_time import MICROSECONDS, EventTimeState, microseconds
+from camtopod.event_time import MICROSECONDS, EventTimeState, microseconds, utc_text
 from camtopod.learn import refit as refits
-from camtopod.learn.assemble import assemble, empty_topology, link_records, zone_id
+from camtopod.learn.assemble import (
+    assemble,
+    empty_topology,
+    link_records,
+    with_provisional,
+    zone_id,
+)
 from camtopod.learn.camera_zones import (
     GONE_ZONES_MAX,
     find_moved_cameras,
     refresh_camera_zones,
 )
-from camtopod.learn.changes import AlarmLog
+from camtopod.learn.changes import AlarmLog, News
 from camtopod.learn.clocks import ClockTracker
 from camtopod.learn.links import zone_pairs_of
 from camtopod.learn.refit import Known, Refit, dwell_bins, lag_bins, refit
@@ -428,8 +434,12 @@ class Learner:
             weak_links=weak,
         )
 
-        # Alarms, and the fields that the learner adds.
-        self._report(found, topology, self._next_version, tick_us / MICROSECONDS)
+        # Links of cameras that repeat themselves, alarms, and the fields that the learner adds.
+        now = tick_us / MICROSECONDS
+        oldest = float(self._window.column("t")[0]) / MICROSECONDS
+        news = self._alarms.repeats(now, oldest, cameras, found.repeats)
+        topology = with_provisional(topology, self.state.alarms.repeats)
+        self._report(found, topology, self._next_version, now, news)
         return self._completed(topology, tick_us)
 
     @property
@@ -451,13 +461,19 @@ class Learner:
             )
         )
 
-    def _report(self, found: Refit, topology: Topology, version: int, now: float) -> None:
-        """Raise an alarm for each change that this version is the first to show."""
+    def _report(
+        self, found: Refit, topology: Topology, version: int, now: float, news: list[News]
+    ) -> None:
+        """Raise an alarm for each change that this version is the first to show.
+
+        news: those that are known already.
+        """
         cameras = self._window.cameras
         ids = [zone_id(cameras, zone) for zone in found.scene.zones]
         if self.only_last:  # no earlier version has published the links that have closed
             self._alarms.join(ids, zone_pairs_of(found.significant_links))
         news = [
+            *news,
             *self._alarms.changes(
                 now,
                 found.scene,
@@ -474,7 +490,7 @@ class Learner:
         # Cameras that were turned, and those that two programs publish.
         for camera, since, move in self.state.moved:
             outside = f"{move.outside:.2f} of {move.events} events outside its zones"
-            news.append(("camera_moved", cameras[camera], f"{outside} since {since:.0f}"))
+            news.append(("camera_moved", cameras[camera], f"{outside} since {utc_text(since)}"))
         for name in self.state.doubled:
             publisher = self.state.publishers[name]
             boots = f"boots {publisher.before} and {publisher.boot}"

@@ -40,7 +40,15 @@ from camtopod.learn.association import (
     fit_jointly,
     place,
 )
-from camtopod.learn.changes import CameraSilences, Change, find_changes, find_silences, present
+from camtopod.learn.changes import (
+    CameraSilences,
+    Change,
+    Repeats,
+    find_changes,
+    find_repeats,
+    find_silences,
+    present,
+)
 from camtopod.learn.clocks import Clocks
 from camtopod.learn.links import (
     TRANSITIONS_MIN,
@@ -112,6 +120,7 @@ class Refit(NamedTuple):
         have closed since included.
     changes: links that opened, closed or changed their share.
     silences: intervals without events, one item per camera.
+    repeats: how the events of each camera repeat themselves; None if they do not.
     model: the part of the topology, beside the links, that prediction reads.
     followed: `Known.followed` for the next refit.
     happened: outcomes of the first exits of `Known.exits`, as far as they are known already; None
@@ -126,6 +135,7 @@ class Refit(NamedTuple):
     significant_links: LinkTable
     changes: list[Change]
     silences: list[CameraSilences]
+    repeats: list[Repeats | None]
     model: Model
     followed: dict[int, FollowedSources]
     happened: list[Happened | None]
@@ -193,9 +203,17 @@ def refit(
     through = tabulate(transitions, entries, dwell_bins(settings), zones)
     scene = scene._replace(departures=with_usual_dwell_times(scene.departures, through))
 
-    # 2. Silent cameras, and views that overlap.
+    # 2. Silent cameras, recordings in a loop, and views that overlap.
     seconds = window.column("t") / MICROSECONDS
     silences = find_silences(seconds, window.column("camera"), len(window.cameras))
+    repeats = find_repeats(
+        seconds,
+        window.column("camera"),
+        window.column("entry"),
+        window.column("px"),
+        window.column("py"),
+        len(window.cameras),
+    )
     views = offset_bins(bins.scale, bins.step)
     overlapping = find_overlapping(views_of(scene), len(window.cameras), views)
 
@@ -238,6 +256,7 @@ def refit(
         significant_links=all_pairs.rows(np.flatnonzero(significant(all_pairs, settings))),
         changes=changes,
         silences=silences,
+        repeats=repeats,
         model=model,
         followed=followed,
         happened=happened,

@@ -48,6 +48,7 @@ def rename(state: LearnerState, old: str, new: str) -> LearnerState:
         joined={renamed(link, old, new) for link in state.alarms.joined},
         silent={name(camera) for camera in state.alarms.silent},
         clock=keys(state.alarms.clock),
+        repeats=keys(state.alarms.repeats),
     )
 
     # Predictions.

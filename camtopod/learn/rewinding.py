@@ -48,6 +48,7 @@ def rewind(state: LearnerState, to: float) -> LearnerState:
         state.alarms,
         newest=[alarm for alarm in state.alarms.newest if alarm.t <= to],
         reported={subject: min(t, to) for subject, t in state.alarms.reported.items()},
+        repeats={name: one for name, one in state.alarms.repeats.items() if one[0] <= to},
     )
     waiting = [one for one in state.scorer.waiting if one.t <= to]
     return replace(

@@ -187,6 +187,8 @@ def why_provisional(pair: Pair | None, transitions: float, best: Link | None) ->
 
     best: the link that is nearest to publication.
     """
+    if best is not None and best.provisional:
+        return best.provisional
     if pair is None:
         if best is not None and best.lacks is not None:
             return f"not published yet: it lacks {lacks_in_words(best.lacks)}"

@@ -68,7 +68,11 @@ def add_parser(subparsers: Any) -> None:
         epilog="example: camtopod grab --camera lobby rtsp://192.0.2.10/stream1",
     )
     parser.add_argument(
-        "source", nargs="?", metavar="SOURCE", help="rtsp:// URL, video file or device number"
+        "source",
+        nargs="?",
+        metavar="SOURCE",
+        help="rtsp:// URL, video file or device number. What is learned from a video that is "
+        "played again and again is not real",
     )
     parser.add_argument(
         "--camera", metavar="ID", type=camera_id, help="the camera's id, [A-Za-z0-9_.-]{1,64}"

@@ -2,18 +2,24 @@
 
 Reading order: `change_points` finds links that opened, closed or changed their share of the
 departures. `silence` finds cameras that report nothing for too long. `camera_moved` finds cameras
-that were turned. `alarms` reports each of these changes once, in the first version that shows it.
+that were turned. `repeats` finds recordings that are played in a loop. `alarms` reports each of
+these changes once, in the first version that shows it.
 """
 
 from __future__ import annotations
 
-from camtopod.learn.changes.alarms import AlarmLog as AlarmLog, AlarmState as AlarmState
+from camtopod.learn.changes.alarms import (
+    AlarmLog as AlarmLog,
+    AlarmState as AlarmState,
+    News as News,
+)
 from camtopod.learn.changes.camera_moved import Move as Move, find_move as find_move
 from camtopod.learn.changes.change_points import (
     Change as Change,
     find_changes as find_changes,
     present as present,
 )
+from camtopod.learn.changes.repeats import Repeats as Repeats, find_repeats as find_repeats
 from camtopod.learn.changes.silence import (
     CameraSilences as CameraSilences,
     find_silences as find_silences,

@@ -13,7 +13,9 @@ import numpy as np
 from msgspec import Struct
 
 from camtopod.arrays import rows_by_group
+from camtopod.event_time import utc_text
 from camtopod.learn.changes.change_points import Change, Trials, latest_change, threshold_nats
+from camtopod.learn.changes.repeats import AGREE_SECONDS, Repeats
 from camtopod.learn.changes.silence import CameraSilences
 from camtopod.learn.traffic import Scene
 from camtopod.records import Alarm, Camera
@@ -65,6 +67,10 @@ class AlarmState(Struct):
     clock: dict[str, tuple[float, float]] = {}
     """Camera -> clock offset from which changes are measured, and its standard deviation, seconds.
     """
+    repeats: dict[str, tuple[float, str]] = {}
+    """Camera that repeats itself -> event time of the newest version that found it (seconds), and
+    that it does, in words.
+    """
 
 
 class AlarmLog:
@@ -74,8 +80,11 @@ class AlarmLog:
         self.state = state
 
     def forget(self, names: Set[str]) -> None:
-        """Forget whether these cameras are silent, and their clock offsets."""
+        """Forget whether these cameras are silent or repeat themselves, and their clock offsets."""
         self.state.silent -= names
+        self.state.repeats = {
+            name: one for name, one in self.state.repeats.items() if name not in names
+        }
         for name in names & self.state.clock.keys():
             del self.state.clock[name]
 
@@ -131,7 +140,7 @@ class AlarmLog:
         yield from self.cameras(silences, cameras, begun)
         for index, (since, before, after) in zone_changes(scene).items():
             kind = "zone_new" if after > before else "zone_gone"
-            shares = f"{before:.2f} of the camera's entries or exits until {since:.0f}"
+            shares = f"{before:.2f} of the camera's entries or exits until {utc_text(since)}"
             if since >= begun:
                 yield from self._once(t, kind, zones[index], f"{shares}, {after:.2f} since", since)
 
@@ -172,7 +181,8 @@ class AlarmLog:
                 continue
 
             # Report it.
-            detail = f"share {change.before:.2f} until {change.since:.0f}, {change.after:.2f} since"
+            moment = utc_text(change.since)
+            detail = f"share {change.before:.2f} until {moment}, {change.after:.2f} since"
             yield from self._once(t, kind, subject, detail, change.since)
             if kind == "link_closed":
                 joined.discard(subject)
@@ -190,10 +200,33 @@ class AlarmLog:
         for name, (intervals, lasts) in zip(cameras, silences, strict=True):
             if lasts and name not in silent and intervals[-1][0] >= begun:
                 silent.add(name)
-                yield "camera_silent", name, f"nothing since {intervals[-1][0]:.0f}"
+                yield "camera_silent", name, f"nothing since {utc_text(intervals[-1][0])}"
             elif name in silent and not (intervals and intervals[-1][1] == np.inf):
                 silent.discard(name)
                 yield "camera_back", name, "events again"
+
+    def repeats(
+        self, t: float, oldest: float, cameras: list[str], found: list[Repeats | None]
+    ) -> list[News]:
+        """Return the cameras that have begun to repeat themselves.
+
+        t, oldest (seconds): event time of the version, and that of the oldest event of the window.
+            A camera is free of its repetitions when the events in which they were last found have
+            left the window.
+        cameras, found: names of all cameras, and how each repeats itself.
+        """
+        before = self.state.repeats
+        self.state.repeats = {}
+        news = []
+        for name, one in zip(cameras, found, strict=True):
+            if one is not None:
+                self.state.repeats[name] = t, _in_words(one)
+                if name not in before:
+                    detail = f"{_in_words(one)} What is learned from it is not real."
+                    news.append(("camera_repeats", name, detail))
+            elif name in before and before[name][0] >= oldest:
+                self.state.repeats[name] = before[name]
+        return news
 
     def clocks(self, cameras: list[Camera]) -> Iterator[News]:
         """Yield cameras whose clock has moved against the others.
@@ -230,6 +263,14 @@ class AlarmLog:
         if len(reported) > SUBJECTS_MAX:
             del reported[next(iter(reported))]
         yield kind, subject, detail
+
+
+def _in_words(repeats: Repeats) -> str:
+    """Return how a camera repeats itself, in words."""
+    every = f"{repeats.least:.1f}"
+    if repeats.most - repeats.least > AGREE_SECONDS:
+        every += f" to {repeats.most:.1f}"
+    return f"repeats itself every {every} s: a recording in a loop?"
 
 
 def zone_changes(scene: Scene) -> dict[int, tuple[float, float, float]]:
