@@ -47,7 +47,7 @@ _PHRASES = {
 }
 """Reason by phrase in FFmpeg's log."""
 _FAULTS = {
-    "interlaced video cannot be read": rb"Cannot convert interlaced",
+    "interlaced video cannot be read: make it progressive": rb"Cannot convert interlaced",
     "its pictures cannot be converted": rb"Failed initializing scaling|: fmt:.* -> fmt:",
     "there is no decoder for it": rb"support hardware accelerated",
     "damaged video": rb"damaged|Packet corrupt|RTP: missed|while decoding MB|concealing \d"

@@ -3,7 +3,7 @@
 A recorder may put one stamp far ahead, and then count on from it by single ticks; a clock that is
 set gives stamps that begin anew. On the other hand videos have true gaps, as of recorders that
 write only while something moves. So a stamp that does not follow from the last ones waits for the
-next three: if they go on from it at a plausible pace it was right, else the pictures follow each
+next five: if they go on from it at a plausible pace it was right, else the pictures follow each
 other at the interval of the latest ones.
 """
 
@@ -14,14 +14,17 @@ from itertools import pairwise
 
 FPS_UNKNOWN = 25.0
 """Frame rate assumed if a file has neither time stamps nor a frame rate."""
-GAP_SECONDS = 1.0
-"""Step of the stamps that is believed at once: pictures are left out while nothing moves."""
 GAP_INTERVALS = 10.0
-"""The same in intervals of the latest pictures, for low frame rates."""
-CONFIRMING_PICTURES = 3
+"""Step of the stamps that is believed at once, in intervals of the latest pictures.
+
+Cameras and recorders leave out single pictures.
+"""
+CONFIRMING_PICTURES = 5
 """Pictures that confirm the stamp before them."""
-PACE_MIN = 0.25
-"""Least pace of confirming stamps, in intervals of the latest pictures: ticks are slower."""
+STEP_SECONDS_MIN = 0.002
+"""Least step of stamps that advance: pictures are farther apart, ticks are nearer."""
+PACE_MIN = 0.5
+"""Least pace of confirming stamps that do not all advance, in intervals of the latest pictures."""
 PACES_ALIKE = 4.0
 """Largest ratio of the steps of confirming stamps that are farther apart than a gap."""
 CATCHING_UP = 0.1
@@ -53,20 +56,14 @@ class FileTimes:
         """Position of the latest picture, guessed if its stamp is doubted."""
         return self._settled + len(self._doubted) * self.interval
 
-    @property
-    def _step_min(self) -> float:
-        """Least step of stamps that advance; the declared rate may be far too low."""
-        learned = self._steps > 1
-        return PACE_MIN * (self.interval if learned else min(self.interval, 1.0 / FPS_UNKNOWN))
-
     def place(self, stamp: float) -> list[float]:
         """Return the positions of this picture and of those that waited, in order.
 
         Empty while their stamps are doubted.
         """
         position = stamp + self._offset
-        gap = max(GAP_SECONDS, GAP_INTERVALS * self.interval)
-        sticks = 0.0 <= stamp - self._stamp < self._step_min
+        gap = GAP_INTERVALS * self.interval
+        sticks = 0.0 <= stamp - self._stamp < STEP_SECONDS_MIN
         self._stamp = stamp
         if 0.0 < position - self.latest <= gap and not sticks:
             if not self._doubted:
@@ -87,13 +84,13 @@ class FileTimes:
         steps = [b - a for a, b in pairwise(self._doubted)]
         alike = max(steps) <= PACES_ALIKE * min(steps)
         pace = sum(steps) / len(steps)
-        if min(steps) < 0.0 or pace < self._step_min:
+        if min(steps) < STEP_SECONDS_MIN and (min(steps) < 0.0 or pace < PACE_MIN * self.interval):
             return []
         if max(steps) > gap and not alike:
             return []
 
-        # A time base that begins earlier goes on from here; positions that are a little ahead wait
-        # for the stamps.
+        # A time base that begins earlier goes on from here. Positions that are a little ahead wait
+        # for the stamps, as one that was believed was wrong, or the interval is not exact.
         if self._settled - (first + self._offset) > gap:
             self._offset = self._settled + self.interval - first
         if alike:
