@@ -44,6 +44,7 @@ from camtopod.serve.ingest import (
     Cameras,
     CommandRefused,
     EventClock,
+    Figures,
     Intake,
     Merger,
     Names,
@@ -84,6 +85,8 @@ log = logging.getLogger(__name__)
 
 STOP_SECONDS = 4.0
 """Time that `stop` waits for the threads; what they have not done by then is in the journal."""
+RETURN_SECONDS = 10.0
+"""Time after a start in which grabbers come back; who has not come by then is said to be away."""
 STATUS_ALARMS = 10
 """Number of newest alarms in ``status/daemon``; the topology lists more."""
 
@@ -98,6 +101,7 @@ class Daemon:
         self._config = config
         self._clock = clock
         self._steady = clocks.steady_clock_for(clock)
+        self._started_at = self._steady()
         self._bus: Bus | None = None
         self._stopping = threading.Event()
         self._failed = threading.Event()
@@ -162,6 +166,7 @@ class Daemon:
                 self._build(self._bus, recovered, process)
                 self._rivals = OtherDaemons(self._bus, clocks.ulid(self._clock()))
                 self._rivals.require_none(config.bus.connect_seconds, cancelled)
+                self._started_at = self._steady()
                 self._join_bus(self._bus)
             except LearnerEnded as ended:
                 note_failure(self._journal, ended.at)
@@ -238,11 +243,9 @@ class Daemon:
 
     def status(self) -> DaemonStatus:
         """Return the contents of ``status/daemon``: state, reason and counters."""
-        # Cameras whose grabber is there, perhaps under the camera's old name.
         intake = self._intake
         learning = self._learning
-        aliases = intake.names.state.aliases
-        counted = intake.cameras.status({aliases.get(name, name) for name in intake.alive.copy()})
+        counted = self._figures()
 
         # The first reason found is given.
         topology = self.topology
@@ -286,6 +289,23 @@ class Daemon:
             score=topology.score,
             alarms=(topology.alarms or [])[-STATUS_ALARMS:],
         )
+
+    def _figures(self) -> Figures:
+        """Return the status by camera: of all that are known, once it is known who is there."""
+        intake = self._intake
+        present = intake.names.present
+        cameras = intake.cameras.all()
+        known = {camera.id for camera in self.topology.cameras} if self.topology else set()
+        if intake.names.state.since is None:
+            known.update(one.name for one in cameras)
+
+        # Names may be old ones. After a start the grabbers come back one by one.
+        alive = present(intake.alive.copy())
+        known = present(known)
+        if self._steady() - self._started_at < RETURN_SECONDS:
+            alive |= present(one.name for one in cameras if one.spooled)
+            known &= alive
+        return intake.cameras.status(alive, known)
 
     @property
     def _reason(self) -> str:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import http.client
 import json
 import logging
@@ -229,11 +230,36 @@ def test_other_methods_paths_and_garbage(pages: Pages) -> None:
 def test_a_silent_client_delays_nobody_and_is_disconnected(
     pages: Pages, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(health._Handler, "timeout", 0.3)
+    monkeypatch.setattr(health, "REQUEST_SECONDS", 0.3)
 
     with socket.create_connection(pages.at, timeout=WAIT_SECONDS) as silent:
         assert pages.ask("/healthz")[0] == 200
         assert silent.recv(1) == b""
+
+    # Nor does a byte now and then keep a place.
+    with socket.create_connection(pages.at, timeout=WAIT_SECONDS) as slow:
+        wait_for(lambda: gone(slow), "the end of one that sends a byte now and then")
+
+
+def gone(slow: socket.socket) -> bool:
+    """Send a byte; return True if the connection was closed."""
+    try:
+        slow.sendall(b"G")
+    except ConnectionError:
+        return True
+    return False
+
+
+def test_idle_connections_keep_nobody_out(pages: Pages, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(health, "CONNECTIONS_MAX", 4)
+    with contextlib.ExitStack() as stack:
+        idle = [
+            stack.enter_context(socket.create_connection(pages.at, timeout=WAIT_SECONDS))
+            for _ in range(20)
+        ]
+        for _ in range(3):
+            assert pages.ask("/healthz")[0] == 200
+        assert idle[0].recv(1) == b"", "the newest takes the oldest one's place"
 
 
 # --- systemd --------------------------------------------------------------------------------------

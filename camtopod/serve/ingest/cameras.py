@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import collections
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Set
 
 from msgspec import Struct, field
 
@@ -29,6 +29,10 @@ SAID_SECONDS = 600.0
 """How long the status mentions a camera that two programs deliver, or that was refused."""
 REFUSED_SECONDS = 1.0
 """How long publications of new cameras are refused without a further look, after one was."""
+
+
+Figures = dict[str, CameraFigures]
+"""A status by camera."""
 
 
 class Pending(Struct):
@@ -185,14 +189,18 @@ class Cameras:
             " machine's: events are stored but not learned; set that clock"
         )
 
-    def status(self, alive: set[str]) -> dict[str, CameraFigures]:
-        """Return each camera's entry in the status; ``alive``: those whose grabber is there."""
+    def status(self, alive: Set[str] = frozenset(), known: Set[str] = frozenset()) -> Figures:
+        """Return the entries in the status of cameras that were counted, and of ``known`` others.
+
+        alive: those whose grabber is there.
+        """
         figures = {}
-        for name, counted in sorted(self._counted.copy().items()):
+        for name in sorted({*self._counted.copy(), *known}):
+            counted = self._counted.get(name, Counted())
             ahead = self._cameras[name].ahead if name in self._cameras else None
             figures[name] = CameraFigures(
                 counted.events,
-                counted.newest,
+                counted.newest if counted.events else None,
                 None if ahead is None else round(ahead, 3),
                 name in alive,
             )

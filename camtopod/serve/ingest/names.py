@@ -221,6 +221,11 @@ class Names:
             return [*self._end_aliases(event), received]
         return [received]
 
+    def present(self, names: Iterable[str]) -> set[str]:
+        """Return the present names of cameras, without forgotten ones. Any thread."""
+        state = self.state
+        return {state.aliases.get(name, name) for name in names} - state.forgotten.keys()
+
     def status(self) -> NamesStatus:
         """Return the part of the daemon's status about names. Any thread."""
         refused = self.refused.copy()

@@ -8,15 +8,23 @@ from __future__ import annotations
 import json
 import logging
 import socket
+import sys
 import threading
+import time
 from collections.abc import Callable, Iterator, Mapping
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from http import HTTPStatus
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from types import MappingProxyType
 from typing import Any, NamedTuple
 
 log = logging.getLogger(__name__)
+
+
+CONNECTIONS_MAX = 64
+"""Most open connections."""
+REQUEST_SECONDS = 10.0
+"""Time that a connection has for its request and the answer."""
 
 
 class ListenError(OSError):
@@ -40,15 +48,58 @@ Pages = Mapping[str, Callable[[], Page]]
 
 
 class _Server(ThreadingHTTPServer):
-    """A server with a thread for each request."""
+    """A server with a thread for each connection, which has one request and one deadline.
+
+    If there are too many, the newest one takes the place of the one that has waited longest for
+    its request, else of the oldest.
+    """
 
     block_on_close = False
+    request_queue_size = CONNECTIONS_MAX
 
     def __init__(self, host: str, port: int, pages: Pages) -> None:
         self.pages = pages
+        self._mutex = threading.Lock()
+        self._since: dict[Any, float] = {}  # open connections, the oldest first
+        self.asked: set[Any] = set()
+        """Connections whose request is there."""
         if ":" in host:
             self.address_family = socket.AF_INET6
         super().__init__((host, port), _Handler)
+
+    def process_request(self, request: Any, client_address: Any) -> None:
+        """Make room for a new connection, and serve it."""
+        with self._mutex:
+            if len(self._since) >= CONNECTIONS_MAX:
+                waiting = (one for one in self._since if one not in self.asked)
+                self._end(next(waiting, next(iter(self._since))))
+            self._since[request] = time.monotonic()
+        super().process_request(request, client_address)
+
+    def service_actions(self) -> None:
+        """End connections whose time is over; called several times a second."""
+        before = time.monotonic() - REQUEST_SECONDS
+        with self._mutex:
+            for one in [one for one, since in self._since.items() if since < before]:
+                self._end(one)
+
+    def shutdown_request(self, request: Any) -> None:
+        """Close a connection at the end of its thread."""
+        with self._mutex:
+            self._since.pop(request, None)
+            self.asked.discard(request)
+        super().shutdown_request(request)
+
+    def handle_error(self, request: Any, client_address: Any) -> None:
+        """Log what has ended a connection: a fault of a page is an error."""
+        level = logging.DEBUG if isinstance(sys.exception(), OSError) else logging.ERROR
+        log.log(level, "the connection from %s has ended", client_address, exc_info=True)
+
+    def _end(self, connection: Any) -> None:
+        """Wake a connection's thread, which finds it closed."""
+        del self._since[connection]
+        with suppress(OSError):
+            connection.shutdown(socket.SHUT_RDWR)
 
 
 class _Handler(BaseHTTPRequestHandler):
@@ -57,10 +108,10 @@ class _Handler(BaseHTTPRequestHandler):
     server: _Server
     server_version = "camtopod"
     sys_version = ""
-    timeout = 2.0  # seconds without a byte, then the connection is closed
 
     def do_GET(self) -> None:
         """Answer with the page at the path, or with 404."""
+        self.server.asked.add(self.connection)
         make_page = self.server.pages.get(self.path.partition("?")[0])
         if make_page is None:
             self.send_error(HTTPStatus.NOT_FOUND, f"There are {', '.join(self.server.pages)}")
