@@ -27,8 +27,8 @@ Size = tuple[int, int]
 Sizes = Mapping[str, Size]
 """Width and height of the pictures in pixels, by camera."""
 
-_MESSAGE = re.compile(rb"(?:([^{<]*) )?([{<].*)", re.DOTALL)
-"""A JSON or XML message, and the topic in front of it."""
+_MESSAGE = re.compile(rb"(?:([^{<]*)[ \t])?([{<].*)", re.DOTALL)
+"""A JSON or XML message, and the topic (or the key of a queue) in front of it."""
 
 
 class Adapter:

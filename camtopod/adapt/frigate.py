@@ -94,7 +94,14 @@ class Frigate(Adapter):
 
     def receive(self, line: bytes) -> list[Event]:
         """Return the entry or exit (or both) that a message makes certain. Raises `Rejected`."""
-        message = codec.read(_Message, split_topic(line, "*/events")[1])
+        text = split_topic(line, "*/events")[1]
+        try:
+            message = codec.read(_Message, text)
+        except Rejected as error:
+            if " `$." in str(error) or error.reason != "bad-value":
+                raise
+            what = "no message of frigate/events (what /api/events returns is not read)"
+            raise Rejected("bad-value", f"{what}: {error}") from None
         if message.type not in ("new", "update", "end"):
             raise Rejected("bad-value", "type is not new, update or end - at `$.type`")
 

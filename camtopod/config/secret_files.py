@@ -22,7 +22,7 @@ def read(path: Path) -> str:
     with path.open("rb") as file:
         line = file.read(BYTES_MAX).split(b"\n", 1)[0].strip()
     try:
-        text = line.decode("utf-8")
+        text = line.decode("utf-8-sig")
     except UnicodeDecodeError:
         raise OSError(22, "is not UTF-8 text", str(path)) from None
     if not text:

@@ -8,6 +8,7 @@ from __future__ import annotations
 import contextlib
 import json
 import random
+from collections.abc import Iterator
 from datetime import UTC, datetime
 from typing import Any
 
@@ -31,6 +32,7 @@ from camtopod.adapt.frigate import Frigate
 from camtopod.adapt.mot import Mot
 from camtopod.adapt.onvif import Onvif
 from camtopod.adapt.scenescape import SceneScape
+from camtopod.cli.events.event_lines import LineReader
 from camtopod.codec import Rejected
 from camtopod.records import Event
 
@@ -107,6 +109,7 @@ def test_frigate_lines_of_other_kinds_and_topics() -> None:
         (b"frigate/tracked_object_update {}", "other-topic"),
         (b"frigate/events online", "malformed"),
         (b'{"type": "new"}', "bad-value"),
+        (b'{"id": "1", "camera": "yard", "start_time": 1, "data": {}}', "bad-value"),
         (says.message("start", box, box), "bad-value"),
         (says.message("new", box, says.seen(1e30, 1, 2, 3, 4)), "bad-value"),
         (says.message("new", says.seen(1e30, 1, 2, 3, 4), box), "bad-value"),
@@ -460,6 +463,53 @@ def test_anything_is_read_or_rejected(messages: Any, lines: list[bytes]) -> None
 def test_damaged_messages_are_read_or_rejected(cut: int, put: bytes) -> None:
     for whole in (onvif_xml(1, onvif_object(3, 50)), *says.passage()):
         survived([whole[:cut] + put + whole[cut:], whole[cut:], whole])
+
+
+WEIRD = [None, True, -1, 10**400, 1e308, float("nan"), "", "a" * 64, "\0", "9" * 5000, [], {}, [[]]]
+"""Values that no program sends in its right mind, in the place of others."""
+
+
+def mutations(message: bytes, count: int) -> Iterator[bytes]:
+    """Yield copies of a message with an odd value somewhere, or with damaged bytes."""
+    chance = random.Random(7)
+    topic, brace, text = message.partition(b"{")
+    for n in range(count):
+        if n % 2 and brace:
+            changed = json.loads(brace + text)
+            inside: Any = changed
+            while isinstance(inside, dict | list) and inside:
+                around, places = (
+                    inside,
+                    [*(inside if isinstance(inside, dict) else range(len(inside)))],
+                )
+                place = chance.choice(places)
+                inside = inside[place]
+                if chance.random() < 0.3:
+                    break
+            around[place] = chance.choice(WEIRD)
+            yield topic + json.dumps(changed).encode()
+        else:
+            at = chance.randrange(len(message))
+            odd = str(chance.choice(WEIRD)).encode() + chance.randbytes(1)
+            yield message[:at] + odd + message[at + chance.randrange(6) :]
+
+
+def test_no_message_ends_the_reading(capsys: pytest.CaptureFixture[str]) -> None:
+    """Each format's messages, changed at some place, are thrown at each adapter; and a good one."""
+    good = [*says.passage(), *mot_lines()[:1], scene(1, [(1, 50)]), axis_frame(1, "a")]
+    good += [onvif_xml(1, onvif_object(3, 50)), onvif_json(1, 4), full(1, "1", 96)]
+    good.append(minimal(1, "957|96|150|288|540|Person"))
+    lines = [line for message in good for line in mutations(message, 40)]
+    for name, one in FORMATS.items():
+        if one.make is None:
+            continue
+        reader = LineReader()
+        given = [*lines, *(line for line in good for _ in "12")]
+        events = [*reader.adapted(name, enumerate(given), one.make(OPTIONS))]
+        assert reader.read == len(given)
+        assert all(isinstance(event, Event) for event in events)
+        assert reader.rejected.total() < len(given)
+        assert "unreadable" not in reader.rejected, name
 
 
 def survived(lines: list[bytes]) -> None:

@@ -274,6 +274,15 @@ def test_byte_order_marks_are_skipped(
     assert "3 lines" in said
 
 
+def test_what_an_api_of_frigate_returns_is_named(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    path = tmp_path / "events.json"
+    path.write_bytes(to_json([{"id": "1", "camera": "yard", "start_time": T0, "data": {}}] * 2))
+    assert main(["ingest", "frigate", str(path), "--out", "-"]) == exits.INPUT
+    assert "what /api/events returns is not read" in capsys.readouterr().err
+
+
 def test_each_kind_of_mistake_is_quoted_once(
     tmp_path: Path, capsysbinary: pytest.CaptureFixture[bytes]
 ) -> None:

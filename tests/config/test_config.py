@@ -13,7 +13,7 @@ from paths import DEPLOY
 
 from camtopod.cli.generated import example
 from camtopod.cli.generated.example_config import attribute_docs
-from camtopod.config import fields
+from camtopod.config import fields, secret_files
 from camtopod.config.settings import (
     TABLES,
     CameraSettings,
@@ -152,6 +152,8 @@ def test_a_byte_order_mark_is_skipped(tmp_path: Path) -> None:
     config = load(path)
     assert config.site.name == "hq"
     assert f"{path}:3: cameras.a" in without_source(config, path.read_text("utf-8"), path)[0]
+    path.write_bytes(b"\xef\xbb\xbfhunter2\r\n")
+    assert secret_files.read(path) == "hunter2"
 
 
 @pytest.mark.parametrize(
