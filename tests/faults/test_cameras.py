@@ -40,7 +40,7 @@ from camtopod.serve.daemon import Daemon
 from camtopod.serve.outbox import spool_path
 from camtopod.serve.storage.journal import Journal
 from camtopod.vision.grabber import Grabber
-from camtopod.vision.source import live
+from camtopod.vision.source import capture, live
 from camtopod.vision.source.ffmpeg_log import reason_in
 
 RESTARTS = {
@@ -199,8 +199,9 @@ def test_a_call_of_opencv_that_takes_too_long_is_seen(monkeypatch: pytest.Monkey
             pass
 
     monkeypatch.setattr(live, "Capture", Blocked)
-    for name in ("MARGIN_SECONDS", "OPEN_SECONDS_MAX", "READ_SECONDS_MAX"):
-        monkeypatch.setattr(live, name, 0.1)
+    monkeypatch.setattr(live, "MARGIN_SECONDS", 0.1)
+    for name in ("OPEN_SECONDS_MAX", "READ_SECONDS_MAX"):
+        monkeypatch.setattr(capture, name, 0.1)
     grabber = Grabber("cam", "rtsp://127.0.0.1:1/x", wall_clock=time.time)
     stream = grabber.events()
     assert grabber.overdue_seconds == 0.0
@@ -251,7 +252,8 @@ def test_a_good_camera_is_said_to_run_and_only_its_events_are_data(
     [
         ("method DESCRIBE failed: 401 (Unauthorized)", "the camera refuses the user name or"),
         ("Connection to tcp://a:p@ss@h:1 failed: Connection refused", "nothing listens at this"),
-        ("method SETUP failed: 461 (Unsupported transport)", "the camera refuses (461)"),
+        ("method SETUP failed: 461 (Unsupported transport)", "the camera refuses TCP: for UDP set"),
+        ("method PLAY failed: 455 (Method not valid)", "the camera refuses (455)"),
         ("Failed to resolve hostname x: Name or service not known", "the host name cannot be"),
         ("rtsp://admin:p@ss@h: something new", ""),
     ],

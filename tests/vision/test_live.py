@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import threading
 import time
 from collections.abc import Callable
 from types import SimpleNamespace
@@ -12,8 +13,10 @@ from rendered_scenes import Person, Scene, line
 from camtopod.records import Event
 from camtopod.vision import pipeline
 from camtopod.vision.grabber import Grabber
-from camtopod.vision.source import live
+from camtopod.vision.settings import VisionSettings
+from camtopod.vision.source import capture, live, probe
 from camtopod.vision.source.capture import Frame
+from camtopod.vision.source.ffmpeg_log import FfmpegLog
 
 FPS = 7.0
 SECONDS = 11.0
@@ -30,20 +33,41 @@ class Camera:
 
     is_open = True
     size = (192, 144)
-    codec = "H.264"
+    fps = FPS
     seconds = 0.0
     fault = ""
+    film_seconds = SECONDS
+    needs = 1.0
+    """Patience without which it gives nothing."""
 
-    def __init__(self, monkeypatch: pytest.MonkeyPatch, stamp: Callable[[float], float]) -> None:
-        """Stamp each picture with ``stamp`` of its time, seconds."""
+    def __init__(
+        self,
+        monkeypatch: pytest.MonkeyPatch,
+        stamp: Callable[[float], float] = lambda t: t,
+        fps: float = FPS,
+        pictures: float = float("inf"),
+    ) -> None:
+        """Stamp each picture with ``stamp`` of its time, seconds.
+
+        pictures: number of them in a connection.
+        """
         self.now = 1000.0
+        self.fps = fps
+        self.left = self.pictures = pictures
+        self.patience: list[float] = []
         self.began = self.now
         self.stamp = stamp
         self.scene = Scene(WALKS)
         self.is_over = False
         self.idle: Callable[[], bool] = lambda: True
-        monkeypatch.setattr(live, "Capture", lambda *_, **__: self)
+        self.closed = threading.Event()
+        monkeypatch.setattr(live, "Capture", self.opened)
         monkeypatch.setattr(live, "time", SimpleNamespace(monotonic=lambda: self.now))
+
+    def opened(self, source: str, *others: object) -> Camera:
+        self.left = self.pictures
+        self.patience.append(float(str(others[-1])))
+        return self
 
     @property
     def t(self) -> float:
@@ -52,10 +76,17 @@ class Camera:
     def grab(self) -> float | None:
         while not self.idle():
             time.sleep(0.0002)
-        self.is_over = self.t >= SECONDS
+        self.is_over |= self.t >= self.film_seconds
         if self.is_over:
+            self.closed.wait()
+        if self.closed.is_set() or not self.left:
             return None
-        self.now += 1 / FPS
+        if self.patience[-1] < self.needs:
+            if self.size != (0, 0):
+                self.now += capture.timeouts(self.patience[-1])[1]
+            return None
+        self.left -= 1
+        self.now += 1 / self.fps
         return self.stamp(self.t)
 
     def frame(self) -> Frame | None:
@@ -65,11 +96,29 @@ class Camera:
         pass
 
 
-def seen(camera: Camera, wall_clock: Callable[[], float]) -> list[Event]:
-    """Return the events of the camera's film."""
-    grabber = Grabber("cam", "rtsp://192.0.2.1/s", wall_clock=wall_clock)
+def grabber_of(
+    camera: Camera, source: str = "http://192.0.2.1/s", wall_clock: Callable[[], float] = time.time
+) -> Grabber:
+    grabber = Grabber("cam", source, wall_clock=wall_clock)
     assert isinstance(grabber._source, live.LiveSource)
     camera.idle = grabber._source._queue.empty
+    camera.closed = grabber._source._stop
+    return grabber
+
+
+def reason_of(grabber: Grabber, said: str) -> str:
+    """Return the grabber's state as soon as its reason says this."""
+    for _ in grabber.events():
+        if said in grabber.reason:
+            state = grabber.state
+            grabber.close()
+            return state
+    raise AssertionError(grabber.reason)
+
+
+def seen(camera: Camera, wall_clock: Callable[[], float]) -> list[Event]:
+    """Return the events of the camera's film."""
+    grabber = grabber_of(camera, wall_clock=wall_clock)
     events = []
     for event in grabber.events():
         if event is not None:
@@ -83,6 +132,9 @@ def seen(camera: Camera, wall_clock: Callable[[], float]) -> list[Event]:
 @pytest.fixture(autouse=True)
 def quick(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(pipeline, "BOOTSTRAP_SECONDS", 1.0)
+    monkeypatch.setattr(live, "BACKOFF_SECONDS_MIN", 0.05)
+    monkeypatch.setattr(live, "BACKOFF_SECONDS_MAX", 0.05)
+    monkeypatch.setattr(live, "HEARTBEAT_SECONDS", 0.01)
 
 
 @pytest.mark.parametrize(
@@ -123,3 +175,73 @@ def test_events_go_on_at_the_new_time_when_the_clock_is_set(
 
     truth = [5000.0 + t + (step if t > at else 0.0) for _, t in TRUTH]
     assert [event.t for event in events] == pytest.approx(sorted(truth), abs=0.7)
+
+
+def test_what_is_no_stream_is_said(monkeypatch: pytest.MonkeyPatch) -> None:
+    snapshot = Camera(monkeypatch, pictures=1)
+    assert reason_of(grabber_of(snapshot), "a single picture") == "connecting"
+
+    film = Camera(monkeypatch)
+    film.seconds = 26.0
+    assert reason_of(grabber_of(film), "a recording, not a stream: download it") == "connecting"
+    assert film.left == film.pictures, "nothing was read"
+
+    film = Camera(monkeypatch, lambda t: 20 * t, pictures=9)  # a server that tells no length
+    reason_of(grabber_of(film), "a recording, not a stream: download it")
+
+
+@pytest.mark.parametrize(
+    ("source", "said"),
+    [
+        ("onvif://192.0.2.1", "`camtopod init` asks a camera for its streams by ONVIF"),
+        ("v4l2:///dev/video0", "give a device by its number"),
+        ("rstp://192.0.2.1/s", "rstp:// is none of rtsp, "),
+        ("rtsp://[::1%lo]:1/s", "an IPv6 address with a zone may not be understood"),
+        ("4242", "/dev/video4242 does not exist"),
+    ],
+)
+def test_a_source_that_no_stream_can_come_from_is_said_at_once(source: str, said: str) -> None:
+    grabber = Grabber("cam", source, wall_clock=time.time)
+    assert reason_of(grabber, said) == "connecting"
+    shown = probe.probe(probe.ProbeRequest(source, VisionSettings()), FfmpegLog())
+    assert said in shown.problem
+
+
+@pytest.mark.parametrize(("fps", "patience"), [(1 / 5, [1, 4]), (1 / 20, [1, 4, 20])])
+def test_a_stream_is_waited_for_as_long_as_its_pictures_take(
+    fps: float, patience: list[float], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    camera = Camera(monkeypatch, fps=fps)
+    camera.film_seconds = 400.0
+    camera.needs = patience[-1]
+    grabber = grabber_of(camera)
+
+    assert reason_of(grabber, "people cannot be followed") == "running"
+
+    assert camera.patience == patience
+    assert grabber.statistics()["frames_analysed"] > 5
+
+
+def test_a_stream_whose_size_is_unknown_is_opened_with_more_patience(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    camera = Camera(monkeypatch)
+    camera.size = (0, 0)
+    camera.needs = 21.0
+    assert reason_of(grabber_of(camera), "data come, but no keyframe yet") == "connecting"
+
+    camera.needs = 4.0
+    assert len(seen(camera, time.time)) == len(TRUTH)
+
+
+def test_pictures_that_are_none_or_do_not_change_are_said(monkeypatch: pytest.MonkeyPatch) -> None:
+    camera = Camera(monkeypatch)
+    monkeypatch.setattr(camera, "frame", lambda: None)
+    camera.fault = "damaged video"
+    said = "frames come, none can be decoded: damaged video"
+    assert reason_of(grabber_of(camera), said) == "connecting"
+
+    camera = Camera(monkeypatch)
+    frozen = Frame(0.0, camera.scene.picture(0.0))
+    monkeypatch.setattr(camera, "frame", lambda: frozen)
+    assert reason_of(grabber_of(camera), "is the camera frozen?") == "running"

@@ -37,9 +37,8 @@ def quick(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(pipeline, "BOOTSTRAP_SECONDS", 1.0)
     monkeypatch.setattr(live, "BACKOFF_SECONDS_MIN", 0.2)
     monkeypatch.setattr(live, "BACKOFF_SECONDS_MAX", 0.4)
-    for module in (capture, live):
-        monkeypatch.setattr(module, "OPEN_SECONDS_MAX", 1.0)
-        monkeypatch.setattr(module, "READ_SECONDS_MAX", 1.0)
+    monkeypatch.setattr(capture, "OPEN_SECONDS_MAX", 1.0)
+    monkeypatch.setattr(capture, "READ_SECONDS_MAX", 1.0)
 
 
 @pytest.fixture(scope="module")

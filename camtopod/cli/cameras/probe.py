@@ -22,14 +22,7 @@ from camtopod.serve.bus import BusError, access, dial
 from camtopod.visible import visible
 from camtopod.vision.detector.model import ModelReport
 from camtopod.vision.settings import DetectorSettings
-from camtopod.vision.source import (
-    OPEN_SECONDS_MAX,
-    PROBE_SECONDS,
-    READ_SECONDS_MAX,
-    SETTLE_SECONDS_MAX,
-    Probe,
-    ProbeRequest,
-)
+from camtopod.vision.source import PROBE_SECONDS_MAX, SETTLE_SECONDS_MAX, Probe, ProbeRequest
 from camtopod.web import pictures
 
 PROGRAM = "camtopod.vision.source.probe"
@@ -76,13 +69,7 @@ def probe_all(
 def _probe(settings: CameraSettings, picture: bool) -> Probe:
     """Probe one camera in a process, which gets it through a pipe: command lines are public."""
     request = ProbeRequest(settings.source, settings.vision, picture, settings.detector)
-    seconds = (
-        OPEN_SECONDS_MAX
-        + READ_SECONDS_MAX
-        + PROBE_SECONDS
-        + (SETTLE_SECONDS_MAX if picture else 0.0)
-        + START_SECONDS
-    )
+    seconds = PROBE_SECONDS_MAX + (SETTLE_SECONDS_MAX if picture else 0.0) + START_SECONDS
     try:
         done = subprocess.run(
             [sys.executable, "-P", "-m", PROGRAM],

@@ -30,8 +30,15 @@ from camtopod.vision.source.source_url import (
     percent_encoded,
 )
 
-STREAM_OPTIONS = "rtsp_transport;tcp|probesize;32768|analyzeduration;300000"
-"""FFmpeg options of streams. The small probe gives the first frame after 0.6 s instead of 1.9 s."""
+STREAM_OPTIONS = "rtsp_transport;tcp|allowed_media_types;video"
+"""FFmpeg options of streams."""
+QUICK_OPTIONS = "|probesize;32768|analyzeduration;300000"
+"""More of them at first: the small probe gives the first frame after 0.6 s instead of 1.9 s."""
+PATIENCE = (1.0, 4.0, 20.0)
+"""Factors of `READ_SECONDS_MAX` for streams, in the order in which they are tried.
+
+A stream that gives nothing within one may have keyframes, pictures or segments farther apart.
+"""
 OPTIONS_VARIABLE = "OPENCV_FFMPEG_CAPTURE_OPTIONS"
 """Environment variable from which OpenCV reads FFmpeg options; a user's value replaces ours."""
 _DEVICES_OPTION = "hw_decoders_any"
@@ -43,7 +50,7 @@ LUMA_FORMATS = frozenset({"I420", "YV12", "Y42B", "444P", "NV12", "NV21", "Y800"
 PATIENT_OPTIONS = "probesize;1000000000|analyzeduration;1000000000"
 """FFmpeg options of a file whose pictures have no known size: its video begins late."""
 OPEN_SECONDS_MAX = 5.0
-"""Timeout for opening a stream."""
+"""Timeout for opening a stream; with patience it is longer by as much as that for reading."""
 READ_SECONDS_MAX = 3.0
 """Time without a frame after which a stream is reopened."""
 IMAGE_WIDTH_MAX = 1920
@@ -112,12 +119,14 @@ class Capture:
         settings: VisionSettings,
         colour: bool = False,
         ffmpeg_log: FfmpegLog | None = None,
+        patience: float = PATIENCE[0],
     ) -> None:
         """Open ``source``; `is_open` tells if that worked. Blocks for at most the open timeout.
 
         colour: convert frames to colour, as `image` requires. The luma then differs from that of
             the video by its rounding.
         ffmpeg_log: tells which pictures are damaged or none; without it all are believed.
+        patience: factor of the timeout for reading a stream (`timeouts`).
         """
         cv2.utils.logging.setLogLevel(0)  # its messages contain URLs with passwords
         # Images are so small that waking more threads costs more than it gains.
@@ -125,21 +134,24 @@ class Capture:
 
         # Open with timeouts (streams) and one decoder thread.
         kind = kind_of(source)
-        options = os.environ.get(OPTIONS_VARIABLE, STREAM_OPTIONS if kind == "stream" else "")
+        seconds = timeouts(patience) if kind == "stream" else None
+        options = os.environ.get(OPTIONS_VARIABLE, _stream_options(patience) if seconds else "")
         number = device_number(source)
         if number is not None:
             self._capture = cv2.VideoCapture(number)
         else:
-            self._capture = _opened(source, kind == "stream", options)
+            self._capture = _opened(source, seconds, options)
             if kind == "file" and self.is_open and self.size == (0, 0):
                 options = options or PATIENT_OPTIONS
-                self._capture = _opened(source, False, options)
+                self._capture = _opened(source, None, options)
         self._ffmpeg_log = ffmpeg_log or FfmpegLog()
         self._ffmpeg_log.newest_fault()  # forgets those of opening, which looks far ahead
         self.fault = ""
         """Why the latest picture that could not be decoded was none; "" if that is not known."""
         self._damaged = 0
         """Number of pictures that are taken for damaged unless one comes coded by itself."""
+        self._is_joined = kind != "stream"
+        """True from the first picture on; a stream begins with messages about what came before."""
 
         # Request the luma plane if the pixel format has one.
         self._width_max = settings.working_width
@@ -198,9 +210,11 @@ class Capture:
         good = self._capture.grab()
         if fault := self._ffmpeg_log.newest_fault():
             self.fault = fault
-            self._damaged = DAMAGED_PICTURES_MAX
+            if self._is_joined:
+                self._damaged = DAMAGED_PICTURES_MAX
         if not good:
             return None
+        self._is_joined = True
         if self._damaged:
             self._damaged -= 1
             coded = int(self._capture.get(cv2.CAP_PROP_FRAME_TYPE))
@@ -291,24 +305,35 @@ class FrameSelector:
         return due
 
 
-def _opened(source: str, stream: bool, options: str) -> cv2.VideoCapture:
-    """Open a file or stream with FFmpeg's ``options``."""
+def timeouts(patience: float) -> tuple[float, float]:
+    """Return the timeouts for opening and reading a stream, seconds."""
+    read = patience * READ_SECONDS_MAX
+    return OPEN_SECONDS_MAX + read - READ_SECONDS_MAX, read
+
+
+def _stream_options(patience: float) -> str:
+    """Return FFmpeg's options for a stream."""
+    if patience == PATIENCE[0]:
+        return STREAM_OPTIONS + QUICK_OPTIONS
+    microseconds = round(1e6 * timeouts(patience)[1])
+    return f"{STREAM_OPTIONS}|probesize;100000000|analyzeduration;{microseconds}"
+
+
+def _opened(source: str, seconds: tuple[float, float] | None, options: str) -> cv2.VideoCapture:
+    """Open a stream with its timeouts, or a file, with FFmpeg's ``options``."""
     parameters = [cv2.CAP_PROP_N_THREADS, 1]
-    if stream:
+    if seconds is not None:
         source = percent_encoded(source)
-        parameters += [
-            cv2.CAP_PROP_OPEN_TIMEOUT_MSEC,
-            round(1000 * OPEN_SECONDS_MAX),
-            cv2.CAP_PROP_READ_TIMEOUT_MSEC,
-            round(1000 * READ_SECONDS_MAX),
-        ]
+        names = (cv2.CAP_PROP_OPEN_TIMEOUT_MSEC, cv2.CAP_PROP_READ_TIMEOUT_MSEC)
+        for name, timeout in zip(names, seconds, strict=True):
+            parameters += [name, round(1000 * timeout)]
     else:
         source = f"file:{file_path(source)}"  # what is before a colon is no protocol
     if _DEVICES_OPTION in options:
         parameters += [cv2.CAP_PROP_HW_ACCELERATION, cv2.VIDEO_ACCELERATION_ANY]
-    name: Any = os.fsencode(source)  # need not be UTF-8: OpenCV crashes on such a string
+    bytes_: Any = os.fsencode(source)  # need not be UTF-8: OpenCV crashes on such a string
     with environment(OPTIONS_VARIABLE, options):
-        return cv2.VideoCapture(name, cv2.CAP_FFMPEG, parameters)
+        return cv2.VideoCapture(bytes_, cv2.CAP_FFMPEG, parameters)
 
 
 def _four_characters(capture: cv2.VideoCapture, of: int) -> str:

@@ -31,6 +31,7 @@ _STATUSES = {
     404: "the camera has no such stream",
     454: "the camera has ended the session",
     453: "the camera has too many viewers",
+    461: "the camera refuses TCP: for UDP set OPENCV_FFMPEG_CAPTURE_OPTIONS='rtsp_transport;udp'",
     503: "the camera is busy",
 }
 """Reason by HTTP or RTSP status."""

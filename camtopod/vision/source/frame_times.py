@@ -40,6 +40,8 @@ class StampClock:
         self._minima: deque[tuple[float, float]] = deque()
         """(arrival, arrival - stamp), both ascending: candidates for the minimum of the window."""
         self._last: tuple[float, float] | None = None
+        self._first: tuple[float, float] | None = None
+        """Stamp and arrival of the first frame of the time base, as `_last` of the latest."""
         self._gap = 0.0
         """Longest time between two arrivals, which fades over the window."""
 
@@ -55,7 +57,9 @@ class StampClock:
             self._gap = max(elapsed, self._gap * (1.0 - elapsed / WINDOW_SECONDS))
             if step <= 0.0 or step > elapsed + JUMP_SECONDS:
                 self._minima.clear()
+                self._first = None
         self._last = (stamp, arrival)
+        self._first = self._first or self._last
 
         # Minimum of a sliding window: keep ascending offsets only, drop those too old.
         offset = arrival - stamp
@@ -75,6 +79,13 @@ class StampClock:
             if self._borne_out and arrival - LAG_SECONDS_MAX <= captured <= arrival:
                 return captured
         return None
+
+    @property
+    def outran(self) -> bool:
+        """True if stamps cover more than twice the time of the arrivals: they are not live."""
+        if self._first is None or self._last is None:
+            return False
+        return self._last[0] - self._first[0] > 2.0 * (self._last[1] - self._first[1])
 
     @property
     def _borne_out(self) -> bool:

@@ -16,15 +16,23 @@ from contextlib import suppress
 
 from camtopod.vision.settings import VisionSettings
 from camtopod.vision.source.capture import (
-    OPEN_SECONDS_MAX,
-    READ_SECONDS_MAX,
+    PATIENCE,
     Capture,
     Frame,
     FrameSelector,
     Source,
+    timeouts,
 )
 from camtopod.vision.source.ffmpeg_log import FfmpegLog
 from camtopod.vision.source.frame_times import StampClock
+from camtopod.vision.source.remarks import (
+    RECORDING,
+    SINGLE_PICTURE,
+    Observed,
+    no_picture,
+    unfit,
+    why_not_opened,
+)
 from camtopod.vision.source.source_url import RETRY_SEPARATOR
 
 QUEUE_FRAMES = 8
@@ -44,6 +52,8 @@ HEALTHY_SECONDS = 10.0
 """Duration of a connection after which the backoff starts from its minimum again."""
 MARGIN_SECONDS = 1.0
 """Time that a call of OpenCV may exceed its timeouts by."""
+UNDECODED_SECONDS_MAX = 3.0
+"""Time without a decoded picture, while frames come, after which a stream does not run."""
 TIME_STEP_MIN_SECONDS = 0.001
 """Smallest difference of the capture times of consecutive frames."""
 CLOCK_STEP_SECONDS = 0.05
@@ -79,6 +89,8 @@ class LiveSource(Source):
         self._shift = 0.0
         self._latest = float("-inf")
         self._called: float | None = None
+        self._level = 0
+        """Degree of patience that the source needs, as far as is known: index of `PATIENCE`."""
 
     def frames(self) -> Iterator[Frame | None]:
         """Yield frames with ascending capture times; None if there is none for half a second.
@@ -113,7 +125,11 @@ class LiveSource(Source):
     @property
     def _blocked_seconds_max(self) -> float:
         """Longest time a call of OpenCV should take."""
-        return OPEN_SECONDS_MAX + READ_SECONDS_MAX + MARGIN_SECONDS
+        return sum(timeouts(self._patience)) + MARGIN_SECONDS
+
+    @property
+    def _patience(self) -> float:
+        return PATIENCE[self._level]
 
     def close(self) -> None:
         """Stop; waits for a blocked read, at most the sum of the timeouts."""
@@ -129,38 +145,46 @@ class LiveSource(Source):
         while not self._stop.is_set():
             self._ffmpeg_log.newest_reason()  # discard those of an earlier connection
 
-            # Open and read. `_called` marks the begin of each call that may block.
-            self._called = time.monotonic()
-            capture = Capture(self._source, self._settings, self._colour, self._ffmpeg_log)
             began = time.monotonic()
-            if capture.is_open:
-                self.connections += 1
-                reason = self._read(capture)
-            else:
-                why = self._ffmpeg_log.newest_reason()
-                reason = f"the source cannot be opened{why and ': '}{why}"
-
-            # Release.
-            self._called = time.monotonic()
-            capture.release()
-            self._called = None
+            reason = self._connection()
 
             # Wait with jitter; the delay doubles unless the connection was healthy.
             self.failures += 1
-            self.state = "stalled" if self.grabbed else "connecting"
             if time.monotonic() - began > HEALTHY_SECONDS:
                 wait = BACKOFF_SECONDS_MIN
             pause = wait * random.uniform(0.5, 1.0)
-            self.reason = f"{reason}{RETRY_SEPARATOR}{pause:.1f} s"
+            self._lose(f"{reason}{RETRY_SEPARATOR}{pause:.1f} s")
             wait = min(2 * wait, BACKOFF_SECONDS_MAX)
             self._stop.wait(pause)
+
+    def _connection(self) -> str:
+        """Open the source and read it until it dies; return the reason.
+
+        `_called` marks the begin of each call that may block.
+        """
+        self._called = time.monotonic()
+        capture = Capture(
+            self._source, self._settings, self._colour, self._ffmpeg_log, self._patience
+        )
+        try:
+            if not capture.is_open:
+                why = why_not_opened(self._source, self._ffmpeg_log)
+                return f"the source cannot be opened{why and ': '}{why}"
+            self.connections += 1
+            return unfit(self._source, capture) or self._read(capture)
+        finally:
+            self._called = time.monotonic()
+            capture.release()
+            self._called = None
 
     def _read(self, capture: Capture) -> str:
         """Pass frames on until the source dies; return the reason."""
         clock = StampClock()
         selector = FrameSelector(self._settings.analysed_fps)
+        observed = Observed(capture.size)
         held: list[tuple[float, float, Frame]] = []
-        first: float | None = None
+        began = decoded = time.monotonic()
+        frames = 0
         moment = float("-inf")
         while not self._stop.is_set():
             # Grab a frame.
@@ -168,39 +192,63 @@ class LiveSource(Source):
             stamp = capture.grab()
             arrival = time.monotonic()
             if stamp is None:
-                if arrival - asked > 0.9 * READ_SECONDS_MAX:
-                    return "no frame within the read timeout"
-                return "the source ended or closed the connection"
-
-            if first is None:
-                first = arrival
+                return self._why_ended(capture, clock, frames, arrival - asked, decoded - began)
+            if not frames:
+                began = decoded = arrival
+            frames += 1
             self.grabbed += 1
-            self.state = "running"
-            self.reason = ""
 
             # Decode it if it is to be analysed.
             clock.record(stamp, arrival)
             moment = max(moment, clock.captured(stamp, arrival) or arrival)
             if not selector.wants(moment):
+                observed.add(arrival, None)
                 continue
             retrieved = capture.frame()
             if retrieved is None:
                 self.dropped += 1
+                if arrival - decoded > UNDECODED_SECONDS_MAX:
+                    self._lose(f"frames come, none can be decoded: {capture.fault}")
                 continue
+            decoded = arrival
+            observed.add(arrival, retrieved.luma)
 
             # Hold it until the clock has settled, then pass it on with its capture time.
             held.append((stamp, arrival, retrieved))
-            if arrival - first >= SETTLE_SECONDS:
-                for shown, came, frame in held:
-                    captured = clock.captured(shown, came)
-                    if captured is None:
-                        self.untrusted_stamps += 1
-                        captured = came
-                    self._latest = max(captured, self._latest + TIME_STEP_MIN_SECONDS)
-                    t = self._latest + self._ahead
-                    self._hand_on(frame._replace(t=t, shift=self._shift_now()))
+            if arrival - began >= SETTLE_SECONDS:
+                self.state = "running"
+                self.reason = observed.words
+                for one in held:
+                    self._hand_on(clock, *one)
                 held.clear()
         return "closed"
+
+    def _why_ended(
+        self, capture: Capture, clock: StampClock, frames: int, waited: float, ran: float
+    ) -> str:
+        """Return why a connection gives no frame any more, and note if it needs more patience.
+
+        frames: number of its frames.
+        waited: time that the last call took, seconds.
+        ran: time from its first frame to the last one that was decoded, seconds.
+        """
+        timed_out = waited > 0.9 * timeouts(self._patience)[1]
+        if (timed_out and ran < HEALTHY_SECONDS) or (not frames and capture.size == (0, 0)):
+            self._level = min(self._level + 1, len(PATIENCE) - 1)
+        if not frames:
+            return f"it opens, but gives no picture: {no_picture(capture)}"
+        if timed_out:
+            return "no frame within the read timeout"
+        if frames == 1:
+            return SINGLE_PICTURE
+        if clock.outran and not self._source.lower().startswith("rtsp"):
+            return RECORDING
+        return "the source ended or closed the connection"
+
+    def _lose(self, reason: str) -> None:
+        """Say that there are no pictures, or none any more."""
+        self.state = "stalled" if self._latest > float("-inf") else "connecting"
+        self.reason = reason.removesuffix(": ")
 
     def _shift_now(self) -> float:
         """Return by how many seconds the wall clock has been set since the beginning."""
@@ -209,8 +257,17 @@ class LiveSource(Source):
             self._shift = shift
         return self._shift
 
-    def _hand_on(self, frame: Frame) -> None:
-        """Queue a frame, dropping the oldest one if the queue is full: nobody else puts any in."""
+    def _hand_on(self, clock: StampClock, stamp: float, arrival: float, frame: Frame) -> None:
+        """Queue a frame with its capture time.
+
+        The oldest one is dropped if the queue is full: nobody else puts any in.
+        """
+        captured = clock.captured(stamp, arrival)
+        if captured is None:
+            self.untrusted_stamps += 1
+            captured = arrival
+        self._latest = max(captured, self._latest + TIME_STEP_MIN_SECONDS)
+        frame = frame._replace(t=self._latest + self._ahead, shift=self._shift_now())
         if self._queue.full():
             with suppress(queue.Empty):  # the caller has just taken one
                 self._queue.get_nowait()

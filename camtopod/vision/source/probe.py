@@ -10,7 +10,6 @@ JSON.
 
 from __future__ import annotations
 
-import os
 import sys
 import time
 
@@ -22,24 +21,30 @@ from msgspec import Struct
 from camtopod.vision.detect import Luma, shrunk
 from camtopod.vision.detector.model import ModelReport, try_model
 from camtopod.vision.settings import DetectorSettings, VisionSettings
-from camtopod.vision.source.capture import Capture
+from camtopod.vision.source.capture import PATIENCE, Capture, timeouts
 from camtopod.vision.source.ffmpeg_log import FfmpegLog, captured_log
 from camtopod.vision.source.file_times import FPS_UNKNOWN
+from camtopod.vision.source.frame_times import StampClock
 from camtopod.vision.source.recorded import RecordedSource
-from camtopod.vision.source.source_url import device_number, kind_of
+from camtopod.vision.source.remarks import (
+    SINGLE_PICTURE,
+    no_picture,
+    remarks,
+    unfit,
+    why_not_opened,
+)
+from camtopod.vision.source.source_url import kind_of
 
 PROBE_SECONDS = 2.0
 """Time for which frames are counted, from the first one on."""
+PROBE_LEVELS = 2
+"""Number of degrees of patience with which a stream is opened."""
+PROBE_SECONDS_MAX = PROBE_SECONDS + sum(
+    seconds for patience in PATIENCE[:PROBE_LEVELS] for seconds in timeouts(patience)
+)
+"""Longest time of a probe without a picture."""
 FILE_FRAMES = 50
 """Number of frames read of a file."""
-FPS_MIN = 4.5
-"""Frame rate below which fast walkers are hardly detected."""
-PIXELS_MAX = 1920 * 1080
-"""Number of pixels above which decoding alone takes much of a small machine's capacity."""
-WIDTH_MIN = 160
-"""Width (pixels) below which people can hardly be detected."""
-CONTRAST_MIN = 3.0
-"""Standard deviation of the luma (of 255) below which a picture shows nothing."""
 PICTURE_WIDTH_MAX = 1280
 """Largest width (pixels) of the returned picture, which serves to draw zones on."""
 SETTLE_SECONDS_MIN = 6.0
@@ -167,32 +172,45 @@ class SettledPicture:
 def probe(request: ProbeRequest, ffmpeg_log: FfmpegLog) -> Probe:
     """Open the source, count its frames, and run the detector once.
 
-    Takes at most the timeouts plus `PROBE_SECONDS`, with a picture plus `SETTLE_SECONDS_MAX`. Never
-    raises for a source that does not work.
+    Takes at most `PROBE_SECONDS_MAX`, with a picture plus `SETTLE_SECONDS_MAX`. Never raises for a
+    source that does not work.
     """
     source = request.source
-    settings = request.settings
     kind = kind_of(source)
     if kind == "file":
         try:
-            RecordedSource(source, settings, 0.0, False, ffmpeg_log=ffmpeg_log).close()
+            RecordedSource(source, request.settings, 0.0, False, ffmpeg_log=ffmpeg_log).close()
         except OSError as error:
             return Probe(error.strerror or str(error).removeprefix(f"{source}: "))
 
+    levels = PATIENCE[:PROBE_LEVELS] if kind == "stream" else PATIENCE[:1]
+    for patience in levels:
+        seen, is_final = _seen(request, ffmpeg_log, patience)
+        if is_final:
+            break
+    return seen
+
+
+def _seen(request: ProbeRequest, ffmpeg_log: FfmpegLog, patience: float) -> tuple[Probe, bool]:
+    """Return what a source is; False with it if more patience may show more."""
+    source = request.source
     colour = request.picture or bool(request.detector.model)
-    capture = Capture(source, settings, colour, ffmpeg_log)
+    capture = Capture(source, request.settings, colour, ffmpeg_log, patience)
+    live = kind_of(source) != "file"
     try:
         if not capture.is_open:
-            why = _of_device(source) if kind == "device" else ffmpeg_log.newest_reason()
-            return Probe(f"cannot be opened{why and ': '}{why}")
+            why = why_not_opened(source, ffmpeg_log)
+            return Probe(f"cannot be opened{why and ': '}{why}"), True
+        if live and (why := unfit(source, capture)):
+            return Probe(why), True
         settled = SettledPicture() if request.picture else None
-        seen = _watched(capture, kind != "file", settled)
+        seen = _watched(capture, live, settled)
         if request.detector.model and not seen.problem:
             latest = capture.image(capture.size[0]) if capture.has_image else None
             seen.detector = try_model(request.detector, latest)
         if settled is not None:
             _add_picture(seen, settled)
-        return seen
+        return seen, capture.has_image
     finally:
         capture.release()
 
@@ -201,8 +219,10 @@ def _watched(capture: Capture, live: bool, settled: SettledPicture | None) -> Pr
     """Read frames for a while and return what they are; give ``settled`` those that it wants."""
     stamps: list[float] = []
     arrivals: list[float] = []
+    clock = StampClock()
     contrast = 0.0
     t = 0.0
+    ended = 0.0
     while True:
         counted = t >= PROBE_SECONDS if live else len(arrivals) >= FILE_FRAMES
         if counted and (settled is None or settled.settled or t >= SETTLE_SECONDS_MAX):
@@ -210,10 +230,12 @@ def _watched(capture: Capture, live: bool, settled: SettledPicture | None) -> Pr
 
         # Grab a frame. Its time counts from the first one; in a file frames have equal distances.
         stamp = capture.grab()
+        ended = time.monotonic()
         if stamp is None:
             break
         stamps.append(stamp)
-        arrivals.append(time.monotonic())
+        arrivals.append(ended)
+        clock.record(stamp, ended)
         t = arrivals[-1] - arrivals[0] if live else len(arrivals) / (capture.fps or FPS_UNKNOWN)
 
         # Decode it if it is needed.
@@ -226,18 +248,24 @@ def _watched(capture: Capture, live: bool, settled: SettledPicture | None) -> Pr
             if wanted and settled is not None:
                 settled.add(t, capture.image(PICTURE_WIDTH_MAX))
 
-    # Frame rate: of a live source as measured, of a file as declared.
     if not arrivals:
-        return Probe("opens, but delivers no frame")
+        return Probe(f"opens, but delivers no frame: {no_picture(capture)}")
     if not capture.has_image:
         return Probe(f"frames come, none can be decoded: {capture.fault}".removesuffix(": "))
-    times = stamps if stamps[-1] > stamps[0] else arrivals
+
+    # Frame rate: of a live source as measured, of a file as declared.
     fps = capture.fps
-    if live and len(times) > 1:
-        fps = (len(times) - 1) / (times[-1] - times[0])
+    if live:
+        if len(arrivals) == 1 and ended - arrivals[0] < PROBE_SECONDS:
+            return Probe(SINGLE_PICTURE)
+        pairs = zip(stamps, arrivals, strict=True)
+        captured = [at for pair in pairs if (at := clock.captured(*pair)) is not None]
+        times = captured if len(captured) > len(arrivals) / 2 else arrivals
+        seconds = times[-1] - times[0]
+        fps = (len(times) - 1) / seconds if seconds > 0.0 else 1.0 / (ended - arrivals[0])
     width, height = capture.size
     seen = Probe("", capture.codec, width, height, fps)
-    seen.remarks = _remarks(seen, contrast)
+    seen.remarks = remarks(capture.size, fps, contrast)
     return seen
 
 
@@ -258,36 +286,6 @@ def _median(stack: Luma) -> Luma:
     """Return the median (H, W, ...) of a stack (N, H, W, ...)."""
     middle = len(stack) // 2
     return np.asarray(np.partition(stack, middle, axis=0)[middle], np.uint8)
-
-
-def _remarks(seen: Probe, contrast: float) -> list[str]:
-    """Return suggestions for a source that works."""
-    remarks = []
-    if contrast < CONTRAST_MIN:
-        remarks.append("the picture has hardly any contrast: is the lens covered?")
-    if 0.0 < seen.fps < FPS_MIN:
-        remarks.append(
-            "the frame rate is so low that fast walkers are missed: "
-            "set the camera to 5 frames a second or more"
-        )
-    if seen.width * seen.height > PIXELS_MAX:
-        remarks.append(
-            "the picture is larger than needed: "
-            "a smaller stream of the camera takes less of this machine's capacity"
-        )
-    if seen.width < WIDTH_MIN:
-        remarks.append("the picture is so small that people can hardly be detected")
-    return remarks
-
-
-def _of_device(source: str) -> str:
-    """Return why a device cannot be opened."""
-    path = f"/dev/video{device_number(source)}"
-    if not os.path.exists(path):
-        return f"{path} does not exist"
-    if not os.access(path, os.R_OK | os.W_OK):
-        return f"no permission for {path}: add this user to the group video"
-    return f"{path} is in use or is not a camera"
 
 
 def decoders() -> list[str]:

@@ -1,0 +1,144 @@
+"""What a source is not fit for, and what could be better about it, in words for people."""
+
+from __future__ import annotations
+
+import os
+import re
+
+import numpy as np
+
+from camtopod.vision.detect import Luma
+from camtopod.vision.source.capture import Capture
+from camtopod.vision.source.ffmpeg_log import FfmpegLog
+from camtopod.vision.source.source_url import device_number
+
+FPS_MIN = 4.5
+"""Frame rate below which fast walkers are hardly detected."""
+FPS_FOLLOWED = 1.0
+"""Frame rate below which people are not followed: they are elsewhere in the next picture."""
+PIXELS_MAX = 1920 * 1080
+"""Number of pixels above which decoding alone takes much of a small machine's capacity."""
+WIDTH_MIN = 160
+"""Width (pixels) below which people can hardly be detected."""
+CONTRAST_MIN = 3.0
+"""Standard deviation of the luma (of 255) below which a picture shows nothing."""
+OBSERVED_SECONDS = 10.0
+"""Time over which pictures of a stream are counted and compared.
+
+A camera's noise, and each keyframe, changes some pixel meanwhile.
+"""
+_URL = re.compile(r"([A-Za-z][A-Za-z0-9+.-]*)://([^/?]*)")
+_SCHEMES = ("rtsp", "rtsps", "rtmp", "rtmps", "http", "https", "tcp", "udp", "rtp", "srt")
+"""Schemes of streams."""
+_OTHERS = {
+    "onvif": "`camtopod init` asks a camera for its streams by ONVIF: give what it finds",
+    "v4l2": "give a device by its number, or as /dev/video0",
+}
+"""What to do about URLs that are no streams, by scheme."""
+
+
+def remarks(size: tuple[int, int], fps: float, contrast: float) -> list[str]:
+    """Return what could be better about a source that works.
+
+    size: width and height, pixels.
+    fps: frame rate; 0.0 if unknown.
+    contrast: standard deviation of the luma.
+    """
+    found = []
+    width, height = size
+    if contrast < CONTRAST_MIN:
+        found.append("the picture has hardly any contrast: is the lens covered?")
+    if 0.0 < fps < FPS_MIN:
+        lost = "fast walkers are missed" if fps >= FPS_FOLLOWED else "people cannot be followed"
+        found.append(
+            f"the frame rate is so low that {lost}: set the camera to 5 frames a second or more"
+        )
+    if width * height > PIXELS_MAX:
+        found.append(
+            "the picture is larger than needed: "
+            "a smaller stream of the camera takes less of this machine's capacity"
+        )
+    if width < WIDTH_MIN:
+        found.append("the picture is so small that people can hardly be detected")
+    return found
+
+
+class Observed:
+    """The pictures of a stream that runs, and what could be better about them."""
+
+    def __init__(self, size: tuple[int, int]) -> None:
+        self._size = size
+        self._began: float | None = None
+        self._luma: Luma | None = None
+        self._frames = 0
+        self._contrast = 0.0
+        self._changed = False
+        self.words = ""
+        """What could be better, by the latest `OBSERVED_SECONDS`; "" if nothing."""
+
+    def add(self, arrival: float, luma: Luma | None) -> None:
+        """Take a frame into account; ``luma`` (H, W) if it was decoded."""
+        self._frames += 1
+        if luma is not None:
+            self._changed |= self._luma is not None and not np.array_equal(luma, self._luma)
+            self._contrast = max(self._contrast, float(luma.std()))
+            self._luma = luma
+        if self._began is None:
+            self._began = arrival
+            self._frames = 0
+        seconds = arrival - self._began
+        if seconds < OBSERVED_SECONDS:
+            return
+        found = remarks(self._size, self._frames / seconds, self._contrast)
+        if not self._changed:
+            found.append(f"the picture has not changed for {seconds:.0f} s: is the camera frozen?")
+        self.words = "; ".join(found)
+        self._began = arrival
+        self._frames = 0
+        self._contrast = 0.0
+        self._changed = False
+
+
+def why_not_opened(source: str, ffmpeg_log: FfmpegLog) -> str:
+    """Return why a device or stream could not be opened; "" if that is not known."""
+    number = device_number(source)
+    if number is not None:
+        return _of_device(number)
+    scheme, host = m.groups() if (m := _URL.match(source)) else ("", "")
+    if scheme.lower() not in _SCHEMES:
+        known = f"{scheme}:// is none of {', '.join(_SCHEMES)}"
+        return _OTHERS.get(scheme.lower(), known)
+    reason = ffmpeg_log.newest_reason()
+    if not reason and "%" in host.rpartition("@")[2]:
+        return "an IPv6 address with a zone may not be understood: give another address"
+    return reason
+
+
+def no_picture(capture: Capture) -> str:
+    """Return why an open stream may give no picture."""
+    if capture.fault or capture.size == (0, 0):
+        return "data come, but no keyframe yet"
+    return "no data come, or no keyframe yet"
+
+
+def unfit(source: str, capture: Capture) -> str:
+    """Return what an open URL is if it is no stream; "" if it is one."""
+    if capture.seconds == 0.0 or source.lower().startswith("rtsp"):
+        return ""
+    if capture.seconds * capture.fps < 2.0:
+        return SINGLE_PICTURE
+    return f"{RECORDING} (it has {capture.seconds:.0f} s)"
+
+
+SINGLE_PICTURE = "it gives a single picture: give the camera's RTSP or MJPEG stream instead"
+RECORDING = "it is a recording, not a stream: download it, and give the file"
+
+
+def _of_device(number: int) -> str:
+    """Return why a device cannot be opened."""
+    path = f"/dev/video{number}"
+    if not os.path.exists(path):
+        return f"{path} does not exist"
+    if not os.access(path, os.R_OK | os.W_OK):
+        return f"no permission for {path}: add this user to the group video"
+    return f"{path} is in use or is not a camera"
