@@ -33,6 +33,10 @@ ROOM = 40
 """Bytes of a file until the disk is full."""
 
 
+some = pytest.mark.parametrize("command", ["report", "ingest", "truth", "doctor"], indirect=True)
+"""Those of one kind each; that all write by one function is a test of the house."""
+
+
 @pytest.fixture(params=COMMANDS)
 def command(
     request: pytest.FixtureRequest, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
@@ -83,6 +87,7 @@ def test_a_file_is_whole_or_as_it_was(
     assert stat.S_IMODE(good.stat().st_mode) == (0o600 if "doctor" in command else 0o604)
 
 
+@some
 def test_a_folder_that_is_missing_is_named(
     command: list[str],
     capsys: pytest.CaptureFixture[str],
@@ -96,6 +101,7 @@ def test_a_folder_that_is_missing_is_named(
     assert "cannot write .: Is a directory" in capsys.readouterr().err
 
 
+@some
 def test_pipes_and_devices_are_written_into(
     command: list[str], tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -114,6 +120,7 @@ def test_pipes_and_devices_are_written_into(
     assert pipe.is_fifo()
 
 
+@some
 def test_a_dash_and_its_other_names_are_standard_output(
     command: list[str],
     tmp_path: Path,
