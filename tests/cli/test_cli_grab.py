@@ -84,7 +84,7 @@ def test_lines_to_a_file_and_to_standard_output(
     made = FakeGrabber.made[0]
     assert (made.source, made.closed) == ("x.mp4", True)
     assert (made.options["start"], made.options["realtime"]) == (5.0, True)
-    for name in ("-", "/dev/stdout"):
+    for name in ("-", "/proc/self/fd/1"):
         assert main([*arguments, name]) == 0
         assert capfdbinary.readouterr().out == out.read_bytes()
 
