@@ -413,7 +413,8 @@ class Topology(Struct, frozen=True, omit_defaults=True):
     """One version of the learned topology.
 
     ``digest`` is over the content, without site, epoch and version. ``alarms`` are the newest of
-    the epoch, oldest first.
+    the epoch, oldest first. ``evidence``: before the first link between views, the share of its
+    evidence that is there, which does not fall; None after it.
     """
 
     schema: str
@@ -432,6 +433,7 @@ class Topology(Struct, frozen=True, omit_defaults=True):
     model: Model | None = None
     alarms: list[Alarm] | None = None
     score: SelfScore | None = None
+    evidence: Share | None = None
 
     def __post_init__(self) -> None:
         if self.schema != TOPOLOGY_SCHEMA:
@@ -467,6 +469,7 @@ class Delta(Struct, frozen=True, omit_defaults=True):
     model: Model | None = None
     alarms: list[Alarm] | None = None
     score: SelfScore | None = None
+    evidence: Share | None = None
 
 
 class NextCamera(Struct, frozen=True):

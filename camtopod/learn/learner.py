@@ -59,7 +59,7 @@ from camtopod.learn.zones import ZoneMap
 from camtopod.predict import Predictor
 from camtopod.publishers import RETURNS_MIN, Publisher
 from camtopod.records import Event, Topology
-from camtopod.topology import with_digest
+from camtopod.topology import evidence_for_links, with_digest
 
 REFIT_EVENTS_MIN = 10
 """Least new events for a new version, unless the last version is older than ``refit_hours``."""
@@ -458,6 +458,7 @@ class Learner:
                 events=self.state.learned,
                 alarms=self.state.alarms.newest or None,
                 score=self._scorer.score(),
+                evidence=evidence_for_links(topology, self.topology),
             )
         )
 

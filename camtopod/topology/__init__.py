@@ -15,6 +15,7 @@ from camtopod.topology.camera_pairs import (
     relation_of as relation_of,
 )
 from camtopod.topology.first_links import (
+    evidence_for_links as evidence_for_links,
     lacks_in_words as lacks_in_words,
     likely_links as likely_links,
     links_between_views as links_between_views,

@@ -13,9 +13,22 @@ from camtopod.records import Lacks, Link, Topology
 from camtopod.topology.site_names import camera_of
 
 NAMED_TRANSITIONS_MIN = 2.0
-"""Transitions from which a weak link is named as the nearest one to publication."""
-UNITS = (("minutes", 60.0, 120.0), ("hours", 3600.0, 48.0), ("days", 86400.0, math.inf))
-"""Unit of a duration, its seconds, and amount from which the next larger one is used."""
+"""Transitions from which a weak link counts as evidence for the first link."""
+SHARE_MAX = 0.99
+"""Largest share of the evidence that is said before there is a link."""
+LEAD = 2.0
+"""Least ratio of a pair's share of the evidence, at least one half, to that of any other pair, for
+it to be named.
+"""
+DURATIONS = (
+    (1_200.0, "some minutes"),
+    (2_700.0, "about half an hour"),
+    (5_400.0, "about an hour"),
+    (36_000.0, "some hours"),
+    (129_600.0, "about a day"),
+    (math.inf, "some days"),
+)
+"""Durations in words, and the seconds up to which each is used."""
 
 
 def links_between_views(topology: Topology) -> list[Link]:
@@ -38,29 +51,38 @@ def likely_links(topology: Topology) -> list[Link]:
     return [link for link, lacks in _lacking(topology) if lacks.passages <= link.transitions]
 
 
+def evidence_for_links(topology: Topology, before: Topology | None) -> float | None:
+    """Return the share of the evidence for the first link; None if there is a link.
+
+    before: the version before, whose share it does not fall below.
+    """
+    if links_between_views(topology):
+        return None
+    known = (before and before.evidence) or 0.0
+    return round(max([known, *_shares(topology).values()]), 2)
+
+
 def waiting_for_links(topology: Topology) -> str:
     """Return a sentence on the missing evidence for the first link; "" if there is a link."""
     if links_between_views(topology):
         return ""
-
-    # Passages and cameras so far.
-    so_far = f"{sum(zone.exits for zone in topology.zones):,} passages so far"
     cameras = [camera.id for camera in topology.cameras]
     if not cameras:
         return "No camera is known yet."
     if len(cameras) < 2:
-        return f"A link needs two cameras: only {cameras[0]} has sent events, {so_far}."
+        return f"A link needs two cameras: only {cameras[0]} has sent events."
 
-    # The weak link that needs least time.
-    none_yet = f"No two cameras are linked yet: {so_far}."
-    for nearest, lacks in _lacking(topology):
-        total = nearest.transitions + lacks.passages
-        return (
-            f"{none_yet} The nearest one, {camera_of(nearest.from_)} to {camera_of(nearest.to)}, "
-            f"has {nearest.transitions:.0f} of about {total:.0f}; "
-            f"about {duration_in_words(lacks.seconds)} at this traffic."
-        )
-    return f"{none_yet} A link takes about ten passages from one camera to another."
+    # The share, the time that is left, and the pair that leads clearly.
+    shares = _shares(topology)
+    share = evidence_for_links(topology, topology) or 0.0
+    words = f"No two cameras are linked yet: {share:.0%} of the evidence is there"
+    if lacking := _lacking(topology):
+        words += f", the rest takes {duration_in_words(lacking[0][1].seconds)} at this traffic"
+    second, first = sorted([0.5 / LEAD, 0.5 / LEAD, *shares.values()])[-2:]
+    if first >= LEAD * second:
+        leader, _ = max(shares.items(), key=lambda one: one[1])
+        words += f"; nearest are {' and '.join(leader)}"
+    return f"{words}."
 
 
 def lacks_in_words(lacks: Lacks) -> str:
@@ -72,11 +94,8 @@ def lacks_in_words(lacks: Lacks) -> str:
 
 
 def duration_in_words(seconds: float) -> str:
-    """Return a duration in whole minutes, hours or days, at least one minute."""
-    if seconds < 90.0:
-        return "1 minute"
-    unit, length, _ = next(one for one in UNITS if seconds < one[1] * one[2])
-    return f"{seconds / length:.0f} {unit}"
+    """Return a duration in round words."""
+    return next(words for most, words in DURATIONS if seconds <= most)
 
 
 def _joins_two_views(link: Link) -> bool:
@@ -94,3 +113,13 @@ def _lacking(topology: Topology) -> list[tuple[Link, Lacks]]:
         and _joins_two_views(link)
     ]
     return sorted(found, key=lambda one: (one[1].seconds, one[0].q_value))
+
+
+def _shares(topology: Topology) -> dict[tuple[str, str], float]:
+    """Return the share of the evidence that is there, by pair of cameras, ids sorted."""
+    shares: dict[tuple[str, str], float] = {}
+    for link, lacks in _lacking(topology):
+        first, second = sorted((camera_of(link.from_), camera_of(link.to)))
+        share = min(link.transitions / (link.transitions + lacks.passages), SHARE_MAX)
+        shares[first, second] = max(share, shares.get((first, second), 0.0))
+    return shares

@@ -15,7 +15,7 @@ import msgspec
 
 from camtopod.records import DELTA_SCHEMA, TOPOLOGY_SCHEMA, Alarm, Delta, Link, Topology
 
-NOT_CONTENT = ("schema", "site", "epoch", "version", "digest")
+NOT_CONTENT = ("schema", "site", "epoch", "version", "digest", "evidence")
 """Fields that the digest does not cover, so that it depends on the learned events alone."""
 
 ALARMS_KEPT_MAX = 50
@@ -98,6 +98,7 @@ def make_delta(old: Topology, new: Topology) -> Delta:
         model=new.model,
         alarms=_new_alarms(new),
         score=new.score,
+        evidence=new.evidence,
         **changes,
     )
 

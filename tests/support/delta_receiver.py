@@ -30,5 +30,6 @@ def apply_delta(old: Topology, delta: Delta) -> Topology:
         model=delta.model,
         alarms=[*(old.alarms or []), *(delta.alarms or [])][-ALARMS_KEPT_MAX:] or None,
         score=delta.score,
+        evidence=delta.evidence,
         **lists,
     )

@@ -1,4 +1,4 @@
-"""What a site without links between views waits for, in passages and minutes."""
+"""What a site without links between views waits for: a share of the evidence, a time in words."""
 
 from __future__ import annotations
 
@@ -7,7 +7,12 @@ from msgspec.structs import replace
 from synthetic_topology import made_link, synthetic_topology
 
 from camtopod.records import Lacks, Topology
-from camtopod.topology import likely_links, links_between_views, waiting_for_links
+from camtopod.topology import (
+    evidence_for_links,
+    likely_links,
+    links_between_views,
+    waiting_for_links,
+)
 
 SITE = synthetic_topology(12)
 A, B = SITE.zones[0], SITE.zones[-1]
@@ -32,28 +37,57 @@ def test_links_are_those_between_views() -> None:
     assert waiting_for_links(SITE) == ""
 
 
-def test_the_nearest_one_is_named_with_what_it_has_and_lacks() -> None:
-    topology = without_links([(3.0, 40.0, 9000.0), (4.0, 6.0, 2400.0)])
-    passages = sum(zone.exits for zone in topology.zones)
-
-    assert waiting_for_links(topology) == (
-        f"No two cameras are linked yet: {passages:,} passages so far. The nearest one, "
-        f"{A.camera} to {B.camera}, has 4 of about 10; about 40 minutes at this traffic."
-    )
-
-
-@pytest.mark.parametrize("weak", [[], [(1.0, 2.0, 60.0)]])
-def test_without_a_near_one_it_says_how_many_passages_a_link_takes(
-    weak: list[tuple[float, float, float]],
+@pytest.mark.parametrize(
+    ("weak", "said"),
+    [
+        ([], "0% of the evidence is there"),
+        ([(1.0, 2.0, 60.0)], "0% of the evidence is there"),
+        (
+            [(3.0, 40.0, 9000.0), (4.0, 6.0, 2400.0)],
+            "40% of the evidence is there, the rest takes about half an hour at this traffic",
+        ),
+        (
+            [(6.0, 4.0, 4000.0)],
+            "60% of the evidence is there, the rest takes about an hour at this traffic; "
+            f"nearest are {A.camera} and {B.camera}",
+        ),
+    ],
+)
+def test_one_share_says_how_near_the_first_link_is(
+    weak: list[tuple[float, float, float]], said: str
 ) -> None:
-    assert "A link takes about ten passages" in waiting_for_links(without_links(weak))
+    words = waiting_for_links(without_links(weak))
+    assert words == f"No two cameras are linked yet: {said}."
+
+
+def test_a_pair_is_named_only_if_it_leads_clearly() -> None:
+    """Another pair that has more than half as much keeps both unnamed."""
+    topology = without_links([(9.0, 3.0, 300.0)])
+    c, d = SITE.zones[1], SITE.zones[-2]
+    for n, named in ((2.0, True), (6.0, False)):
+        other = replace(made_link(c.id, d.id, 20.0, n), lacks=Lacks(6.0, 900.0))
+        both = replace(topology, weak_links=[*(topology.weak_links or []), other])
+        assert ("nearest are" in waiting_for_links(both)) == named
+
+
+def test_the_share_never_falls_and_ends_with_the_first_link() -> None:
+    before = None
+    shares = []
+    for n, lacks in ((3.0, 114.0), (9.0, 2.0), (12.0, 22.0), (25.0, 5.0)):
+        version = without_links([(n, lacks, 300.0)])
+        before = replace(version, evidence=evidence_for_links(version, before))
+        assert before.evidence is not None
+        shares.append(before.evidence)
+        assert f"{before.evidence:.0%} of the evidence" in waiting_for_links(before)
+    assert shares == [0.03, 0.82, 0.82, 0.83]
+    assert evidence_for_links(SITE, before) is None
 
 
 def test_a_link_within_one_view_is_not_likely() -> None:
     inside = replace(made_link(A.id, A.id, 20.0, 9.0), lacks=Lacks(1.0, 60.0))
     topology = replace(without_links([]), weak_links=[inside])
     assert likely_links(topology) == []
-    assert "nearest one" not in waiting_for_links(topology)
+    assert "0% of the evidence is there." in waiting_for_links(topology)
 
 
 def test_likely_is_what_has_at_least_half_of_what_it_needs() -> None:

@@ -63,7 +63,7 @@ def test_without_a_link_it_says_what_it_waits_for_and_dots_what_is_likely(browse
         waiting = draw(YOUNG).waiting
         browser.wait(lambda: browser.text(".waiting") == waiting, "what it waits for")
 
-        assert "has 4 of about 7; about 30 minutes" in waiting
+        assert "57% of the evidence is there, the rest takes about half an hour" in waiting
         assert browser.count(".edge.likely") == browser.count(".edge") == 1
         assert browser.text(".key summary .quiet").endswith("0 pairs (0 overlapping), 1 likely")
         browser.go(f"#/pair/{A.camera}/{B.camera}")
