@@ -36,8 +36,8 @@ class Adapter:
 
     topic = "#"
     """MQTT topic of these lines below the program's prefix."""
-    xml = False
-    """The messages may be XML documents."""
+    begins = b"{"
+    """Signs that begin a message, as for `framing.Frames`; without any, each line is one."""
     outside_cause = "is --size right?"
     """What to see to if boxes lie outside the picture."""
 

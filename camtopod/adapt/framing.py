@@ -22,8 +22,6 @@ _BETWEEN = re.compile(rb"(?:[\s\0\x1e,\[\]]|\xef\xbb\xbf)*+")
 """What may stand between two messages: blanks, marks, and the signs of an array."""
 _STRING = re.compile(rb'[^"\\\n]*+(?:\\[^\n][^"\\\n]*+)*+')
 """The inside of a string of JSON."""
-_IN_LINE = re.compile(rb"[{\n]")
-_IN_XML_LINE = re.compile(rb"[<{\n]")
 _IN_JSON = re.compile(rb'["{}\[\]\n]')
 _IN_XML = re.compile(rb"[<>]")
 _END = re.compile(rb"</(?:[\w.-]+:)?MetadataStream\s*>|<(?:[\w.-]+:)?MetadataStream[^<>]*/>")
@@ -40,12 +38,12 @@ class Frames:
     """The messages of one stream. Time grows with its length, memory with ``bytes_max``.
 
     bytes_max: longest message; a longer one is cut to a byte more.
-    xml: messages may be XML documents.
+    begins: ``{`` if messages may be JSON objects, ``<`` if they may be XML documents.
     """
 
-    def __init__(self, bytes_max: int, xml: bool = False) -> None:
+    def __init__(self, bytes_max: int, begins: bytes = b"{") -> None:
         self._max = bytes_max
-        self._xml = xml
+        self._begins = re.compile(b"[" + begins + b"\n]")
         self._text = bytearray()
         """What has come since the beginning of the message."""
         self._line = 1
@@ -145,13 +143,12 @@ class Frames:
     def _whole_line(self) -> int | None:
         """Return the end of the line if that is a message of its own, as it mostly is."""
         end = self._text.find(b"\n", 0, self._max + 1)
-        if end < 0 or (self._xml and b"<" in self._text[:end]):
+        found = self._begins.search(self._text, 0, end + 1)
+        if end < 0 or found is None or found[0] == b"<":
             return None
-        line = bytes(self._text[:end])
-        start = line.find(b"{")
         try:
-            if start >= 0:
-                codec.read(Raw, line[start:])
+            if found[0] == b"{":
+                codec.read(Raw, bytes(self._text[found.start() : end]))
         except codec.Rejected:
             return None
         return end
@@ -160,7 +157,7 @@ class Frames:
     # message, `_UNKNOWN` if that depends on what comes next, or None.
 
     def _step_in_line(self) -> int | None:
-        found = (_IN_XML_LINE if self._xml else _IN_LINE).search(self._text, self._at)
+        found = self._begins.search(self._text, self._at)
         if found is None:
             self._at = len(self._text)
             return None
@@ -249,7 +246,7 @@ class Frames:
         return None
 
 
-def messages_in(content: bytes, bytes_max: int, xml: bool) -> list[bytes]:
+def messages_in(content: bytes, bytes_max: int, begins: bytes) -> list[bytes]:
     """Return the messages in something that has come whole; arguments are those of `Frames`."""
-    frames = Frames(bytes_max, xml)
+    frames = Frames(bytes_max, begins)
     return [message for _, message in [*frames.feed(content + b"\n"), *frames.end()]]

@@ -26,6 +26,8 @@ class Mot(Adapter):
     belong to no track, are ignored without an error.
     """
 
+    begins = b""
+
     def __init__(self, camera: str | None, sizes: Sizes, fps: float | None, start: float) -> None:
         """Prepare for a file of ``fps`` frames per second. Raises `ValueError`."""
         size = sizes.get(camera or "") or sizes.get(ANY_CAMERA)

@@ -110,7 +110,7 @@ class Onvif(StreamAdapter):
     labels: kinds of objects (``Human``, ``Vehicle``) that count; empty for all.
     """
 
-    xml = True
+    begins = b"<{"
     outside_cause = "the camera sends no Transformation, or a wrong one, from its units to -1 to 1"
 
     def receive(self, line: bytes) -> list[Event]:

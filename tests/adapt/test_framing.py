@@ -14,9 +14,9 @@ MESSAGES = [{"a": n, "b": {"c": [1, {"d": 'x{"}\\'}, {}, []]}, "e": "\u00e9\n"} 
 
 
 def found(
-    stream: bytes, piece: int = 1 << 16, most: int = 1 << 20, xml: bool = False
+    stream: bytes, piece: int = 1 << 16, most: int = 1 << 20, begins: bytes = b"{"
 ) -> list[bytes]:
-    frames = Frames(most, xml)
+    frames = Frames(most, begins)
 
     def read() -> Iterator[tuple[int, bytes]]:
         for at in range(0, len(stream), piece):
@@ -34,9 +34,12 @@ def test_pieces_make_no_difference(piece: int) -> None:
     assert found(b"\n".join(topics), piece) == topics
     documents = [b"<?xml?><t:MetadataStream>\n</t:MetadataStream>", b"<MetadataStream\na='/'/>"]
     for between in (b"", b"\0", b" \n\n", b"\xef\xbb\xbf"):
-        assert found(between.join(documents * 2), piece, xml=True) == documents * 2
+        assert found(between.join(documents * 2), piece, begins=b"<{") == documents * 2
     cut = b"<?xml?><MetadataStream><a>"
-    assert found(cut + documents[0] + cut + b"x\n{}", piece, xml=True)[:2] == [cut, documents[0]]
+    assert found(cut + documents[0] + cut + b"x\n{}", piece, begins=b"<{")[:2] == [
+        cut,
+        documents[0],
+    ]
 
 
 def test_a_message_that_was_cut_off_within_an_array_ends_where_the_next_begins() -> None:
@@ -44,6 +47,11 @@ def test_a_message_that_was_cut_off_within_an_array_ends_where_the_next_begins()
     cut = whole[0][: whole[0].index(b"1,")]
     for end in (b" 1", b' "x', b" {}"):
         assert found(cut + end + b"\n" + b"\n".join(whole)) == [cut + end, *whole]
+
+
+def test_a_format_of_lines_has_lines_alone() -> None:
+    rows = [b"# {fps: 30", b"1,2,3", b"<4>,5", b'6,"7']
+    assert found(b"\r".join(rows), piece=3, begins=b"") == rows
 
 
 def test_what_is_too_long_is_cut_and_what_follows_is_read() -> None:
@@ -72,7 +80,7 @@ def test_time_grows_with_length_alone(head: bytes, unit: bytes) -> None:
 
     def seconds(count: int) -> float:
         began = time.process_time()
-        found(head + unit * count, piece=512, xml=True)
+        found(head + unit * count, piece=512, begins=b"<{")
         return time.process_time() - began
 
     count = 1 << 10

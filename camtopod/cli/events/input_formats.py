@@ -99,7 +99,7 @@ def events(
         lines = (
             (reader.read + 1, text)
             for content in messages.read(stop, ticks=True)
-            for text in messages_in(content, LINE_BYTES_MAX, adapter.xml) or [b""]
+            for text in messages_in(content, LINE_BYTES_MAX, adapter.begins) or [b""]
         )
         return reader.adapted(messages.topic, lines, adapter, live=True)
 
@@ -110,7 +110,7 @@ def events(
         stack.callback(file.close)
     if adapter is None:
         return (line.event for line in reader.lines(args.file, file))
-    frames = Frames(LINE_BYTES_MAX, adapter.xml)
+    frames = Frames(LINE_BYTES_MAX, adapter.begins)
     return reader.adapted(args.file, numbered(args.file, file, frames), adapter)
 
 
