@@ -14,8 +14,16 @@ from msgspec.structs import replace
 from camtopod import codec
 from camtopod.client.site_view import Settings, settings_of
 from camtopod.config import Config
-from camtopod.records import CAMERA_PATTERN, Event
-from camtopod.serve.bus import Bus, BusError, dial, guard, note_use
+from camtopod.records import CAMERA_PATTERN, RESERVED, Event
+from camtopod.serve.bus import (
+    Bus,
+    BusError,
+    dial,
+    guard,
+    log_other_sites,
+    note_use,
+    sites_instead,
+)
 from camtopod.serve.outbox import Publisher as Outbox, open_spool
 from camtopod.serve.storage import StateError
 
@@ -55,7 +63,10 @@ class Publisher(contextlib.AbstractContextManager["Publisher"]):
         state: str | Path | None = None,
     ) -> None:
         if not re.match(CAMERA_PATTERN, camera):
-            raise ValueError(f"camera {camera!r}: 1 to 64 of the characters A-Z a-z 0-9 _ . -")
+            raise ValueError(
+                f"camera {camera!r}: 1 to 64 of the characters A-Z a-z 0-9 _ . -, and not"
+                f" {', '.join(RESERVED)}"
+            )
         note_use()
         settings = settings_of(site, connect, config)
         directory = settings.state_directory if state is None else Path(state)
@@ -128,6 +139,7 @@ class Publisher(contextlib.AbstractContextManager["Publisher"]):
                     with self._mutex:
                         self._outbox.attach(bus, [self.camera])
                         self._bus = bus
+                    log_other_sites(bus, sites_instead(bus, settings))
             with self._mutex, contextlib.suppress(StateError):  # the next `publish` raises it
                 self._outbox.retry()
             self._closing.wait(RETRY_SECONDS)

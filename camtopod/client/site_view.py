@@ -32,7 +32,7 @@ from camtopod.serve.bus import (
     TopologySubscriber,
     dial,
     guard,
-    in_words,
+    log_other_sites,
     sites_instead,
     take_only_site,
 )
@@ -80,8 +80,8 @@ class SiteView:
         with contextlib.ExitStack() as undo:
             undo.callback(self._bus.close)
             others = sites_instead(self._bus, settings)
-            if others and not (site is None and take_only_site(self._bus, settings, others)):
-                log.warning("no daemon of site %s is there%s", self._bus.site, in_words(others))
+            if site is not None or not take_only_site(self._bus, settings, others):
+                log_other_sites(self._bus, others)
             self._view = TopologySubscriber(self._bus)
             self._bus.subscribe("topology", lambda key, payload: self._wake.set())
             self._bus.watch_alive("daemon", self._on_daemon)

@@ -10,10 +10,10 @@ from pathlib import Path
 import pytest
 from fake_bus_daemon import running
 from msgspec.structs import replace
-from serving import free_endpoint, small_config
+from serving import free_endpoint, small_config, wait_for
 
 from camtopod.cli.site_choice import dial_as_reader, right_site
-from camtopod.client import Topology
+from camtopod.client import Publisher, Topology
 from camtopod.config import Config, SiteSettings
 from camtopod.serve.bus import dial
 from camtopod.serve.daemon import Daemon
@@ -58,7 +58,11 @@ def test_a_reader_keeps_the_site_that_it_was_told(
     caplog.clear()
     with Topology.connect("hq", connect=mall.endpoint) as view:
         assert view.current is None
-    assert "no daemon of site hq is there; there is a daemon of site mall" in caplog.text
+    told = "no daemon of site hq is there; there is a daemon of site mall"
+    assert told in caplog.text
+    caplog.clear()
+    with Publisher("a", "hq", mall.endpoint, state=tmp_path / "publisher"):
+        wait_for(lambda: told in caplog.text, "the warning")
 
 
 def test_with_several_sites_none_is_taken(mall: Daemon, tmp_path: Path) -> None:

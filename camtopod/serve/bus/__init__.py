@@ -26,6 +26,7 @@ from camtopod.serve.bus.session import (
 from camtopod.serve.bus.single_daemon import OtherDaemons as OtherDaemons
 from camtopod.serve.bus.site_choice import (
     in_words as in_words,
+    log_other_sites as log_other_sites,
     sites_instead as sites_instead,
     take_only_site as take_only_site,
 )

@@ -2,8 +2,12 @@
 
 from __future__ import annotations
 
+import logging
+
 from camtopod.config import Config, SiteSettings
 from camtopod.serve.bus.session import Bus
+
+log = logging.getLogger(__name__)
 
 
 def sites_instead(bus: Bus, config: Config) -> list[str]:
@@ -17,6 +21,12 @@ def sites_instead(bus: Bus, config: Config) -> list[str]:
 def in_words(others: list[str]) -> str:
     """Return the sites that have a daemon, as the end of a message that one has none."""
     return f"; there is a daemon of site {' and of site '.join(others)}" if others else ""
+
+
+def log_other_sites(bus: Bus, others: list[str]) -> None:
+    """Log that the site of ``bus`` has no daemon, if other sites have one."""
+    if others:
+        log.warning("no daemon of site %s is there%s", bus.site, in_words(others))
 
 
 def take_only_site(bus: Bus, config: Config, others: list[str]) -> bool:
