@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import contextlib
 import re
-from collections.abc import AsyncIterator
+from collections.abc import AsyncIterator, Mapping
 from typing import Any
 
 import msgspec
@@ -27,8 +27,6 @@ LOOPBACK_ONLY = (
     "this API answers programs on its own machine only: set [web] password_file and token_file, "
     "or let camtopod web listen on 127.0.0.1"
 )
-NAMES_SAID = 20
-"""Cameras that the answer to an unknown one names."""
 _EVERY_CAMERA = "*"
 """Stands for all cameras; no camera has this id."""
 
@@ -89,10 +87,8 @@ class Api:
             return error(400, "camera: the id of the camera whose view the object left")
         if unknown := sorted(set(given) - set(ASKED)):
             return error(400, f"unknown parameter {unknown[0][:20]!r}: use {', '.join(ASKED)}")
-        known = self._feed.names()
-        if known and camera not in known:
-            some = ", ".join(sorted(known)[:NAMES_SAID])
-            return error(404, f"there is no camera {camera}; there are {some}")
+        if camera not in (self._feed.names() or {camera}):
+            return error(404, f"there is no camera {camera}: /api/status lists those that are")
         return self._asked(f"predict/{camera}", given, 400)
 
     async def predictions(self, request: Request) -> Response:
@@ -143,6 +139,6 @@ def content(value: Any) -> Response:
     return Response(codec.to_json(value), media_type="application/json")
 
 
-def error(status: int, what: str) -> Response:
+def error(status: int, what: str, headers: Mapping[str, str] | None = None) -> Response:
     """Return the response that says what is wrong."""
-    return JSONResponse({"error": what}, status)
+    return JSONResponse({"error": what}, status, headers)

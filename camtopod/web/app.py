@@ -183,7 +183,7 @@ def application(
         Middleware(Guard, names=names, login=login),
         Middleware(GZipMiddleware, minimum_size=1000, compresslevel=5),
     ]
-    handlers: Any = {HTTPException: refused}
+    handlers: Any = {HTTPException: lambda _, e: error(e.status_code, e.detail, e.headers)}
     app = Starlette(
         routes=routes, middleware=middleware, exception_handlers=handlers, lifespan=living
     )
@@ -251,13 +251,6 @@ def serving(
         server.should_exit = True
         for thread in threads:
             thread.join(CLOSE_SECONDS + 1)
-
-
-def refused(request: Request, refusal: HTTPException) -> Response:
-    """Return the response to a request without a route, in JSON as all others."""
-    answer = error(refusal.status_code, refusal.detail)
-    answer.headers.update(refusal.headers or {})
-    return answer
 
 
 def _found(details: Any, what: str) -> Response:

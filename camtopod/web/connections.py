@@ -11,7 +11,7 @@ from uvicorn.protocols.http.h11_impl import H11Protocol
 CONNECTIONS_MAX = 1_024
 """Open connections."""
 REQUEST_SECONDS = 10.0
-"""Time from the first byte that a request, or a new connection, has until all of it is there."""
+"""Time that a request has until all of it is there, from the connection or the response before."""
 
 
 class Connection(H11Protocol):
@@ -37,11 +37,13 @@ class Connection(H11Protocol):
 
     def data_received(self, data: bytes) -> None:
         """Take a part of a request."""
-        self._expect()
         super().data_received(data)
-        if self._deadline is not None and self.has_request:
-            self._deadline.cancel()
-            self._deadline = None
+        self._expect()
+
+    def on_response_complete(self) -> None:
+        """Wait for the next request, a part of which may be here already."""
+        super().on_response_complete()
+        self._expect()
 
     @property
     def has_request(self) -> bool:
@@ -54,8 +56,11 @@ class Connection(H11Protocol):
         return self.flow.write_paused or not self.has_request
 
     def _expect(self) -> None:
-        """Give the request that begins its time."""
-        if self._deadline is None:
+        """Give a request its time, unless it is whole."""
+        if self._deadline is not None and self.has_request:
+            self._deadline.cancel()
+            self._deadline = None
+        elif self._deadline is None and not self.has_request:
             self._deadline = self.loop.call_later(REQUEST_SECONDS, self.transport.abort)
 
     def connection_lost(self, exc: Exception | None) -> None:

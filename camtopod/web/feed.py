@@ -228,7 +228,7 @@ class Feed:
 
     def names(self) -> set[str]:
         """Return the cameras that are learned of or that the daemon counts."""
-        counted = self._daemon[0].cameras if self._daemon else ()
+        counted = self._daemon[0].cameras if self._daemon else {}
         return {*(self.map.cameras if self.map else ()), *counted}
 
     def hours_of(self, camera: str) -> dict[str, object] | None:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from collections import Counter
 from collections.abc import Iterable, Mapping
 
 from msgspec import Struct
@@ -11,25 +10,12 @@ from msgspec.structs import replace
 
 from camtopod.export import Edge, Place, edges, places
 from camtopod.records import Alarm, Link, Pair, PairRelation, SelfScore, Topology
-from camtopod.topology import (
-    camera_of,
-    lacks_in_words,
-    likely_links,
-    links_between_views,
-    waiting_for_links,
-)
+from camtopod.topology import lacks_in_words, likely_links, waiting_for_links
 
 SETTLED_TRANSITIONS_MIN = 30.0
 """Transitions below which an edge is provisional.
 
 With fewer, the standard error of its median transit time is more than a fifth of the spread.
-"""
-
-
-KNOWN_EXITS_MIN = 100
-"""Exits of a camera from which one without links probably is at an edge of the site.
-
-A link takes about ten passages, so by then one that a tenth of its objects take is known.
 """
 
 
@@ -41,8 +27,6 @@ class MapCamera(Struct, frozen=True):
     zones: int
     entries: int
     exits: int
-    known: bool = False
-    """True if it is known where objects go that leave it, if anywhere."""
     new: bool = False
     """True if the camera is on the site, and not in the version yet."""
 
@@ -104,16 +88,11 @@ def draw(topology: Topology, before: Map | None = None, new: Iterable[str] = ())
         exits[zone.camera] += zone.exits
 
     # Nodes.
-    known = known_cameras(topology)
     new = set(new) - entries.keys()
     at = _places([*entries, *new], drawn, before)
     cameras = {
         camera.id: MapCamera(
-            *at[camera.id],
-            len(camera.zones),
-            entries[camera.id],
-            exits[camera.id],
-            camera.id in known,
+            *at[camera.id], len(camera.zones), entries[camera.id], exits[camera.id]
         )
         for camera in topology.cameras
     }
@@ -130,15 +109,6 @@ def draw(topology: Topology, before: Map | None = None, new: Iterable[str] = ())
         topology.alarms or [],
         waiting_for_links(topology),
     )
-
-
-def known_cameras(topology: Topology) -> set[str]:
-    """Return the cameras of which it is known where objects go next: by a link, or many exits."""
-    exits = Counter[str]()
-    for zone in topology.zones:
-        exits[zone.camera] += zone.exits
-    many = {camera for camera, count in exits.items() if count >= KNOWN_EXITS_MIN}
-    return many | {camera_of(link.from_) for link in links_between_views(topology)}
 
 
 def map_edges(topology: Topology) -> dict[str, MapEdge]:

@@ -135,6 +135,7 @@ def ended(connection: socket.socket) -> bool:
 HALVES = [
     "POST /login HTTP/1.1\r\nHost: localhost\r\nContent-Length: 100\r\n\r\nabcd",
     "GET /data/map HTTP/1.1\r\nHost: loc",
+    "GET /login HTTP/1.1\r\nHost: localhost\r\n\r\n" * 2 + "POST /login HTTP/1.1\r\nHost: loc",
     "",
 ]
 """Requests that are not whole."""
@@ -179,7 +180,6 @@ def test_errors_are_json_and_a_camera_that_is_none_is_named(server: Shown) -> No
     ):
         answer = server.ask(path, method)
         assert (answer.status, [*json.loads(answer.content)]) == (status, ["error"]), path
-    assert "there are cam0000, cam0001, " in server.ask("/api/predict?camera=nope").text
 
 
 # --- the command

@@ -84,16 +84,12 @@ class HomeAssistantState:
         alive = bool(self._daemons)
         messages = homeassistant.discovery(topics, cameras)
         messages |= homeassistant.site_state(topics, alive, site, topology)
+        # After a start of the daemon, what is known of a camera comes with the statuses.
+        known = dict.fromkeys(grabbers, CameraFigures(alive=True)) | site.cameras
         for camera in cameras:
-            # After a start of the daemon, what is known of a camera comes with the statuses.
-            counted = site.cameras.get(camera)
-            if counted is not None or camera in grabbers:
+            if (counted := known.get(camera)) is not None:
                 messages |= homeassistant.camera_state(
-                    topics,
-                    camera,
-                    counted or CameraFigures(alive=True),
-                    grabbers.get(camera),
-                    zones.get(camera, 0),
+                    topics, camera, counted, grabbers.get(camera), zones.get(camera, 0)
                 )
             if (prediction := self._predictions.get(camera)) is not None:
                 messages |= homeassistant.prediction_state(topics, prediction)

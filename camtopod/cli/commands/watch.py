@@ -111,7 +111,7 @@ def on_screen(view: Callable[[], list[str]], stop: threading.Event) -> bool:
                 state_part = Layout(state, size=len(state.plain.splitlines()) + 1)
                 screen.split_column(state_part, *map(Layout, tables))
                 live.update(screen, refresh=True)
-                if _pressed(stop) in (b"q", b"Q"):
+                if _ended(stop):
                     break
     finally:
         logging.disable(logging.NOTSET)
@@ -132,13 +132,12 @@ def _keys() -> Iterator[None]:
         termios.tcsetattr(0, termios.TCSADRAIN, before)
 
 
-def _pressed(stop: threading.Event) -> bytes:
-    """Return the key that is pressed until the next view; b"" if there is none."""
+def _ended(stop: threading.Event) -> bool:
+    """Wait for the next view; return True if q is pressed meanwhile, or the terminal is gone."""
     if not sys.stdin.isatty():
-        stop.wait(REFRESH_SECONDS)
-    elif select.select([0], [], [], REFRESH_SECONDS)[0]:
-        return os.read(0, 1)
-    return b""
+        return stop.wait(REFRESH_SECONDS)
+    ready, _, _ = select.select([0], [], [], REFRESH_SECONDS)
+    return bool(ready) and os.read(0, 1) in (b"q", b"Q", b"")
 
 
 def parts(site: SiteState, topology: Topology | None, now: float) -> list[str]:

@@ -76,7 +76,7 @@ export async function cameraPanel(app, id) {
     ],
     onEvent: (event) => event.camera === id && scene.add(event),
     onPrediction: (prediction) => {
-      if (prediction.camera === id) scene.left(prediction, app.map?.cameras[id]?.known);
+      if (prediction.camera === id) scene.left(prediction, app.knows(id));
       else scene.sees(prediction);
     },
     onHealth: (rows) => {
@@ -257,7 +257,7 @@ class Scene {
     this.zones = new Map();
     const placed = this.story.zones.filter((zone) => zone.x !== undefined && zone.x !== null);
     const [mx, my] = margins(placed);
-    const busiestFirst = [...placed].sort((one, other) => traffic(other) - traffic(one));
+    const busiestFirst = [...placed].sort((a, b) => b.entries + b.exits - a.entries - a.exits);
     const taken = new Taken();
     const svg = s(
       "svg",
@@ -350,10 +350,6 @@ class Scene {
         return path;
       });
   }
-}
-
-function traffic(zone) {
-  return zone.entries + zone.exits;
 }
 
 // Half axes in pixels and the turn in degrees of `SPREAD` standard deviations of a covariance in picture fractions.

@@ -15,6 +15,7 @@ import { Versions } from "./versions.js";
 import { ago, clock, count, plural, troubled } from "./words.js";
 
 const PANELS = { camera: cameraPanel, pair: pairPanel, link: linkPanel };
+const KNOWN_EXITS = 100; // a link takes ten passages: one that a tenth of the objects take is known by now
 const RETRY_MILLISECONDS = 2000;
 const HEALTH_MILLISECONDS = 4000;
 
@@ -104,6 +105,13 @@ class App {
   // What is drawn of camera `id`, if it is shown.
   scene(id) {
     return this.#shown?.scene?.story.id === id ? this.#shown.scene : null;
+  }
+
+  // Whether it is known where objects of camera `id` go: by a link, or as none of many went anywhere.
+  knows(id) {
+    const { cameras, edges } = this.map ?? { cameras: {}, edges: {} };
+    const leads = ({ published, ways }) => published && ways.some((way) => way.from === id);
+    return cameras[id]?.exits >= KNOWN_EXITS || Object.values(edges).some(leads);
   }
 
   // Seconds since the epoch by the server's clock.

@@ -166,7 +166,7 @@ export class Overlays {
     fill(
       this.list,
       this.#predictions.map((one) => {
-        const [place, words] = headline(one, this.app.map?.cameras[one.camera]?.known);
+        const [place, words] = headline(one, this.app.knows(one.camera));
         return h(
           "li",
           {},
