@@ -162,6 +162,20 @@ def test_a_file_that_was_cut_ends_early(
     assert " of 4.0 s read (the video ends early" in capsys.readouterr().err
 
 
+def test_what_could_be_better_is_said_of_a_file(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    path = tmp_path / "slow.avi"
+    writer = cv2.VideoWriter(str(path), cv2.VideoWriter.fourcc(*"MJPG"), 2, (64, 48))
+    for _ in range(6):
+        writer.write(np.full((48, 64, 3), 99, np.uint8))
+    writer.release()
+    assert grab(path, tmp_path / "out")[0] == 0
+    said = capsys.readouterr().err
+    for remark in ("hardly any contrast", "the frame rate is so low", "the picture is so small"):
+        assert remark in said
+
+
 def ahead(stamp: float, number: int) -> float:
     return stamp + 95443e3 * (20 <= number <= 22)
 

@@ -72,6 +72,7 @@ _CODECS = {
     "hevc": "H.265",
     "hvc1": "H.265",
     "mjpg": "MJPEG",
+    "mpg2": "MPEG-2",
     "fmp4": "MPEG-4",
     "mp4v": "MPEG-4",
     "vp09": "VP9",

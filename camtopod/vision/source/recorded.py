@@ -11,6 +11,7 @@ from camtopod.vision.settings import VisionSettings
 from camtopod.vision.source.capture import Capture, Frame, FrameSelector, Source
 from camtopod.vision.source.ffmpeg_log import FfmpegLog
 from camtopod.vision.source.file_times import FileTimes
+from camtopod.vision.source.remarks import OBSERVED_SECONDS, Observed
 from camtopod.vision.source.source_url import file_path
 
 FAILURES_MIN = 1000
@@ -79,6 +80,7 @@ class RecordedSource(Source):
         assert self._capture is not None
         selector = FrameSelector(self._settings.analysed_fps)
         times = FileTimes(self._capture.fps)
+        observed = Observed(self._capture.size)
         waiting: list[Frame | None] = []
         """Frames whose positions are not known yet; None for those that are not analysed."""
         failures = 0
@@ -101,22 +103,27 @@ class RecordedSource(Source):
                 waiting[-1] = self._capture.frame()
                 self.dropped += waiting[-1] is None
             if positions:
-                yield from self._placed(waiting, positions, began)
+                yield from self._placed(waiting, positions, began, observed)
                 waiting.clear()
             self.untrusted_stamps = times.untrusted
 
-        yield from self._placed(waiting, times.rest(), began)
+        yield from self._placed(waiting, times.rest(), began, observed)
         if self._capture is not None:
-            self._end(self._capture, times)
+            self._end(self._capture, times, observed)
 
     def _placed(
-        self, frames: list[Frame | None], positions: list[float], began: float
+        self,
+        frames: list[Frame | None],
+        positions: list[float],
+        began: float,
+        observed: Observed,
     ) -> Iterator[Frame | None]:
         """Yield frames with their positions, in real time if that was asked for."""
         for frame, position in zip(frames, positions, strict=True):
+            observed.add(position, None if frame is None else frame.luma)
             if frame is not None:
                 self.state = "running"
-                self.reason = ""
+                self.reason = observed.words
                 if self._realtime:
                     yield from _until(began + position)
                 yield frame._replace(t=self._start + position)
@@ -128,7 +135,7 @@ class RecordedSource(Source):
         remaining = self._capture.pictures - self.grabbed
         return min(max(FAILURES_MIN, remaining), FAILURES_MAX)
 
-    def _end(self, capture: Capture, times: FileTimes) -> None:
+    def _end(self, capture: Capture, times: FileTimes, observed: Observed) -> None:
         """Say how much was read. Raises `SourceError` if that was nothing."""
         codec, fault, declared = capture.codec, capture.fault, capture.seconds
         self.close()
@@ -142,6 +149,10 @@ class RecordedSource(Source):
             notes.append("the video ends early, or begins late")
         if self.dropped and fault:
             notes.append(fault)
+        if read < OBSERVED_SECONDS:
+            observed.judge()
+        if observed.words:
+            notes.append(observed.words)
         if times.untrusted:
             notes.append(f"{times.untrusted} time stamps not believed")
         if notes:

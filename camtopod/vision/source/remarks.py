@@ -64,36 +64,42 @@ def remarks(size: tuple[int, int], fps: float, contrast: float) -> list[str]:
 
 
 class Observed:
-    """The pictures of a stream that runs, and what could be better about them."""
+    """The pictures of a source that runs, and what could be better about them."""
 
     def __init__(self, size: tuple[int, int]) -> None:
         self._size = size
-        self._began: float | None = None
+        self._latest: float | None = None
+        self._seconds = 0.0
         self._luma: Luma | None = None
         self._frames = 0
         self._contrast = 0.0
         self._changed = False
         self.words = ""
-        """What could be better, by the latest `OBSERVED_SECONDS`; "" if nothing."""
+        """What could be better, by the latest `OBSERVED_SECONDS`; "" if nothing or not known."""
 
     def add(self, arrival: float, luma: Luma | None) -> None:
         """Take a frame into account; ``luma`` (H, W) if it was decoded."""
-        self._frames += 1
+        if self._latest is not None:
+            self._frames += 1
+            self._seconds += min(arrival - self._latest, OBSERVED_SECONDS)  # a file may pause
+        self._latest = arrival
         if luma is not None:
             self._changed |= self._luma is not None and not np.array_equal(luma, self._luma)
             self._contrast = max(self._contrast, float(luma.std()))
             self._luma = luma
-        if self._began is None:
-            self._began = arrival
-            self._frames = 0
-        seconds = arrival - self._began
-        if seconds < OBSERVED_SECONDS:
-            return
-        found = remarks(self._size, self._frames / seconds, self._contrast)
-        if not self._changed:
-            found.append(f"the picture has not changed for {seconds:.0f} s: is the camera frozen?")
+        if self._seconds >= OBSERVED_SECONDS:
+            self.judge()
+
+    def judge(self) -> None:
+        """Say what could be better, by the frames since the last time."""
+        fps = self._frames / self._seconds if self._seconds > 0.0 else 0.0
+        found = remarks(self._size, fps, self._contrast)
+        if not self._changed and self._seconds >= OBSERVED_SECONDS:
+            found.append(
+                f"the picture has not changed for {self._seconds:.0f} s: is the camera frozen?"
+            )
         self.words = "; ".join(found)
-        self._began = arrival
+        self._seconds = 0.0
         self._frames = 0
         self._contrast = 0.0
         self._changed = False
