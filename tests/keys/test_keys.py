@@ -187,7 +187,7 @@ def test_the_access_list_follows_from_the_ledger_whatever_went_before(
         assert len(listed()) == 3
         in_the_way.mkdir()
         assert run(keys, "revoke", "camera", "lobby") == exits.FAILED
-        assert ".access.json.new" in capsys.readouterr().err
+        assert "access.json: Is a directory" in capsys.readouterr().err
         assert len(listed()) == 3
         in_the_way.rmdir()
         assert run(keys, *again) == (exits.FAILED if again[0] == "camera" else exits.DONE)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import os
 import sqlite3
 import zlib
@@ -69,6 +70,17 @@ def test_a_directory_has_one_daemon(journal: Journal, tmp_path: Path) -> None:
         Journal(tmp_path)
     journal.close()
     Journal(tmp_path).close()
+
+
+def test_a_file_system_without_locks_is_named(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def none(fd: int, how: int) -> None:
+        raise OSError(errno.ENOLCK, "No locks available")
+
+    monkeypatch.setattr("fcntl.flock", none)
+    with pytest.raises(StateError, match=r"No locks available: the state needs a local disk"):
+        Journal(tmp_path)
 
 
 def test_a_directory_that_cannot_be_written(tmp_path: Path) -> None:

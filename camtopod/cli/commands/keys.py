@@ -183,7 +183,7 @@ def _run(args: argparse.Namespace, config: Config) -> int:
             else:
                 _issue(authority, args, config, name)
     finally:
-        _write_access(authority, config)
+        _write_access(authority, config, with_router=what != "list")
     if args.role != "daemon":
         _say(f"now copy {args.keys / DAEMON / ACCESS} to the daemon and restart it")
     return exits.DONE
@@ -209,17 +209,19 @@ def _issue(authority: Authority, args: argparse.Namespace, config: Config, name:
             _say("valid on this machine only: add host names or addresses with --host")
 
 
-def _write_access(authority: Authority, config: Config) -> None:
-    """Write the access list, for the daemon and for a separate zenoh router, if it has changed."""
+def _write_access(authority: Authority, config: Config, with_router: bool) -> None:
+    """Write the access list, if it has changed, and the same for a separate zenoh router."""
     folder = authority.folder / DAEMON
     access = msgspec.json.format(msgspec.json.encode(authority.access), indent=1)
     listen = [endpoint for endpoint in config.bus.listen if endpoint.startswith("tls/")]
     text = rules.router_json5(
         authority.access, listen or ["tls/[::]:7447"], config.bus.message_bytes_max
     )
-    for path, content in ((folder / ACCESS, access), (folder / "router.json5", text.encode())):
-        if not path.exists() or path.read_bytes() != content:
-            secret_files.write(path, content)
+    path = folder / ACCESS
+    if not path.exists() or path.read_bytes() != access:
+        secret_files.write(path, access)
+    if with_router:
+        secret_files.write(folder / "router.json5", text.encode())
 
 
 def _example(site: str, config: Config, certificate: rules.Certificate, folder: str) -> str:

@@ -66,12 +66,15 @@ class Lock:
             ) from None
         try:
             fcntl.flock(self._fd, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        except OSError:
+        except OSError as error:
             os.close(self._fd)
-            raise StateError(
-                f"{path} is held by another camtopod process; "
-                f"stop that one or use another state directory"
-            ) from None
+            why = f"cannot be locked: {error.strerror}: {_needs_local_disk(path)}"
+            if isinstance(error, BlockingIOError):
+                why = (
+                    "is held by another camtopod process; "
+                    "stop that one or use another state directory"
+                )
+            raise StateError(f"{path} {why}") from None
         _locks.add(self)
 
     def read(self, size: int) -> bytes:
@@ -170,10 +173,7 @@ def connect(
     except sqlite3.Error as error:
         remedy = "see whether the disk is full, or move the file away to start anew"
         if _is_io(error):
-            remedy = (
-                "the state needs a local disk that has room and is in order, and this is a file"
-                f" system of type {_file_system(path)}"
-            )
+            remedy = _needs_local_disk(path)
         raise StateError(
             f"cannot use {path}: {error}; the file was not modified: {remedy}"
         ) from None
@@ -224,8 +224,8 @@ def _is_io(error: sqlite3.Error) -> bool:
     return code in (sqlite3.SQLITE_IOERR, sqlite3.SQLITE_CANTOPEN)
 
 
-def _file_system(path: Path) -> str:
-    """Return the type of the file system that has a path, as "ext4" or "fuse.mergerfs"."""
+def _needs_local_disk(path: Path) -> str:
+    """Return what a path needs, and the type of its file system, as "ext4" or "fuse.mergerfs"."""
     found = (Path(), "unknown")
     with contextlib.suppress(OSError):
         for line in Path("/proc/mounts").read_text("utf-8", "replace").splitlines():
@@ -233,7 +233,10 @@ def _file_system(path: Path) -> str:
             place = Path(mount.replace("\\040", " "))
             if path.resolve().is_relative_to(place) and place >= found[0]:
                 found = (place, kind)
-    return found[1]
+    return (
+        "the state needs a local disk that has room and is in order, and this is a file system of"
+        f" type {found[1]}"
+    )
 
 
 def connect_or_recreate(
@@ -392,8 +395,7 @@ def _switch_to_wal(database: sqlite3.Connection, path: Path) -> None:
     mode = database.execute("PRAGMA journal_mode=WAL").fetchone()[0]
     if mode != "wal":
         raise StateError(
-            f"{path}: SQLite cannot write safely on a file system of type {_file_system(path)}"
-            f" ({mode}): the state needs a local disk"
+            f"{path}: SQLite cannot write safely here ({mode}): {_needs_local_disk(path)}"
         )
     database.execute("PRAGMA wal_autocheckpoint=200")  # pages in the log
     database.execute("PRAGMA journal_size_limit=1048576")  # bytes that a longer log is cut to
