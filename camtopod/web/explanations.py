@@ -82,7 +82,7 @@ class Explanations:
             "cameras": [first, second],
             "relation": pair and pair.relation,
             "provisional": why_provisional(pair, transitions, best),
-            "why": why_pair(pair),
+            "why": [] if best is not None and best.provisional else why_pair(pair),
             "links": [brief(link) for link in links],
             "weak": [brief(link) for link in weak],
         }
@@ -161,6 +161,8 @@ def _chart(model: Model | None, link: Link) -> dict[str, Any] | None:
 
 def why(link: Link, weak: bool, source: ZoneModel | None, background: float | None) -> list[str]:
     """Return the evidence for a link, a sentence each."""
+    if link.provisional:
+        return [link.provisional, "So what is known of this link is not real."]
     if link.relation == "visible":
         return [
             f"Both zones are in one view: {_count(link.transitions)} objects entered at "

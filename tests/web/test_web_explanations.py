@@ -12,6 +12,7 @@ from synthetic_topology import BINS, made_link, synthetic_topology
 
 from camtopod.records import Camera, Lacks, Link, Pair, Topology
 from camtopod.web.explanations import Explanations, why, why_pair
+from camtopod.web.map_data import map_edges
 from camtopod.web.versions import summary
 
 SITE = synthetic_topology(12)
@@ -61,12 +62,27 @@ def test_the_words_follow_the_figures() -> None:
     )
     assert "lacks" not in said
     lacking = msgspec.structs.replace(unsure, lacks=Lacks(12.0, 1800.0))
-    assert "It lacks about 12 more passages, 30 minutes at this traffic." in " ".join(
+    assert "It lacks about 12 more passages, about half an hour at this traffic." in " ".join(
         why(lacking, True, None, None)
     )
 
 
 # --- a camera, a pair
+
+
+def test_a_link_of_a_recording_in_a_loop_claims_no_evidence() -> None:
+    reason = "west repeats itself every 113.6 s: a recording in a loop?"
+    links = [msgspec.structs.replace(link, provisional=reason) for link in SITE.links]
+    looped = msgspec.structs.replace(SITE, links=links)
+    zone = {zone.id: zone.camera for zone in SITE.zones}
+    ends = sorted((zone[LINK.from_], zone[LINK.to]))
+
+    assert details_of(LINK, looped)["why"][0] == reason
+    assert not any("spurious" in said for said in details_of(LINK, looped)["why"])
+    pair = Explanations(looped).pair(*ends)
+    assert pair is not None
+    assert (pair["provisional"], pair["why"]) == (reason, [])
+    assert map_edges(looped)[" ".join(ends)].provisional == reason
 
 
 def test_a_pair_says_what_its_two_tests_say() -> None:

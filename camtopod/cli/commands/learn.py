@@ -81,7 +81,8 @@ def run(args: argparse.Namespace) -> int:
     if not (out or args.updates):
         print("\n".join(link_lines(topology)))
         print("camtopod: --topology OUT.json keeps the topology", file=sys.stderr)
-    for line in topology_lines(topology):
+    repeats = [one for one in topology.alarms or [] if one.kind == "camera_repeats"]
+    for line in (*topology_lines(topology), *(f"{one.subject} {one.detail}" for one in repeats)):
         print(f"camtopod: {line}", file=sys.stderr)
     return 0
 

@@ -69,6 +69,7 @@ def test_recordings_in_a_loop_are_said_and_their_links_are_provisional(
     pause: tuple[float, float],
 ) -> None:
     topology = learned(half_an_hour(pause, seed=4))
+    assert topology.links
     alarms = [alarm for alarm in topology.alarms or [] if alarm.kind == "camera_repeats"]
 
     assert sorted(alarm.subject for alarm in alarms) == sorted(LOOPED), "each once, no real one"
