@@ -285,15 +285,15 @@ def _until_stopped(
 
 def _log_end(grabber: Grabber) -> None:
     """Log what was read of a file and what was found; a warning if a part was not decoded."""
-    figures = grabber.statistics()
-    undecoded = int(figures["frames_dropped"])
-    analysed = counted(int(figures["frames_analysed"]), "picture")
-    parts = [grabber.reason, f"{analysed} analysed"]
-    if undecoded:
+    figures = {name: int(value) for name, value in grabber.statistics().items()}
+    parts = [grabber.reason, f"{counted(figures['frames_analysed'], 'picture')} analysed"]
+    if undecoded := figures["frames_dropped"]:
         parts.append(f"{undecoded} could not be decoded")
-    for kind, kinds in (("entry", "entries"), ("exit", "exits")):
-        number = int(figures[kinds])
-        parts.append(f"{number} {kind if number == 1 else kinds}")
+    entries = figures["entries"]
+    parts += [
+        "1 entry" if entries == 1 else f"{entries} entries",
+        counted(figures["exits"], "exit"),
+    ]
     level = logging.WARNING if undecoded else logging.INFO
     log.log(level, "camera %s has ended: %s", grabber.camera, ", ".join(parts))
 

@@ -58,13 +58,10 @@ IMAGE_WIDTH_MAX = 1920
 _VIDEO_RANGE = (16 + np.arange(256) * 219 / 255).round().astype(np.uint8)
 """Luma as video has it, 16 to 235, by the grey level of the image in colour."""
 DAMAGED_PICTURES_MAX = 250
-"""Pictures after a fault that are taken for damaged if none comes that is coded by itself.
-
-Encoders seldom put such pictures farther apart; with others the damage heals little by little.
+"""Pictures after a fault that are damaged if none is coded by itself: encoders seldom wait longer.
 """
 REORDERED_PICTURES = 3
 """Pictures by which a picture may come later than the message about it, as B pictures do."""
-_CODED_BY_ITSELF = ord("I")
 _CODECS = {
     "avc1": "H.264",
     "h264": "H.264",
@@ -218,9 +215,8 @@ class Capture:
         self._is_joined = True
         if self._damaged:
             self._damaged -= 1
-            coded = int(self._capture.get(cv2.CAP_PROP_FRAME_TYPE))
             late = DAMAGED_PICTURES_MAX - self._damaged > REORDERED_PICTURES
-            if coded == _CODED_BY_ITSELF and late:
+            if late and self._capture.get(cv2.CAP_PROP_FRAME_TYPE) == ord("I"):
                 self._damaged = 0
         return float(self._capture.get(cv2.CAP_PROP_POS_MSEC)) / 1000.0
 

@@ -25,11 +25,6 @@ STEP_SECONDS_MIN = 0.002
 """Least step of stamps that advance: pictures are farther apart, ticks are nearer."""
 PACE_MIN = 0.5
 """Least pace of confirming stamps that do not all advance, in intervals of the latest pictures."""
-PACES_ALIKE = 4.0
-"""Largest ratio of the steps of confirming stamps that are farther apart than a gap."""
-CATCHING_UP = 0.1
-"""Interval, in those of the latest pictures, while positions are ahead of stamps by a gap or less.
-"""
 _RATE = 0.1
 """Weight of the newest interval in their running mean."""
 
@@ -82,7 +77,7 @@ class FileTimes:
         """Return the positions of the doubted pictures by their stamps; empty if they are wrong."""
         first = self._doubted[0]
         steps = [b - a for a, b in pairwise(self._doubted)]
-        alike = max(steps) <= PACES_ALIKE * min(steps)
+        alike = max(steps) <= GAP_INTERVALS * min(steps)
         pace = sum(steps) / len(steps)
         if min(steps) < STEP_SECONDS_MIN and (min(steps) < 0.0 or pace < PACE_MIN * self.interval):
             return []
@@ -97,7 +92,7 @@ class FileTimes:
             self.interval = pace
         positions = [self._settled]
         for stamp in self._doubted:
-            least = positions[-1] + CATCHING_UP * self.interval
+            least = positions[-1] + self.interval / GAP_INTERVALS
             positions.append(max(least, stamp + self._offset))
         return positions[1:]
 

@@ -16,8 +16,6 @@ from camtopod.vision.source.source_url import file_path
 
 FAILURES_MIN = 1000
 """Failures to read a picture, on end, before the end of a file that declares none.
-
-A read after the end takes microseconds.
 """
 FAILURES_MAX = 100_000
 """The same in a file that declares so many more pictures: more than an hour of damage."""
@@ -66,6 +64,8 @@ class RecordedSource(Source):
             self.close()
             why = ffmpeg_log.newest_reason()
             raise SourceError(f"{path}: not a video this program can decode{why and ': '}{why}")
+        self._times = FileTimes(self._capture.fps)
+        self._observed = Observed(self._capture.size)
         self.reason = "not read yet"
         self.connections = 1
         self.overdue_seconds = 0.0
@@ -77,10 +77,8 @@ class RecordedSource(Source):
         What cannot be read is passed over, up to the declared end. Raises `SourceError` if no frame
         of the file can be decoded.
         """
-        assert self._capture is not None
         selector = FrameSelector(self._settings.analysed_fps)
-        times = FileTimes(self._capture.fps)
-        observed = Observed(self._capture.size)
+        times = self._times
         waiting: list[Frame | None] = []
         """Frames whose positions are not known yet; None for those that are not analysed."""
         failures = 0
@@ -89,7 +87,8 @@ class RecordedSource(Source):
             stamp = self._capture.grab()
             if stamp is None:
                 failures += 1
-                if failures > self._failures_max:
+                remaining = self._capture.pictures - self.grabbed
+                if failures > min(max(FAILURES_MIN, remaining), FAILURES_MAX):
                     break
                 continue
             self.dropped += failures
@@ -103,61 +102,46 @@ class RecordedSource(Source):
                 waiting[-1] = self._capture.frame()
                 self.dropped += waiting[-1] is None
             if positions:
-                yield from self._placed(waiting, positions, began, observed)
+                yield from self._placed(waiting, positions, began)
                 waiting.clear()
             self.untrusted_stamps = times.untrusted
 
-        yield from self._placed(waiting, times.rest(), began, observed)
+        yield from self._placed(waiting, times.rest(), began)
         if self._capture is not None:
-            self._end(self._capture, times, observed)
+            self._end(self._capture)
 
     def _placed(
-        self,
-        frames: list[Frame | None],
-        positions: list[float],
-        began: float,
-        observed: Observed,
+        self, frames: list[Frame | None], positions: list[float], began: float
     ) -> Iterator[Frame | None]:
         """Yield frames with their positions, in real time if that was asked for."""
         for frame, position in zip(frames, positions, strict=True):
-            observed.add(position, None if frame is None else frame.luma)
+            self._observed.add(position, None if frame is None else frame.luma)
             if frame is not None:
                 self.state = "running"
-                self.reason = observed.words
+                self.reason = self._observed.words
                 if self._realtime:
                     yield from _until(began + position)
                 yield frame._replace(t=self._start + position)
 
-    @property
-    def _failures_max(self) -> int:
-        """Number of failures on end after which there is nothing more in the file."""
-        assert self._capture is not None
-        remaining = self._capture.pictures - self.grabbed
-        return min(max(FAILURES_MIN, remaining), FAILURES_MAX)
-
-    def _end(self, capture: Capture, times: FileTimes, observed: Observed) -> None:
+    def _end(self, capture: Capture) -> None:
         """Say how much was read. Raises `SourceError` if that was nothing."""
         codec, fault, declared = capture.codec, capture.fault, capture.seconds
         self.close()
         if self.state == "connecting":
             why = f"no frame in it can be decoded ({codec})"
             raise SourceError(f"{self._path}: {why}{fault and ': '}{fault}")
-        read = times.latest + times.interval
-        self.reason = f"{read:.1f} s of {max(read, declared):.1f} s read"
-        notes = []
-        if read < declared - EARLY_SECONDS:
-            notes.append("the video ends early, or begins late")
-        if self.dropped and fault:
-            notes.append(fault)
-        if read < OBSERVED_SECONDS:
-            observed.judge()
-        if observed.words:
-            notes.append(observed.words)
-        if times.untrusted:
-            notes.append(f"{times.untrusted} time stamps not believed")
-        if notes:
-            self.reason += f" ({'; '.join(notes)})"
         self.state = "ended"
+        read = self._times.latest + self._times.interval
+        if read < OBSERVED_SECONDS:
+            self._observed.judge()
+        notes = [
+            "the video ends early, or begins late" if read < declared - EARLY_SECONDS else "",
+            fault if self.dropped else "",
+            self._observed.words,
+            f"{self._times.untrusted} time stamps not believed" if self._times.untrusted else "",
+        ]
+        said = "; ".join(filter(None, notes))
+        self.reason = f"{read:.1f} s of {max(read, declared):.1f} s read{said and f' ({said})'}"
 
     def close(self) -> None:
         """Release the file."""
