@@ -58,18 +58,13 @@ class Broker(Struct, frozen=True):
 
 
 def broker(
-    url: str,
-    password: str | None = None,
-    ca: str | None = None,
-    prefix: str = "",
-    patterns: bool = False,
+    url: str, password: str | None = None, ca: str | None = None, prefix: str = ""
 ) -> Broker:
     """Return the broker of a URL ``mqtt[s]://[USER@]HOST[:PORT]/PREFIX``.
 
     password: of the URL's user.
     ca: path of the certificate authorities to trust; None for the system's.
-    prefix: used if the URL has none.
-    patterns: levels of PREFIX may be ``+``, for any one.
+    prefix: used if the URL has none. Where there is none, a level of PREFIX may be ``+``, for any.
 
     Raises `ValueError`, also if the URL contains a password.
     """
@@ -80,9 +75,10 @@ def broker(
         raise ValueError(
             "others on this machine can read a password on the command line: put it in a file"
         )
-    prefix = unquote(parts.path).strip("/") or prefix
-    levels = [level for level in prefix.split("/") if not (patterns and level == "+")]
-    wildcard = "+" in "".join(levels) or "#" in url or parts.query
+    path = unquote(parts.path).strip("/")
+    wrong = any("+" in level and (prefix or level != "+") for level in path.split("/"))
+    prefix = path or prefix
+    wildcard = wrong or "#" in url or parts.query
     if parts.scheme not in PORTS or not parts.hostname or not prefix or wildcard:
         raise ValueError(
             f"{redact(url)!r}: write it like mqtt://HOST:1883/PREFIX, or mqtts:// for TLS; PREFIX "

@@ -15,5 +15,5 @@ from camtopod.adapt.adapter import (
     Size as Size,
 )
 from camtopod.adapt.formats import FORMATS as FORMATS, FormatOptions as FormatOptions
-from camtopod.adapt.framing import Frames as Frames, messages_in as messages_in
+from camtopod.adapt.framing import frames as frames
 from camtopod.adapt.tracks import TrackEvents as TrackEvents

@@ -37,7 +37,7 @@ class Adapter:
     topic = "#"
     """MQTT topic of these lines below the program's prefix."""
     begins = b"{"
-    """Signs that begin a message, as for `framing.Frames`; without any, each line is one."""
+    """Signs that begin a message, as for `framing.frames`; without any, each line is one."""
     outside_cause = "is --size right?"
     """What to see to if boxes lie outside the picture."""
 

@@ -22,7 +22,7 @@ from camtopod.adapt import (
     FormatOptions,
     camera_names,
     camera_streams,
-    messages_in,
+    frames,
 )
 from camtopod.adapt.adapter import Adapter
 from camtopod.adapt.axis import Axis
@@ -315,7 +315,7 @@ def test_onvif_documents_over_lines_and_on_one_line() -> None:
     on_one = b"".join(document.replace(b"\n", b" ") for document in documents)
 
     for stream in (b"\n".join(documents), on_one):
-        lines = messages_in(stream, LINE_BYTES_MAX, Onvif.begins)
+        lines = [one for _, one in frames([stream], LINE_BYTES_MAX, Onvif.begins)]
         assert short(read(Onvif("gate", ["human"]), lines)) == [
             ("gate", "entry", 2.0, 0.1, 0.7498, "15"),
             ("gate", "exit", 4.0, 0.9, 0.7498, "15"),
@@ -342,9 +342,8 @@ def test_onvif_hostile_xml_is_refused_and_what_follows_is_read() -> None:
     assert refused(adapter, hidden.encode("utf-16")) in ("malformed", "doctype")
 
     good = [onvif_xml(0), *(onvif_xml(2 + n, onvif_object(1, 50)) for n in range(3))]
-    cut, *rest = messages_in(
-        b"<a/></MetadataStream>" + b"".join(good), LINE_BYTES_MAX, Onvif.begins
-    )
+    stream = [b"<a/></MetadataStream>", *good]
+    cut, *rest = [one for _, one in frames(stream, LINE_BYTES_MAX, Onvif.begins)]
     assert refused(adapter, cut) == "malformed"
     assert [e.kind for e in read(adapter, rest)] == ["entry"]
 

@@ -4,11 +4,10 @@ from __future__ import annotations
 
 import json
 import time
-from collections.abc import Iterator
 
 import pytest
 
-from camtopod.adapt import Frames
+from camtopod.adapt import frames
 
 MESSAGES = [{"a": n, "b": {"c": [1, {"d": 'x{"}\\'}, {}, []]}, "e": "\u00e9\n"} for n in range(3)]
 
@@ -16,14 +15,8 @@ MESSAGES = [{"a": n, "b": {"c": [1, {"d": 'x{"}\\'}, {}, []]}, "e": "\u00e9\n"} 
 def found(
     stream: bytes, piece: int = 1 << 16, most: int = 1 << 20, begins: bytes = b"{"
 ) -> list[bytes]:
-    frames = Frames(most, begins)
-
-    def read() -> Iterator[tuple[int, bytes]]:
-        for at in range(0, len(stream), piece):
-            yield from frames.feed(stream[at : at + piece])
-        yield from frames.end()
-
-    return [message for _, message in read()]
+    pieces = (stream[at : at + piece] for at in range(0, len(stream), piece))
+    return [message for _, message in frames(pieces, most, begins)]
 
 
 @pytest.mark.parametrize("piece", [1, 2, 7, 1000])

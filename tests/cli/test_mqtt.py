@@ -203,7 +203,7 @@ def test_bytes_that_wait_have_a_limit_and_prefixes_may_be_any(
             broker.publish([b"y" * 900])
             assert next(read) == b"y" * 900
             stop.set()
-        anywhere = mqtt.broker(f"mqtt://127.0.0.1:{broker.port}/+", patterns=True)
+        anywhere = mqtt.broker(f"mqtt://127.0.0.1:{broker.port}/+")
         subscription = mqtt.MessageSubscription(anywhere, "#", with_topics=True)
         with contextlib.closing(subscription) as messages:
             broker.publish([b"z"])

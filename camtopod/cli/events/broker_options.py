@@ -36,13 +36,8 @@ def add_options(group: Any) -> None:
     )
 
 
-def broker_of(
-    args: argparse.Namespace, url: str, prefix: str = "", patterns: bool = False
-) -> mqtt.Broker:
-    """Return the broker at ``url``; the other arguments are those of `mqtt.broker`.
-
-    Raises `CommandError`.
-    """
+def broker_of(args: argparse.Namespace, url: str, prefix: str = "") -> mqtt.Broker:
+    """Return the broker at ``url``; ``prefix`` as for `mqtt.broker`. Raises `CommandError`."""
     password = os.environ.get(PASSWORD_VARIABLE) or None
     if args.password_file is not None:
         try:
@@ -52,7 +47,7 @@ def broker_of(
         for sentence in secret_files.find_exposed([args.password_file]):
             log.warning("%s", sentence)
     try:
-        return mqtt.broker(url, password, args.ca, prefix, patterns)
+        return mqtt.broker(url, password, args.ca, prefix)
     except ValueError as error:
         raise CommandError(str(error), exits.USAGE) from None
 

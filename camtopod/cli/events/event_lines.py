@@ -8,6 +8,7 @@ from __future__ import annotations
 import heapq
 import logging
 import os
+import re
 import sys
 import time
 from collections import Counter
@@ -15,7 +16,7 @@ from collections.abc import Iterable, Iterator
 from contextlib import ExitStack
 from typing import BinaryIO, NamedTuple
 
-from camtopod.adapt import LINE_BYTES_MAX, Adapter, Frames
+from camtopod.adapt import LINE_BYTES_MAX, Adapter, frames
 from camtopod.cli.exits import InputError
 from camtopod.codec import EVENT_BYTES_MAX, Rejected, event_from_json, to_json
 from camtopod.records import Event
@@ -26,14 +27,18 @@ log = logging.getLogger(__name__)
 
 _PIECE_BYTES = 1 << 16
 """Longest piece that is read at a time: whatever has come of it."""
-_PACKED = {
-    b"\x1f\x8b": "compressed: pipe it through gunzip -c",
-    b"BZh": "compressed: pipe it through bunzip2 -c",
-    b"\xfd7zXZ": "compressed: pipe it through xz -dc",
-    b"\x28\xb5\x2f\xfd": "compressed: pipe it through zstd -dc",
-    b"PK\x03\x04": "a zip file: pipe it through unzip -p",
+_UTF_16 = "in UTF-16: save it as UTF-8, or pipe it through iconv -f UTF-16"
+_OTHER_FORMS = {
+    rb"\x1f\x8b": "compressed: pipe it through gunzip -c",
+    rb"BZh": "compressed: pipe it through bunzip2 -c",
+    rb"\xfd7zXZ": "compressed: pipe it through xz -dc",
+    rb"\x28\xb5\x2f\xfd": "compressed: pipe it through zstd -dc",
+    rb"PK\x03\x04": "a zip file: pipe it through unzip -p",
+    rb"\xff\xfe|\xfe\xff": _UTF_16,
+    rb"([^\0]\0){2}": f"{_UTF_16}LE",
+    rb"(\0[^\0]){2}": f"{_UTF_16}BE",
 }
-"""First bytes of files that hold text in another form, and what to do."""
+"""Beginnings of files that hold text in another form, and what to do."""
 
 
 class Line(NamedTuple):
@@ -83,7 +88,7 @@ class LineReader:
 
     def lines(self, path: str, file: BinaryIO) -> Iterator[Line]:
         """Yield the events of one file in the order of its lines; blank lines are skipped."""
-        for number, text in numbered(path, file, Frames(EVENT_BYTES_MAX)):
+        for number, text in frames(pieces(path, file), EVENT_BYTES_MAX):
             self.read += 1
             try:
                 event = event_from_json(text)
@@ -139,10 +144,7 @@ class LineReader:
             self._quoted.add(mistake)
             quoted = text[:120].decode("utf-8", "backslashreplace")
             message = visible(redact(": ".join(filter(None, [where, quoted]))))
-            print(
-                f"camtopod: {message} (further ones are only counted)",
-                file=sys.stderr,
-            )
+            print(f"camtopod: {message} (further ones are only counted)", file=sys.stderr)
 
     def summary(self) -> str | None:
         """Return one line about the rejected lines; None if there are none."""
@@ -152,32 +154,18 @@ class LineReader:
         return f"{sum(self.rejected.values())} of {self.read} lines were rejected: {reasons}"
 
 
-def numbered(path: str, file: BinaryIO, frames: Frames) -> Iterator[tuple[int, bytes]]:
-    """Yield the messages of a file as soon as they have come, with the numbers of their lines.
+def pieces(path: str, file: BinaryIO) -> Iterator[bytes]:
+    """Yield what a file holds as soon as it has come.
 
     Raises `InputError` for a file that is no text in UTF-8 or ASCII.
     """
+    number = 0
     while piece := file.read1(_PIECE_BYTES):  # type: ignore[attr-defined]
-        if form := frames.is_new and _form(piece):
-            raise InputError(f"{path} is {form}")
-        yield from frames.feed(piece)
-    yield from frames.end()
-
-
-def _form(head: bytes) -> str:
-    """Return what a file is that begins with ``head``, and what to do; "" if it may be text."""
-    for magic, form in _PACKED.items():
-        if head.startswith(magic):
-            return form
-    zeros = [byte == 0 for byte in head[:4]]
-    for encoding, is_it in (
-        ("UTF-16", head.startswith((b"\xff\xfe", b"\xfe\xff"))),
-        ("UTF-16LE", zeros == [False, True] * 2),
-        ("UTF-16BE", zeros == [True, False] * 2),
-    ):
-        if is_it:
-            return f"in {encoding}: save it as UTF-8, or pipe it through iconv -f {encoding}"
-    return ""
+        number += 1
+        for magic, form in _OTHER_FORMS.items():
+            if number == 1 and re.match(magic, piece):
+                raise InputError(f"{path} is {form}")
+        yield piece
 
 
 def open_input(path: str) -> BinaryIO:

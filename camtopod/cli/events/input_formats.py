@@ -16,14 +16,13 @@ from camtopod.adapt import (
     LINE_BYTES_MAX,
     Adapter,
     FormatOptions,
-    Frames,
     Size,
-    messages_in,
+    frames,
 )
 from camtopod.cli import exits
 from camtopod.cli.common import camera_id
 from camtopod.cli.events import broker_options
-from camtopod.cli.events.event_lines import LineReader, numbered, open_input
+from camtopod.cli.events.event_lines import LineReader, open_input, pieces
 from camtopod.cli.exits import CommandError
 from camtopod.records import Event
 
@@ -90,7 +89,7 @@ def events(
     if args.file.startswith(("mqtt:", "mqtts:")):
         if adapter is None or not FORMATS[args.format].mqtt:
             raise CommandError(f"{args.format} cannot be read from MQTT, give a file", exits.USAGE)
-        source = broker_options.broker_of(args, args.file, patterns=True)
+        source = broker_options.broker_of(args, args.file)
         with broker_options.connecting(exits.INPUT):
             messages = mqtt.MessageSubscription(
                 source, adapter.topic, with_topics=adapter.topic == "#"
@@ -99,7 +98,8 @@ def events(
         lines = (
             (reader.read + 1, text)
             for content in messages.read(stop, ticks=True)
-            for text in messages_in(content, LINE_BYTES_MAX, adapter.begins) or [b""]
+            for _, text in [*frames([content + b"\n"], LINE_BYTES_MAX, adapter.begins)]
+            or [(0, b"")]
         )
         return reader.adapted(messages.topic, lines, adapter, live=True)
 
@@ -110,8 +110,14 @@ def events(
         stack.callback(file.close)
     if adapter is None:
         return (line.event for line in reader.lines(args.file, file))
-    frames = Frames(LINE_BYTES_MAX, adapter.begins)
-    return reader.adapted(args.file, numbered(args.file, file, frames), adapter)
+    found = frames(pieces(args.file, file), LINE_BYTES_MAX, adapter.begins)
+    return reader.adapted(args.file, found, adapter)
+
+
+def _texts(content: bytes, begins: bytes) -> list[bytes]:
+    """Return the messages in one of MQTT; an empty one if there is none."""
+    found = frames([content + b"\n"], LINE_BYTES_MAX, begins)
+    return [text for _, text in found] or [b""]
 
 
 def adapter_for(args: argparse.Namespace) -> Adapter | None:
