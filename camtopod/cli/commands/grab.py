@@ -285,15 +285,13 @@ def _until_stopped(
 
 def _log_end(grabber: Grabber) -> None:
     """Log what was read of a file and what was found; a warning if a part was not decoded."""
-    figures = {name: int(value) for name, value in grabber.statistics().items()}
-    parts = [grabber.reason, f"{counted(figures['frames_analysed'], 'picture')} analysed"]
-    if undecoded := figures["frames_dropped"]:
+    names = ("frames_analysed", "frames_dropped", "entries", "exits")
+    figures = grabber.statistics()
+    analysed, undecoded, entries, exited = (int(figures[name]) for name in names)
+    parts = [grabber.reason, f"{counted(analysed, 'picture')} analysed"]
+    if undecoded:
         parts.append(f"{undecoded} could not be decoded")
-    entries = figures["entries"]
-    parts += [
-        "1 entry" if entries == 1 else f"{entries} entries",
-        counted(figures["exits"], "exit"),
-    ]
+    parts += ["1 entry" if entries == 1 else f"{entries} entries", counted(exited, "exit")]
     level = logging.WARNING if undecoded else logging.INFO
     log.log(level, "camera %s has ended: %s", grabber.camera, ", ".join(parts))
 

@@ -58,8 +58,7 @@ IMAGE_WIDTH_MAX = 1920
 _VIDEO_RANGE = (16 + np.arange(256) * 219 / 255).round().astype(np.uint8)
 """Luma as video has it, 16 to 235, by the grey level of the image in colour."""
 DAMAGED_PICTURES_MAX = 250
-"""Pictures after a fault that are damaged if none is coded by itself: encoders seldom wait longer.
-"""
+"""Pictures after a fault that are damaged if none is coded by itself, which is seldom so late."""
 REORDERED_PICTURES = 3
 """Pictures by which a picture may come later than the message about it, as B pictures do."""
 _CODECS = {

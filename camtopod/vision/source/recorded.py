@@ -15,8 +15,7 @@ from camtopod.vision.source.remarks import OBSERVED_SECONDS, Observed
 from camtopod.vision.source.source_url import file_path
 
 FAILURES_MIN = 1000
-"""Failures to read a picture, on end, before the end of a file that declares none.
-"""
+"""Failures to read a picture, on end, before the end of a file that declares none."""
 FAILURES_MAX = 100_000
 """The same in a file that declares so many more pictures: more than an hour of damage."""
 EARLY_SECONDS = 1.0
