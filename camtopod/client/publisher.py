@@ -14,16 +14,8 @@ from msgspec.structs import replace
 from camtopod import codec
 from camtopod.client.site_view import Settings, settings_of
 from camtopod.config import Config
-from camtopod.records import CAMERA_PATTERN, RESERVED, Event
-from camtopod.serve.bus import (
-    Bus,
-    BusError,
-    dial,
-    guard,
-    log_other_sites,
-    note_use,
-    sites_instead,
-)
+from camtopod.records import CAMERA_PATTERN, Event
+from camtopod.serve.bus import Bus, BusError, dial, guard, log_other_sites, note_use, sites_instead
 from camtopod.serve.outbox import Publisher as Outbox, open_spool
 from camtopod.serve.storage import StateError
 
@@ -63,10 +55,8 @@ class Publisher(contextlib.AbstractContextManager["Publisher"]):
         state: str | Path | None = None,
     ) -> None:
         if not re.match(CAMERA_PATTERN, camera):
-            raise ValueError(
-                f"camera {camera!r}: 1 to 64 of the characters A-Z a-z 0-9 _ . -, and not"
-                f" {', '.join(RESERVED)}"
-            )
+            allowed = "1 to 64 of the characters A-Z a-z 0-9 _ . -, and not daemon"
+            raise ValueError(f"camera {camera!r}: {allowed}")
         note_use()
         settings = settings_of(site, connect, config)
         directory = settings.state_directory if state is None else Path(state)

@@ -2,10 +2,9 @@
 
 Start with `session`: `Bus`, one program's session, opened by `dial` (a client) or
 `open_daemon_session` (the daemon, which other programs connect to). `topology_subscriber` follows
-the daemon's topology, and `site_choice` finds the site where none was named. `forks`
-has what a forked child must not use. The other modules serve the daemon: `access` (who may
-connect), `sockets` (an option of connections) and `single_daemon` (detect a second daemon of the
-site).
+the daemon's topology, and `site_choice` finds the site where none was named. `forks` has
+what a forked child must not use. The others serve the daemon: `access` (who may connect), `sockets`
+(an option of connections) and `single_daemon` (detect a second daemon of the site).
 """
 
 from __future__ import annotations

@@ -9,7 +9,7 @@ from __future__ import annotations
 import atexit
 import os
 import weakref
-from typing import Any, Protocol
+from typing import Any
 
 from camtopod.serve.bus.access import BusError
 
@@ -18,13 +18,6 @@ FORKED = (
     ' with multiprocessing.get_context("spawn"), and connect in it'
 )
 """What a child is told."""
-
-
-class Closing(Protocol):
-    """Something that is closed."""
-
-    def close(self) -> object:
-        """Close it."""
 
 
 def _refuse(one: object, name: str) -> object:
@@ -36,13 +29,13 @@ def _refuse(one: object, name: str) -> object:
     raise BusError(FORKED)
 
 
-_guarded: weakref.WeakSet[Closing] = weakref.WeakSet()
+_guarded: weakref.WeakSet[Any] = weakref.WeakSet()
 _used: list[bool] = []  # not empty once this process has opened a session, or tried to
 _forked: list[bool] = []  # not empty in a child of such a process
 
 
-def guard(one: Closing) -> None:
-    """Make ``one``, which uses the bus, unusable in children that are forked from now on."""
+def guard(one: Any) -> None:
+    """Make ``one``, which can be closed, unusable in children that are forked from now on."""
     _guarded.add(one)
 
 

@@ -53,13 +53,9 @@ class NamesState(Struct, frozen=True):
 
 def read_names(journal: Journal) -> NamesState:
     """Return the state as it is stored in the journal, or made again from its commands."""
-    stored = journal.meta(NAMES_KEY)
+    if (stored := journal.meta(NAMES_KEY)) is not None:
+        return codec.read(NamesState, stored.encode())
     state = NamesState()
-    try:
-        if stored is not None:
-            return codec.read(NamesState, stored.encode())
-    except codec.Rejected as error:
-        log.error("the journal's names cannot be read: %s", error)
     for t, entry in journal.commands():
         try:
             command = read_command(entry.raw)
