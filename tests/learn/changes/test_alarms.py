@@ -117,6 +117,7 @@ def test_a_camera_is_said_to_be_silent_and_to_be_back_once() -> None:
             log.cameras([CameraSilences([], False), silence], ["a", "b"], 0.0),
         )
     assert said(log) == [(2, "camera_silent", "b"), (4, "camera_back", "b")]
+    assert log.state.newest[0].detail == "nothing since 1970-01-01T00:00:05Z", "as in the log"
 
 
 def test_a_clock_is_told_when_it_moves_and_not_when_it_becomes_known() -> None:
