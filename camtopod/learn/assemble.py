@@ -151,24 +151,17 @@ def with_clock_offsets(links: list[Link], zones: list[Zone], ahead: dict[str, fl
     return result
 
 
-def with_provisional(topology: Topology, repeats: dict[str, tuple[float, str]]) -> Topology:
-    """Return a topology whose links from and to cameras that repeat themselves are provisional.
+def with_provisional(links: list[Link], repeats: dict[str, tuple[float, str]]) -> list[Link]:
+    """Return links of which those of cameras that repeat themselves are provisional.
 
     repeats: `AlarmState.repeats`.
     """
-    if not repeats:
-        return topology
-
-    def marked(link: Link) -> Link:
-        ends = dict.fromkeys((camera_of(link.from_), camera_of(link.to)))
-        why = [f"{name} {repeats[name][1]}" for name in ends if name in repeats]
-        return replace(link, provisional=" ".join(why)) if why else link
-
-    return replace(
-        topology,
-        links=[marked(link) for link in topology.links],
-        weak_links=[marked(link) for link in topology.weak_links or []],
-    )
+    result = []
+    for link in links:
+        ends = {camera_of(link.from_), camera_of(link.to)}
+        why = " ".join(f"{name} {repeats[name][1]}" for name in sorted(ends & repeats.keys()))
+        result.append(replace(link, provisional=why) if why else link)
+    return result
 
 
 def empty_topology(settings: Settings, bins: LagBins) -> Topology:

@@ -417,8 +417,12 @@ class Learner:
 
     def _version_of(self, found: Refit, tick_us: int) -> Topology:
         """Return the version that follows from a refit, with site, number, alarms and score."""
-        # The records of links and zones.
+        # The records of links and zones; those of cameras that repeat themselves are provisional.
         cameras = self._window.cameras
+        now = tick_us / MICROSECONDS
+        oldest = float(self._window.column("t")[0]) / MICROSECONDS
+        news = self._alarms.repeats(now, oldest, cameras, found.repeats)
+        repeats = self.state.alarms.repeats
         scene = found.scene
         bins = lag_bins(self.settings)
         between = link_records(cameras, scene, found.published, bins)
@@ -430,15 +434,11 @@ class Learner:
             scene,
             found.model,
             self.state.clocks.clocks,
-            links=between + visible,
-            weak_links=weak,
+            links=with_provisional(between + visible, repeats),
+            weak_links=with_provisional(weak, repeats),
         )
 
-        # Links of cameras that repeat themselves, alarms, and the fields that the learner adds.
-        now = tick_us / MICROSECONDS
-        oldest = float(self._window.column("t")[0]) / MICROSECONDS
-        news = self._alarms.repeats(now, oldest, cameras, found.repeats)
-        topology = with_provisional(topology, self.state.alarms.repeats)
+        # Alarms, and the fields that the learner adds.
         self._report(found, topology, self._next_version, now, news)
         return self._completed(topology, tick_us)
 

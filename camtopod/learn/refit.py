@@ -206,14 +206,7 @@ def refit(
     # 2. Silent cameras, recordings in a loop, and views that overlap.
     seconds = window.column("t") / MICROSECONDS
     silences = find_silences(seconds, window.column("camera"), len(window.cameras))
-    repeats = find_repeats(
-        seconds,
-        window.column("camera"),
-        window.column("entry"),
-        window.column("px"),
-        window.column("py"),
-        len(window.cameras),
-    )
+    repeats = find_repeats(window)
     views = offset_bins(bins.scale, bins.step)
     overlapping = find_overlapping(views_of(scene), len(window.cameras), views)
 

@@ -2,16 +2,15 @@
 
 Each of a camera's newest events is matched, at every possible lag, with an earlier event of the
 same kind and place. Only the agreement within tenths of a second is evidence: a rhythm of seconds,
-such as a timetable, a guard's round or traffic lights, is allowed to be exact. So an event that has
-a match within `RHYTHM_SECONDS` of a lag would, without a loop, find it anywhere in that time.
+such as a timetable, a guard's round or traffic lights, may be exact. So without a loop, an event
+that has a match within `RHYTHM_SECONDS` of a lag finds it anywhere in that time.
 
 A *repetition* is a lag with the stretch of newest events that speaks most for it. Its evidence is a
-log likelihood ratio, so chance reaches x nats with a probability of exp(-x) at most, for each
-stretch and lag. A camera repeats itself if two earlier stretches of its events together speak
-clearly enough for that (`FALSE_ALARM`), and if
+log likelihood ratio: chance reaches x nats with a probability of exp(-x) at most, for each stretch
+and lag. A camera repeats itself if its repetitions together are clear enough for `FALSE_ALARM`, and
 
-* at least half of the newest period comes from these repetitions,
-* one period alone is more than chance: a sign that is switched each minute is no recording,
+* half of the newest period has two of them, so this is the third play at least;
+* one period alone is more than chance: a sign that is switched each minute is no recording;
 * the events do not come in between as well, less exactly, as those of a rhythm do.
 
 After a random pause a recording has another lag; its stretches end with each play.
@@ -25,7 +24,9 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from camtopod.arrays import Bools, Floats, Indices, Rows, rows_by_group
+from camtopod.arrays import Bools, Floats, Indices, Rows
+from camtopod.event_time import MICROSECONDS
+from camtopod.learn.window import Window
 from camtopod.topology import POSITION_ONE
 
 FALSE_ALARM = 1e-6
@@ -39,23 +40,20 @@ PLACE = 0.05 * POSITION_ONE
 AGREE_SECONDS = 0.4
 """Range of lags that count as the same: a grabber sees each event up to a frame later."""
 RHYTHM_SECONDS = 5.0
-"""Deviation from a lag within which all lags are equally likely without a loop. Shorter lags are
-not considered.
-"""
+"""Deviation from a lag within which all lags are equally likely without a loop; the least lag."""
 TOGETHER_SECONDS = 2.0
-"""Events of a camera within this time of each other count as one: a group, a lamp, a short passage.
-"""
+"""Events within this time of each other count as one: a group, a lamp, a short passage."""
 MATCHED = 0.9
 """Probability that an event of a recording has a match in an earlier play."""
 _YEAR_SECONDS = 365.25 * 86_400.0
 _CHANCE_NATS = math.log(KNOWN_MAX * JUDGED_MAX)
 """Evidence that chance reaches about once among all stretches and lags of a camera."""
 _WHOLE_SECONDS = 1e-3
-"""Deviation from whole seconds up to which times have none of the tenths that are compared."""
-_APART = 1e9
-"""More than any lag, seconds."""
-_LOWER = 1e4
-"""More than the evidence of any stretch, nats."""
+"""Deviation from whole seconds up to which times have no tenths that could be compared."""
+_APART_SECONDS = 1e9
+"""More than any lag."""
+_LOWER_NATS = 1e4
+"""More than the evidence of any stretch."""
 
 
 class Repeats(NamedTuple):
@@ -65,50 +63,40 @@ class Repeats(NamedTuple):
     most: float
 
 
-class _Match(NamedTuple):
-    """Matches of judged events with earlier ones; n matches, sorted by event and lag."""
+class _Matches(NamedTuple):
+    """Judged events with an earlier match, lags (seconds) and evidence (nats), by event and lag."""
 
     event: Rows
-    """(n,) number of the judged event."""
     lag: Floats
-    """(n,) seconds since the earlier event."""
     gain: Floats
-    """(n,) evidence for a loop if the match is at the lag of a repetition, nats."""
 
 
 class _Repetition(NamedTuple):
-    """A stretch of judged events that came before at one lag."""
+    """Evidence (nats), lag (seconds), and matched events, ascending, with the evidence of each."""
 
     evidence: float
-    """Nats."""
     lag: float
-    """Seconds."""
     events: Rows
-    """(k,) numbers of the matched events, ascending."""
     gain: Floats
-    """(k,) evidence of each match, nats."""
 
 
-def find_repeats(
-    t: Floats, camera: Indices, entry: Bools, px: Indices, py: Indices, cameras: int
-) -> list[Repeats | None]:
-    """Return for each camera how its events repeat themselves, None if they do not.
-
-    t (n, seconds): time of each event of the window, ascending.
-    camera, entry (n,): index of its camera; True for an entry, False for an exit.
-    px, py (n,): position in fixed point, negative if unknown: such events are left out.
-    cameras: number of cameras.
-    """
-    placed = np.flatnonzero(px >= 0)
+def find_repeats(window: Window) -> list[Repeats | None]:
+    """Return for each camera how its events repeat themselves, None if they do not."""
+    placed = window.has_position()
     found = []
-    for rows in rows_by_group(camera[placed], cameras):
-        own = placed[rows[-KNOWN_MAX:]]
-        found.append(_repeats(t[own], entry[own], px[own], py[own]))
+    for rows in window.rows_of_cameras():
+        own = rows[placed[rows]][-KNOWN_MAX:]
+        t = window.column("t")[own] / MICROSECONDS
+        found.append(repeats_of(t, *(window.column(name)[own] for name in ("entry", "px", "py"))))
     return found
 
 
-def _repeats(t: Floats, entry: Bools, px: Indices, py: Indices) -> Repeats | None:
-    """Return how the events of one camera repeat themselves, None if they do not."""
+def repeats_of(t: Floats, entry: Bools, px: Indices, py: Indices) -> Repeats | None:
+    """Return how n events of one camera repeat themselves, None if they do not.
+
+    t (n, seconds): ascending.
+    entry, px, py (n,): True for an entry, False for an exit; position in fixed point.
+    """
     if len(t) < 2 or np.abs(t - np.round(t)).max() < _WHOLE_SECONDS:
         return None
     first = max(len(t) - JUDGED_MAX, 0)
@@ -138,42 +126,35 @@ def _repeats(t: Floats, entry: Bools, px: Indices, py: Indices) -> Repeats | Non
         or _is_rhythm(matches, found, nearest)
     ):
         return None
-    least, most = np.quantile(nearest[plays > 0], (0.1, 0.9))
-    return Repeats(float(least), float(most))
+    return Repeats(*np.quantile(nearest[plays > 0], (0.1, 0.9)).tolist())
 
 
 def _matches(
     t: Floats, entry: Bools, px: Indices, py: Indices, first: int, weight: Floats
-) -> _Match:
-    """Return the matches of the judged events, which are those from the row ``first``.
-
-    weight (m,): weight of each judged event.
-    """
-    lag = t[first:, None] - t
-    like = (lag > RHYTHM_SECONDS) & (entry[first:, None] == entry)
+) -> _Matches:
+    """Return the matches of the judged events: those from row ``first``, with a weight each."""
+    lag = (t[first:, None] - t)[:, ::-1]  # ascending
+    like = (lag > RHYTHM_SECONDS) & (entry[first:, None] == entry)[:, ::-1]
     for p in (px, py):
-        like &= np.abs(p[first:, None] - p) <= PLACE
-    event, other = np.nonzero(like[:, ::-1])  # the newest of the others first
-    lags = lag[:, ::-1][event, other]
-    near = _count_within(event * _APART + lags, RHYTHM_SECONDS)
+        like &= (np.abs(p[first:, None] - p) <= PLACE)[:, ::-1]
+    event, other = np.nonzero(like)
+    lags = lag[event, other]
+    near = _count_within(event * _APART_SECONDS + lags, RHYTHM_SECONDS)
     by_chance = near * AGREE_SECONDS / (2 * RHYTHM_SECONDS)
-    return _Match(event, lags, weight[event] * np.log(np.maximum(MATCHED / by_chance, 1.0)))
+    return _Matches(event, lags, weight[event] * np.log(np.maximum(MATCHED / by_chance, 1.0)))
 
 
-def _repetitions(matches: _Match, cost: Floats, phase: float) -> list[_Repetition]:
+def _repetitions(matches: _Matches, cost: Floats, phase: float) -> list[_Repetition]:
     """Return the best stretch of each range of lags, if it has more evidence than chance.
 
     cost (m,): evidence against a loop of each judged event without a match, nats.
     phase: offset of the ranges of lags, as a share of `AGREE_SECONDS`.
     """
-    if len(matches.lag) == 0:
-        return []
-
     # The best match of each event in each range; the ranges one after the other.
     part = np.floor(matches.lag / AGREE_SECONDS + phase).astype(np.int64)
     order = np.lexsort((-matches.gain, matches.event, part))
     key = part[order] * JUDGED_MAX + matches.event[order]
-    order = order[np.append(True, np.diff(key) > 0)]
+    order = order[np.diff(key, prepend=-1) > 0]
     part = part[order]
     event = matches.event[order]
     gain = matches.gain[order]
@@ -183,14 +164,14 @@ def _repetitions(matches: _Match, cost: Floats, phase: float) -> list[_Repetitio
     costs = np.cumsum(cost)
     after = np.cumsum(gain + cost[event]) - costs[event]
     before = after - gain
-    begins = np.append(True, np.diff(part) > 0)
-    down = _LOWER * np.cumsum(begins)
+    begins = np.diff(part, prepend=-1) > 0
+    down = _LOWER_NATS * np.cumsum(begins)
     evidence = after - down - np.minimum.accumulate(before - down)
 
     # The best of each range.
     starts = np.flatnonzero(begins)
     ends = np.append(starts[1:], len(part))
-    clear = np.maximum.reduceat(evidence, starts) > _CHANCE_NATS
+    clear = np.maximum.reduceat(evidence, starts) > _CHANCE_NATS if len(part) else begins
     found = []
     for start, end in zip(starts[clear], ends[clear], strict=True):
         last = start + int(np.argmax(evidence[start:end]))
@@ -213,32 +194,24 @@ def _separate(found: list[_Repetition]) -> list[_Repetition]:
     return kept
 
 
-def _is_rhythm(matches: _Match, found: list[_Repetition], nearest: Floats) -> bool:
-    """Return True if half of the events come in between as well, less exactly.
-
-    nearest (m,): lag of the nearest repetition of each judged event.
+def _is_rhythm(matches: _Matches, found: list[_Repetition], nearest: Floats) -> bool:
+    """Return True if half of the events come before their ``nearest`` repetition, less exactly.
 
     What a busy view shows at any lag does not count.
     """
     events = 0
     between = 0.0
     for one in found:
-        if np.count_nonzero(nearest[one.events] == one.lag) * 2 < len(one.events):
-            continue
-        events += len(one.events)
-        rows = np.isin(matches.event, one.events) & (matches.lag < one.lag - TOGETHER_SECONDS)
-        most = 0
-        usual = np.count_nonzero(rows) * TOGETHER_SECONDS / one.lag
-        for phase in (0.0, 0.5):
-            part = np.floor(matches.lag[rows] / TOGETHER_SECONDS + phase).astype(np.int64)
-            once = np.unique(part * JUDGED_MAX + matches.event[rows]) // JUDGED_MAX
-            most = max(most, *np.unique(once, return_counts=True)[1].tolist(), 0)
-        between += most - usual
+        if np.count_nonzero(nearest[one.events] == one.lag) * 2 >= len(one.events):
+            events += len(one.events)
+            rows = np.isin(matches.event, one.events) & (matches.lag < one.lag - TOGETHER_SECONDS)
+            lags = np.sort(matches.lag[rows])
+            most = _count_within(lags, TOGETHER_SECONDS / 2).max(initial=0)
+            between += most - len(lags) * TOGETHER_SECONDS / one.lag
     return 2 * between >= events
 
 
 def _count_within(values: Floats, reach: float) -> NDArray[np.intp]:
     """Return how many of ascending values (n,) are within ``reach`` of each, itself included."""
-    return np.searchsorted(values, values + reach, "right") - np.searchsorted(
-        values, values - reach
-    )
+    above = np.searchsorted(values, values + reach, "right")
+    return above - np.searchsorted(values, values - reach)

@@ -7,7 +7,8 @@ from collections.abc import Callable, Iterator
 import numpy as np
 import pytest
 
-from camtopod.learn.changes import AlarmLog, AlarmState, Repeats, find_repeats
+from camtopod.learn.changes import AlarmLog, AlarmState, Repeats
+from camtopod.learn.changes.repeats import KNOWN_MAX, repeats_of
 from camtopod.learn.learner import Learner
 from camtopod.learn.settings import Settings
 from camtopod.records import Event, Topology
@@ -147,8 +148,8 @@ def test_a_rhythm_is_no_loop(events: Callable[[Rng], Iterator[tuple[float, ...]]
     t, entry, x, y = np.array(sorted(events(np.random.default_rng(1)))).T
     px, py = (np.round(values * POSITION_ONE).astype(np.int32) for values in (x, y))
     for n in np.linspace(40, len(t), 12).astype(int):
-        camera = np.zeros(n, np.int32)
-        assert find_repeats(t[:n], camera, entry[:n] > 0, px[:n], py[:n], 1) == [None]
+        newest = slice(max(n - KNOWN_MAX, 0), n)
+        assert repeats_of(t[newest], entry[newest] > 0, px[newest], py[newest]) is None
 
 
 def test_a_camera_is_free_of_its_loop_when_those_events_have_left_the_window() -> None:
