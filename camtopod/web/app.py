@@ -29,7 +29,7 @@ from camtopod.records import CAMERA_PATTERN
 from camtopod.serve.bus import Bus
 from camtopod.serve.runtime import STALL_SECONDS, Beat, Clock, Progress
 from camtopod.web.api import Api, content, error, streamed
-from camtopod.web.connections import CONNECTIONS_MAX, Connection
+from camtopod.web.connections import Connection
 from camtopod.web.feed import Feed
 from camtopod.web.guards import Guard
 from camtopod.web.login import Login
@@ -227,7 +227,6 @@ def serving(
         access_log=False,
         lifespan="on",
         server_header=False,
-        limit_concurrency=CONNECTIONS_MAX + 1,
         timeout_graceful_shutdown=CLOSE_SECONDS,
         http=Connection,
         proxy_headers=False,  # any client can write them

@@ -28,9 +28,9 @@ class Connection(H11Protocol):
         if len(self.connections) >= CONNECTIONS_MAX:
             others: list[Any] = [*self.connections]
             waiting = (one for one in others if one.is_waiting)
-            if oldest := min(waiting, key=lambda one: one._since, default=None):
-                oldest.transport.abort()
-                self.connections.discard(oldest)
+            oldest = min(waiting, key=lambda one: one._since, default=self)
+            (transport if oldest is self else oldest.transport).abort()
+            self.connections.discard(oldest)
         super().connection_made(transport)
         self._since = self.loop.time()
         self._expect()

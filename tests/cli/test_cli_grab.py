@@ -107,6 +107,20 @@ def test_an_older_file_stays_if_its_successor_cannot_be_written(
     assert [*tmp_path.iterdir()] == [out]
 
 
+def test_a_camera_that_stalls_is_a_warning(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    def events(grabber: FakeGrabber) -> Iterator[None]:
+        for grabber.state, grabber.reason in (("running", ""), ("stalled", "no picture for 9 s")):
+            yield None
+
+    monkeypatch.setattr(FakeGrabber, "events", events)
+    assert main(["--log-level", "warning", "grab", "--camera", "a", "x", "--out", "-"]) == 0
+    err = capsys.readouterr().err
+    assert "warning: camera a is stalled: no picture for 9 s" in err
+    assert "running" not in err
+
+
 @pytest.mark.parametrize(
     ("error", "said"),
     [
