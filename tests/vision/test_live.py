@@ -39,6 +39,8 @@ class Camera:
     film_seconds = SECONDS
     needs = 1.0
     """Patience without which it gives nothing."""
+    burst = 1
+    """Number of pictures that arrive at once."""
 
     def __init__(
         self,
@@ -55,7 +57,8 @@ class Camera:
         self.fps = fps
         self.left = self.pictures = pictures
         self.patience: list[float] = []
-        self.began = self.now
+        self.t = 0.0
+        self.sent = 0
         self.stamp = stamp
         self.scene = Scene(WALKS)
         self.is_over = False
@@ -68,10 +71,6 @@ class Camera:
         self.left = self.pictures
         self.patience.append(float(str(others[-1])))
         return self
-
-    @property
-    def t(self) -> float:
-        return self.now - self.began
 
     def grab(self) -> float | None:
         while not self.idle():
@@ -86,7 +85,10 @@ class Camera:
                 self.now += capture.timeouts(self.patience[-1])[1]
             return None
         self.left -= 1
-        self.now += 1 / self.fps
+        if self.sent % self.burst == 0:
+            self.now += self.burst / self.fps
+        self.sent += 1
+        self.t += 1 / self.fps
         return self.stamp(self.t)
 
     def frame(self) -> Frame | None:
@@ -116,9 +118,8 @@ def reason_of(grabber: Grabber, said: str) -> str:
     raise AssertionError(grabber.reason)
 
 
-def seen(camera: Camera, wall_clock: Callable[[], float]) -> list[Event]:
+def seen(camera: Camera, grabber: Grabber) -> list[Event]:
     """Return the events of the camera's film."""
-    grabber = grabber_of(camera, wall_clock=wall_clock)
     events = []
     for event in grabber.events():
         if event is not None:
@@ -157,7 +158,9 @@ def test_events_have_the_times_of_arrivals_where_stamps_lie(
 ) -> None:
     camera = Camera(monkeypatch, stamp)
 
-    events = seen(camera, lambda: 5000.0 + camera.t)
+    grabber = grabber_of(camera, wall_clock=lambda: 5000.0 + camera.t)
+
+    events = seen(camera, grabber)
 
     assert [event.kind for event in events] == [kind for kind, _ in TRUTH]
     assert [event.t - 5000.0 for event in events] == pytest.approx([t for _, t in TRUTH], abs=0.7)
@@ -171,10 +174,28 @@ def test_events_go_on_at_the_new_time_when_the_clock_is_set(
 ) -> None:
     camera = Camera(monkeypatch, lambda t: t)
 
-    events = seen(camera, lambda: 5000.0 + camera.t + (step if camera.t > at else 0.0))
+    grabber = grabber_of(
+        camera, wall_clock=lambda: 5000.0 + camera.t + (step if camera.t > at else 0.0)
+    )
+
+    events = seen(camera, grabber)
 
     truth = [5000.0 + t + (step if t > at else 0.0) for _, t in TRUTH]
     assert [event.t for event in events] == pytest.approx(sorted(truth), abs=0.7)
+
+
+def test_pictures_that_come_in_bursts_are_not_lost(monkeypatch: pytest.MonkeyPatch) -> None:
+    camera = Camera(monkeypatch)
+    camera.burst = 14
+    camera.scene = Scene(WALKS[1:])
+    grabber = grabber_of(camera, wall_clock=lambda: 4000.0 + camera.now)
+    camera.idle = lambda: True
+
+    events = seen(camera, grabber)
+
+    assert [event.kind for event in events] == ["entry", "exit"]
+    assert events[1].t - events[0].t == pytest.approx(TRUTH[3][1] - TRUTH[2][1], abs=0.4)
+    assert grabber.statistics()["frames_dropped"] == 0
 
 
 def test_what_is_no_stream_is_said(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -231,7 +252,7 @@ def test_a_stream_whose_size_is_unknown_is_opened_with_more_patience(
     assert reason_of(grabber_of(camera), "data come, but no keyframe yet") == "connecting"
 
     camera.needs = 4.0
-    assert len(seen(camera, time.time)) == len(TRUTH)
+    assert len(seen(camera, grabber_of(camera))) == len(TRUTH)
 
 
 def test_pictures_that_are_none_or_do_not_change_are_said(monkeypatch: pytest.MonkeyPatch) -> None:

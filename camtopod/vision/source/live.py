@@ -26,17 +26,18 @@ from camtopod.vision.source.capture import (
 from camtopod.vision.source.ffmpeg_log import FfmpegLog
 from camtopod.vision.source.frame_times import StampClock
 from camtopod.vision.source.remarks import (
-    RECORDING,
-    SINGLE_PICTURE,
     Observed,
     no_picture,
     unfit,
     why_not_opened,
+    why_over,
 )
 from camtopod.vision.source.source_url import RETRY_SEPARATOR
 
 QUEUE_FRAMES = 8
 """Frames that wait for the caller; beyond it the oldest are dropped."""
+QUEUE_LOOK_SECONDS = 0.01
+"""Interval at which room for a frame is looked for."""
 SETTLE_SECONDS = 1.0
 """Time for which frames are held after opening.
 
@@ -239,11 +240,8 @@ class LiveSource(Source):
             return f"it opens, but gives no picture: {no_picture(capture)}"
         if timed_out:
             return "no frame within the read timeout"
-        if frames == 1:
-            return SINGLE_PICTURE
-        if clock.outran and not self._source.lower().startswith("rtsp"):
-            return RECORDING
-        return "the source ended or closed the connection"
+        ended = "the source ended or closed the connection"
+        return why_over(self._source, frames, clock) or ended
 
     def _lose(self, reason: str) -> None:
         """Say that there are no pictures, or none any more."""
@@ -260,7 +258,8 @@ class LiveSource(Source):
     def _hand_on(self, clock: StampClock, stamp: float, arrival: float, frame: Frame) -> None:
         """Queue a frame with its capture time.
 
-        The oldest one is dropped if the queue is full: nobody else puts any in.
+        If the queue is full, a frame of a burst waits for as long as it came late, as the next
+        burst takes as long to come; then the oldest one is dropped. Nobody else puts any in.
         """
         captured = clock.captured(stamp, arrival)
         if captured is None:
@@ -268,6 +267,10 @@ class LiveSource(Source):
             captured = arrival
         self._latest = max(captured, self._latest + TIME_STEP_MIN_SECONDS)
         frame = frame._replace(t=self._latest + self._ahead, shift=self._shift_now())
+        self._called = None
+        for _ in range(round((arrival - captured) / QUEUE_LOOK_SECONDS)):
+            if not self._queue.full() or self._stop.wait(QUEUE_LOOK_SECONDS):
+                break
         if self._queue.full():
             with suppress(queue.Empty):  # the caller has just taken one
                 self._queue.get_nowait()

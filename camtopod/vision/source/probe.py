@@ -12,6 +12,7 @@ from __future__ import annotations
 
 import sys
 import time
+from collections.abc import Sequence
 
 import cv2
 import msgspec
@@ -27,11 +28,11 @@ from camtopod.vision.source.file_times import FPS_UNKNOWN
 from camtopod.vision.source.frame_times import StampClock
 from camtopod.vision.source.recorded import RecordedSource
 from camtopod.vision.source.remarks import (
-    SINGLE_PICTURE,
     no_picture,
     remarks,
     unfit,
     why_not_opened,
+    why_over,
 )
 from camtopod.vision.source.source_url import kind_of
 
@@ -196,15 +197,14 @@ def _seen(request: ProbeRequest, ffmpeg_log: FfmpegLog, patience: float) -> tupl
     source = request.source
     colour = request.picture or bool(request.detector.model)
     capture = Capture(source, request.settings, colour, ffmpeg_log, patience)
-    live = kind_of(source) != "file"
     try:
         if not capture.is_open:
             why = why_not_opened(source, ffmpeg_log)
             return Probe(f"cannot be opened{why and ': '}{why}"), True
-        if live and (why := unfit(source, capture)):
+        if kind_of(source) == "stream" and (why := unfit(source, capture)):
             return Probe(why), True
         settled = SettledPicture() if request.picture else None
-        seen = _watched(capture, live, settled)
+        seen = _watched(capture, source, settled)
         if request.detector.model and not seen.problem:
             latest = capture.image(capture.size[0]) if capture.has_image else None
             seen.detector = try_model(request.detector, latest)
@@ -215,8 +215,9 @@ def _seen(request: ProbeRequest, ffmpeg_log: FfmpegLog, patience: float) -> tupl
         capture.release()
 
 
-def _watched(capture: Capture, live: bool, settled: SettledPicture | None) -> Probe:
+def _watched(capture: Capture, source: str, settled: SettledPicture | None) -> Probe:
     """Read frames for a while and return what they are; give ``settled`` those that it wants."""
+    live = kind_of(source) != "file"
     stamps: list[float] = []
     arrivals: list[float] = []
     clock = StampClock()
@@ -256,17 +257,23 @@ def _watched(capture: Capture, live: bool, settled: SettledPicture | None) -> Pr
     # Frame rate: of a live source as measured, of a file as declared.
     fps = capture.fps
     if live:
-        if len(arrivals) == 1 and ended - arrivals[0] < PROBE_SECONDS:
-            return Probe(SINGLE_PICTURE)
+        is_over = stamp is None and ended - arrivals[-1] < PROBE_SECONDS
+        if is_over and (why := why_over(source, len(arrivals), clock)):
+            return Probe(why)
+        # Arrivals are too many if old frames come first, stamps if they are too slow.
         pairs = zip(stamps, arrivals, strict=True)
         captured = [at for pair in pairs if (at := clock.captured(*pair)) is not None]
-        times = captured if len(captured) > len(arrivals) / 2 else arrivals
-        seconds = times[-1] - times[0]
-        fps = (len(times) - 1) / seconds if seconds > 0.0 else 1.0 / (ended - arrivals[0])
+        fps = min(_rate(arrivals, ended), _rate(captured or arrivals, ended))
     width, height = capture.size
     seen = Probe("", capture.codec, width, height, fps)
     seen.remarks = remarks(capture.size, fps, contrast)
     return seen
+
+
+def _rate(times: Sequence[float], until: float) -> float:
+    """Return the number of frames a second; of a single frame, at most as many as fit."""
+    seconds = times[-1] - times[0]
+    return (len(times) - 1) / seconds if seconds > 0.0 else 1.0 / max(until - times[0], 1e-3)
 
 
 def _add_picture(seen: Probe, settled: SettledPicture) -> None:

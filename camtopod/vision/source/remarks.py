@@ -10,6 +10,7 @@ import numpy as np
 from camtopod.vision.detect import Luma
 from camtopod.vision.source.capture import Capture
 from camtopod.vision.source.ffmpeg_log import FfmpegLog
+from camtopod.vision.source.frame_times import StampClock
 from camtopod.vision.source.source_url import device_number
 
 FPS_MIN = 4.5
@@ -35,6 +36,10 @@ _OTHERS = {
     "v4l2": "give a device by its number, or as /dev/video0",
 }
 """What to do about URLs that are no streams, by scheme."""
+
+
+SINGLE_PICTURE = "it gives a single picture: give the camera's RTSP or MJPEG stream instead"
+RECORDING = "it is a recording, not a stream: download it, and give the file"
 
 
 def remarks(size: tuple[int, int], fps: float, contrast: float) -> list[str]:
@@ -136,8 +141,11 @@ def unfit(source: str, capture: Capture) -> str:
     return f"{RECORDING} (it has {capture.seconds:.0f} s)"
 
 
-SINGLE_PICTURE = "it gives a single picture: give the camera's RTSP or MJPEG stream instead"
-RECORDING = "it is a recording, not a stream: download it, and give the file"
+def why_over(source: str, frames: int, clock: StampClock) -> str:
+    """Return what a URL is that has ended after so many frames; "" if it may be a stream."""
+    if frames == 1:
+        return SINGLE_PICTURE
+    return RECORDING if clock.outran and not source.lower().startswith("rtsp") else ""
 
 
 def _of_device(number: int) -> str:
