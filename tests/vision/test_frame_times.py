@@ -46,6 +46,14 @@ def test_pictures_that_come_in_bursts_keep_their_distances(seconds: float) -> No
     assert np.ptp(found[captured >= 1000.0 + seconds]) < 0.01
 
 
+def test_segments_that_are_asked_for_now_and_then_keep_their_distances() -> None:
+    captured = 1000.0 + np.arange(3000) / 25
+    whole = np.ceil((captured - 999.99) / 2.0) * 2.0
+    delays = 1000.0 + np.ceil(whole / 2.07) * 2.07 - captured
+    found = errors(captured - 990.0, captured, delays)
+    assert np.sum(np.abs(np.diff(found[250:])) > 0.1) < 5, "it changes when one comes sooner"
+
+
 def test_a_new_time_base_begins_anew() -> None:
     captured = 1000.0 + np.arange(200) / 10
     stamps = np.where(np.arange(200) < 100, captured - 990.0, captured - 1009.0)

@@ -22,10 +22,11 @@ JUMP_SECONDS = 5.0
 LAG_SECONDS_MAX = 15.0
 """Longest plausible delay of a frame, that of a segment of HLS; more is not trusted."""
 PROMPT_SECONDS = 0.3
-"""Delay of a prompt frame at most.
+"""Delay of a prompt frame at most, unless frames come in bursts with longer gaps: then the gap.
 
-It is what a busy network adds to the promptest of several frames; over the window, stamps whose
-rate is more than one in a hundred too slow exceed it.
+It is what a busy network adds to the promptest of several frames, and the delay by which segments
+that are asked for now and then come later. Over the window, stamps whose rate is more than one in a
+hundred too slow exceed it.
 """
 PROMPT_WITHIN_SECONDS = 1.0
 """Time within which some frame is prompt, unless frames come in bursts with longer gaps."""
@@ -93,4 +94,4 @@ class StampClock:
         newest, _ = self._minima[-1]
         since = newest - max(PROMPT_WITHIN_SECONDS, PROMPT_WITHIN_GAPS * self._gap)
         lately = next(offset for arrival, offset in self._minima if arrival >= since)
-        return lately - self._minima[0][1] <= PROMPT_SECONDS
+        return lately - self._minima[0][1] <= max(PROMPT_SECONDS, self._gap)
