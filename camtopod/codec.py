@@ -15,7 +15,7 @@ import msgspec
 from msgspec.structs import force_setattr
 
 from camtopod import soundness
-from camtopod.records import Delta, Event, Prediction, Topology
+from camtopod.records import CAMERA_PATTERN, Delta, Event, Prediction, Topology
 
 EVENT_BYTES_MAX = 4096
 """Largest event, in bytes; a larger one is rejected before it is decoded."""
@@ -113,9 +113,15 @@ def _event(decoder: Any, raw: bytes) -> Event:
     return event
 
 
+def in_words(error: msgspec.ValidationError) -> str:
+    """Return what is wrong; of a camera's id in words."""
+    name = "a camera id: 1 to 64 of the characters A-Z a-z 0-9 _ . -, and not `daemon`"
+    return str(error).replace(f"`str` matching regex {CAMERA_PATTERN!r}", name)
+
+
 def _rejection(error: Exception) -> Rejected:
     if isinstance(error, msgspec.ValidationError):
-        return Rejected("bad-value", str(error))
+        return Rejected("bad-value", in_words(error))
     if isinstance(error, UnicodeDecodeError):  # not wrapped by msgspec (msgspec#714)
         return Rejected("not-utf8", "text is not UTF-8")
     if isinstance(error, RecursionError):

@@ -6,6 +6,7 @@ import msgspec
 from msgspec import Struct
 from msgspec.structs import fields
 
+from camtopod import codec
 from camtopod.admin import Command, Forget, Rename, Reset, TakeBack
 from camtopod.serve.bus import QueryError
 
@@ -36,7 +37,7 @@ def command_of(key: str, parameters: dict[str, str]) -> Command:
             strict=False,
         )
     except msgspec.ValidationError as error:
-        raise QueryError(f"{key}: {error}") from None
+        raise QueryError(f"{key}: {codec.in_words(error)}") from None
 
     # Fields with defaults are the daemon's own.
     unknown = asked.keys() - {"type", *(field.name for field in fields(command))}

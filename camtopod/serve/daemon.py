@@ -31,7 +31,7 @@ from camtopod.config import Config
 from camtopod.event_time import EventTime, microseconds
 from camtopod.keys.rules import STATUS
 from camtopod.predict import Predictor
-from camtopod.records import DaemonStatus, EventCounts, Prediction, Topology
+from camtopod.records import CameraFigures, DaemonStatus, EventCounts, Prediction, Topology
 from camtopod.redact import redact
 from camtopod.serve.admin_queries import Done, command_of
 from camtopod.serve.bus import (
@@ -44,7 +44,6 @@ from camtopod.serve.ingest import (
     Cameras,
     CommandRefused,
     EventClock,
-    Figures,
     Intake,
     Merger,
     Names,
@@ -290,7 +289,7 @@ class Daemon:
             alarms=(topology.alarms or [])[-STATUS_ALARMS:],
         )
 
-    def _figures(self) -> Figures:
+    def _figures(self) -> dict[str, CameraFigures]:
         """Return the status by camera: of all that are known, once it is known who is there."""
         intake = self._intake
         present = intake.names.present

@@ -275,7 +275,7 @@ def test_a_command_that_makes_no_sense_is_refused_with_the_reason(
         ("admin/forget", {}, "camera"),
         ("admin/rename", {"old": "b"}, "new"),
         ("admin/rename", {"old": "b", "new": "a b"}, "new"),
-        ("admin/rename", {"old": "b", "new": "daemon"}, "new"),
+        ("admin/rename", {"old": "b", "new": "daemon"}, "not `daemon` - at `.*new"),
         ("admin/forget", {"camera": "b", "take_back": "TRUE"}, "unknown parameter take_back"),
         ("admin/reset", {"t": "5"}, "unknown parameter t"),
     ],

@@ -9,7 +9,7 @@ grabbers' requests. `commands` executes an operator's commands.
 
 from __future__ import annotations
 
-from camtopod.serve.ingest.cameras import Cameras as Cameras, Figures as Figures
+from camtopod.serve.ingest.cameras import Cameras as Cameras
 from camtopod.serve.ingest.commands import execute as execute
 from camtopod.serve.ingest.event_clock import EventClock as EventClock
 from camtopod.serve.ingest.intake import Intake as Intake

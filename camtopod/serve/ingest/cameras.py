@@ -31,10 +31,6 @@ REFUSED_SECONDS = 1.0
 """How long publications of new cameras are refused without a further look, after one was."""
 
 
-Figures = dict[str, CameraFigures]
-"""A status by camera."""
-
-
 class Pending(Struct):
     """A request that waits until its events are stored.
 
@@ -189,7 +185,9 @@ class Cameras:
             " machine's: events are stored but not learned; set that clock"
         )
 
-    def status(self, alive: Set[str] = frozenset(), known: Set[str] = frozenset()) -> Figures:
+    def status(
+        self, alive: Set[str] = frozenset(), known: Set[str] = frozenset()
+    ) -> dict[str, CameraFigures]:
         """Return the entries in the status of cameras that were counted, and of ``known`` others.
 
         alive: those whose grabber is there.
