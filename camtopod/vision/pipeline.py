@@ -10,7 +10,15 @@ from camtopod.vision.detect import Luma, MotionDetector, find_blobs, shrunk
 from camtopod.vision.detector.detector import Detector, DetectorResult
 from camtopod.vision.detector.fusion import TrackedBox
 from camtopod.vision.settings import VisionSettings
-from camtopod.vision.track import Crossings, Decision, IgnoredAreas, Recorder, Track, Tracker
+from camtopod.vision.track import (
+    Crossings,
+    Decision,
+    IgnoredAreas,
+    Reason,
+    Recorder,
+    Track,
+    Tracker,
+)
 
 GHOST_SECONDS = 3.0
 """An object that has not moved for this long is tested for being a ghost.
@@ -99,8 +107,10 @@ class ViewPipeline:
         """
         self.analysed += 1
         small = self._motion.filter_noise(shrunk(frame, self._settings.working_width))
-        if self._tracker is not None and self._motion.ready:
+        if self._motion.ready:
             return self._step(t, small, image)
+        if self._waiting and self._waiting[0][1].shape != small.shape:
+            self._waiting.clear()
         self._waiting.append((t, small))
         enough = t - self._waiting[0][0] >= BOOTSTRAP_SECONDS
         if enough or len(self._waiting) >= BOOTSTRAP_FRAMES_KEPT:
@@ -114,8 +124,9 @@ class ViewPipeline:
         self._motion.bootstrap([frame for _, frame in waiting])
         height, width = waiting[0][1].shape
 
-        # The size of the image is known from here on. After a relearned scene, tracking restarts.
-        if self._tracker is None:
+        # Tracking begins, or goes on with new tracks: the scene has changed, or the image its size.
+        events = self._end_tracks("scene changed")
+        if self._tracker is None or self._tracker.crossings.size != (width, height):
             ignored = IgnoredAreas(self._motion.watched)
             recorder = Recorder(
                 (width, height), None if self._observer is None else self._decisions.append
@@ -123,13 +134,10 @@ class ViewPipeline:
             crossings = Crossings(
                 self._camera, width, height, self._settings.doors, ignored, recorder
             )
-            self._tracker = Tracker(self._settings, crossings, recorder)
-        else:
-            self._tracker.restart()
+            self._tracker = Tracker(self._settings, crossings, recorder, self._tracker)
 
         self._tracker.crossings.began = waiting[0][0]
         self._t = None
-        events = []
         for t, frame in waiting:
             if self._motion.ready:
                 events += self._step(t, frame)
@@ -143,8 +151,8 @@ class ViewPipeline:
 
         # Moving pixels against the background.
         motion = self._motion.detect(frame, dt)
-        # None: the whole scene has changed, bootstrap again. Disturbed: a flash, or the first
-        # frames of a changed scene.
+        # None: the scene has changed, bootstrap again. Disturbed: a flash, or the first frames of a
+        # changed scene.
         if motion is None or self._motion.disturbed:
             self._show(t, frame, None, [])
             return []
@@ -230,12 +238,18 @@ class ViewPipeline:
         events = []
         if self._waiting:
             events = self._bootstrap()
-        if self._tracker is not None and self._t is not None:
-            remaining = self._tracker.crossings.report_exits(self._tracker.finish(self._t))
+        if self._tracker is not None:
+            remaining = self._end_tracks("in view")
             if self._observer is not None and self._latest is not None:
                 self._observer(self._latest._replace(events=remaining, decisions=self._decisions))
             events += remaining
         return events
+
+    def _end_tracks(self, reason: Reason) -> list[Event]:
+        """Forget all tracks; return the exits of the objects that have left."""
+        if self._tracker is None:
+            return []
+        return self._tracker.crossings.report_exits(self._tracker.finish(reason))
 
     def statistics(self) -> dict[str, int | float]:
         """Return counters since the start, noise (grey levels) and shake (pixels)."""

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import cv2
 import numpy as np
 import pytest
@@ -150,6 +152,66 @@ def test_a_door_in_mid_view_is_admitted_once_it_was_used_again_and_again() -> No
     assert 4 <= len(entries) <= 6, "the first ones are not believed"
     assert all(side(event) == "inside" for event in entries)
     assert {event.track for event in entries} < {event.track for event in exits}
+
+
+def infrared(picture: Picture) -> Picture:
+    """A camera's own lamp: less contrast, and a bright spot in the middle."""
+    y, x = np.mgrid[0 : 1 : HEIGHT * 1j, 0 : 1 : WIDTH * 1j]
+    spot = np.exp(-((x - 0.5) ** 2 + (y - 0.5) ** 2) / 0.08)
+    return (0.27 * picture + 12 + 110 * spot).clip(0, 255).astype(np.uint8)
+
+
+def lamp(picture: Picture) -> Picture:
+    lit = picture.astype(int)
+    lit[:, : WIDTH // 4] += 60
+    return lit.clip(0, 255).astype(np.uint8)
+
+
+def card(picture: Picture) -> Picture:
+    """What a recorder shows of a camera that is gone."""
+    shown = np.full_like(picture, 8)
+    cv2.putText(shown, "NO SIGNAL", (20, 80), 0, 0.9, (255.0,), 2)
+    return shown
+
+
+@pytest.mark.parametrize(
+    ("change", "begin", "end"),
+    [(infrared, 12, 99), (infrared, 12, 24), (lamp, 12, 24), (card, 10, 30)],
+)
+def test_light_and_cards_are_no_objects_and_people_are_seen_after_them(
+    change: Callable[[Picture], Picture], begin: float, end: float
+) -> None:
+    scene = Scene([Person(line(35.0, (-0.05, 0.7), (1.05, 0.6), 8.0), shade=10)], noise=2.0)
+    pipeline, events = ViewPipeline("cam", VisionSettings()), []
+    for k in range(round(46 * FPS)):
+        picture = scene.picture(k / FPS)
+        seen = change(picture) if begin <= k / FPS < end else picture
+        events += pipeline.process(k / FPS, seen)
+    assert passages(events + pipeline.finish()) == [("entry", "left"), ("exit", "right")]
+
+
+def test_a_picture_of_another_size_is_another_scene() -> None:
+    """Nobody is lost who left before, and numbers of tracks and counts go on."""
+    people = [
+        Person(line(5.0, (-0.05, 0.7), (1.05, 0.6), 7.0)),
+        Person(line(20.0, (1.05, 0.6), (-0.05, 0.7), 7.0)),
+    ]
+    scene, pipeline, events = Scene(people), ViewPipeline("cam", VisionSettings()), []
+    for k in range(round(32 * FPS)):
+        picture = scene.picture(k / FPS)
+        if k / FPS > 13.0:
+            picture = cv2.resize(picture, (120, 160))
+        events += pipeline.process(k / FPS, picture)
+    events += pipeline.finish()
+    assert passages(events) == [
+        ("entry", "left"),
+        ("exit", "right"),
+        ("entry", "right"),
+        ("exit", "left"),
+    ]
+    assert len({event.track for event in events}) == 2
+    figures = pipeline.statistics()
+    assert (figures["entries"], figures["exits"]) == (2, 2)
 
 
 @pytest.mark.parametrize("pixels", [1, 3])

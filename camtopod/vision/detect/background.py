@@ -21,6 +21,8 @@ TONE_BINS = 16
 """Bins of grey levels in which the tone curve is estimated."""
 _TONE_PIXELS_MIN = 24
 """Sampled pixels that a bin needs to take part in the tone curve."""
+CONTRAST_SHARE_MIN = 0.1
+"""Share of the scene's contrast that is left in any light; a card of a recorder leaves less."""
 SHIFT_MIN = 1.0
 """Tone shifts (grey levels) up to this plus `SHIFT_NOISE_FACTOR` times the noise are ignored."""
 SHIFT_NOISE_FACTOR = 0.4
@@ -80,6 +82,8 @@ class Background:
         medians = (
             changes[(np.cumsum(counts) - counts + counts // 2)[filled]].astype(np.float32) - 256
         )
+        if np.ptp(centres + medians) < CONTRAST_SHARE_MIN * np.ptp(centres):
+            return np.zeros(256, np.float32)  # nothing of the scene is in the frame
         curve: npt.NDArray[np.float32] = np.interp(_LEVELS, centres, medians).astype(np.float32)
         return curve
 

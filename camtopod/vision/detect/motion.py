@@ -38,10 +38,15 @@ In hundredths of e-folds: 100 is a factor of e.
 """
 STRONG_MIN = 75.0
 """Smallest logarithmic difference that no shadow causes (100: a factor of e)."""
+SUDDEN_SHARE = 0.15
+"""Share of the image that no object takes from one frame to the next: light, or another scene.
+
+A walking person who fills a third of the image needs half a second to enter it.
+"""
 WHOLE_IMAGE_SHARE = 0.5
-"""Share of differing pixels above which the whole image counts as changed."""
-WHOLE_IMAGE_SECONDS = 1.5
-"""Time for which the whole image must have changed before it is learned again."""
+"""Share of differing pixels above which the image counts as changed, however slowly."""
+CHANGED_SECONDS = 1.5
+"""Time for which the image must have changed in one of these ways before it is learned again."""
 ADOPT_SECONDS = 6.0
 """Time after which a difference that belongs to no object becomes part of the scene."""
 BOOTSTRAP_FRAMES_MAX = 24
@@ -103,7 +108,7 @@ class MotionDetector:
 
     @property
     def disturbed(self) -> bool:
-        """True if most of the latest image differs from the scene, so that objects are hidden."""
+        """True if light or another scene hides the objects in the latest image."""
         return self._changed_seconds > 0.0
 
     def filter_noise(self, frame: Luma) -> Luma:
@@ -111,6 +116,7 @@ class MotionDetector:
         if self._last is None or self._last.shape != frame.shape:
             self.watched = watched_pixels(self._settings.ignore, *frame.shape)
             """Mask (H, W): 0 where motion does not count."""
+            self.ready = False  # another size: another scene
         else:
             noise = temporal_noise(frame, self._last, self.watched)
             self.noise += (_NOISE_RATE if self.noise else 1.0) * (noise - self.noise)
@@ -128,11 +134,13 @@ class MotionDetector:
         self._swaying = Swaying(frames[0].shape[:2])
         self._unclaimed_seconds: cv2.typing.MatLike = np.zeros(frames[0].shape, np.float32)
         self._changed_seconds = 0.0
+        self._moving: Luma = self.watched  # of the last frame; nothing is sudden in the first one
+        self._sudden: Luma = np.zeros_like(self.watched)
 
     def detect(self, frame: Luma, dt: float) -> Motion | None:
         """Return the motion in ``frame``, ``dt`` seconds after the last.
 
-        Returns None if the whole image has changed; the caller then forgets its objects and
+        Returns None if the image has changed for good; the caller then forgets its objects and
         bootstraps again.
         """
         expected = self._background.expected(frame, self._settled, self.noise)
@@ -147,21 +155,20 @@ class MotionDetector:
         else:
             difference = cv2.absdiff(frame, expected)
 
-        # Moving pixels; an image that has changed as a whole for long ends this scene.
+        # Moving pixels; an image that has changed for long ends this scene.
         noise = NOISE_FACTOR * min(self.noise, NOISE_TO_FILTER)
         least = max(DIFFERENCE_MIN / self._settings.sensitivity, noise)
         differs = cv2.threshold(difference, least, 255, cv2.THRESH_BINARY)[1]
         differs = cv2.bitwise_and(differs, self.watched)
         moving = self._swaying.without(differs, frame, expected, least)
-        share = cv2.countNonZero(moving) / max(1, cv2.countNonZero(self.watched))
         self._changed_seconds += dt
-        if share <= WHOLE_IMAGE_SHARE:
+        if not self._has_changed(moving):
             self._changed_seconds = 0.0
-        if self._changed_seconds > WHOLE_IMAGE_SECONDS:
+        if self._changed_seconds > CHANGED_SECONDS:
             self.ready = False
             self.relearned += 1
             return None
-        if share == 0.0:
+        if not cv2.countNonZero(moving):
             return Motion(frame, moving, moving, moving, differs, expected)
 
         # Keep moving pixels near own edges or with a strong difference, and what they enclose.
@@ -172,6 +179,23 @@ class MotionDetector:
         # Opening removes lines, such as outlines of furniture.
         solid = cv2.morphologyEx(solid, cv2.MORPH_OPEN, _CROSS)
         return Motion(frame, solid, edges, moving, differs, expected)
+
+    def _has_changed(self, moving: Luma) -> bool:
+        """Return True if most of the image differs, or most of a change that came within a frame.
+
+        moving (H, W): pixels that differ from the scene.
+        """
+        appeared = cv2.subtract(moving, self._moving)
+        self._moving = moving
+        large = SUDDEN_SHARE * cv2.countNonZero(self.watched)
+        stays = cv2.countNonZero(cv2.bitwise_and(moving, self._sudden))
+        if stays > min(large, cv2.countNonZero(self._sudden) / 2):
+            return True
+        differing = cv2.countNonZero(moving)
+        new = cv2.countNonZero(appeared)
+        is_sudden = new > large and 2 * new > differing
+        self._sudden = appeared if is_sudden else np.zeros_like(moving)
+        return is_sudden or differing > WHOLE_IMAGE_SHARE * cv2.countNonZero(self.watched)
 
     def _own_texture(self, frame: Luma, expected: Luma) -> tuple[Luma, Luma]:
         """Return the image's own edges, and the pixels that differ by more than a shadow can.

@@ -28,6 +28,7 @@ from camtopod.vision.detect import Blob
 from camtopod.vision.settings import VisionSettings
 from camtopod.vision.track.companions import count_heads, missing_track
 from camtopod.vision.track.crossings import Crossings
+from camtopod.vision.track.decisions import Reason
 from camtopod.vision.track.kalman import Kalman
 from camtopod.vision.track.stature import Stature
 from camtopod.vision.track.swap import find_swap
@@ -104,7 +105,17 @@ _NEVER = 1e9
 class Tracker:
     """All objects of one view; track numbers count within this instance."""
 
-    def __init__(self, settings: VisionSettings, crossings: Crossings, recorder: Recorder) -> None:
+    def __init__(
+        self,
+        settings: VisionSettings,
+        crossings: Crossings,
+        recorder: Recorder,
+        earlier: Tracker | None = None,
+    ) -> None:
+        """Begin without tracks.
+
+        earlier: the view's tracker for images of another size, whose numbers and counts go on.
+        """
         self._note = recorder.note
         self._height_min = settings.min_height * crossings.size[1]
         self.crossings = crossings
@@ -116,6 +127,11 @@ class Tracker:
         self.active: list[Track] = []
         self.lost: list[Track] = []
         self.stitched = 0
+        if earlier is not None:
+            self._next = earlier._next
+            self.stitched = earlier.stitched
+            crossings.entries = earlier.crossings.entries
+            crossings.exits = earlier.crossings.exits
 
     def step(self, t: float, blobs: list[Blob]) -> Changes:
         """Process the blobs of the frame captured at ``t`` seconds, later than the last."""
@@ -558,22 +574,16 @@ class Tracker:
                 self._end(track, left)
         return left
 
-    def restart(self) -> None:
-        """Forget all tracks, because the whole image has changed.
+    def finish(self, reason: Reason) -> list[Track]:
+        """Forget all tracks, at the end of a recording or of a scene; return those that have left.
 
-        Objects seen next count as having been there from the start.
+        These are the ones out of sight at an edge. Objects seen next count as having been there
+        from the start.
+
+        reason: what is recorded of the others.
         """
-        for track in [*self.active, *self.lost]:
-            self._note("scene changed", track, track.last)
-        self.active = []
-        self.lost = []
+        t = self._t or 0.0
         self._t = self._start = None
-
-    def finish(self, t: float) -> list[Track]:
-        """Return the objects that have left when the recording ends at ``t``.
-
-        These are the ones out of sight at an edge; the others are still in view.
-        """
         left = []
         for track in self.active:
             unseen = t - track.last.t > TENTATIVE_PATIENCE_SECONDS
@@ -581,7 +591,7 @@ class Tracker:
             if track.edge:
                 left.append(track)
             elif track.confirmed:
-                self._note("in view", track, track.last)
+                self._note(reason, track, track.last)
             else:
                 self._note_unmet(track)
         for track in self.lost:
