@@ -20,6 +20,9 @@ from camtopod.cli.main import main
 from camtopod.codec import event_from_json
 from camtopod.records import Event
 from camtopod.vision import pipeline
+from camtopod.vision.settings import VisionSettings
+from camtopod.vision.source.ffmpeg_log import captured_log
+from camtopod.vision.source.probe import ProbeRequest, probe
 
 SECONDS = 7.5
 REAL = cv2.VideoCapture
@@ -100,6 +103,28 @@ def test_pictures_that_are_none_are_not_analysed(
     monkeypatch.setattr("cv2.VideoCapture", Unconverted)
     assert grab(film, tmp_path / "out") == (66, [])
     assert "no frame in it can be decoded (MPEG-4): interlaced" in capsys.readouterr().err
+
+
+class Undecodable(Faulty):
+    """A codec for which there is no decoder."""
+
+    def grab(self) -> bool:
+        os.write(1, b"[OPENCV:FFMPEG:16] Your platform doesn't support hardware accelerated AV1\n")
+        return False
+
+
+def test_what_cannot_be_decoded_is_said_by_grab_and_init(
+    film: Path,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    monkeypatch.setattr("cv2.VideoCapture", Undecodable)
+    assert grab(film, tmp_path / "out") == (66, [])
+    assert "(MPEG-4): there is no decoder for it" in capsys.readouterr().err
+    with captured_log() as log:
+        problem = probe(ProbeRequest(str(film), VisionSettings()), log).problem
+    assert problem.endswith("there is no decoder for it (MPEG-4)")
 
 
 class Damaged(Faulty):

@@ -47,11 +47,13 @@ _PHRASES = {
     b"moov atom not found": "its recording was never finished, and its index is missing",
 }
 """Reason by phrase in FFmpeg's log."""
+DAMAGED = "damaged video"
+"""Fault of pictures before the first one that is coded by itself, too."""
 _FAULTS = {
     "interlaced video cannot be read: make it progressive": rb"Cannot convert interlaced",
     "its pictures cannot be converted": rb"Failed initializing scaling|: fmt:.* -> fmt:",
     "there is no decoder for it": rb"support hardware accelerated",
-    "damaged video": rb"damaged|Packet corrupt|RTP: missed|while decoding MB|concealing \d"
+    DAMAGED: rb"damaged|Packet corrupt|RTP: missed|while decoding MB|concealing \d"
     rb"|block unavailable|Invalid NAL|splitting the input|missing picture|Could not find ref"
     rb"|Error constructing|Error at MB|skipped MB|bad vlc|error y=|no frame!",
 }

@@ -9,7 +9,7 @@ import numpy as np
 
 from camtopod.vision.detect import Luma
 from camtopod.vision.source.capture import Capture
-from camtopod.vision.source.ffmpeg_log import FfmpegLog
+from camtopod.vision.source.ffmpeg_log import DAMAGED, FfmpegLog
 from camtopod.vision.source.frame_times import StampClock
 from camtopod.vision.source.source_url import device_number
 
@@ -126,7 +126,9 @@ def why_not_opened(source: str, ffmpeg_log: FfmpegLog) -> str:
 
 
 def no_picture(capture: Capture) -> str:
-    """Return why an open stream may give no picture."""
+    """Return why an open source may give no picture."""
+    if capture.fault not in ("", DAMAGED):
+        return f"{capture.fault} ({capture.codec})"
     if capture.fault or capture.size == (0, 0):
         return "data come, but no keyframe yet"
     return "no data come, or no keyframe yet"
