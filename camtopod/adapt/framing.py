@@ -35,6 +35,10 @@ class _Stream:
 
     def __init__(self, pieces: Iterable[bytes], bytes_max: int) -> None:
         self.text = bytearray()
+        self.number = 1
+        """Number of the line in which it begins."""
+        self.at_line = True
+        """It begins with a line."""
         self._pieces = iter(pieces)
         self._max = bytes_max
         self._returned = False
@@ -48,6 +52,12 @@ class _Stream:
         self._returned = piece.endswith(b"\r")
         self.text += piece.replace(b"\r\n", b"\n").replace(b"\r", b"\n")
         return True
+
+    def drop(self, end: int | None) -> None:
+        """Drop the text up to ``end``; None for all."""
+        self.number += self.text.count(b"\n", 0, end)
+        self.at_line = self.text.endswith(b"\n", 0, end)
+        del self.text[:end]
 
     def search(self, pattern: re.Pattern[bytes], at: int) -> re.Match[bytes] | None:
         """Return the next match as soon as it has come; None at the end, and beyond the limit."""
@@ -69,36 +79,28 @@ def frames(
     stream = _Stream(pieces, bytes_max)
     text = stream.text
     begin = re.compile(b"[" + begins + b"\n]")
-    number = 1
-    new_line = True
     while True:
         # Skip what stands between.
-        between = len(_BETWEEN.match(text)[0])  # type: ignore[index]  # it may be empty
-        lines = text.count(b"\n", 0, between)
-        number += lines
-        new_line = new_line or lines > 0
-        del text[:between]
+        if (between := _BETWEEN.match(text)) and between[0]:
+            stream.drop(between.end())
         if _BOM.startswith(bytes(text[:3])):  # or nothing
             if not stream.more():
                 return
             continue
 
         # The message, and nothing of the rest of one that is too long.
-        is_xml = begins.startswith(b"<") and text.startswith(b"<")
-        end = _whole_line(text, begin, bytes_max) if new_line else None
+        end = _whole_line(text, begin, bytes_max) if stream.at_line else None
         end = end or _end(stream, begin)
-        yield number, bytes(text[: min(end or len(text), bytes_max + 1)]).strip()
-        new_line = text.endswith(b"\n", 0, end)
-        number += text.count(b"\n", 0, end)
-        del text[:end]
+        message = bytes(text[: min(end or len(text), bytes_max + 1)]).strip()
+        yield stream.number, message
+        stream.drop(end)
         if end is None:
-            while (after := text.find(b"<" if is_xml else b"\n")) < 0:
-                number += text.count(b"\n")
-                text.clear()
+            after = b"<" if message.startswith(b"<") and b"<" in begins else b"\n"
+            while after not in text:
+                stream.drop(None)
                 if not stream.more():
                     return
-            number += text.count(b"\n", 0, after)
-            del text[:after]
+            stream.drop(text.index(after))
 
 
 def _whole_line(text: bytearray, begin: re.Pattern[bytes], bytes_max: int) -> int | None:

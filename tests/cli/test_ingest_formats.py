@@ -280,7 +280,7 @@ def test_what_an_api_of_frigate_returns_is_named(
     path = tmp_path / "events.json"
     path.write_bytes(to_json([{"id": "1", "camera": "yard", "start_time": T0, "data": {}}] * 2))
     assert main(["ingest", "frigate", str(path), "--out", "-"]) == exits.INPUT
-    assert "what /api/events returns is not read" in capsys.readouterr().err
+    assert "is no message of frigate/events, with type, before, after" in capsys.readouterr().err
 
 
 def test_each_kind_of_mistake_is_quoted_once(

@@ -10,15 +10,7 @@ from collections.abc import Iterator
 from typing import Any
 
 from camtopod import mqtt
-from camtopod.adapt import (
-    ANY_CAMERA,
-    FORMATS,
-    LINE_BYTES_MAX,
-    Adapter,
-    FormatOptions,
-    Size,
-    frames,
-)
+from camtopod.adapt import ANY_CAMERA, FORMATS, LINE_BYTES_MAX, Adapter, FormatOptions, Size, frames
 from camtopod.cli import exits
 from camtopod.cli.common import camera_id
 from camtopod.cli.events import broker_options
@@ -95,12 +87,7 @@ def events(
                 source, adapter.topic, with_topics=adapter.topic == "#"
             )
         stack.callback(messages.close)
-        lines = (
-            (reader.read + 1, text)
-            for content in messages.read(stop, ticks=True)
-            for _, text in [*frames([content + b"\n"], LINE_BYTES_MAX, adapter.begins)]
-            or [(0, b"")]
-        )
+        lines = ((reader.read + 1, text) for text in messages.read(stop, ticks=True))
         return reader.adapted(messages.topic, lines, adapter, live=True)
 
     if args.password_file or args.ca:
@@ -112,12 +99,6 @@ def events(
         return (line.event for line in reader.lines(args.file, file))
     found = frames(pieces(args.file, file), LINE_BYTES_MAX, adapter.begins)
     return reader.adapted(args.file, found, adapter)
-
-
-def _texts(content: bytes, begins: bytes) -> list[bytes]:
-    """Return the messages in one of MQTT; an empty one if there is none."""
-    found = frames([content + b"\n"], LINE_BYTES_MAX, begins)
-    return [text for _, text in found] or [b""]
 
 
 def adapter_for(args: argparse.Namespace) -> Adapter | None:

@@ -37,9 +37,12 @@ class Rejects:
         with self._mutex:
             self.counts[reason] += 1
 
-            # Keep a shortened and redacted sample.
+            # Keep a shortened and redacted sample; MessagePack as text.
+            with contextlib.suppress(codec.Rejected, TypeError, ValueError, RecursionError):
+                raw = codec.to_json(codec.read(object, raw, pack=True))
+            text = raw[: 4 * QUOTE_CHARACTERS_MAX].decode("utf-8", "backslashreplace")
             most = QUOTE_CHARACTERS_MAX
-            sample = f"{where[:most]}: {detail[:most]}: {redact(_readable(raw))[:most]!r}"
+            sample = f"{where[:most]}: {detail[:most]}: {redact(text)[:most]!r}"
             self._samples.setdefault(reason, deque(maxlen=SAMPLES_MAX)).append(sample)
             first = self.counts[reason] == 1
         # Log outside the lock.
@@ -53,11 +56,3 @@ class Rejects:
                 reason: [redact(sample) for sample in kept]
                 for reason, kept in self._samples.items()
             }
-
-
-def _readable(raw: bytes) -> str:
-    """Return input as text: MessagePack as JSON, other bytes as they are."""
-    if raw[:1] >= b"\x80":  # a map or an array
-        with contextlib.suppress(codec.Rejected, ValueError, TypeError, RecursionError):
-            raw = codec.to_json(codec.read(object, raw, pack=True))
-    return raw[: 4 * QUOTE_CHARACTERS_MAX].decode("utf-8", "backslashreplace")
