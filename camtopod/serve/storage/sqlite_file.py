@@ -163,7 +163,7 @@ def connect(
     try:
         _make_private(path)
         try:
-            return _open(path, schema, format_number, needed_tables)
+            return _open(path, schema, format_number, needed_tables, "NORMAL")
         except sqlite3.OperationalError as error:
             # On a full disk there is no room for the memory that is shared with other programs.
             if not _is_io(error) or shutil.disk_usage(path.parent).free >= SHARED_BYTES:
@@ -183,21 +183,15 @@ def connect(
         raise StateError(f"cannot use {path}: {error.strerror}") from None
 
 
-def _open(
-    path: Path,
-    schema: str,
-    format_number: int,
-    needed_tables: tuple[str, ...],
-    locking: str = "NORMAL",
-) -> Connection:
-    """Do what `connect` does; with ``locking`` EXCLUSIVE without memory shared through a file."""
+def _open(path: Path, schema: str, number: int, needed: Sequence[str], locks: str) -> Connection:
+    """Do what `connect` does; with ``locks`` EXCLUSIVE without memory shared through a file."""
     database = sqlite3.connect(
         path, timeout=2.0, isolation_level=None, check_same_thread=False, factory=Connection
     )
     with contextlib.ExitStack() as undo, damage_noticed(path):
         undo.callback(database.close)
         database.text_factory = _text
-        database.execute(f"PRAGMA locking_mode={locking}")
+        database.execute(f"PRAGMA locking_mode={locks}")
 
         # Under FULL, power cuts lost newly created tables in half of the cases measured.
         database.execute("PRAGMA synchronous=EXTRA")
@@ -205,12 +199,12 @@ def _open(
         with transaction(database):
             if not database.execute("SELECT 1 FROM sqlite_schema").fetchone():
                 _create(database, schema)
-                row = "format", str(format_number)
+                row = "format", str(number)
                 database.execute("INSERT INTO meta VALUES (?, ?, ?)", (*row, crc(*row)))
-            _check_format(database, path, format_number)
+            _check_format(database, path, number)
         if not _shape_of(schema) <= set(database.execute(_SHAPE)):
             raise Damaged(f"{path} is damaged: its tables are not those of this program")
-        for table in needed_tables:
+        for table in needed:
             if not all(map(sound, database.execute(f"SELECT * FROM {table}"))):
                 raise Damaged(f"{path} is damaged: a row of its table {table}")
         _switch_to_wal(database, path)
