@@ -73,6 +73,23 @@ def grab_to(endpoint: str, folder: Path) -> list[str]:
     return ["--connect", endpoint, *grab]
 
 
+@pytest.mark.parametrize(("seconds", "told"), [(0.4, 1), (0.6, 0)])
+def test_more_events_than_people_make_are_said_once(
+    seconds: float,
+    told: int,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    """As rain and snow do."""
+    rain = [Event("yard", "exit", n * seconds, 0.5, 0.5, str(n)) for n in range(300)]
+    monkeypatch.setattr(f"{__name__}.EVENTS", rain)
+    assert main(["grab", "--camera", "yard", "rain.mp4", "--out", str(tmp_path / "out")]) == 0
+    said = capsys.readouterr().err
+    assert said.count("camera yard makes more than 120 events a minute") == told
+    assert said.count("[cameras.yard]") == told
+
+
 def test_lines_to_a_file_and_to_standard_output(
     tmp_path: Path, capfdbinary: pytest.CaptureFixture[bytes]
 ) -> None:

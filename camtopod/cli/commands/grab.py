@@ -19,6 +19,7 @@ from typing import TYPE_CHECKING, Any, BinaryIO
 from camtopod import codec, redact
 from camtopod.cli import exits
 from camtopod.cli.cameras.camera_process import with_restarts
+from camtopod.cli.cameras.event_rate import EVENTS_PER_MINUTE_MAX, EventRate
 from camtopod.cli.cameras.heartbeat import HeartbeatSender
 from camtopod.cli.common import (
     SignalRequests,
@@ -259,6 +260,7 @@ def _until_stopped(
     """
     state = ""
     causes: set[str] = set()
+    rate = EventRate()
     for event in grabber.events():
         if grabber.overdue_seconds == 0.0:  # otherwise the watchdog ends this process
             # Before the event: once a beat says "running", a file is not read again.
@@ -275,6 +277,14 @@ def _until_stopped(
             fine = state in ("connecting", "running", "ended")
             log.log(logging.INFO if fine else logging.WARNING, "%s", words.removesuffix(": "))
 
+        if event is not None and rate.too_high(event):
+            log.warning(
+                "camera %s makes more than %d events a minute, as rain, snow and swaying things "
+                "do: set min_height or draw an ignore area in [cameras.%s], or use a [detector]",
+                grabber.camera,
+                EVENTS_PER_MINUTE_MAX,
+                grabber.camera,
+            )
         yield event
         if stop.is_set():
             return
