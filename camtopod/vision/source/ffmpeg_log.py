@@ -48,7 +48,6 @@ _PHRASES = {
 }
 """Reason by phrase in FFmpeg's log."""
 DAMAGED = "damaged video"
-"""Fault of pictures before the first one that is coded by itself, too."""
 _FAULTS = {
     "interlaced video cannot be read: make it progressive": rb"Cannot convert interlaced",
     "its pictures cannot be converted": rb"Failed initializing scaling|: fmt:.* -> fmt:",

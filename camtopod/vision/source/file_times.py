@@ -15,10 +15,7 @@ from itertools import pairwise
 FPS_UNKNOWN = 25.0
 """Frame rate assumed if a file has neither time stamps nor a frame rate."""
 GAP_INTERVALS = 10.0
-"""Step of the stamps that is believed at once, in intervals of the latest pictures.
-
-Cameras and recorders leave out single pictures.
-"""
+"""Step of the stamps that is believed at once, in intervals: some pictures are left out."""
 CONFIRMING_PICTURES = 5
 """Pictures that confirm the stamp before them."""
 STEP_SECONDS_MIN = 0.002

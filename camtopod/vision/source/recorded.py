@@ -124,11 +124,11 @@ class RecordedSource(Source):
 
     def _end(self, capture: Capture) -> None:
         """Say how much was read. Raises `SourceError` if that was nothing."""
-        codec, fault, declared = capture.codec, capture.fault, capture.seconds
+        fault, declared = capture.fault, capture.seconds
+        why = f"no frame in it can be decoded ({capture.codec}){fault and ': '}{fault}"
         self.close()
         if self.state == "connecting":
-            why = f"no frame in it can be decoded ({codec})"
-            raise SourceError(f"{self._path}: {why}{fault and ': '}{fault}")
+            raise SourceError(f"{self._path}: {why}")
         self.state = "ended"
         read = self._times.latest + self._times.interval
         if read < OBSERVED_SECONDS:
