@@ -73,8 +73,12 @@ class StampClock:
     def captured(self, stamp: float, arrival: float) -> float | None:
         """Return a frame's capture time; None if its stamp cannot be trusted.
 
-        The frame must have been passed to `record`.
+        The frame must have been passed to `record`. One without a stamp (0.0), as after a pause,
+        counts as captured when the last one was.
         """
+        if stamp == 0.0 and self._last is not None:
+            last, at = self._last
+            stamp = last if 0.0 <= arrival - at <= self._burst_seconds else 0.0
         if 0.0 < stamp < math.inf and self._minima:
             captured = stamp + self._minima[0][1]
             if self._borne_out and arrival - LAG_SECONDS_MAX <= captured <= arrival:
@@ -92,6 +96,11 @@ class StampClock:
     def _borne_out(self) -> bool:
         """True if some frame has been prompt lately."""
         newest, _ = self._minima[-1]
-        since = newest - max(PROMPT_WITHIN_SECONDS, PROMPT_WITHIN_GAPS * self._gap)
+        since = newest - self._burst_seconds
         lately = next(offset for arrival, offset in self._minima if arrival >= since)
         return lately - self._minima[0][1] <= max(PROMPT_SECONDS, self._gap)
+
+    @property
+    def _burst_seconds(self) -> float:
+        """Time within which some frame is prompt."""
+        return max(PROMPT_WITHIN_SECONDS, PROMPT_WITHIN_GAPS * self._gap)
