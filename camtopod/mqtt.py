@@ -140,11 +140,9 @@ class _Connection:
 
     def _prepare(self, client: Client) -> None:
         """Set up a client before it connects."""
-        raise NotImplementedError
 
     def _joined(self) -> None:
         """React to a connection, the first one or a later one."""
-        raise NotImplementedError
 
     def _leave(self) -> None:
         """Disconnect."""

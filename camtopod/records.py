@@ -409,13 +409,8 @@ class SelfScore(Struct, frozen=True):
     baseline_top1: Annotated[Share, _metric("score_baseline_top1", "Top-1 score of the baseline")]
 
 
-class Topology(Struct, frozen=True, omit_defaults=True):
-    """One version of the learned topology.
-
-    ``digest`` is over the content, without site, epoch and version. ``alarms`` are the newest of
-    the epoch, oldest first. ``evidence``: before the first link between views, the share of its
-    evidence that is there, which does not fall; None after it.
-    """
+class _OfVersion(Struct, frozen=True, omit_defaults=True):
+    """What a topology and a delta begin with."""
 
     schema: str
     site: str
@@ -424,6 +419,16 @@ class Topology(Struct, frozen=True, omit_defaults=True):
     as_of: Seconds
     events: Count
     digest: str
+
+
+class Topology(_OfVersion, frozen=True, omit_defaults=True):
+    """One version of the learned topology.
+
+    ``digest`` is over the content, without site, epoch and version. ``alarms`` are the newest of
+    the epoch, oldest first. ``evidence``: before the first link between views, the share of its
+    evidence that is there, which does not fall; None after it.
+    """
+
     cameras: list[Camera]
     zones: list[Zone]
     links: list[Link]
@@ -440,7 +445,7 @@ class Topology(Struct, frozen=True, omit_defaults=True):
             raise ValueError(f"schema is {self.schema!r}; this program reads {TOPOLOGY_SCHEMA!r}")
 
 
-class Delta(Struct, frozen=True, omit_defaults=True):
+class Delta(_OfVersion, frozen=True, omit_defaults=True):
     """The difference from ``version - 1`` to ``version`` of a topology.
 
     New and changed items are whole, removed items are keys. The key of a link is (from, to,
@@ -448,13 +453,6 @@ class Delta(Struct, frozen=True, omit_defaults=True):
     version.
     """
 
-    schema: str
-    site: str
-    epoch: str
-    version: Count
-    as_of: Seconds
-    events: Count
-    digest: str
     cameras: list[Camera] = field(default_factory=list)
     zones: list[Zone] = field(default_factory=list)
     links: list[Link] = field(default_factory=list)

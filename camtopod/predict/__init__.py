@@ -8,8 +8,6 @@ store the observed events. `zone_lookup` finds the zone of an event, and `hand_o
 cameras that see the object at the exit.
 """
 
-from __future__ import annotations
-
 from camtopod.predict.hand_over import seen_now as seen_now
 from camtopod.predict.odds import ExitTable as ExitTable
 from camtopod.predict.predictor import Predictor as Predictor, PredictorState as PredictorState

@@ -114,5 +114,4 @@ class ContextMultipliers:
         of_context = slice(self._end[number], self._end[number + 1])
         by_zone = np.zeros(self._zones + 1)
         by_zone[self._to[of_context]] = self._transitions[of_context]
-        counts: Floats = by_zone[targets]
-        return counts
+        return by_zone[targets]

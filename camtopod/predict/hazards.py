@@ -368,21 +368,11 @@ class Hazards:
             if k in self.outcomes:
                 outcomes = self.outcomes[k]
                 shift = offsets[outcomes.targets] - offsets[k] + outcomes.delay
-                possible = self._possible_before(outcomes.hazard, shift)
+                reported = self.bins.edges[:-1] < -shift[:, None]
+                possible = np.any(reported & (outcomes.hazard > 0.0), axis=1)
                 before.update(itertools.compress(outcomes.targets, possible))
             elsewhere = [to for to in before if topology.zones[to].camera != zone.camera]
             self._seen_before.append(elsewhere)
-
-    def _possible_before(self, hazard: Singles, shift: Floats) -> Bools:
-        """Return a mask (n,) of the targets at which an arrival may be reported before the exit.
-
-        hazard (n, bins): hazards of n targets.
-        shift (n, seconds): to be added to a lag to get the time, in seconds after the exit, at
-            which the arrival is reported.
-        """
-        reported: Bools = self.bins.edges[:-1] < -shift[:, None]
-        possible: Bools = np.any(reported & (hazard > 0.0), axis=1)
-        return possible
 
 
 def model_of(topology: Topology) -> Model:

@@ -15,7 +15,7 @@ import numpy as np
 
 from camtopod.arrays import Bools, Floats, Ints, Rows
 from camtopod.predict.hazards import Hazards, Outcomes, model_of
-from camtopod.predict.open_passages import Passage
+from camtopod.predict.open_passages import UNKNOWN, Passage
 from camtopod.predict.time_windows import scale_lags, unknown_share
 from camtopod.records import Topology, Zone
 
@@ -42,7 +42,7 @@ class Query(NamedTuple):
     @property
     def began(self) -> float:
         """Corrected time at which the passage began, seconds; minus infinity if unknown."""
-        return -math.inf if self.passage is None else self.passage.t
+        return (self.passage or UNKNOWN).t
 
     @property
     def dwell(self) -> float | None:
@@ -175,8 +175,13 @@ def find_odds(
     exposure = outcomes.exposure_by_target(exposure)
     edges = scale_lags(hazards.bins.edges, query.slowness)
 
-    # Mass of arrivals that would not be observed yet.
-    mass = prior_mass(query, hazards, table, exposure, edges, seen.remembered)
+    # Mass of arrivals that would not be observed yet. At the exit, a bin counts as a whole if any
+    # arrival in it would be reported later.
+    mass = outcomes.hazard * hazards.bins.widths * exposure
+    if query.elapsed:
+        mass *= unknown_share(edges, query.elapsed, seen.remembered, table.report_shift)
+    else:
+        mass *= edges[1:] > -table.report_shift[:, None]
     mass *= is_alive[:, None]
 
     # Observed arrivals at targets, at lags that have a bin.
@@ -193,45 +198,18 @@ def find_odds(
     # The mass of each is the object's hazard over the rate of all other causes.
     hazard = outcomes.hazard[row, at] * exposure[row, at]
     hazard *= hazards.bins.widths[at] / (edges[at + 1] - edges[at])
-    entered = rate_entered(query, hazards, seen)
+    entered = np.zeros(len(row))
+    if query.passage is not None:
+        entered = hazards.rates_entered(query.passage.entry, seen.zone, seen.t - query.passage.t)
     others = seen.rate - own_rate(query, site, seen, entered)
     np.add.at(mass, (row, at), (hazard + entered * seen.before) / np.maximum(others, RATE_MIN))
     return Odds(mass, edges)
 
 
-def prior_mass(
-    query: Query,
-    hazards: Hazards,
-    table: ExitTable,
-    exposure: Floats,
-    edges: Floats,
-    remembered: float,
-) -> Floats:
-    """Return the mass (targets, bins) of arrivals that would not be observed yet.
-
-    exposure (targets, bins): share of departures exposed to each lag.
-    edges (bins + 1, seconds): edges of the lag bins for the object's slowness.
-    remembered: as in `SeenArrivals`.
-    """
-    mass: Floats = table.outcomes.hazard * hazards.bins.widths * exposure
-    if query.elapsed:
-        return mass * unknown_share(edges, query.elapsed, remembered, table.report_shift)
-    # At the exit, a bin counts as a whole if any arrival in it would be reported later.
-    mass *= edges[1:] > -table.report_shift[:, None]
-    return mass
-
-
-def rate_entered(query: Query, hazards: Hazards, seen: SeenArrivals) -> Floats:
-    """Return the rate (n, 1/s) of each seen arrival by the entry kernels of the object's entry."""
-    if query.passage is None:
-        return np.zeros(len(seen.t))
-    return hazards.rates_entered(query.passage.entry, seen.zone, seen.t - query.passage.t)
-
-
 def own_rate(query: Query, site: Site, seen: SeenArrivals, entered: Floats) -> Floats:
     """Return the part (n, 1/s) that the object of the query has in the rate of each seen arrival.
 
-    entered (n, 1/s): result of `rate_entered`.
+    entered (n, 1/s): rate of the arrivals by the entry kernels of the object's entry.
 
     While its passage is open, the object is a cause of arrivals in two ways: by its zone of entry,
     and as an object in view. When its exit is observed, the hazard of the exit takes the place of

@@ -6,6 +6,7 @@ the same track at the same camera.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Collection
 
 import msgspec
@@ -34,6 +35,10 @@ class Passage(Struct):
     """Name of the camera where the object most probably was before; None if unknown."""
     sure: float = 0.0
     """Probability that ``previous`` is right."""
+
+
+UNKNOWN = Passage(-math.inf, "", -1)
+"""In place of a passage of which only the exit is known."""
 
 
 class OpenPassages:
@@ -137,20 +142,14 @@ class OpenPassages:
         return [(camera, track, passage) for (camera, track), passage in self._passages.items()]
 
     def take_over(self, older: OpenPassages, moved: dict[int, int]) -> None:
-        """Replace all passages by those stored for an older version.
+        """Take over the passages stored for an older version; this must be new.
 
         moved: new index of each zone by its old index, without zones that are gone.
         """
         # Open passages, except those whose zone of entry is gone.
-        self._passages = {
-            key: _with_moved_entry(passage, moved)
-            for key, passage in older._passages.items()
-            if passage.entry in moved
-        }
-        self._begun = len(self._passages)
-        self._in_view = {}
-        for number, ((camera, track), passage) in enumerate(self._passages.items(), start=1):
-            self._in_view.setdefault(camera, {})[track] = number, passage
+        for (camera, track), passage in older._passages.items():
+            if passage.entry in moved:
+                self.begin(camera, track, _with_moved_entry(passage, moved))
 
         # Ended passages.
         self._ended = {

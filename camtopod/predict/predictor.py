@@ -25,9 +25,9 @@ from camtopod.predict.contexts import ContextMultipliers
 from camtopod.predict.hand_over import HandOver, cameras_to_watch
 from camtopod.predict.hazards import Hazards
 from camtopod.predict.odds import ExitTable, Odds, Query, SeenArrivals, Site, find_odds
-from camtopod.predict.open_passages import OpenPassages, Passage
+from camtopod.predict.open_passages import UNKNOWN, OpenPassages, Passage
 from camtopod.predict.recent_events import RecentEvents, RecentState, moved_zones
-from camtopod.predict.speed import Pace, PaceModel, windows_at_pace
+from camtopod.predict.speed import PaceModel, windows_at_pace
 from camtopod.predict.time_windows import quantiles
 from camtopod.predict.zone_lookup import ZoneLookup
 from camtopod.records import Event, NextCamera, Prediction, Topology, Zone
@@ -196,12 +196,15 @@ class Predictor:
 
         # The context multiplies the odds. Odds that may be spurious count as leaving the site, from
         # the exit on.
-        multiplier, leave = self._multipliers(query, table, block)
+        known = passage or UNKNOWN
+        multiplier, leave = self.surroundings.multipliers(
+            zone, table.outcomes, block, known.entry, known.previous, known.sure
+        )
         spurious = table.outcomes.doubt
         leave += float(spurious @ (multiplier * odds.by_target()))
 
         # Odds at a later moment; their lag bins are those of the object's pace already.
-        pace = self._pace(query)
+        pace = self._paces.of_passage(known.entry, zone, query.dwell)
         if now is not None and now > t:
             slowness = 1.0 if pace is None else pace.factor
             odds = self._odds(query._replace(elapsed=now - t, slowness=slowness), table)
@@ -262,30 +265,6 @@ class Predictor:
         is_alive = self._is_alive()[table.target_cameras]
         return find_odds(query, self.site, table, is_alive, self._seen_arrivals(query))
 
-    def _multipliers(
-        self, query: Query, table: ExitTable, block: int | None
-    ) -> tuple[Floats, float]:
-        """Return the factor of the context on each target's odds, (targets,), and odds of leaving.
-
-        block: as for `predict_from`.
-        """
-        entry = None
-        previous = None
-        sure = 0.0
-        if query.passage is not None:
-            passage = query.passage
-            entry = passage.entry
-            previous = passage.previous
-            sure = passage.sure
-        return self.surroundings.multipliers(
-            query.zone, table.outcomes, block, entry, previous, sure
-        )
-
-    def _pace(self, query: Query) -> Pace | None:
-        """Return the pace expected of the object after the exit."""
-        entry = None if query.passage is None else query.passage.entry
-        return self._paces.of_passage(entry, query.zone, query.dwell)
-
     def _seen_arrivals(self, query: Query) -> SeenArrivals:
         """Return the observed arrivals that may be of the object of a query.
 
@@ -340,8 +319,7 @@ class Predictor:
         arrival_zones = zones[rows]
         fits = self._hazards.seen_before(zone)[arrival_zones]
         fits &= times[rows] + (offsets[arrival_zones] - offsets[zone]) < t
-        before: Rows = rows[fits]
-        return before
+        return rows[fits]
 
     def _is_open(self, row: int, t: float) -> bool:
         """Return True if the passage that began with an arrival had not ended before ``t``.
@@ -403,7 +381,7 @@ class Predictor:
 
         # The hazard of the exit takes the place of the rate of an object in view.
         arrivals = self._arrivals
-        rows = self._arrivals_before(zone, t, -math.inf if passage is None else passage.t)
+        rows = self._arrivals_before(zone, t, (passage or UNKNOWN).t)
         targets = arrivals.zone[rows]
         arrivals.rate[rows] += self._hazards.rates_from(zone, targets, arrivals.t[rows] - t)
         if passage is not None:

@@ -12,11 +12,9 @@ import numpy as np
 from camtopod.records import Event
 from camtopod.sim.layout import make_layout, with_doors, without_paths
 from camtopod.sim.reports import report, truth_of
-from camtopod.sim.settings import SimSettings
+from camtopod.sim.settings import SimSettings as SimSettings
 from camtopod.sim.truth import Truth
 from camtopod.sim.walkers import walk
-
-__all__ = ["SimSettings", "simulate"]
 
 
 def simulate(settings: SimSettings) -> tuple[list[Event], Truth]:

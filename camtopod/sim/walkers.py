@@ -96,8 +96,7 @@ def _arrivals(settings: SimSettings, rng: np.random.Generator) -> Floats:
 
 def jitter(rng: np.random.Generator, n: int) -> Floats:
     """Return a random factor (log scale, 0.1) on the usual time of each of ``n`` paths."""
-    result: Floats = np.exp(0.1 * rng.standard_normal(n))
-    return result
+    return np.exp(0.1 * rng.standard_normal(n))
 
 
 def _option(choices: Choices, zone: Longs, draw: Floats) -> Longs:

@@ -7,8 +7,6 @@ what a forked child must not use. The others serve the daemon: `access` (who may
 (an option of connections) and `single_daemon` (detect a second daemon of the site).
 """
 
-from __future__ import annotations
-
 from camtopod.serve.bus import access as access, session as session
 from camtopod.serve.bus.forks import guard as guard, note_use as note_use
 from camtopod.serve.bus.session import (

@@ -7,8 +7,6 @@ cameras, `event_clock` compares event time with this machine's clock, and `answe
 grabbers' requests. `commands` executes an operator's commands.
 """
 
-from __future__ import annotations
-
 from camtopod.serve.ingest.cameras import Cameras as Cameras
 from camtopod.serve.ingest.commands import execute as execute
 from camtopod.serve.ingest.event_clock import EventClock as EventClock

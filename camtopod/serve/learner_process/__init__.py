@@ -5,8 +5,6 @@ the daemon's side, `worker` is the process. `recovery` loads the learner from th
 start.
 """
 
-from __future__ import annotations
-
 from camtopod.serve.learner_process.feeder import LearnerFeeder as LearnerFeeder
 from camtopod.serve.learner_process.messages import (
     LearnProgress as LearnProgress,

@@ -4,5 +4,3 @@
 the daemon's page /metrics for Prometheus. Import the modules themselves: `metrics` imports the
 daemon.
 """
-
-from __future__ import annotations

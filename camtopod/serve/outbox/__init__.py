@@ -5,8 +5,6 @@ on disk until the daemon has stored them; `spool_tables` has its tables and `spo
 `delivery` decides what to send next: it is the protocol of `camtopod.serve.requests`, without I/O.
 """
 
-from __future__ import annotations
-
 from camtopod.serve.outbox.publisher import (
     TRANSACTION_EVENTS_MAX as TRANSACTION_EVENTS_MAX,
     UNANSWERED as UNANSWERED,

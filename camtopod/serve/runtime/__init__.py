@@ -4,8 +4,6 @@ Read `clock` (wall clock, steady clock, ULIDs) and `progress` (watch whether loo
 first. `systemd` reports both to the service manager. `rejects` counts malformed input.
 """
 
-from __future__ import annotations
-
 from camtopod.serve.runtime import clock as clock, systemd as systemd
 from camtopod.serve.runtime.clock import (
     Clock as Clock,

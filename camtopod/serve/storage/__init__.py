@@ -6,8 +6,6 @@ Read from the bottom up. `sqlite_file` opens, checks and sets aside databases.
 operator as entries. `journal_writer` is the daemon's storing thread.
 """
 
-from __future__ import annotations
-
 from camtopod.serve.storage import sqlite_file as sqlite_file
 from camtopod.serve.storage.commands import (
     command_entry as command_entry,
