@@ -13,7 +13,7 @@ COLOURS: dict[PairRelation, str] = {"overlapped": "black", "unseen_path": "gray6
 """Colour of an edge by the relation of its cameras, as in the thesis (4.6)."""
 
 
-class Edge(Struct, frozen=True):
+class Edge(Struct, frozen=True, rename={"from_": "from"}):
     """Directed edge between two cameras."""
 
     from_: str

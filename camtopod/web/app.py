@@ -95,8 +95,9 @@ class Routes:
 
     def pictures(self, request: Request) -> Response:
         """Return the cameras of which there is a picture."""
-        drawn = self._feed.map.cameras if self._feed.map else {}
-        return content([name for name in drawn if picture_of(self._pictures, name)])
+        return content(
+            [name for name in self._feed.map.cameras if picture_of(self._pictures, name)]
+        )
 
     def placement(self, request: Request) -> Response:
         """Return the cameras' places on the floor plan; null without a plan."""

@@ -21,11 +21,8 @@ from camtopod.predict import seen_now
 from camtopod.publishers import ELSEWHERE, is_gone
 from camtopod.records import (
     CAMERA_PATTERN,
-    CameraFigures,
     DaemonStatus,
     Event,
-    Look,
-    NextCamera,
     Prediction,
     Status,
     Topology,
@@ -34,7 +31,7 @@ from camtopod.serve.bus import Bus, TopologySubscriber
 from camtopod.serve.runtime import Beat, Clock, no_beat
 from camtopod.web.explanations import Explanations
 from camtopod.web.hourly_events import HourlyEvents
-from camtopod.web.map_data import Map, draw
+from camtopod.web.map_data import NO_MAP, draw
 from camtopod.web.outbox import PageQueue, PageQueues, message
 from camtopod.web.versions import VersionSummary, summary
 
@@ -55,21 +52,6 @@ REASON_CHARACTERS_MAX = 500
 """Longest state or reason that is shown."""
 NOT_SHOWN = ("cameras", "reject_samples", "alarms")
 """Fields of the daemon's status that the page does not receive."""
-
-
-class ShownPrediction(msgspec.Struct, frozen=True, rename={"next_": "next"}):
-    """A prediction for the page, without a track."""
-
-    camera: str
-    zone: str | None
-    t: float
-    version: int
-    leave: float
-    look: list[Look]
-    """Where views overlap: cameras that probably see the object at ``t``, or else see it next."""
-    now: list[Look]
-    """Cameras that probably see the object at ``t``, when it has left the view of ``camera``."""
-    next_: list[NextCamera]
 
 
 class CameraHealth(msgspec.Struct, frozen=True):
@@ -101,18 +83,19 @@ class Live(msgspec.Struct, frozen=True):
     catching_up: int | None
 
 
-def shown(prediction: Prediction) -> ShownPrediction:
-    """Return the prediction in the form for the page."""
-    return ShownPrediction(
-        prediction.camera,
-        prediction.zone,
-        prediction.t,
-        prediction.version,
-        prediction.leave,
-        [one for one in prediction.look or [] if one.camera != prediction.camera][:NEXT_SHOWN],
-        seen_now(prediction.in_view or []),
-        prediction.next_[:NEXT_SHOWN],
-    )
+def shown(prediction: Prediction) -> dict[str, Any]:
+    """Return the prediction in the form for the page, without a track.
+
+    ``look``: where views overlap, cameras that probably see the object at ``t``, or else next.
+    ``now``: those that probably see it at ``t``, when it has left the view of ``camera``.
+    """
+    look = [one for one in prediction.look or [] if one.camera != prediction.camera]
+    return {
+        **{name: getattr(prediction, name) for name in ("camera", "zone", "t", "version", "leave")},
+        "look": look[:NEXT_SHOWN],
+        "now": seen_now(prediction.in_view or []),
+        "next": prediction.next_[:NEXT_SHOWN],
+    }
 
 
 class Feed:
@@ -130,10 +113,12 @@ class Feed:
         self._silent_seconds = SILENT_STATUSES * status_seconds
         self._began = clock()
         self._connected_since = self._began  # no status can arrive while the bus is unreachable
-        self._daemon: tuple[DaemonStatus, float] | None = None
-        """Newest status of the daemon, and when it was received."""
+        self._daemon = DaemonStatus()
+        """Newest status of the daemon."""
+        self._heard: float | None = None
+        """When it was received."""
         self._grabbers: dict[str, tuple[Status, float]] = {}
-        """The same of each camera's grabber."""
+        """Newest status of each camera's grabber, and when it was received."""
         self._predictions: deque[bytes] = deque(maxlen=PREDICTIONS_HELD)
         self._second = 0
         self._this_second = 0
@@ -145,7 +130,7 @@ class Feed:
         """Details of the newest version."""
         self.versions: list[VersionSummary] = []
         """Versions of the newest epoch since this server began, oldest first; never changed."""
-        self.map: Map | None = None
+        self.map = NO_MAP
         self.map_json = b"null"
         bus.subscribe("status/*", self._on_message)
         bus.subscribe("prediction/*", self._on_message)
@@ -160,7 +145,7 @@ class Feed:
                 self._connected_since = self._clock()
             if (newest := self._view.update()) is not None:
                 self.show(newest)
-            elif self.topology is not None and self._new_cameras(self.map):
+            elif self.topology is not None and self._present() - self.map.cameras.keys():
                 self._draw(self.topology)
                 self._page_queues.send("cameras", b"null")
 
@@ -182,18 +167,14 @@ class Feed:
 
     def _draw(self, topology: Topology) -> None:
         """Draw the map of a version, with the cameras that it does not know yet."""
-        self.map = draw(topology, self.map, self._new_cameras(None))
+        self.map = draw(topology, self.map, self._present())
         self.map_json = codec.to_json(self.map)
 
-    def _new_cameras(self, drawn: Map | None) -> set[str]:
-        """Return the cameras with a publisher that a map does not show; None: all with one."""
-        figures: dict[str, CameraFigures] = {}
-        if self._daemon is not None:
-            figures = self._daemon[0].cameras
+    def _present(self) -> set[str]:
+        """Return the cameras with a publisher."""
+        figures = self._daemon.cameras
         grabbers = dict(self._grabbers)
         names = {*grabbers, *(name for name, one in figures.items() if one.alive)}
-        if drawn is not None:
-            names -= drawn.cameras.keys()
         now = self._clock()
         absent = ("", "silent", "forgotten")
         return {
@@ -213,23 +194,15 @@ class Feed:
         """Return the status of the daemon and of every camera, and whether they are live."""
         now = self._clock()  # taken first, so that the data are at least as new
         daemon: dict[str, Any] = {}
-        figures: dict[str, CameraFigures] = {}
-        if self._daemon is not None:
-            status = self._daemon[0]
-            figures = status.cameras
-            daemon = msgspec.to_builtins(status)
-            daemon = {name: daemon[name] for name in daemon if name not in NOT_SHOWN}
-        return {
-            "now": now,
-            "live": self._live(now),
-            "daemon": daemon,
-            "cameras": self._cameras(now, figures),
-        }
+        if self._heard is not None:
+            told = msgspec.to_builtins(self._daemon)
+            daemon = {name: told[name] for name in told if name not in NOT_SHOWN}
+        live = self._live(now)
+        return {"now": now, "live": live, "daemon": daemon, "cameras": self._cameras(now)}
 
     def names(self) -> set[str]:
         """Return the cameras that are learned of or that the daemon counts."""
-        counted = self._daemon[0].cameras if self._daemon else {}
-        return {*(self.map.cameras if self.map else ()), *counted}
+        return {*self.map.cameras, *self._daemon.cameras}
 
     def hours_of(self, camera: str) -> dict[str, object] | None:
         """Return a camera's events by the hour, since this server has followed the daemon."""
@@ -248,36 +221,33 @@ class Feed:
 
     def _version(self) -> bytes:
         """Return epoch and number of the newest version as JSON, null if there is none."""
-        return msgspec.json.encode(self.map and [self.map.epoch, self.map.version])
+        return msgspec.json.encode(self.topology and [self.topology.epoch, self.topology.version])
 
     # --- health ---
 
     def _live(self, now: float) -> Live:
         """Return whether the daemon is live, and why not."""
-        if self._daemon is None:
+        heard = self._heard
+        if heard is None:
             return Live(False, "no status of the daemon has been received yet", self._began, None)
-        status, heard = self._daemon
         reason = ""
         if not self._bus.connected:
             reason = f"the bus at {self._bus.endpoint} cannot be reached"
         elif abs(now - heard) >= self._silent_seconds:
             reason = f"no status from the daemon for {self._silent_seconds:.0f} s"
         behind = None
-        if status.catching_up is not None:
-            behind = math.floor(100 * min(max(0.0, status.catching_up.share), 1.0))
+        if self._daemon.catching_up is not None:
+            behind = math.floor(100 * min(max(0.0, self._daemon.catching_up.share), 1.0))
         return Live(not reason, reason, heard, behind)
 
-    def _cameras(self, now: float, figures: dict[str, CameraFigures]) -> list[CameraHealth]:
-        """Return the health of every camera that anybody knows.
-
-        figures: of the daemon.
-        """
-        drawn = self.map.cameras if self.map else {}
+    def _cameras(self, now: float) -> list[CameraHealth]:
+        """Return the health of every camera that anybody knows."""
+        figures = self._daemon.cameras
         learned = self.explanations.last_events if self.explanations else {}
         grabbers = dict(self._grabbers)
-        newest = {name: learned.get(name) for name in (*grabbers, *drawn)}
+        newest = {name: learned.get(name) for name in (*grabbers, *self.map.cameras)}
         newest |= {name: one.newest for name, one in figures.items()}
-        last = max([self.map.as_of if self.map else 0.0, *(t for t in newest.values() if t)])
+        last = max([self.map.as_of, *(t for t in newest.values() if t)])
 
         rows = []
         for name in sorted(newest):
@@ -311,7 +281,7 @@ class Feed:
         status, heard = grabber
         quiet = abs(now - max(heard, self._connected_since))
         is_silent = status.state != "ended" and quiet > self._silent_seconds
-        if self._daemon is not None and name in self._daemon[0].names.forgotten:
+        if name in self._daemon.names.forgotten:
             reason = f"its events are refused until `camtopod forget --take-back {name}`"
             return "" if is_silent else "forgotten", reason
         if is_silent:
@@ -327,16 +297,14 @@ class Feed:
         kind, _, name = key.partition("/")
         with contextlib.suppress(codec.Rejected):
             if key == "status/daemon":
-                self._on_daemon_status(codec.read(DaemonStatus, payload, pack=True))
+                self._daemon = codec.read(DaemonStatus, payload, pack=True)
+                self._heard = self._clock()
+                counters = {name: one.events for name, one in self._daemon.cameras.items()}
+                self._hourly.note(self._heard, counters)
             elif kind == "status":
                 self._on_status(name, codec.read(Status, payload, pack=True))
             else:
                 self._on_prediction(codec.read(Prediction, payload, pack=True))
-
-    def _on_daemon_status(self, status: DaemonStatus) -> None:
-        now = self._clock()
-        self._daemon = (status, now)
-        self._hourly.note(now, {name: one.events for name, one in status.cameras.items()})
 
     def _on_status(self, name: str, status: Status) -> None:
         known = name in self._grabbers or len(self._grabbers) < CAMERAS_MAX

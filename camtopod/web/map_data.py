@@ -31,19 +31,6 @@ class MapCamera(Struct, frozen=True):
     """True if the camera is on the site, and not in the version yet."""
 
 
-class Direction(Struct, frozen=True, rename={"from_": "from"}):
-    """One direction of an edge; times (seconds) are those of its main link."""
-
-    from_: str
-    to: str
-    mode: float
-    q10: float
-    q50: float
-    q90: float
-    probability: float
-    transitions: float
-
-
 class MapEdge(Struct, frozen=True):
     """A related pair of cameras."""
 
@@ -53,7 +40,7 @@ class MapEdge(Struct, frozen=True):
     published: bool
     """False for an edge of weak links only."""
     transitions: float
-    ways: list[Direction]
+    ways: list[Edge]
 
 
 class Map(Struct, frozen=True):
@@ -73,7 +60,11 @@ class Map(Struct, frozen=True):
     """Missing evidence for the first link between views, in words; "" if there is a link."""
 
 
-def draw(topology: Topology, before: Map | None = None, new: Iterable[str] = ()) -> Map:
+NO_MAP = Map("", "", 0, 0.0, 0, {}, {}, None, [], "")
+"""The map before anything has been learned."""
+
+
+def draw(topology: Topology, before: Map = NO_MAP, new: Iterable[str] = ()) -> Map:
     """Return the map of a version.
 
     before: the previous map, whose camera positions are kept as far as the network is the same.
@@ -142,7 +133,7 @@ def map_edges(topology: Topology) -> dict[str, MapEdge]:
             why_provisional(pair, transitions, best.get(key)),
             pair is not None,
             transitions,
-            [_direction(edge) for edge in there],
+            there,
         )
     return result
 
@@ -171,11 +162,9 @@ def why_provisional(pair: Pair | None, transitions: float, best: Link | None) ->
     return ""
 
 
-def _places(names: list[str], drawn: Mapping[str, MapEdge], before: Map | None) -> dict[str, Place]:
+def _places(names: list[str], drawn: Mapping[str, MapEdge], before: Map) -> dict[str, Place]:
     """Return the camera positions; those of before if the network is the same."""
     joined = _joined(drawn)
-    if before is None:
-        return places(names, joined, {})
     held = {name: (camera.x, camera.y) for name, camera in before.cameras.items()}
     if joined == _joined(before.edges) and set(names) == set(held):
         return held
@@ -194,10 +183,3 @@ def _joined(drawn: Mapping[str, MapEdge]) -> dict[tuple[str, str], bool]:
 
 def _key(a: str, b: str) -> str:
     return " ".join(sorted((a, b)))
-
-
-def _direction(edge: Edge) -> Direction:
-    t = edge.transit
-    return Direction(
-        edge.from_, edge.to, t.mode, t.q10, t.q50, t.q90, edge.probability, edge.transitions
-    )

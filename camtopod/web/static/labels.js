@@ -187,13 +187,12 @@ function apart({ ax, ay, dx, dy }, [x, y], half, tall) {
 // edge lies on the screen.
 export function edgeText({ a, edge, dx, dy }) {
   const [one, other] = edge.ways;
-  if (edge.ways.some((way) => way.mode < 0)) return "overlap";
-  if (!other) return seconds(one.mode);
-  if (Math.abs(one.mode - other.mode) <= 0.15 * Math.max(Math.abs(one.mode), Math.abs(other.mode)))
-    return seconds(one.mode);
+  const modes = edge.ways.map((way) => way.transit.mode);
+  if (modes.some((mode) => mode < 0)) return "overlap";
+  const [first, second] = modes.map((mode) => seconds(mode));
+  if (!other || Math.abs(modes[0] - modes[1]) <= 0.15 * Math.max(...modes)) return first;
   const eighth = Math.round(Math.atan2(dy, dx) / (Math.PI / 4)) + 8;
   const arrow = (way) => ARROWS[(eighth + (way.from === a.id ? 0 : 4)) % 8];
-  const [first, second] = [seconds(one.mode), seconds(other.mode)];
   const short = first.endsWith(" s") && second.endsWith(" s") ? first.slice(0, -2) : first;
   return `${arrow(one)} ${short} ${arrow(other)} ${second}`;
 }

@@ -10,8 +10,8 @@ const COLUMNS = [
   ["To", (way) => way.to],
   ["Kind", (way) => way.kind],
   ["Share", (way) => -way.probability],
-  ["Time", (way) => way.mode],
-  ["Middle 80 %", (way) => way.q10],
+  ["Time", (way) => way.transit.mode],
+  ["Middle 80 %", (way) => way.transit.q10],
   ["Traffic", (way) => -way.transitions],
 ];
 
@@ -134,8 +134,8 @@ export class LinkTable {
                 h("span", { class: "apart" }, way.kind),
               ),
               h("td", { class: "number" }, percent(way.probability)),
-              h("td", { class: "number" }, way.mode < 0 ? `${seconds(-way.mode)} before` : seconds(way.mode)),
-              h("td", { class: "apart number" }, span(way.q10, way.q90)),
+              h("td", { class: "number" }, way.transit.mode < 0 ? `${seconds(-way.transit.mode)} before` : seconds(way.transit.mode)),
+              h("td", { class: "apart number" }, span(way.transit.q10, way.transit.q90)),
               h("td", { class: "apart number" }, count(way.transitions)),
             ),
           ),

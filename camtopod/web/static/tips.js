@@ -27,9 +27,9 @@ export function edgeTip({ a, b, edge }) {
       h(
         "span",
         {},
-        way.mode < 0
-          ? `${way.from} → ${way.to}: both views, appears ${transit(way.mode)}, ${percent(way.probability)}`
-          : `${way.from} → ${way.to}: ${seconds(way.mode)} (${span(way.q10, way.q90)}), ${percent(way.probability)}`,
+        way.transit.mode < 0
+          ? `${way.from} → ${way.to}: both views, appears ${transit(way.transit.mode)}, ${percent(way.probability)}`
+          : `${way.from} → ${way.to}: ${seconds(way.transit.mode)} (${span(way.transit.q10, way.transit.q90)}), ${percent(way.probability)}`,
       ),
     ),
     edge.provisional ? h("span", { class: "note" }, edge.provisional) : null,
