@@ -75,7 +75,12 @@ def _say(args: argparse.Namespace, message: str) -> None:
     if getattr(args, "logs", False):
         log.info("%s", message)
     else:
-        print(visible(f"camtopod: {redact(message)}"), file=sys.stderr)
+        say(visible(f"camtopod: {message}"))
+
+
+def say(message: str) -> None:
+    """Print a message to standard error, without secrets."""
+    print(redact(message), file=sys.stderr, flush=True)
 
 
 def with_options(args: argparse.Namespace, loaded: Config) -> Config:

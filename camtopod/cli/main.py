@@ -1,10 +1,10 @@
 """Console script: find the command, import only its module, turn expected errors into exit
 statuses.
 
-A command is a module, ``camtopod.cli.commands.NAME``, with two functions.
-``add_parser(subparsers)`` calls ``subparsers.add_parser(NAME, ...)`` once and adds the command's
-own arguments; it returns the parsers of its own subcommands, if it has any. ``run(args) -> int``
-does the work and returns the exit status.
+A command is a module, ``camtopod.cli.commands.NAME``, with two functions. ``add_parser(add)`` calls
+``add(...)``, which makes the command's parser, once, and adds the command's own arguments; it
+returns the parsers of its own subcommands, if it has any. ``run(args)`` does the work and returns
+the exit status, or None for 0.
 
 The common options are added here, before and after the command's name, and arrive as
 ``args.config`` (path or None; without --config the first of `PLACES`), ``args.site`` (str or
@@ -17,6 +17,7 @@ from __future__ import annotations
 import argparse
 import contextlib
 import faulthandler
+import functools
 import importlib
 import json
 import logging
@@ -136,7 +137,7 @@ def main(argv: Sequence[str] | None = None) -> int:
         return _fail(f"{what}; see README, 'Packages'", exits.FAILED, form)
     except OSError as error:
         return _fail(*_os_error(error), form)
-    return int(status)
+    return int(status or exits.DONE)
 
 
 def console() -> NoReturn:
@@ -252,14 +253,15 @@ def parser_of(whole: Collection[str]) -> tuple[argparse.ArgumentParser, dict[str
     )
     modules = {}
     for command, summary in COMMANDS.items():
+        add = functools.partial(subparsers.add_parser, command, help=summary)
         if command in whole:
             modules[command] = importlib.import_module(f"camtopod.cli.commands.{command}")
-            inner = modules[command].add_parser(subparsers) or []
+            inner = modules[command].add_parser(add) or []
             for its in (subparsers.choices[command], *inner):
                 _add_common(its, top=False)
                 its.set_defaults(parser=its)
         else:
-            subparsers.add_parser(command, help=summary)
+            add()
     return parser, modules
 
 

@@ -32,8 +32,8 @@ def command(monkeypatch: pytest.MonkeyPatch) -> types.ModuleType:
     module.seen = []  # type: ignore[attr-defined]
     module.act = lambda args: 0  # type: ignore[attr-defined]
 
-    def add_parser(subparsers: Any) -> None:
-        subparsers.add_parser("probe").add_argument("word", nargs="?")
+    def add_parser(add: Any) -> None:
+        add().add_argument("word", nargs="?")
 
     def run(args: argparse.Namespace) -> int:
         module.seen.append(args)

@@ -18,7 +18,7 @@ from camtopod.cli.commands import demo
 from camtopod.cli.main import main
 from camtopod.records import Topology
 from camtopod.sim.scoring import score
-from camtopod.sim.truth import TRUTH_SCHEMA, Truth
+from camtopod.sim.truth import Truth
 
 UNEVEN = """
 import sys
@@ -83,12 +83,9 @@ def test_a_grabber_that_fails_ends_the_demo_with_its_words(
     grabber = 'case "$*" in *" grab "*) echo it is broken >&2; exit 3;; esac'
     broken.write_text(f'#!/bin/sh\n{grabber}\nexec "{sys.executable}" "$@"\n')
     broken.chmod(0o755)
-    recording = demo.Recording(
-        demo.demo_plan(), Truth(TRUTH_SCHEMA, [], [], [], []), 1.0, {"hall": tmp_path / "x"}
-    )
-    monkeypatch.setattr(demo, "_record", lambda *_: recording)
+    monkeypatch.setattr(demo, "_rendered", lambda *_: {"hall": tmp_path / "x"})
     monkeypatch.setattr(demo.sys, "executable", str(broken))
-    assert main(["demo", "--out", str(tmp_path / "out")]) == 1
+    assert main(["demo", "--minutes", "1", "--out", str(tmp_path / "out")]) == 1
     said = capfd.readouterr().err
     assert "grabber of hall ended with status 3" in said
     assert "it is broken" in said

@@ -14,10 +14,10 @@ from msgspec.structs import replace
 
 from camtopod.cli import exits
 from camtopod.cli.cameras.camera_process import exit_reason
-from camtopod.cli.common import writing
+from camtopod.cli.common import say, writing
 from camtopod.cli.site_choice import right_site
 from camtopod.config import CameraSettings, Config, detector_line, key_lines
-from camtopod.redact import redact, remember
+from camtopod.redact import remember
 from camtopod.serve.bus import BusError, access, dial
 from camtopod.visible import visible
 from camtopod.vision.detector.model import ModelReport
@@ -112,14 +112,14 @@ def check_site(path: Path, config: Config, folder: Path | None) -> int:
     def tell(camera: str, probe: Probe) -> None:
         if probe.problem or probe.codec:
             where = f"{path}:{lines.get(('cameras', camera), 1)}: cameras.{camera}"
-            _print(f"{where}: {'; '.join(probe.lines)}")
+            say(visible(f"{where}: {'; '.join(probe.lines)}"))
         if probe.problem:
             statuses.append(exits.INPUT)
         if about := probe.detector.problem or probe.detector.text:
             line, name = detector_line(text, camera, probe.detector.key)
             if camera and not name.startswith("cameras."):
                 about += f" (camera {camera})"
-            _print(f"{path}:{line}: {name}: {about}")
+            say(visible(f"{path}:{line}: {name}: {about}"))
         if probe.detector.problem:
             statuses.append(exits.CONFIG)
 
@@ -138,12 +138,8 @@ def check_site(path: Path, config: Config, folder: Path | None) -> int:
 
     # Open the bus.
     status, state = _bus(config)
-    _print(f"{path}: bus: {state}")
+    say(visible(f"{path}: bus: {state}"))
     return max(*statuses, status)
-
-
-def _print(line: str) -> None:
-    print(visible(redact(line)), file=sys.stderr, flush=True)
 
 
 def _bus(config: Config) -> tuple[int, str]:

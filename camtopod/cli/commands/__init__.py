@@ -1,4 +1,4 @@
-"""The subcommands, one module each, with `add_parser(subparsers)` and `run(args) -> exit status`.
+"""The subcommands, one module each, with `add_parser(add)` and `run(args) -> exit status`.
 
 `camtopod.cli.main` imports only the module of the command that is run. `run`, `grab` and `learn`
 are the core; `demo` and `simulate` need no cameras; `watch`, `web`, `report`, `export` and

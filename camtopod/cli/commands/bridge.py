@@ -21,11 +21,9 @@ LOOK_SECONDS = 1.0
 """Interval at which changes are published."""
 
 
-def add_parser(subparsers: Any) -> None:
+def add_parser(add: Any) -> None:
     """Add `bridge`."""
-    parser = subparsers.add_parser(
-        "bridge",
-        help="show cameras, alarms and predictions in Home Assistant, through MQTT",
+    parser = add(
         description="Publishes the state of the site to an MQTT broker until interrupted. It uses "
         "Home Assistant's MQTT discovery: a device for the daemon and one for each camera appear "
         "there without further configuration.",
@@ -120,7 +118,7 @@ class HomeAssistantState:
             where[camera] = record
 
 
-def run(args: argparse.Namespace) -> int:
+def run(args: argparse.Namespace) -> None:
     """Publish until SIGTERM or SIGINT."""
     start_logging(args)
     config = configuration(args)
@@ -143,4 +141,3 @@ def run(args: argparse.Namespace) -> int:
             mark.beat()
             retained.show(site.messages())
             stop.wait(LOOK_SECONDS)
-    return exits.DONE

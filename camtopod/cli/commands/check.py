@@ -27,11 +27,9 @@ from camtopod.visible import visible
 from camtopod.vision.settings import VisionSettings
 
 
-def add_parser(subparsers: Any) -> None:
+def add_parser(add: Any) -> None:
     """Add `check`."""
-    parser = subparsers.add_parser(
-        "check",
-        help="check a configuration and list all mistakes",
+    parser = add(
         description="Checks a configuration and lists all mistakes in one pass. If there are none, "
         "it says for each camera which settings of vision are not the defaults.",
         epilog="example: camtopod check camtopod.toml --probe",

@@ -24,10 +24,9 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from msgspec import Struct
 
 from camtopod.cli import exits
-from camtopod.cli.common import open_output, writing
+from camtopod.cli.common import open_output, say, writing
 from camtopod.cli.terminal import Progress
 from camtopod.codec import to_json
 from camtopod.config import BusSettings, Config, Limits, SiteSettings, StateSettings
@@ -35,11 +34,10 @@ from camtopod.learn.settings import Settings
 from camtopod.records import Topology
 from camtopod.serve.daemon import Daemon
 from camtopod.serve.runtime import clock as clocks
-from camtopod.sim.floor import Plan, demo_plan, passages, simulate_walks, truth_of
+from camtopod.sim.floor import Plan, Walk, demo_plan, passages, simulate_walks, truth_of
 from camtopod.sim.picture import write_map
 from camtopod.sim.rendering import SUFFIX, render
 from camtopod.sim.scoring import score
-from camtopod.sim.truth import Truth
 
 WALKERS_PER_SECOND = 0.1
 """Mean number of people who come from the streets per second."""
@@ -53,15 +51,6 @@ QUIET_SECONDS = 1.0
 """Everything counts as learned once no event has arrived for this long."""
 PATIENCE_SECONDS = 60.0
 """The demo gives up when there has been no progress for this long."""
-
-
-class Recording(Struct):
-    """Floor plan, ground truth, and the cameras' videos of ``seconds`` length."""
-
-    plan: Plan
-    truth: Truth
-    seconds: float
-    videos: dict[str, Path]
 
 
 class DemoClock:
@@ -78,11 +67,9 @@ class DemoClock:
         self._start += seconds
 
 
-def add_parser(subparsers: Any) -> None:
+def add_parser(add: Any) -> None:
     """Add `demo`."""
-    parser = subparsers.add_parser(
-        "demo",
-        help="run the whole system on simulated cameras, without any configuration",
+    parser = add(
         description="Runs the whole system on one machine: simulated people, rendered cameras, "
         "real grabbers, a real bus and the real daemon. Writes the learned topology, the ground "
         "truth and a picture of both.",
@@ -104,7 +91,7 @@ def add_parser(subparsers: Any) -> None:
     )
 
 
-def run(args: argparse.Namespace) -> int:
+def run(args: argparse.Namespace) -> None:
     """Run the demo. Raises `exits.CommandError` if a part of it fails."""
     if not 1 <= args.minutes <= 600 or args.seed < 0:
         raise exits.CommandError(
@@ -117,32 +104,34 @@ def run(args: argparse.Namespace) -> int:
         args.out.mkdir(parents=True, exist_ok=True)
     signal.signal(signal.SIGTERM, signal.default_int_handler)  # so that nothing is left behind
     with tempfile.TemporaryDirectory(prefix="camtopod-demo-") as work:
-        recording = _record(Path(work), 60.0 * args.minutes, args.seed)
-        topology = _watch(recording, Path(work))
-    result = score(topology, recording.truth)
+        seconds = 60.0 * args.minutes
+        plan = demo_plan()
+        walks = simulate_walks(plan, seconds, WALKERS_PER_SECOND, np.random.default_rng(args.seed))
+        truth = truth_of(plan, passages(plan, walks))
+        videos = _rendered(Path(work), plan, walks, seconds, args.seed)
+        topology = _watch(videos, seconds, Path(work))
+    result = score(topology, truth)
 
     # Write the results.
-    for name, content in (("topology", topology), ("truth", recording.truth)):
+    for name, content in (("topology", topology), ("truth", truth)):
         with open_output(args.out / f"{name}.json") as file:
             file.write(to_json(content) + b"\n")
     picture = args.out / "map.png"
     notes = result.text().splitlines()
-    write_map(picture, recording.plan, recording.truth, topology, notes)
+    write_map(picture, plan, truth, topology, notes)
     print(result.text())
     taken = time.monotonic() - begin
-    _say(f"picture in {picture}, topology in {args.out / 'topology.json'}; {taken:.0f} s")
-    return exits.DONE
+    say(f"demo: picture in {picture}, topology in {args.out / 'topology.json'}; {taken:.0f} s")
 
 
-def _record(work: Path, seconds: float, seed: int) -> Recording:
-    """Simulate the walks, and render the video of every camera on all cores."""
-    plan = demo_plan()
-    walks = simulate_walks(plan, seconds, WALKERS_PER_SECOND, np.random.default_rng(seed))
-    truth = truth_of(plan, passages(plan, walks))
+def _rendered(
+    work: Path, plan: Plan, walks: list[Walk], seconds: float, seed: int
+) -> dict[str, Path]:
+    """Render the video of every camera, of ``seconds`` length, on all cores; return the files."""
     videos = {view.camera: work / f"{view.camera}{SUFFIX}" for view in plan.views}
 
     # Render, a process per camera.
-    _say(f"rendering {len(videos)} cameras, {seconds / 60:g} minutes, {len(walks)} people")
+    say(f"demo: rendering {len(videos)} cameras, {seconds / 60:g} minutes, {len(walks)} people")
     context = multiprocessing.get_context("spawn")
     workers = min(len(videos), os.cpu_count() or 1)
     alone = (signal.SIGINT, signal.SIG_IGN)  # the parent ends them
@@ -158,38 +147,38 @@ def _record(work: Path, seconds: float, seed: int) -> Recording:
                     progress.show("rendered %d of %d cameras", count, len(tasks))
         finally:
             pool.shutdown(cancel_futures=True)
-    return Recording(plan, truth, seconds, videos)
+    return videos
 
 
-def _watch(recording: Recording, work: Path) -> Topology:
+def _watch(videos: dict[str, Path], seconds: float, work: Path) -> Topology:
     """Play the videos to the grabbers while the daemon learns; return the topology."""
     # The recording has just ended on the demo's clock, which is never ahead of this machine's.
-    start = clocks.wall() - 2 * (recording.seconds + AFTERWARDS_SECONDS)
-    clock = DemoClock(start + recording.seconds)
+    start = clocks.wall() - 2 * (seconds + AFTERWARDS_SECONDS)
+    clock = DemoClock(start + seconds)
 
     # A free port, and state in the work directory. The grabbers may be as far apart as they like.
     config = Config(
         site=SiteSettings(SITE),
         bus=BusSettings(listen=("tcp/127.0.0.1:0",)),
         state=StateSettings(str(work / "state")),
-        learn=Settings(lateness_seconds=recording.seconds, refit_share=0.03),
+        learn=Settings(lateness_seconds=seconds, refit_share=0.03),
         limits=Limits(settle_seconds=AFTERWARDS_SECONDS),
     )
 
     # Play the videos to their end, then let the daemon learn the last events.
     with (
         Daemon(config, clock=clock) as daemon,
-        _grabbers(recording, start, daemon.endpoint, work) as grabbers,
+        _grabbers(videos, start, daemon.endpoint, work) as grabbers,
     ):
-        _say("playing the videos as fast as the grabbers read them")
+        say("demo: playing the videos as fast as the grabbers read them")
         _until(daemon, lambda _: _have_ended(grabbers))
-        clock.skip(AFTERWARDS_SECONDS + recording.seconds)
+        clock.skip(AFTERWARDS_SECONDS + seconds)
         _until(daemon, functools.partial(_has_learned, daemon))
-        _say(_progress(daemon))
+        say(f"demo: {_progress(daemon)}")
         topology = daemon.topology
         late = daemon.status().learner.late
         if late:
-            _say(f"{late} events were too late and not learned: the machine was very busy")
+            say(f"demo: {late} events were too late and not learned: the machine was very busy")
     if topology is None:
         raise exits.CommandError("demo: no topology was learned; try more --minutes")
     return topology
@@ -197,12 +186,12 @@ def _watch(recording: Recording, work: Path) -> Topology:
 
 @contextlib.contextmanager
 def _grabbers(
-    recording: Recording, start: float, endpoint: str, work: Path
+    videos: dict[str, Path], start: float, endpoint: str, work: Path
 ) -> Iterator[dict[str, subprocess.Popen[bytes]]]:
     """Run one `camtopod grab` process per camera; they end with the block, whatever happens."""
     running: dict[str, subprocess.Popen[bytes]] = {}
     try:
-        for camera, video in recording.videos.items():
+        for camera, video in videos.items():
             command = [sys.executable, "-m", "camtopod", "grab", "--camera", camera, str(video)]
             command += ["--start", repr(start)]
             command += ["--site", SITE, "--connect", endpoint, "--state", str(work / "spools")]
@@ -270,7 +259,3 @@ def _progress(daemon: Daemon) -> str:
         f"{events}, version {topology.version}: "
         f"{len(topology.zones)} zones, {links} links, {len(topology.pairs)} camera pairs"
     )
-
-
-def _say(text: str) -> None:
-    print(f"demo: {text}", file=sys.stderr, flush=True)

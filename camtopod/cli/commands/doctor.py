@@ -24,7 +24,6 @@ from typing import Any
 import msgspec
 
 from camtopod import __version__, codec
-from camtopod.cli import exits
 from camtopod.cli.common import configuration, open_output, with_options
 from camtopod.cli.exits import CommandError
 from camtopod.config import TABLES, Config, secret_files
@@ -45,11 +44,9 @@ _QUOTED = re.compile(r""": ['"].*""", re.DOTALL)
 """The quoted part of a refused message, which is not reported."""
 
 
-def add_parser(subparsers: Any) -> None:
+def add_parser(add: Any) -> None:
     """Add `doctor`."""
-    parser = subparsers.add_parser(
-        "doctor",
-        help="collect diagnostics for a bug report, without secrets",
+    parser = add(
         description="Collects diagnostics for a bug report: versions, machine, "
         "configuration, files on disk, and the statuses of the daemon and the cameras. It contains "
         "no passwords, keys or events; look through it all the same before you share it. Nothing "
@@ -64,7 +61,7 @@ def add_parser(subparsers: Any) -> None:
     )
 
 
-def run(args: argparse.Namespace) -> int:
+def run(args: argparse.Namespace) -> None:
     """Write the report to standard output, or to the file of --out."""
     mistakes = ""
     try:
@@ -97,7 +94,6 @@ def run(args: argparse.Namespace) -> int:
         file.write(report.encode())
     if args.out != "-":
         print(f"{args.out} is written; look through it before you share it", file=sys.stderr)
-    return exits.DONE
 
 
 def _remember_secrets(config: Config) -> None:

@@ -14,11 +14,9 @@ from camtopod.export import FORMATS, camera_numbers
 from camtopod.records import Topology
 
 
-def add_parser(subparsers: Any) -> None:
+def add_parser(add: Any) -> None:
     """Add `export`."""
-    parser = subparsers.add_parser(
-        "export",
-        help="convert a topology to a picture or an exchange format",
+    parser = add(
         description="Converts a topology to a picture or an exchange format.",
         epilog="example: camtopod export topology.json --format dot --out topology.dot",
     )
@@ -33,7 +31,7 @@ def add_parser(subparsers: Any) -> None:
     )
 
 
-def run(args: argparse.Namespace) -> int:
+def run(args: argparse.Namespace) -> None:
     """Write the export. Raises `exits.InputError` if the topology cannot be read."""
     topology = load(args.topology)
     with open_output(args.out) as file:
@@ -42,15 +40,15 @@ def run(args: argparse.Namespace) -> int:
         numbers = camera_numbers(topology).items()
         shown = ", ".join(f"{number} is {name}" for name, number in numbers)
         print(f"export: cameras are numbered in this format: {shown}", file=sys.stderr)
-    return exits.DONE
 
 
 def load(path: str) -> Topology:
-    """Return a topology from a JSON file ('-': standard input). Raises `exits.InputError`."""
+    """Return a topology from a JSON file ('-': standard input).
+
+    Raises `OSError`, `exits.InputError`.
+    """
+    raw = sys.stdin.buffer.read() if path == "-" else Path(path).read_bytes()
     try:
-        raw = sys.stdin.buffer.read() if path == "-" else Path(path).read_bytes()
         return decode_topology(raw)
-    except OSError as error:
-        raise exits.InputError(f"cannot read {path}: {error.strerror}") from None
     except Rejected as error:
         raise exits.InputError(f"{path} is not a topology: {error}") from None

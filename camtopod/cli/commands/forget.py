@@ -22,11 +22,9 @@ ANSWER_SECONDS = 30.0
 """Longest wait for the daemon's answer; it answers when the command is on its disk."""
 
 
-def add_parser(subparsers: Any) -> None:
+def add_parser(add: Any) -> None:
     """Add `forget`."""
-    parser = subparsers.add_parser(
-        "forget",
-        help="remove a camera and all that was learned of it",
+    parser = add(
         description="Removes a camera from the site: its zones, links, counters and events. The "
         "next version, made at once, is without it. Events that still come under its name are "
         "refused until the name is taken back. For a camera with a new name, use "
@@ -41,15 +39,16 @@ def add_parser(subparsers: Any) -> None:
     )
 
 
-def run(args: argparse.Namespace) -> int:
+def run(args: argparse.Namespace) -> None:
     """Forget the camera, or take that back."""
+    command: Command = Forget(args.name)
     if args.take_back:
-        return carry_out(args, TakeBack(args.name))
-    return carry_out(args, Forget(args.name))
+        command = TakeBack(args.name)
+    carry_out(args, command)
 
 
-def carry_out(args: argparse.Namespace, command: Command) -> int:
-    """Send a command to the daemon, print its answer, and return the exit status.
+def carry_out(args: argparse.Namespace, command: Command) -> None:
+    """Send a command to the daemon, and print its answer.
 
     The site is that of ``--site`` or of the configuration, never another one. Raises
     `CommandError`.
@@ -72,4 +71,3 @@ def carry_out(args: argparse.Namespace, command: Command) -> int:
         print(visible(codec.read(Done, answers[0][1], pack=True).done))
     except codec.Rejected as error:
         raise CommandError(f"the answer of the daemon cannot be read: {error}") from None
-    return exits.DONE

@@ -12,6 +12,7 @@ import math
 import os
 import threading
 import time
+from collections import deque
 from collections.abc import Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, BinaryIO
@@ -19,7 +20,6 @@ from typing import TYPE_CHECKING, Any, BinaryIO
 from camtopod import codec, redact
 from camtopod.cli import exits
 from camtopod.cli.cameras.camera_process import with_restarts
-from camtopod.cli.cameras.event_rate import EVENTS_PER_MINUTE_MAX, EventRate
 from camtopod.cli.cameras.heartbeat import HeartbeatSender
 from camtopod.cli.common import (
     SignalRequests,
@@ -52,17 +52,17 @@ log = logging.getLogger(__name__)
 DRAIN_SECONDS = 10.0
 """Time that the grabber of a file waits at its end until its events are stored, unless it is
 supervised."""
+EVENTS_PER_MINUTE_MAX = 120
+"""Events that people make within a minute at most: each second one enters and one leaves."""
 LEAVE_SECONDS = 4.0
 """Time that a blocking source may delay the end after a signal."""
 _DAEMON_LOOK_SECONDS = 2.0
 """Interval at which it looks for the daemon."""
 
 
-def add_parser(subparsers: Any) -> None:
+def add_parser(add: Any) -> None:
     """Add `grab`."""
-    parser = subparsers.add_parser(
-        "grab",
-        help="turn the video of one camera, or of all configured ones, into entry and exit events",
+    parser = add(
         description="Watches one camera and publishes an event for each person who enters or "
         "leaves its view. Without --camera it runs all cameras of --config, one process per "
         "camera. Settings are those of [vision] and [cameras.ID]; SOURCE replaces the one there.",
@@ -260,7 +260,8 @@ def _until_stopped(
     """
     state = ""
     causes: set[str] = set()
-    rate = EventRate()
+    newest: deque[float] = deque(maxlen=EVENTS_PER_MINUTE_MAX + 1)
+    too_many = False
     for event in grabber.events():
         if grabber.overdue_seconds == 0.0:  # otherwise the watchdog ends this process
             # Before the event: once a beat says "running", a file is not read again.
@@ -277,14 +278,18 @@ def _until_stopped(
             fine = state in ("connecting", "running", "ended")
             log.log(logging.INFO if fine else logging.WARNING, "%s", words.removesuffix(": "))
 
-        if event is not None and rate.too_high(event):
-            log.warning(
-                "camera %s makes more than %d events a minute, as rain, snow and swaying things "
-                "do: set min_height or draw an ignore area in [cameras.%s], or use a [detector]",
-                grabber.camera,
-                EVENTS_PER_MINUTE_MAX,
-                grabber.camera,
-            )
+        if event is not None and not too_many:
+            newest.append(event.t)
+            too_many = len(newest) > EVENTS_PER_MINUTE_MAX and max(newest) - min(newest) < 60.0
+            if too_many:
+                log.warning(
+                    "camera %s makes more than %d events a minute, as rain, snow and swaying "
+                    "things do: set min_height or draw an ignore area in [cameras.%s], or use a "
+                    "[detector]",
+                    grabber.camera,
+                    EVENTS_PER_MINUTE_MAX,
+                    grabber.camera,
+                )
         yield event
         if stop.is_set():
             return

@@ -57,11 +57,9 @@ _TICK_SECONDS = 0.2
 """Interval at which input, stored events and progress are checked."""
 
 
-def add_parser(subparsers: Any) -> None:
+def add_parser(add: Any) -> None:
     """Add `ingest`."""
-    parser = subparsers.add_parser(
-        "ingest",
-        help="publish events from other programs",
+    parser = add(
         description="Publishes events on the bus, and ends when the daemon has stored them all. "
         f"Formats: {'; '.join(f'{name}, {one.lines}' for name, one in FORMATS.items())}.",
         epilog="example: camtopod ingest jsonl events.jsonl --site hq",

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import argparse
 import json
-import sys
 from collections.abc import Collection, Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -12,7 +11,7 @@ from typing import Any
 from msgspec.structs import replace
 
 from camtopod.cli import exits
-from camtopod.cli.common import configuration, counted, open_output, writing
+from camtopod.cli.common import configuration, counted, open_output, say, writing
 from camtopod.cli.exits import CommandError, InputError
 from camtopod.cli.generated import table
 from camtopod.config import TABLES, CameraSettings, Config, secret_files, settings as configurations
@@ -32,11 +31,9 @@ _HEAD = """\
 """
 
 
-def add_parser(subparsers: Any) -> None:
+def add_parser(add: Any) -> None:
     """Add `init`."""
-    parser = subparsers.add_parser(
-        "init",
-        help="probe cameras and write a configuration",
+    parser = add(
         description="Probes each camera and writes a commented configuration with all of them, or "
         "adds them at the end of one that exists, whose text stays as it is. A "
         "camera is named after its host or file, or as given: lobby=rtsp://... A URL with a "
@@ -105,7 +102,7 @@ def run(args: argparse.Namespace) -> int:
         )
     cameras, refusals = streams_by_onvif(given)
     for name, reason in refusals.items():
-        _say(f"  {name}  left out: {visible(reason)}")
+        say(f"  {name}  left out: {visible(reason)}")
     if not cameras:
         raise InputError("no camera says where its stream is, see above")
     secrets = {
@@ -140,10 +137,10 @@ def run(args: argparse.Namespace) -> int:
             file.write(text.encode())
 
     # Say what comes next.
-    _say(f"{args.out} has {', '.join(cameras)}")
+    say(f"{args.out} has {', '.join(cameras)}")
     if secrets:
-        _say(f"sources with secrets are in {args.out.parent / SECRETS}, readable only by you")
-    _say(_next(args, settings, cameras))
+        say(f"sources with secrets are in {args.out.parent / SECRETS}, readable only by you")
+    say(_next(args, settings, cameras))
     if refusals or any(probe.problem for probe in probes.values()):
         return exits.INPUT
     return exits.DONE
@@ -163,13 +160,13 @@ def _probed(
         return {name: replace(settings.new_camera, source=url) for name, url in urls.items()}
 
     def tell(name: str, probe: Probe) -> None:
-        _say(f"  {name}  {'; '.join(_words(probe))}")
+        say(f"  {name}  {'; '.join(_words(probe))}")
 
     # Probe the streams as they are given.
     cameras = dict(given)
-    _say(f"probing {counted(len(cameras), 'camera')} ...")
+    say(f"probing {counted(len(cameras), 'camera')} ...")
     if args.pictures is not None:
-        _say(f"a picture takes up to {SETTLE_SECONDS_MAX:.0f} s")
+        say(f"a picture takes up to {SETTLE_SECONDS_MAX:.0f} s")
     probes = probe_all(described(cameras), tell, args.pictures)
 
     # Where a URL has no path, take the maker's.
@@ -281,7 +278,3 @@ def _next(args: argparse.Namespace, settings: Config, cameras: Collection[str]) 
         f"    systemctl enable --now {' '.join(services)}\n"
         f"    {CREDENTIALS[1:]}={folder} camtopod check {args.out} --probe"
     )
-
-
-def _say(text: str) -> None:
-    print(redact(text), file=sys.stderr, flush=True)

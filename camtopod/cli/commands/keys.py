@@ -4,14 +4,12 @@ from __future__ import annotations
 
 import argparse
 import re
-import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import msgspec
 
-from camtopod.cli import exits
-from camtopod.cli.common import camera_id, configuration
+from camtopod.cli.common import camera_id, configuration, say
 from camtopod.cli.exits import CommandError
 from camtopod.config import Config, secret_files
 from camtopod.keys import rules
@@ -50,11 +48,9 @@ SUBCOMMANDS = {
 """Help and example of each subcommand."""
 
 
-def add_parser(subparsers: Any) -> list[argparse.ArgumentParser]:
+def add_parser(add: Any) -> list[argparse.ArgumentParser]:
     """Add `keys` with its subcommands; return their parsers."""
-    parser = subparsers.add_parser(
-        "keys",
-        help="create a private certificate authority and certificates for the bus",
+    parser = add(
         description="Creates a private certificate authority for a site and issues certificates. "
         "Each has a folder of its own; copy only this folder to the machine that uses it. The "
         "daemon needs the list of who may do what (access.json): copy it again and restart the "
@@ -139,20 +135,20 @@ def _days(text: str) -> int:
     return int(text)
 
 
-def run(args: argparse.Namespace) -> int:
+def run(args: argparse.Namespace) -> None:
     """Run a subcommand; messages go to standard error, the list to standard output."""
     from camtopod.keys.authority import KeysError  # the help works without cryptography
 
     config = configuration(args)
     try:
-        return _run(args, config)
+        _run(args, config)
     except KeysError as error:
         raise CommandError(str(error)) from None
     except OSError as error:
         raise CommandError(f"{error.filename or args.keys}: {error.strerror}") from None
 
 
-def _run(args: argparse.Namespace, config: Config) -> int:
+def _run(args: argparse.Namespace, config: Config) -> None:
     """Open or create the authority, then issue, revoke or list certificates."""
     from camtopod.keys.authority import Authority
 
@@ -160,7 +156,7 @@ def _run(args: argparse.Namespace, config: Config) -> int:
     now = clock.wall()
     if what == "init":
         authority = Authority.create(args.keys, config.site.name, now, args.replace)
-        _say(
+        say(
             f"created an authority for site {authority.site} in {args.keys / 'authority'}: "
             f"its private key need never leave this folder"
         )
@@ -176,7 +172,8 @@ def _run(args: argparse.Namespace, config: Config) -> int:
     # The access list follows from the ledger, whatever an earlier command could not write.
     try:
         if what == "list":
-            return _list(authority, now)
+            _list(authority, now)
+            return
         for name in args.names:
             if what == "revoke":
                 authority.revoke(args.role, name)
@@ -185,8 +182,7 @@ def _run(args: argparse.Namespace, config: Config) -> int:
     finally:
         _write_access(authority, config, with_router=what != "list")
     if args.role != "daemon":
-        _say(f"now copy {args.keys / DAEMON / ACCESS} to the daemon and restart it")
-    return exits.DONE
+        say(f"now copy {args.keys / DAEMON / ACCESS} to the daemon and restart it")
 
 
 def _issue(authority: Authority, args: argparse.Namespace, config: Config, name: str) -> None:
@@ -197,16 +193,16 @@ def _issue(authority: Authority, args: argparse.Namespace, config: Config, name:
     certificate = authority.issued[-1].certificate
     example = _example(authority.site, config, certificate, folder.name)
     secret_files.write(folder / "camtopod.toml", example.encode())
-    _say(
+    say(
         f"{folder}: valid until {date_text(certificate.expires)}; copy this folder to the machine "
         f"that uses it (camtopod.toml in it is an example)"
     )
     if args.role == "daemon":
         hosts = [host for host in authority.hosts if host not in LOCAL_HOSTS]
         if hosts:
-            _say(f"valid for connections to {', '.join(hosts)}")
+            say(f"valid for connections to {', '.join(hosts)}")
         else:
-            _say("valid on this machine only: add host names or addresses with --host")
+            say("valid on this machine only: add host names or addresses with --host")
 
 
 def _write_access(authority: Authority, config: Config, with_router: bool) -> None:
@@ -253,7 +249,7 @@ def _example(site: str, config: Config, certificate: rules.Certificate, folder: 
     return "\n".join(lines) + "\n"
 
 
-def _list(authority: Authority, now: float) -> int:
+def _list(authority: Authority, now: float) -> None:
     """Print all certificates, with a warning for those that expire soon."""
     from camtopod.keys.authority import date_text
 
@@ -270,7 +266,7 @@ def _list(authority: Authority, now: float) -> int:
             remark += " revoked"
         elif certificate.name in ending:
             remark += " EXPIRES SOON"
-            _say(
+            say(
                 f"warning: {certificate.role} {issued.of} expires on {until}; "
                 f"renew it with --replace"
             )
@@ -278,8 +274,3 @@ def _list(authority: Authority, now: float) -> int:
             f"{issued.of:<20} {certificate.role:<7} {certificate.name:<24} {until:<10} "
             f"{days:>6.0f}{remark}"
         )
-    return exits.DONE
-
-
-def _say(message: str) -> None:
-    print(message, file=sys.stderr)

@@ -23,7 +23,7 @@ EPOCH = "recording"
 """Epoch of a topology learned from files, constant so that the same files give the same bytes."""
 
 
-def add_parser(subparsers: Any) -> None:
+def add_parser(add: Any) -> None:
     """Add `learn`."""
     about = (
         "Learns the topology from recorded event lines with the daemon's learner: in one fit of "
@@ -32,9 +32,7 @@ def add_parser(subparsers: Any) -> None:
         "and zone numbers of its own, and has no score of its predictions and no clock changes, "
         "which only several versions show."
     )
-    parser = subparsers.add_parser(
-        "learn",
-        help="learn the topology from recorded event lines",
+    parser = add(
         description=about,
         epilog="example: camtopod learn events.jsonl --topology topology.json",
     )
@@ -51,7 +49,7 @@ def add_parser(subparsers: Any) -> None:
     )
 
 
-def run(args: argparse.Namespace) -> int:
+def run(args: argparse.Namespace) -> None:
     """Learn; write the topology to a file, or to standard output if no file is named.
 
     A terminal gets its links as a table instead.
@@ -84,7 +82,6 @@ def run(args: argparse.Namespace) -> int:
     repeats = [one for one in topology.alarms or [] if one.kind == "camera_repeats"]
     for line in (*topology_lines(topology), *(f"{one.subject} {one.detail}" for one in repeats)):
         print(f"camtopod: {line}", file=sys.stderr)
-    return 0
 
 
 def _feed(learner: Learner, reader: LineReader, paths: list[str], updates: BinaryIO | None) -> None:

@@ -18,11 +18,9 @@ from camtopod.predict import Predictor
 from camtopod.records import Prediction
 
 
-def add_parser(subparsers: Any) -> None:
+def add_parser(add: Any) -> None:
     """Add `predict`."""
-    parser = subparsers.add_parser(
-        "predict",
-        help="predict for each recorded exit where the object appears next",
+    parser = add(
         description="Predicts for each exit of recorded events where the object appears next, and "
         "prints one prediction per line.",
         epilog="example: camtopod predict topology.json events.jsonl --top 3 > predictions.jsonl",
@@ -49,7 +47,7 @@ def _count(text: str) -> int:
     return int(text)
 
 
-def run(args: argparse.Namespace) -> int:
+def run(args: argparse.Namespace) -> None:
     """Print a prediction line for each exit line, in input order; each uses only earlier events."""
     predictor = Predictor(load(args.topology))
     reader = LineReader()
@@ -80,7 +78,6 @@ def run(args: argparse.Namespace) -> int:
     sys.stdout.buffer.flush()
     if (summary := reader.summary()) is not None:
         print(f"camtopod: {summary}", file=sys.stderr)
-    return 0
 
 
 def shortened(prediction: Prediction, most: int) -> Prediction:

@@ -10,11 +10,9 @@ from camtopod.cli.commands.forget import carry_out
 from camtopod.cli.common import camera_id
 
 
-def add_parser(subparsers: Any) -> None:
+def add_parser(add: Any) -> None:
     """Add `rename`."""
-    parser = subparsers.add_parser(
-        "rename",
-        help="rename a camera and keep everything learned about it",
+    parser = add(
         description="Renames a camera. Its zones, links, events and clock offset are kept under "
         "the new name. Events that still come under the old name count for the new one, until the "
         "first comes under the new name; from then on the old name is refused, as after forget.",
@@ -26,6 +24,6 @@ def add_parser(subparsers: Any) -> None:
     )
 
 
-def run(args: argparse.Namespace) -> int:
+def run(args: argparse.Namespace) -> None:
     """Rename the camera."""
-    return carry_out(args, Rename(args.old, args.new))
+    carry_out(args, Rename(args.old, args.new))

@@ -7,7 +7,6 @@ from collections import deque
 from pathlib import Path
 from typing import Any
 
-from camtopod.cli import exits
 from camtopod.cli.commands.export import load
 from camtopod.cli.common import open_output
 from camtopod.cli.exits import InputError
@@ -19,11 +18,9 @@ OLDER_MAX = 200
 """Most earlier versions on the time line; each takes as much memory as the topology."""
 
 
-def add_parser(subparsers: Any) -> None:
+def add_parser(add: Any) -> None:
     """Add `report`."""
-    parser = subparsers.add_parser(
-        "report",
-        help="write the web page of one topology to a file",
+    parser = add(
         description="Writes what `camtopod web` shows of a topology to one HTML file: map, "
         "cameras, links, versions. It needs no server and loads nothing from other sites.",
         epilog="example: camtopod report topology.json --out report.html",
@@ -51,7 +48,7 @@ def add_parser(subparsers: Any) -> None:
     )
 
 
-def run(args: argparse.Namespace) -> int:
+def run(args: argparse.Namespace) -> None:
     """Write the report. Raises `CommandError`."""
     topology = load(args.topology)
     if args.pictures is not None and not args.pictures.is_dir():
@@ -60,7 +57,6 @@ def run(args: argparse.Namespace) -> int:
     text = single_file.page(report.gather(topology, older, args.pictures))
     with open_output(args.out) as file:
         file.write(text.encode())
-    return exits.DONE
 
 
 def _older(path: Path, topology: Topology) -> list[Topology]:

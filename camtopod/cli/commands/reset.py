@@ -13,11 +13,9 @@ from camtopod.cli.common import configuration
 from camtopod.cli.exits import CommandError
 
 
-def add_parser(subparsers: Any) -> None:
+def add_parser(add: Any) -> None:
     """Add `reset`."""
-    parser = subparsers.add_parser(
-        "reset",
-        help="begin the site anew: forget everything that was learned",
+    parser = add(
         description="Begins the site anew: nothing is learned, no camera is known, no name is "
         "forgotten, and the versions count from 1 in a new epoch. Earlier events are not "
         "learned, wherever they still are. The journal keeps them as long as others.",
@@ -26,11 +24,11 @@ def add_parser(subparsers: Any) -> None:
     parser.add_argument("--yes", action="store_true", help="do not ask for confirmation")
 
 
-def run(args: argparse.Namespace) -> int:
+def run(args: argparse.Namespace) -> None:
     """Begin the site anew, once that is confirmed."""
     if not args.yes:
         _confirm(args)
-    return carry_out(args, Reset())
+    carry_out(args, Reset())
 
 
 def _confirm(args: argparse.Namespace) -> None:

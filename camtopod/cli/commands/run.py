@@ -8,7 +8,6 @@ import logging
 import sys
 from typing import Any
 
-from camtopod.cli import exits
 from camtopod.cli.common import SignalRequests, configuration, ends_within, signals, start_logging
 from camtopod.cli.exits import CommandError
 from camtopod.serve.bus import log_to_standard_output
@@ -28,11 +27,9 @@ The default of 5 ms would delay the prediction for an exit while events are bein
 """
 
 
-def add_parser(subparsers: Any) -> None:
+def add_parser(add: Any) -> None:
     """Add `run`."""
-    parser = subparsers.add_parser(
-        "run",
-        help="run the daemon: learn the topology from events on the bus and predict",
+    parser = add(
         description="Runs the daemon: it learns the topology from the events on the bus, publishes "
         "it and predicts. With no endpoint configured, all other programs of this machine connect "
         "to it.",
@@ -43,7 +40,7 @@ def add_parser(subparsers: Any) -> None:
     )
 
 
-def run(args: argparse.Namespace) -> int:
+def run(args: argparse.Namespace) -> None:
     """Run the daemon until SIGTERM or SIGINT."""
     gc.freeze()  # what was imported is never garbage
     sys.setswitchinterval(SWITCH_SECONDS)
@@ -66,7 +63,6 @@ def run(args: argparse.Namespace) -> int:
             systemd.notify(systemd.status("starting"))
             _run(daemon, requests)
     log.info("ended cleanly")
-    return exits.DONE
 
 
 def _run(daemon: Daemon, requests: SignalRequests) -> None:

@@ -28,11 +28,9 @@ _NUMBERS = (
 """Setting of `SimSettings`, its type and its help."""
 
 
-def add_parser(subparsers: Any) -> None:
+def add_parser(add: Any) -> None:
     """Add `simulate`."""
-    parser = subparsers.add_parser(
-        "simulate",
-        help="simulate a camera network: event lines and their ground truth",
+    parser = add(
         description="Simulates a camera network, and writes event lines and their ground truth.",
         epilog="example: camtopod simulate --events events.jsonl --truth truth.json --hours 4",
     )
@@ -55,7 +53,7 @@ def add_parser(subparsers: Any) -> None:
         )
 
 
-def run(args: argparse.Namespace) -> int:
+def run(args: argparse.Namespace) -> None:
     """Simulate and write the files.
 
     Raises `exits.CommandError` for invalid settings and files that cannot be written.
@@ -82,4 +80,3 @@ def run(args: argparse.Namespace) -> int:
         f"{len(truth.pairs)} camera pairs",
         file=sys.stderr,
     )
-    return exits.DONE

@@ -18,7 +18,6 @@ import tty
 from collections.abc import Callable, Iterator
 from typing import Any
 
-from camtopod.cli import exits
 from camtopod.cli.common import configuration, start_logging, until_signal
 from camtopod.cli.site_choice import dial_as_reader
 from camtopod.cli.terminal import (
@@ -40,11 +39,9 @@ REFRESH_SECONDS = 0.5
 """Interval between two views."""
 
 
-def add_parser(subparsers: Any) -> None:
+def add_parser(add: Any) -> None:
     """Add `watch`."""
-    parser = subparsers.add_parser(
-        "watch",
-        help="show cameras, topology and predictions live in the terminal",
+    parser = add(
         description="Shows cameras, the learned topology and predictions as they arrive, until "
         "interrupted or, on the screen, q is pressed: on the whole screen with rich ([terminal]), "
         "else as lines.",
@@ -53,7 +50,7 @@ def add_parser(subparsers: Any) -> None:
     parser.add_argument("--once", action="store_true", help="show the state once and end")
 
 
-def run(args: argparse.Namespace) -> int:
+def run(args: argparse.Namespace) -> None:
     """Show the site until SIGTERM or SIGINT."""
     start_logging(args)
     config = configuration(args)
@@ -77,7 +74,6 @@ def run(args: argparse.Namespace) -> int:
             while not stop.is_set():
                 print("\n\n".join(view()), flush=True)
                 stop.wait(REFRESH_SECONDS)
-    return exits.DONE
 
 
 def on_screen(view: Callable[[], list[str]], stop: threading.Event) -> bool:

@@ -37,11 +37,9 @@ LEAVE_SECONDS = 5.0
 """Time that a blocking part may delay the end after a signal."""
 
 
-def add_parser(subparsers: Any) -> None:
+def add_parser(add: Any) -> None:
     """Add `web`."""
-    parser = subparsers.add_parser(
-        "web",
-        help="serve a web page: map, cameras, links, versions and health",
+    parser = add(
         description="Serves a web page with the learned topology and with predictions as they "
         "arrive. The page is read-only and loads nothing from other sites.",
         epilog="example: camtopod --config camtopod.toml web --listen 127.0.0.1:8780",
@@ -69,7 +67,7 @@ def add_parser(subparsers: Any) -> None:
     )
 
 
-def run(args: argparse.Namespace) -> int:
+def run(args: argparse.Namespace) -> None:
     """Serve the page until SIGTERM or SIGINT."""
     start_logging(args)
     from camtopod.web import app  # needs starlette and uvicorn
@@ -117,11 +115,13 @@ def run(args: argparse.Namespace) -> int:
         while not stop.wait(1.0):
             if not running():  # it has printed its traceback
                 raise CommandError("the web server has failed, see above; start it again")
-    return exits.DONE
 
 
 def _login(config: Config) -> logins.Login | None:
-    """Return the login of the configured password and token, if any. Raises `CommandError`."""
+    """Return the login of the configured password and token, if any.
+
+    Raises `OSError`, `CommandError`.
+    """
     from camtopod.web import login as logins
 
     if not config.web.password_file:
@@ -130,11 +130,9 @@ def _login(config: Config) -> logins.Login | None:
     paths = [Path(file) for file in files if file]
     if exposed := secret_files.find_exposed(paths):
         raise CommandError(f"[web]: {exposed[0]}", exits.CONFIG)
+    password, *token = [secret_files.read(path) for path in paths]
     try:
-        password, *token = [secret_files.read(path) for path in paths]
         return logins.Login(password, token[0] if token else None)
-    except OSError as error:
-        raise InputError(f"cannot read {error.filename}: {error.strerror}") from None
     except ValueError as error:
         raise CommandError(f"[web]: {error}", exits.CONFIG) from None
 

@@ -12,7 +12,7 @@ from typing import Any
 
 from camtopod import mqtt
 from camtopod.cli import exits
-from camtopod.cli.exits import CommandError, InputError
+from camtopod.cli.exits import CommandError
 from camtopod.config import secret_files
 
 log = logging.getLogger(__name__)
@@ -37,13 +37,13 @@ def add_options(group: Any) -> None:
 
 
 def broker_of(args: argparse.Namespace, url: str, prefix: str = "") -> mqtt.Broker:
-    """Return the broker at ``url``; ``prefix`` as for `mqtt.broker`. Raises `CommandError`."""
+    """Return the broker at ``url``; ``prefix`` as for `mqtt.broker`.
+
+    Raises `OSError`, `CommandError`.
+    """
     password = os.environ.get(PASSWORD_VARIABLE) or None
     if args.password_file is not None:
-        try:
-            password = secret_files.read(args.password_file)
-        except OSError as error:
-            raise InputError(f"cannot read {args.password_file}: {error.strerror}") from None
+        password = secret_files.read(args.password_file)
         for sentence in secret_files.find_exposed([args.password_file]):
             log.warning("%s", sentence)
     try:
