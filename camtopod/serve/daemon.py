@@ -100,7 +100,6 @@ class Daemon:
         self._config = config
         self._clock = clock
         self._steady = clocks.steady_clock_for(clock)
-        self._started_at = self._steady()
         self._bus: Bus | None = None
         self._stopping = threading.Event()
         self._failed = threading.Event()
@@ -148,7 +147,7 @@ class Daemon:
 
         # Recover the learner, join the bus and build the parts; undo everything on failure.
         with contextlib.ExitStack() as undo:
-            undo.callback(self._undo)
+            undo.callback(self.stop)
             try:
                 # The process loads its libraries while the bus is joined.
                 self._process = process = LearnerProcess()
@@ -323,14 +322,6 @@ class Daemon:
     def __exit__(self, *_: object) -> None:
         self.stop()
 
-    def _undo(self) -> None:
-        """Close everything after a failed start."""
-        if self._process is not None:
-            self._process.close()
-        if self._bus is not None:
-            self._bus.close()
-        self._journal.close()
-
     def _new_epoch(self) -> str:
         """Begin an epoch and store its name."""
         self._last_epoch = clocks.ulid(self._clock(), after=self._last_epoch)
@@ -339,8 +330,8 @@ class Daemon:
 
     def _reset(self) -> Reset:
         """Return the whole command that begins the site anew; its epoch is stored with it."""
-        epoch = clocks.ulid(self._clock(), after=self._last_epoch)
-        return Reset(self._clock(), self._last_epoch, epoch)
+        now = self._clock()
+        return Reset(now, self._last_epoch, clocks.ulid(now, after=self._last_epoch))
 
     def _begun(self, epoch: str) -> None:
         """Note that a command has begun an epoch."""
@@ -447,8 +438,8 @@ class Daemon:
 
     def _administer(self, key: str, parameters: dict[str, str]) -> Done:
         """Execute the operator's command of a query. Raises `QueryError`."""
-        command = command_of(key, parameters)
         try:
+            command = command_of(key, parameters)
             return Done(execute(self._intake, command, self.topology, self._reset, self._begun))
         except CommandRefused as error:
             raise QueryError(str(error)) from None
@@ -520,15 +511,11 @@ class Daemon:
         mark = self.progress.watch(name, seconds_max)
 
         def guarded() -> None:
-            done = False
-            try:
+            with contextlib.ExitStack() as undo:
+                undo.callback(self._failed.set)  # the traceback goes to standard error by itself
                 work(self._stopping, mark.beat)
-                done = True
-            finally:
-                if not done:  # the traceback goes to standard error by itself
-                    self._failed.set()
+                undo.pop_all()
 
-        # Start the thread.
         thread = threading.Thread(target=guarded, name=name, daemon=True)
         self._threads.append(thread)
         thread.start()

@@ -41,9 +41,8 @@ class Live:
         events = [one.event for one in batch if one.event is not None]
         for number, event in enumerate(events):
             if time.monotonic() >= until:
-                self.counts["predictions_skipped"] += sum(
-                    late.kind == "exit" for late in events[number:]
-                )
+                late = events[number:]
+                self.counts["predictions_skipped"] += sum(one.kind == "exit" for one in late)
                 return
 
             # Predict an exit, observe the event, and publish the prediction.
@@ -92,15 +91,13 @@ class Live:
             if predictor is None:
                 raise QueryError("nothing has been learned yet")
             event, now = asked_exit(camera, parameters, predictor.as_of)
-            zones = [zone.id for zone in predictor.zones]
             try:
                 if "zone" not in parameters:
                     return predictor.predict(event, now)
-                if parameters["zone"] not in zones or not parameters["zone"].startswith(
-                    f"{camera}/"
-                ):
-                    raise QueryError(f"camera {camera!r} has no zone {parameters['zone']!r}")
-                return predictor.predict_from(zones.index(parameters["zone"]), event.t, now=now)
+                for number, zone in enumerate(predictor.zones):
+                    if zone.camera == camera and zone.id == parameters["zone"]:
+                        return predictor.predict_from(number, event.t, now=now)
+                raise QueryError(f"camera {camera!r} has no zone {parameters['zone']!r}")
             except ValueError as error:
                 raise QueryError(str(error)) from None
 

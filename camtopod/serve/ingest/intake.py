@@ -143,8 +143,7 @@ class Intake:
             self._answers.end_held(now)
 
             # 2. Merge by time.
-            room = max(0, 2 * COMMIT_EVENTS_MAX - self.queue.waiting)
-            released = self.merger.release(wall, now, room)
+            released = self.merger.release(wall, now, 2 * COMMIT_EVENTS_MAX - self.queue.waiting)
 
             # 3. Names, floods, and time that passes without events.
             named = [one for received in released for one in self.names.apply(received)]
@@ -168,8 +167,7 @@ class Intake:
         seconds: longest wait for something to store.
         """
         # 5. Store.
-        limits = self.limits
-        ready = self.queue.take(COMMIT_EVENTS_MAX, seconds, limits.commit_seconds)
+        ready = self.queue.take(COMMIT_EVENTS_MAX, seconds, self.limits.commit_seconds)
         entries = [received.entry for received in ready]
         meta: dict[str, str] = {}
         for received in ready:
@@ -180,7 +178,6 @@ class Intake:
         if len(new) < len(entries):  # after a rescue, some may be there already
             added = set(map(id, new))
             ready = [received for received in ready if id(received.entry) in added]
-
         self.note_stored(ready)
 
         # 6. Answer.

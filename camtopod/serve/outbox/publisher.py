@@ -148,32 +148,25 @@ class Publisher:
         refused = self._spool.rejects.counts.total() + sum(one.refused for one in deliveries)
         return sum(one.late for one in deliveries), refused
 
+    def _own(self) -> list[Delivery]:
+        """Return the deliveries of cameras of which this process was given events."""
+        return [one for one in self._deliveries.copy().values() if self._spool.is_own(one.camera)]
+
     def own_cameras_without_room(self) -> dict[str, str]:
         """Return this process's cameras that are too many for the daemon, each with its reason."""
-        return {
-            camera: delivery.no_room
-            for camera, delivery in self._deliveries.copy().items()
-            if delivery.no_room and self._spool.is_own(camera)
-        }
+        return {one.camera: one.no_room for one in self._own() if one.no_room}
 
     def own_reason(self) -> str:
         """Return why the daemon takes nothing of this process's cameras; "" if it does."""
-        deliveries = list(self._deliveries.copy().values())
-        reasons = (one.reason for one in deliveries if self._spool.is_own(one.camera))
-        return next(filter(None, reasons), "")
+        return next((one.reason for one in self._own() if one.reason), "")
 
     def own_cameras_unanswered(self) -> list[str]:
         """Return this process's cameras for which a daemon that is there does not answer.
 
         Where programs have certificates, this one's is not for these cameras.
         """
-        return [
-            camera
-            for camera, delivery in self._deliveries.copy().items()
-            if self._daemons
-            and delivery.unanswered >= UNANSWERED_MAX
-            and self._spool.is_own(camera)
-        ]
+        silent = [one.camera for one in self._own() if one.unanswered >= UNANSWERED_MAX]
+        return silent if self._daemons else []
 
     def drop(self, camera: str) -> None:
         """Delete the events of a camera that wait in the spool, and count them as dropped."""

@@ -360,12 +360,8 @@ class Spool:
 
         # The oldest ones if there are too many events or bytes.
         held = self._count("event")
-        pages, free, size = (
-            self._db.execute(f"PRAGMA {name}").fetchone()[0]
-            for name in ("page_count", "freelist_count", "page_size")
-        )
-        used = (pages - free) * size
-        too_large = int(-(-held * (used - self._bytes_max) // used))
+        used = sqlite_file.used_bytes(self._db)
+        too_large = -(-held * (used - self._bytes_max) // used)
         surplus = min(held, max(held - self._events_max, too_large))
         if surplus <= 0:
             return 0

@@ -22,11 +22,7 @@ def since_boot() -> float:
 
     Where the system has CLOCK_BOOTTIME (Linux), it also runs while the machine is suspended.
     """
-    return (
-        time.clock_gettime(time.CLOCK_BOOTTIME)
-        if hasattr(time, "CLOCK_BOOTTIME")
-        else time.monotonic()
-    )
+    return time.clock_gettime(getattr(time, "CLOCK_BOOTTIME", time.CLOCK_MONOTONIC))
 
 
 def steady_clock_for(clock: Clock) -> Clock:

@@ -240,10 +240,7 @@ class Journal:
             keep = self._keep
             positions = self._db.execute("SELECT position FROM snapshot ORDER BY 1").fetchall()
             oldest = positions[0][0] if len(positions) >= SNAPSHOTS_KEPT else 0
-            size, free, pages = (
-                self._pragma(name) for name in ("page_size", "freelist_count", "page_count")
-            )
-            too_large = (pages - free) * size > keep.journal_bytes_max
+            too_large = sqlite_file.used_bytes(self._db) > keep.journal_bytes_max
             until = min(self.first() + PRUNED_ROWS_MAX, oldest + 1)
             kept_from = math.inf if too_large else now - keep.journal_days * 86_400
 
@@ -295,20 +292,12 @@ class Journal:
         rows = self._rows(f"entry WHERE id > ? AND kind IN {_COMMANDS} ORDER BY id", after)
         return [(row[1], Entry(*row[2:7])) for row in rows]
 
-    def skip(self, number: int) -> bool:
-        """Mark an entry as skipped; return False if there is none.
-
-        Raises `sqlite3.Error`.
-        """
+    def skip(self, number: int) -> None:
+        """Mark an entry, if there is one, as skipped. Raises `sqlite3.Error`."""
         with self._access():
-            row = self._db.execute("SELECT * FROM entry WHERE id = ?", (number,)).fetchone()
-            if row is None:
-                return False
-            columns = (*row[:2], "skipped", *row[3:7])
-            self._db.execute(
-                "UPDATE entry SET kind = 'skipped', crc = ? WHERE id = ?", (crc(*columns), number)
-            )
-            return True
+            for row in self._db.execute("SELECT * FROM entry WHERE id = ?", (number,)).fetchall():
+                skipped = (*row[:2], "skipped", *row[3:7])
+                self._insert("INSERT OR REPLACE INTO entry", [skipped])
 
     def numbers(self) -> dict[Stream, int]:
         """Return the highest stored number of each stream, in the order of their last entries.
@@ -441,15 +430,8 @@ class Journal:
         """Insert a version; ``stored``: Unix seconds."""
         number = journal_schema.last_version(self._db) + 1
         content = zlib.compress(version.content, level=3)
-        row = (
-            number,
-            version.epoch,
-            version.version,
-            stored,
-            version.digest,
-            len(content),
-            content,
-        )
+        key = (number, version.epoch, version.version)
+        row = (*key, stored, version.digest, len(content), content)
         self._insert_large("INSERT OR IGNORE INTO version", row)
 
     def _add_snapshot(self, snapshot: Snapshot, stored: int) -> None:
@@ -461,9 +443,6 @@ class Journal:
             " (SELECT position FROM snapshot ORDER BY position DESC LIMIT ?)",
             (SNAPSHOTS_KEPT,),
         )
-
-    def _pragma(self, name: str) -> int:
-        return int(self._db.execute(f"PRAGMA {name}").fetchone()[0])
 
 
 def highest_numbers(entries: Iterable[Entry]) -> dict[Stream, int]:

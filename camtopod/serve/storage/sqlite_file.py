@@ -319,6 +319,15 @@ def transaction(database: sqlite3.Connection) -> Iterator[None]:
             database.execute("ROLLBACK")
 
 
+def used_bytes(database: sqlite3.Connection) -> int:
+    """Return the size of what a database holds, in bytes."""
+    pages, free, size = (
+        database.execute(f"PRAGMA {name}").fetchone()[0]
+        for name in ("page_count", "freelist_count", "page_size")
+    )
+    return int((pages - free) * size)
+
+
 def readable(
     path: Path, table: str, key: str
 ) -> Iterator[tuple[int | float | str | bytes | None, ...]]:
