@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import functools
 import math
+import re
 import sys
 import threading
 from typing import Any, TypeVar
@@ -54,6 +55,18 @@ class Rejected(ValueError):
     def __init__(self, reason: str, detail: str) -> None:
         super().__init__(detail)
         self.reason = reason
+
+
+def is_camera(name: str) -> bool:
+    """Return True if a camera may have this id."""
+    return re.match(CAMERA_PATTERN, name) is not None
+
+
+def require_camera(name: str) -> None:
+    """Raise `ValueError` unless a camera may have this id."""
+    if not is_camera(name):
+        allowed = "1 to 64 of the characters A-Z a-z 0-9 _ . -, and not daemon"
+        raise ValueError(f"camera {name!r}: {allowed}")
 
 
 def event_from_json(line: bytes | str) -> Event:

@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-import re
 import unicodedata
 
+from camtopod import codec
 from camtopod.codec import Rejected
-from camtopod.records import CAMERA_PATTERN
 
 CAMERAS_MAX = 1000
 """Cameras (or analytics modules of cameras) followed; messages of further ones are refused."""
@@ -29,7 +28,7 @@ class CameraNames:
         if not name and self._only is None:
             raise Rejected("no-camera", "names no camera: give --camera ID")
         camera = (self._only or self.renamed.get(name) or _folded(name)) + channel
-        if not re.match(CAMERA_PATTERN, camera):
+        if not codec.is_camera(camera):
             raise Rejected(
                 "no-camera",
                 f"camera {name[:64]!r}: an id is 1 to 64 of the characters A-Z a-z 0-9 _ . -: "
@@ -49,7 +48,7 @@ class CameraNames:
 
 def _folded(name: str) -> str:
     """Return a name that is no id in lower case, without accents, with ``_`` for blanks."""
-    if re.match(CAMERA_PATTERN, name):
+    if codec.is_camera(name):
         return name
     letters = unicodedata.normalize("NFKD", name.casefold())
     return "_".join("".join(one for one in letters if not unicodedata.combining(one)).split())

@@ -4,17 +4,16 @@ from __future__ import annotations
 
 import itertools
 import math
-import re
 from collections.abc import Collection, Sequence
 from typing import Any
 
 import numpy as np
 from msgspec import Struct
 
+from camtopod import codec
 from camtopod.adapt.adapter import remember
 from camtopod.adapt.kinds import Votes, counts, plain, vote
-from camtopod.codec import TRACK_CHARACTERS_MAX
-from camtopod.records import CAMERA_PATTERN, Event, Kind
+from camtopod.records import Event, Kind
 
 LIFE_SECONDS = 0.5
 """Shortest track that counts as an object, seconds."""
@@ -102,8 +101,7 @@ class TrackEvents:
         outside_max: float = math.inf,
         wanted: Collection[str] = (),
     ) -> None:
-        if not re.match(CAMERA_PATTERN, camera):
-            raise ValueError(f"camera {camera!r}: 1 to 64 of the characters A-Z a-z 0-9 _ . -")
+        codec.require_camera(camera)
         if boot is not None and not 0 < len(boot) <= 64:
             raise ValueError(f"boot {boot!r}: 1 to 64 characters")
         if len(size) != 2 or not all(0 < side < math.inf for side in size):
@@ -334,4 +332,4 @@ def _label(value: Any) -> str | None:
         value = int(value)
     if value is None:
         return None
-    return str(value)[:TRACK_CHARACTERS_MAX]
+    return str(value)[: codec.TRACK_CHARACTERS_MAX]

@@ -7,7 +7,6 @@ import contextlib
 import json
 import logging
 import os
-import re
 import signal
 import sys
 import threading
@@ -18,11 +17,10 @@ from typing import BinaryIO, NamedTuple
 
 from msgspec.structs import replace
 
-from camtopod import files
+from camtopod import codec, files
 from camtopod.cli import exits
 from camtopod.cli.exits import CommandError, InputError
 from camtopod.config import Config, secret_files, settings
-from camtopod.records import CAMERA_PATTERN, RESERVED
 from camtopod.redact import redact
 from camtopod.serve.runtime import Progress, systemd
 from camtopod.visible import visible, visible_lines
@@ -101,12 +99,10 @@ def counted(number: int, thing: str) -> str:
 
 def camera_id(text: str) -> str:
     """Parse a camera's id; for argparse."""
-    if text in RESERVED:
-        raise argparse.ArgumentTypeError(f"{text!r} is reserved: call the camera otherwise")
-    if not re.match(CAMERA_PATTERN, text):
-        raise argparse.ArgumentTypeError(
-            f"{text!r} is no camera id: use 1 to 64 of the characters A-Z a-z 0-9 _ . -"
-        )
+    try:
+        codec.require_camera(text)
+    except ValueError as error:
+        raise argparse.ArgumentTypeError(str(error)) from None
     return text
 
 

@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-import re
 from collections import deque
 
 from camtopod import codec
 from camtopod.client.wakeup import ChangeSignal
-from camtopod.records import CAMERA_PATTERN, Prediction
+from camtopod.records import Prediction
 from camtopod.serve.bus import Bus, guard
 
 WAITING_MAX = 1000
@@ -18,8 +17,8 @@ class PredictionQueue:
     """Subscription to predictions until closed: common part of both `Predictions` classes."""
 
     def __init__(self, bus: Bus, camera: str | None, seconds: float | None) -> None:
-        if camera is not None and not re.match(CAMERA_PATTERN, camera):
-            raise ValueError(f"camera {camera!r}: 1 to 64 of the characters A-Z a-z 0-9 _ . -")
+        if camera is not None:
+            codec.require_camera(camera)
         self._seconds = seconds
         self._waiting: deque[Prediction] = deque(maxlen=WAITING_MAX)
         self._news = ChangeSignal()

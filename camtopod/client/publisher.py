@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import atexit
 import contextlib
-import re
 import threading
 from collections.abc import Sequence
 from pathlib import Path
@@ -14,7 +13,7 @@ from msgspec.structs import replace
 from camtopod import codec
 from camtopod.client.site_view import Settings, settings_of
 from camtopod.config import Config
-from camtopod.records import CAMERA_PATTERN, Event
+from camtopod.records import Event
 from camtopod.serve.bus import Bus, BusError, dial, guard, log_other_sites, note_use, sites_instead
 from camtopod.serve.outbox import Publisher as Outbox, open_spool
 from camtopod.serve.storage import StateError
@@ -54,9 +53,7 @@ class Publisher(contextlib.AbstractContextManager["Publisher"]):
         config: Settings = None,
         state: str | Path | None = None,
     ) -> None:
-        if not re.match(CAMERA_PATTERN, camera):
-            allowed = "1 to 64 of the characters A-Z a-z 0-9 _ . -, and not daemon"
-            raise ValueError(f"camera {camera!r}: {allowed}")
+        codec.require_camera(camera)
         note_use()
         settings = settings_of(site, connect, config)
         directory = settings.state_directory if state is None else Path(state)

@@ -326,18 +326,8 @@ class Config(Struct, frozen=True, forbid_unknown_fields=True):
 
 
 TABLES: dict[str, type[Struct]] = {
-    "site": SiteSettings,
-    "bus": BusSettings,
     "bus.tls": TlsSettings,
-    "state": StateSettings,
-    "learn": Settings,
-    "vision": VisionSettings,
-    "detector": DetectorSettings,
-    "keep": KeepSettings,
-    "limits": Limits,
-    "health": HealthSettings,
-    "web": WebSettings,
-    "map": MapSettings,
+    **{one.name: one.type for one in msgspec.structs.fields(Config) if one.name != "cameras"},
 }
 """The tables with fixed keys; all others are ``[cameras.ID]``."""
 

@@ -7,7 +7,7 @@ from collections import Counter, defaultdict
 from msgspec import Struct
 
 from camtopod.records import Link, PairRelation, Topology, Transit
-from camtopod.topology import links_between_views
+from camtopod.topology import RELATIONS, links_between_views
 
 COLOURS: dict[PairRelation, str] = {"overlapped": "black", "unseen_path": "gray60"}
 """Colour of an edge by the relation of its cameras, as in the thesis (4.6)."""
@@ -49,9 +49,7 @@ def edges(topology: Topology) -> list[Edge]:
     result = []
     for (a, b), links in sorted(grouped.items()):
         chief = max(links, key=lambda x: (x.relation == "overlapped", x.transitions, x.from_, x.to))
-        relation: PairRelation = "unseen_path"
-        if chief.relation == "overlapped":
-            relation = "overlapped"
+        relation = RELATIONS[chief.relation == "overlapped"]
         transitions = sum(link.transitions for link in links)
         probability = min(1.0, transitions / max(exits[a], 1))
         result.append(Edge(a, b, relation, chief.transit, probability, transitions))

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import msgspec
 
 from camtopod.export.graph import COLOURS, edges
@@ -26,9 +24,8 @@ def to_json_graph(topology: Topology) -> str:
         }
         for camera in topology.cameras
     ]
-    links: list[dict[str, Any]] = []
-    for edge in edges(topology):
-        link = {
+    links = [
+        {
             "source": edge.from_,
             "target": edge.to,
             "relation": edge.relation,
@@ -38,7 +35,8 @@ def to_json_graph(topology: Topology) -> str:
             "probability": edge.probability,
             "transitions": edge.transitions,
         }
-        links.append(link)
+        for edge in edges(topology)
+    ]
     graph = {
         "directed": True,
         "multigraph": False,

@@ -11,6 +11,7 @@ cameras' names within ids. `versions` has digests of versions and the deltas bet
 from __future__ import annotations
 
 from camtopod.topology.camera_pairs import (
+    RELATIONS as RELATIONS,
     find_camera_pairs as find_camera_pairs,
     relation_of as relation_of,
 )

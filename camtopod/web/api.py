@@ -6,7 +6,6 @@
 from __future__ import annotations
 
 import contextlib
-import re
 from collections.abc import AsyncIterator, Mapping
 from typing import Any
 
@@ -16,7 +15,7 @@ from starlette.responses import JSONResponse, Response, StreamingResponse
 from starlette.routing import Route
 
 from camtopod import codec
-from camtopod.records import CAMERA_PATTERN, Prediction
+from camtopod.records import Prediction
 from camtopod.serve.bus import JSON, Bus, QueryError
 from camtopod.web.feed import Feed
 from camtopod.web.outbox import PageQueues
@@ -83,7 +82,7 @@ class Api:
         """Return the daemon's prediction for an exit: `ASKED` are those of ``predict/{camera}``."""
         given = dict(request.query_params)
         camera = given.pop("camera", "")
-        if not re.match(CAMERA_PATTERN, camera):
+        if not codec.is_camera(camera):
             return error(400, "camera: the id of the camera whose view the object left")
         if unknown := sorted(set(given) - set(ASKED)):
             return error(400, f"unknown parameter {unknown[0][:20]!r}: use {', '.join(ASKED)}")
@@ -94,7 +93,7 @@ class Api:
     async def predictions(self, request: Request) -> Response:
         """Stream the daemon's predictions, of all exits or those of ``camera``."""
         camera = request.query_params.get("camera", _EVERY_CAMERA)
-        if camera != _EVERY_CAMERA and not re.match(CAMERA_PATTERN, camera):
+        if camera != _EVERY_CAMERA and not codec.is_camera(camera):
             return error(400, "camera: the id of a camera")
         page_queue = self._readers.open(camera)
         if page_queue is None:

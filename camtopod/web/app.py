@@ -5,7 +5,6 @@ from __future__ import annotations
 import asyncio
 import contextlib
 import os
-import re
 import socket
 import threading
 from collections.abc import AsyncIterator, Callable, Collection, Iterator
@@ -24,8 +23,8 @@ from starlette.responses import FileResponse, Response
 from starlette.routing import Route
 from starlette.staticfiles import StaticFiles
 
+from camtopod import codec
 from camtopod.config import CameraSettings, Config
-from camtopod.records import CAMERA_PATTERN
 from camtopod.serve.bus import Bus
 from camtopod.serve.runtime import STALL_SECONDS, Beat, Clock, Progress
 from camtopod.web.api import Api, content, error, streamed
@@ -117,7 +116,7 @@ class Routes:
     async def live(self, request: Request) -> Response:
         """Stream server-sent events: all news and, with ``camera``, that camera's events."""
         camera = request.query_params.get("camera")
-        if camera is not None and not re.match(CAMERA_PATTERN, camera):
+        if camera is not None and not codec.is_camera(camera):
             return error(404, "not a valid camera id")
         page_queue = self._page_queues.open()
         if page_queue is None:

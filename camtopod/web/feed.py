@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import contextlib
 import math
-import re
 import threading
 from collections import deque
 from collections.abc import Callable
@@ -20,7 +19,6 @@ from camtopod import codec
 from camtopod.predict import seen_now
 from camtopod.publishers import ELSEWHERE, is_gone
 from camtopod.records import (
-    CAMERA_PATTERN,
     DaemonStatus,
     Event,
     Prediction,
@@ -308,7 +306,7 @@ class Feed:
 
     def _on_status(self, name: str, status: Status) -> None:
         known = name in self._grabbers or len(self._grabbers) < CAMERAS_MAX
-        if known and re.match(CAMERA_PATTERN, name):
+        if known and codec.is_camera(name):
             self._grabbers[name] = (status, self._clock())
 
     def _on_prediction(self, prediction: Prediction) -> None:

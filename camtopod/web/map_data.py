@@ -10,7 +10,7 @@ from msgspec.structs import replace
 
 from camtopod.export import Edge, Place, edges, places
 from camtopod.records import Alarm, Link, Pair, PairRelation, SelfScore, Topology
-from camtopod.topology import lacks_in_words, likely_links, waiting_for_links
+from camtopod.topology import RELATIONS, lacks_in_words, likely_links, waiting_for_links
 
 SETTLED_TRANSITIONS_MIN = 30.0
 """Transitions below which an edge is provisional.
@@ -126,8 +126,7 @@ def map_edges(topology: Topology) -> dict[str, MapEdge]:
         there = ways.get(key, [])
         transitions = sum(way.transitions for way in there)
         pair = pairs.get(key)
-        relations = {way.relation for way in there}
-        relation: PairRelation = "overlapped" if "overlapped" in relations else "unseen_path"
+        relation = RELATIONS[any(way.overlapped for way in there)]
         result[key] = MapEdge(
             pair.relation if pair else relation,
             why_provisional(pair, transitions, best.get(key)),

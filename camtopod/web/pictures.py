@@ -8,11 +8,10 @@ by every user of the machine.
 from __future__ import annotations
 
 import os
-import re
 from pathlib import Path
 
+from camtopod import codec
 from camtopod.config import secret_files
-from camtopod.records import CAMERA_PATTERN
 
 TYPES = {".jpg": "image/jpeg", ".png": "image/png"}
 """Media type by file name extension."""
@@ -20,7 +19,7 @@ TYPES = {".jpg": "image/jpeg", ".png": "image/png"}
 
 def picture_of(folder: Path | None, camera: str) -> Path | None:
     """Return the file of a camera's picture; None if there is none that this user may read."""
-    if folder is None or not re.match(CAMERA_PATTERN, camera):
+    if folder is None or not codec.is_camera(camera):
         return None
     paths = (folder / f"{camera}{ending}" for ending in TYPES)
     return next((path for path in paths if os.access(path, os.R_OK)), None)

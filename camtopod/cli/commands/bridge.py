@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import argparse
 import contextlib
-import re
 from typing import Any
 
 from camtopod import codec, mqtt
@@ -13,7 +12,7 @@ from camtopod.cli.common import configuration, reporting_to_systemd, start_loggi
 from camtopod.cli.events import broker_options
 from camtopod.cli.site_choice import dial_as_reader
 from camtopod.export import homeassistant
-from camtopod.records import CAMERA_PATTERN, CameraFigures, DaemonStatus, Prediction, Status
+from camtopod.records import CameraFigures, DaemonStatus, Prediction, Status
 from camtopod.serve.bus import Bus, QueryError, TopologySubscriber
 from camtopod.serve.runtime import STALL_SECONDS, Progress
 
@@ -75,7 +74,7 @@ class HomeAssistantState:
 
         # Cameras, from any source, in a stable order.
         names = {*grabbers, *site.cameras, *zones}
-        cameras = sorted(name for name in names if re.match(CAMERA_PATTERN, name))
+        cameras = sorted(name for name in names if codec.is_camera(name))
         cameras = cameras[: self._cameras_max]
 
         # Messages of the site, then of each camera.
