@@ -253,10 +253,9 @@ class Gate:
             early = self._expected_early(outcomes.targets, began)
 
         # Odds against leaving the site.
-        multipliers, leave = self.predictor.surroundings.multipliers(
+        likelier, leave = self.predictor.surroundings.multipliers(
             zone, outcomes, block, entry, None, 0.0
         )
-        likelier = np.array(multipliers)
         odds = outcomes.hazard * self._hazards.bins.widths * outcomes.exposure_by_target(exposure)
         odds *= likelier[:, None]
 

@@ -139,8 +139,8 @@ class Authority:
         """Host names and addresses for which the daemon's certificate is valid."""
         raw = (self.folder / DAEMON / CERTIFICATE).read_bytes()
         extensions = x509.load_pem_x509_certificate(raw).extensions
-        names = extensions.get_extension_for_class(x509.SubjectAlternativeName).value
-        return [str(name.value) for name in names]
+        names = extensions.get_extension_for_class(x509.SubjectAlternativeName)
+        return [str(name.value) for name in names.value]
 
     def issue(
         self,

@@ -103,8 +103,7 @@ class ContextMultipliers:
 
         # Ratio to the share without any context, within limits.
         ratio = share / np.maximum(outcomes.share, 1e-300)
-        limited = np.minimum(np.maximum(ratio, 1.0 / MULTIPLIER_MAX), MULTIPLIER_MAX)
-        return limited, max(leave, LEAVE_FLOOR)
+        return np.clip(ratio, 1.0 / MULTIPLIER_MAX, MULTIPLIER_MAX), max(leave, LEAVE_FLOOR)
 
     def _transitions_to(self, number: int, targets: Longs) -> Floats:
         """Return the number of transitions to each target in a context, (targets,).

@@ -11,7 +11,6 @@ to look at.
 from __future__ import annotations
 
 from collections.abc import Iterable
-from typing import NamedTuple
 
 import numpy as np
 
@@ -24,18 +23,11 @@ PROBABILITY_MIN = 1e-3
 """Least probability of passages and cameras that are reported."""
 
 
-class _Overlap(NamedTuple):
-    """A view that overlaps the view of another camera."""
-
-    camera: str
-    """Name of its camera."""
-    share: float
-    """Prior probability that it sees an object that leaves the other view."""
-    odds: list[float]
-    """(bins + 1,) rate of passages of the same object over that of others, by bin of the offset.
-
-    The last element is 0, for offsets without a bin.
-    """
+_Overlap = tuple[str, float, list[float]]
+"""A view that overlaps another: its camera, and the prior probability that it sees an object that
+leaves the other; (bins + 1,) rate of passages of the same object over that of others, by bin of the
+offset. The last element is 0, for offsets without a bin.
+"""
 
 
 class HandOver:
@@ -52,9 +44,8 @@ class HandOver:
             # Smaller rates are stored as 0.
             resolution = max(float(others.max()) / STEPS, 1e-9)
             odds = np.append(same / np.maximum(others, resolution), 0.0)
-            self._from.setdefault(row.camera, []).append(
-                _Overlap(row.to, min(row.share, 0.98), odds.tolist())
-            )
+            overlap = (row.to, min(row.share, 0.98), odds.tolist())
+            self._from.setdefault(row.camera, []).append(overlap)
 
     def overlaps(self, camera: str) -> bool:
         """Return True if any view overlaps that of the camera."""
@@ -101,9 +92,7 @@ def cameras_to_watch(in_view: Iterable[InView], following: Iterable[NextCamera])
 
     # Cameras where the object appears next, if no camera sees it now.
     following_unseen = ((one.camera, unseen * one.probability) for one in following)
-    total = sum_by_camera([*now.items(), *following_unseen])
-    looks = [Look(camera, min(p, 1.0)) for camera, p in total.items() if p >= PROBABILITY_MIN]
-    return sorted(looks, key=lambda one: (-one.probability, one.camera))
+    return _looks([*now.items(), *following_unseen], PROBABILITY_MIN)
 
 
 def seen_now(in_view: Iterable[InView]) -> list[Look]:
@@ -111,9 +100,14 @@ def seen_now(in_view: Iterable[InView]) -> list[Look]:
 
     in_view: open passages that may be of the object; those of one camera are added up.
     """
-    now = sum_by_camera((one.camera, one.probability) for one in in_view)
-    likely = [Look(camera, min(p, 1.0)) for camera, p in now.items() if p >= 0.3]
-    return sorted(likely, key=lambda one: (-one.probability, one.camera))
+    return _looks(((one.camera, one.probability) for one in in_view), 0.3)
+
+
+def _looks(shares: Iterable[tuple[str, float]], least: float) -> list[Look]:
+    """Return the cameras with at least this probability in all, likeliest first."""
+    total = sum_by_camera(shares)
+    looks = [Look(camera, min(p, 1.0)) for camera, p in total.items() if p >= least]
+    return sorted(looks, key=lambda one: (-one.probability, one.camera))
 
 
 def sum_by_camera(shares: Iterable[tuple[str, float]]) -> dict[str, float]:

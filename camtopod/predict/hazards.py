@@ -59,8 +59,7 @@ class Outcomes(NamedTuple):
         exposure (bins,): exposure to lags from the exit. Transitions over a long path are always
             exposed.
         """
-        is_long = (self.delay > 0.0).astype(float)
-        either: Floats = np.maximum(exposure, is_long[:, None])
+        either: Floats = np.maximum(exposure, (self.delay > 0.0)[:, None])
         return either
 
 
@@ -136,8 +135,8 @@ class Hazards:
             return np.zeros(len(lag))
         reached = self.outcomes[source].targets
         first = self._first_row[source]
-        row = self._rows_of(reached, np.arange(first, first + len(reached)), targets)
-        return self._at(row, lag)
+        rows = np.arange(first, first + len(reached))
+        return self._at(self._rows_of(reached, rows, targets), lag)
 
     def rates_entered(self, entry: int, targets: Ints, elapsed: Floats) -> Floats:
         """Return `rate_entered` (n, 1/s) for several targets and times (n, s) since the entry."""
@@ -204,10 +203,7 @@ class Hazards:
         return max((self.stay[zone][-1] for zone in zones if self.stay[zone]), default=None)
 
     def _from_posterior(self, rows: list[Onward], index: dict[str, int]) -> dict[int, Outcomes]:
-        """Return the outcomes by zone from the records of a model.
-
-        index: index of each zone by its id.
-        """
+        """Return the outcomes by zone from the records of a model; ``index``: of zones by id."""
         outcomes = {}
         for row in rows:
             if not row.next_:
@@ -226,10 +222,7 @@ class Hazards:
         return outcomes
 
     def _from_links(self, links: list[Link], index: dict[str, int]) -> dict[int, Outcomes]:
-        """Return the outcomes by zone from the histograms of links.
-
-        index: index of each zone by its id.
-        """
+        """Return the outcomes by zone from the histograms of links; ``index``: of zones by id."""
         # Links by their source.
         grouped: dict[int, list[Link]] = {}
         for link in links:

@@ -215,15 +215,13 @@ def own_rate(query: Query, site: Site, seen: SeenArrivals, entered: Floats) -> F
     and as an object in view. When its exit is observed, the hazard of the exit takes the place of
     the latter (`Predictor`). This part is subtracted to get the rate of all other causes.
     """
-    rate = np.zeros(len(seen.t))
-    camera = site.zones[query.zone].camera
     if query.is_observed:
-        rate += site.hazards.rates_from(query.zone, seen.zone, seen.t - query.t)
-    if query.passage is not None:
-        if query.is_observed:
-            rate += entered * seen.before
-        else:
-            # The passage is still open, also for arrivals after the exit, but in other views only.
-            in_other_views = site.camera_of[seen.zone] != site.camera_of[query.zone]
-            rate += (entered + site.hazards.rates_before_exit(camera, seen.zone)) * in_other_views
-    return rate
+        rate = site.hazards.rates_from(query.zone, seen.zone, seen.t - query.t)
+        return rate + entered * seen.before
+    if query.passage is None:
+        return np.zeros(len(seen.t))
+
+    # The passage is still open, also for arrivals after the exit, but in other views only.
+    in_view = site.hazards.rates_before_exit(site.zones[query.zone].camera, seen.zone)
+    in_other_views = site.camera_of[seen.zone] != site.camera_of[query.zone]
+    return np.where(in_other_views, entered + in_view, 0.0)

@@ -333,8 +333,9 @@ class Predictor:
         zone = int(self._arrivals.zone[row])
         began = float(self._arrivals.t[row])
         camera = self.zones[zone].camera
-        by_clock = t + self.site.clock_offset[camera]
-        return self._open_passages.was_in_view(camera, zone, began, by_clock)
+        return self._open_passages.was_in_view(
+            camera, zone, began, t + self.site.clock_offset[camera]
+        )
 
     def _has_left(self, zone: int, t: float) -> bool:
         """Return True if an exit at this zone and corrected time has been observed."""
@@ -396,9 +397,8 @@ class Predictor:
                 break
             target = int(arrivals.zone[row])
             if self.zones[target].camera != passage.camera:
-                entered = hazards.rate_entered(passage.entry, target, 0.0)
                 before_exit = hazards.rate_before_exit(passage.camera, target)
-                arrivals.rate[row] += before_exit + entered
+                arrivals.rate[row] += before_exit + hazards.rate_entered(passage.entry, target, 0.0)
 
     def _causes(self, zone: int, t: float) -> dict[str, float]:
         """Return, by camera, the rate (1/s) at which objects known from it arrive at a zone.
@@ -411,8 +411,7 @@ class Predictor:
         # Objects that have left.
         hazards = self._hazards
         site = self.site
-        oldest = t - hazards.lag_max - site.offset_range
-        exit_times, zones = self._exits.after(oldest)
+        exit_times, zones = self._exits.after(t - hazards.lag_max - site.offset_range)
         sources, rates = hazards.rates(zones, zone, t - exit_times)
         total = np.bincount(site.camera_of[sources], rates, minlength=len(site.cameras))
         causes = {site.cameras[k]: float(total[k]) for k in np.flatnonzero(total)}

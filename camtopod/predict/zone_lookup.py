@@ -8,29 +8,15 @@ is possible for every exit.
 from __future__ import annotations
 
 import math
-from typing import NamedTuple
 
 from camtopod.records import Event, Zone
 from camtopod.topology import GRID_COLUMNS, GRID_ROWS
 
-
-class _Shape(NamedTuple):
-    """A zone's weighted normal density, prepared for evaluation at a point.
-
-    zone: index of the zone.
-    x, y: mean, image units.
-    xx, two_xy, yy, det: covariance (with twice xy) and its determinant.
-    weight: log of the weighted density at the mean, up to a constant.
-    """
-
-    zone: int
-    x: float
-    y: float
-    xx: float
-    two_xy: float
-    yy: float
-    det: float
-    weight: float
+_Shape = tuple[int, float, float, float, float, float, float, float]
+"""A zone's weighted normal density, prepared for evaluation at a point: index of the zone; mean x
+and y, image units; covariance xx, twice xy, yy, and its determinant; log of the weighted density at
+the mean, up to a constant.
+"""
 
 
 class ZoneLookup:
@@ -84,4 +70,4 @@ def _shape(k: int, zone: Zone) -> _Shape | None:
     yy = yy + 1 / (12 * GRID_ROWS**2)
     det = xx * yy - xy * xy
     weight = math.log(max(zone.entries + zone.exits, 1)) - 0.5 * math.log(det)
-    return _Shape(k, zone.x, zone.y, xx, 2 * xy, yy, det, weight)
+    return k, zone.x, zone.y, xx, 2 * xy, yy, det, weight

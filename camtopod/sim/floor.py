@@ -330,4 +330,4 @@ def truth_of(plan: Plan, seen: list[Passage]) -> Truth:
     exits = Counter(ids[passage.camera, passage.way_out] for passage in seen)
     links = walked_links(lags, exits, {ends: len(seconds) for ends, seconds in lags.items()})
     pairs = pairs_of(links, {zone.id: zone.camera for zone in zones})
-    return Truth(schema=TRUTH_SCHEMA, cameras=cameras, zones=zones, links=links, pairs=pairs)
+    return Truth(TRUTH_SCHEMA, cameras, zones, links, pairs)

@@ -228,7 +228,6 @@ class _Paths:
         self._rng = rng
         self._distance = np.hypot(*(position[:, None] - position[None]).transpose(2, 0, 1))
         self._exclusive: set[int] = set()
-        self._joined: set[tuple[int, int]] = set()
 
     def overlaps(self, count: int, each: int) -> None:
         """Let the nearest ``count`` pairs of cameras with a free zone overlap, at most ``each`` per
@@ -259,7 +258,7 @@ class _Paths:
         """
         tree = minimum_spanning_tree(self._distance).tocoo()
         for a, b in zip(tree.row, tree.col, strict=True):
-            if (min(a, b), max(a, b)) not in self._joined:
+            if b not in {self._camera[v] for u in self._of(int(a)) for v, _ in self.options[u]}:
                 self._join(
                     self._least(int(a)), self._least(int(b)), self._log_uniform(PATH_SECONDS)
                 )
@@ -277,11 +276,9 @@ class _Paths:
     def _nearby(self, u: int) -> int | None:
         """Return a zone of a near camera that can have another path."""
         for c in np.argsort(self._distance[self._camera[u]], kind="stable")[1:6]:
-            known = {v for v, _ in self.options[u]}
-            free = [v for v in self._of(int(c)) if v not in known and v not in self._exclusive]
-            free = [
-                v for v in free if len(self.options[v]) < PATHS_PER_ZONE_MAX and not self._street[v]
-            ]
+            taken = self._exclusive | {v for v, _ in self.options[u]}
+            inner = [v for v in self._of(int(c)) if v not in taken and not self._street[v]]
+            free = [v for v in inner if len(self.options[v]) < PATHS_PER_ZONE_MAX]
             if free and self._rng.random() < 0.7:
                 return min(free, key=lambda v: len(self.options[v]))
         return None
@@ -302,8 +299,6 @@ class _Paths:
         """Join two zones by a path."""
         self.options[u].append((v, metres))
         self.options[v].append((u, metres))
-        a, b = sorted((int(self._camera[u]), int(self._camera[v])))
-        self._joined.add((a, b))
 
     def _log_uniform(self, seconds: tuple[float, float]) -> float:
         """Return a random length in metres, log-uniform in the time of the median walker."""

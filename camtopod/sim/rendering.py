@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import cv2
 import numpy as np
@@ -47,14 +47,9 @@ _CLOTHES: tuple[Colour, ...] = (
 _SKIN: tuple[Colour, ...] = ((150, 180, 220), (110, 140, 190), (60, 85, 130))
 
 
-class _Figure(NamedTuple):
-    """One person in one picture: foot and head in pixels, swing of the legs in [-1, 1], walker."""
-
-    depth: float
-    foot: tuple[float, float]
-    head: tuple[float, float]
-    swing: float
-    walker: int
+_Figure = tuple[float, tuple[float, float], tuple[float, float], float, int]
+"""One person in one picture: depth, foot and head in pixels, swing of the legs in [-1, 1], walker.
+"""
 
 
 def on_plan(plan: Plan, places: Floats) -> Floats:
@@ -164,9 +159,7 @@ def _figures(view: View, walks: list[Walk]) -> dict[int, list[_Figure]]:
         for i in np.flatnonzero(near):
             foot_x, foot_y = (feet[i, :2] * scale).tolist()
             head_x, head_y = (heads[i, :2] * scale).tolist()
-            figure = _Figure(
-                float(feet[i, 2]), (foot_x, foot_y), (head_x, head_y), float(swing[i]), walker
-            )
+            figure = (float(feet[i, 2]), (foot_x, foot_y), (head_x, head_y), swing[i], walker)
             result.setdefault(round(float(walk.t[i]) * FPS), []).append(figure)
     return result
 
@@ -175,12 +168,11 @@ def _draw(picture: Picture, figure: _Figure) -> None:
     """Draw a person (shadow, legs, body with arms, head) in proportion to the height in the
     picture.
     """
-    (fx, fy), (hx, hy) = figure.foot, figure.head
+    _, (fx, fy), (hx, hy), swing, walker = figure
     tall = max(1.0, fy - hy)
     bits = 4  # of the fractions in coordinates
-    coat = _CLOTHES[figure.walker % 10]
-    trousers = _CLOTHES[(figure.walker * 7 + 3) % 10]
-    skin = _SKIN[figure.walker % 3]
+    coat = _CLOTHES[walker % 10]
+    trousers = _CLOTHES[(walker * 7 + 3) % 10]
 
     def at(across: float, up: float) -> tuple[int, int]:
         x, y = fx + across * tall + (hx - fx) * up, fy + (hy - fy) * up
@@ -188,7 +180,7 @@ def _draw(picture: Picture, figure: _Figure) -> None:
 
     axes = round(0.16 * tall * (1 << bits)), round(0.06 * tall * (1 << bits))
     cv2.ellipse(picture, at(0, 0), axes, 0, 0, 360, (120, 126, 130), -1, cv2.LINE_AA, bits)
-    reach = 0.13 * figure.swing
+    reach = 0.13 * swing
     limbs = (
         ((0.05, 0.48), (0.05 + reach, 0.02), 0.11, trousers),
         ((-0.05, 0.48), (-0.05 - reach, 0.02), 0.11, trousers),
@@ -200,4 +192,4 @@ def _draw(picture: Picture, figure: _Figure) -> None:
         thick = max(1, round(width * tall))
         cv2.line(picture, at(*begin), at(*end), colour, thick, cv2.LINE_AA, bits)
     radius = round(0.085 * tall * (1 << bits))
-    cv2.circle(picture, at(0, 0.92), radius, skin, -1, cv2.LINE_AA, bits)
+    cv2.circle(picture, at(0, 0.92), radius, _SKIN[walker % 3], -1, cv2.LINE_AA, bits)

@@ -136,8 +136,7 @@ def _times(one: Transit, metres: float) -> Transit:
 
 def _walked(recorded: Passages) -> dict[tuple[bool, int, int], int]:
     """Return (through a view?, from, to) -> number of walks with both ends recorded."""
-    order = np.lexsort((recorded.number, recorded.walker))
-    p = recorded.take(order)
+    p = recorded.take(np.lexsort((recorded.number, recorded.walker)))
     next_ = (p.walker[1:] == p.walker[:-1]) & (p.number[1:] == p.number[:-1] + 1)
     result: dict[tuple[bool, int, int], int] = {}
     for inside, u, v in (

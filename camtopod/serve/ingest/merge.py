@@ -96,8 +96,8 @@ class Merger:
             self._nothing_before = max(self._nothing_before, now + SETTLE_SECONDS)
         if wall - camera.reached <= self._lateness:
             self._behind.pop(camera.name, None)
-            return
-        self._behind.setdefault(camera.name, camera)
+        else:
+            self._behind.setdefault(camera.name, camera)
 
     def release(self, wall: float, now: float, room: int) -> list[Received]:
         """Return the events whose turn has come, at most ``room``, by time."""

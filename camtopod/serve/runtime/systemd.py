@@ -25,11 +25,11 @@ FEED_SECONDS_MAX = 1.0
 """Longest time between two watchdog notifications; a third of WatchdogSec= if that is shorter."""
 
 
-def notify(*assignments: str) -> bool:
-    """Send assignments such as ``READY=1``; return True if systemd is there and took them."""
+def notify(*assignments: str) -> None:
+    """Send assignments such as ``READY=1``, if systemd is there."""
     address = os.environ.get(SOCKET_VARIABLE, "")
     if not address:
-        return False
+        return
     if address.startswith("@"):  # the abstract namespace
         address = "\0" + address[1:]
     with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM | socket.SOCK_CLOEXEC) as out:
@@ -38,8 +38,6 @@ def notify(*assignments: str) -> bool:
             out.sendto("\n".join(assignments).encode(), address)
         except OSError as error:
             log.debug("cannot notify systemd: %s", error)
-            return False
-    return True
 
 
 def status(text: str) -> str:
