@@ -43,7 +43,6 @@ from camtopod.learn.association import (
 from camtopod.learn.changes import (
     CameraSilences,
     Change,
-    Repeats,
     find_changes,
     find_repeats,
     find_silences,
@@ -120,7 +119,7 @@ class Refit(NamedTuple):
         have closed since included.
     changes: links that opened, closed or changed their share.
     silences: intervals without events, one item per camera.
-    repeats: how the events of each camera repeat themselves; None if they do not.
+    repeats: how the events of each camera repeat themselves, in words; "" if they do not.
     model: the part of the topology, beside the links, that prediction reads.
     followed: `Known.followed` for the next refit.
     happened: outcomes of the first exits of `Known.exits`, as far as they are known already; None
@@ -135,7 +134,7 @@ class Refit(NamedTuple):
     significant_links: LinkTable
     changes: list[Change]
     silences: list[CameraSilences]
-    repeats: list[Repeats | None]
+    repeats: list[str]
     model: Model
     followed: dict[int, FollowedSources]
     happened: list[Happened | None]

@@ -99,8 +99,7 @@ class Api:
         if page_queue is None:
             return error(503, "too many programs read predictions")
 
-        messages = self._readers.messages(page_queue, lambda: b": still here\n\n")
-        return streamed(messages)
+        return streamed(self._readers.messages(page_queue, lambda: b": still here\n\n"))
 
     def _asked(self, key: str, given: dict[str, str], refused: int) -> Response:
         """Return the daemon's answer to a query; ``refused`` is the status of a refusal."""
@@ -110,11 +109,9 @@ class Api:
             answers = self._bus.query(key, {**given, "format": JSON}, one=True)
         except QueryError as refusal:
             return error(refused, str(refusal))
-        return (
-            content(msgspec.Raw(answers[0][1]))
-            if answers
-            else error(503, "the daemon does not answer")
-        )
+        if not answers:
+            return error(503, "the daemon does not answer")
+        return content(msgspec.Raw(answers[0][1]))
 
     def _on_prediction(self, key: str, payload: bytes) -> None:
         """Pass a prediction on to the programs that read; a slow one misses some."""

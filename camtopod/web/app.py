@@ -8,7 +8,6 @@ import os
 import socket
 import threading
 from collections.abc import AsyncIterator, Callable, Collection, Iterator
-from importlib import resources
 from pathlib import Path
 from typing import Any
 
@@ -34,10 +33,10 @@ from camtopod.web.guards import Guard
 from camtopod.web.login import Login
 from camtopod.web.outbox import PageQueues
 from camtopod.web.pictures import picture_of
+from camtopod.web.single_file import STATIC
 
 CLOSE_SECONDS = 2
 """Time that open responses have to end when the server stops."""
-STATIC = resources.files("camtopod.web").joinpath("static")
 
 
 class Routes:

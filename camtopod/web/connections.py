@@ -27,7 +27,7 @@ class Connection(H11Protocol):
         """Make room, and wait for the first request."""
         if len(self.connections) >= CONNECTIONS_MAX:
             others: list[Any] = [*self.connections]
-            waiting = (one for one in others if one.is_waiting)
+            waiting = (one for one in others if one.flow.write_paused or not one.has_request)
             oldest = min(waiting, key=lambda one: one._since, default=self)
             (transport if oldest is self else oldest.transport).abort()
             self.connections.discard(oldest)
@@ -49,11 +49,6 @@ class Connection(H11Protocol):
     def has_request(self) -> bool:
         """True from the end of a request to that of its response."""
         return self.conn.their_state not in (h11.IDLE, h11.SEND_BODY)
-
-    @property
-    def is_waiting(self) -> bool:
-        """True while the client is to send or to read."""
-        return self.flow.write_paused or not self.has_request
 
     def _expect(self) -> None:
         """Give a request its time, unless it is whole."""

@@ -31,7 +31,7 @@ from camtopod.web.explanations import Explanations
 from camtopod.web.hourly_events import HourlyEvents
 from camtopod.web.map_data import NO_MAP, draw
 from camtopod.web.outbox import PageQueue, PageQueues, message
-from camtopod.web.versions import VersionSummary, summary
+from camtopod.web.versions import summary
 
 CAMERAS_MAX = 5_000
 """Cameras whose status is kept."""
@@ -126,7 +126,7 @@ class Feed:
         """The newest version."""
         self.explanations: Explanations | None = None
         """Details of the newest version."""
-        self.versions: list[VersionSummary] = []
+        self.versions: list[dict[str, Any]] = []
         """Versions of the newest epoch since this server began, oldest first; never changed."""
         self.map = NO_MAP
         self.map_json = b"null"

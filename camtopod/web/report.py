@@ -29,8 +29,7 @@ def gather(topology: Topology, older: Sequence[Topology], pictures: Path | None)
     drawn = draw(topology)
     explanations = Explanations(topology)
     cameras = [camera.id for camera in topology.cameras]
-    found = {camera: picture_of(pictures, camera) for camera in cameras}
-    files = {camera: path for camera, path in found.items() if path is not None}
+    files = {name: path for name in cameras if (path := picture_of(pictures, name)) is not None}
     versions = [*older, topology]
     return {
         "map": drawn,

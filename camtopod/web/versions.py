@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 from msgspec import Struct
 
-from camtopod.records import Alarm, SelfScore, Topology
+from camtopod.records import Topology
 from camtopod.topology import link_key, links_between_views
 
 CHANGES_MAX = 100
@@ -26,47 +28,30 @@ class Change(Struct, frozen=True):
     now: str | None
 
 
-class VersionSummary(Struct, frozen=True):
-    """A version on the time line."""
+def summary(topology: Topology, before: Topology | None) -> dict[str, Any]:
+    """Return the summary of a version; ``before`` is the one before it on the time line, if any.
 
-    version: int
-    as_of: float
-    events: int
-    cameras: int
-    links: int
-    """Links between views."""
-    pairs: int
-    score: SelfScore | None
-    alarms: list[Alarm]
-    """Alarms raised by this version."""
-    since: int | None
-    """The version before it on the time line, if any."""
-    changes: list[Change]
-    """Changes since then; the first `CHANGES_MAX` of them."""
-    changes_count: int
-    """Number of all changes."""
-
-
-def summary(topology: Topology, before: Topology | None) -> VersionSummary:
-    """Return the summary of a version; ``before`` is the one before it on the time line, if any."""
+    ``links``: links between views. ``alarms``: those that this version raised. ``since``: number of
+    the version before. ``changes``: changes since then, the first `CHANGES_MAX` of them.
+    """
     since = None
     changes: list[Change] = []
     if before is not None:
         since = before.version
         changes = _changes(before, topology)
-    return VersionSummary(
-        version=topology.version,
-        as_of=topology.as_of,
-        events=topology.events,
-        cameras=len(topology.cameras),
-        links=len(links_between_views(topology)),
-        pairs=len(topology.pairs),
-        score=topology.score,
-        alarms=[one for one in topology.alarms or [] if one.version == topology.version],
-        since=since,
-        changes=changes[:CHANGES_MAX],
-        changes_count=len(changes),
-    )
+    return {
+        "version": topology.version,
+        "as_of": topology.as_of,
+        "events": topology.events,
+        "cameras": len(topology.cameras),
+        "links": len(links_between_views(topology)),
+        "pairs": len(topology.pairs),
+        "score": topology.score,
+        "alarms": [one for one in topology.alarms or [] if one.version == topology.version],
+        "since": since,
+        "changes": changes[:CHANGES_MAX],
+        "changes_count": len(changes),
+    }
 
 
 def _changes(old: Topology, new: Topology) -> list[Change]:

@@ -92,14 +92,14 @@ def test_versions_are_told_and_a_new_epoch_begins_anew(rig: Rig) -> None:
     rig.feed.show(msgspec.structs.replace(SITE, version=2, links=SITE.links[1:]))
 
     assert rig.pages.of("version") == [["01J", 1], ["01J", 2]]
-    assert [one.version for one in rig.feed.versions] == [1, 2]
+    assert [one["version"] for one in rig.feed.versions] == [1, 2]
     assert b"event: past" in rig.feed.hello()
 
     rig.feed.show(msgspec.structs.replace(SITE, epoch="02K"))
 
     assert rig.pages.of("version")[-1] == ["02K", 1]
     assert json.loads(rig.feed.map_json)["epoch"] == "02K"
-    assert [one.since for one in rig.feed.versions] == [None]
+    assert [one["since"] for one in rig.feed.versions] == [None]
     assert b"event: past" not in rig.feed.hello()
 
 

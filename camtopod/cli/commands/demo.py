@@ -117,8 +117,7 @@ def run(args: argparse.Namespace) -> None:
         with open_output(args.out / f"{name}.json") as file:
             file.write(to_json(content) + b"\n")
     picture = args.out / "map.png"
-    notes = result.text().splitlines()
-    write_map(picture, plan, truth, topology, notes)
+    write_map(picture, plan, truth, topology, result.text().splitlines())
     print(result.text())
     taken = time.monotonic() - begin
     say(f"demo: picture in {picture}, topology in {args.out / 'topology.json'}; {taken:.0f} s")

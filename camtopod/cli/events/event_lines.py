@@ -73,10 +73,7 @@ class LineReader:
             files = [(path, stack.enter_context(open_input(path))) for path in paths]
             self._files = [file for _, file in files]
             streams = [self.lines(path, file) for path, file in files]
-            if len(streams) == 1:
-                yield from streams[0]
-            else:
-                yield from heapq.merge(*streams, key=lambda line: line.event.t)
+            yield from heapq.merge(*streams, key=lambda line: line.event.t)
 
     def share(self) -> float | None:
         """Return the share of the files that has been read, 0 to 1; None if unknown (a pipe)."""

@@ -19,7 +19,7 @@ from camtopod.learn.changes.change_points import (
     find_changes as find_changes,
     present as present,
 )
-from camtopod.learn.changes.repeats import Repeats as Repeats, find_repeats as find_repeats
+from camtopod.learn.changes.repeats import find_repeats as find_repeats
 from camtopod.learn.changes.silence import (
     CameraSilences as CameraSilences,
     find_silences as find_silences,

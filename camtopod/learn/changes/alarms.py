@@ -15,7 +15,6 @@ from msgspec import Struct
 from camtopod.arrays import rows_by_group
 from camtopod.event_time import utc_text
 from camtopod.learn.changes.change_points import Change, Trials, latest_change, threshold_nats
-from camtopod.learn.changes.repeats import AGREE_SECONDS, Repeats
 from camtopod.learn.changes.silence import CameraSilences
 from camtopod.learn.traffic import Scene
 from camtopod.records import Alarm, Camera
@@ -205,24 +204,22 @@ class AlarmLog:
                 silent.discard(name)
                 yield "camera_back", name, "events again"
 
-    def repeats(
-        self, t: float, oldest: float, cameras: list[str], found: list[Repeats | None]
-    ) -> list[News]:
+    def repeats(self, t: float, oldest: float, cameras: list[str], found: list[str]) -> list[News]:
         """Return the cameras that have begun to repeat themselves.
 
         t, oldest (seconds): event time of the version, and that of the oldest event of the window.
             A camera is free of its repetitions when the events in which they were last found have
             left the window.
-        cameras, found: names of all cameras, and how each repeats itself.
+        cameras, found: names of all cameras, and how each repeats itself, in words.
         """
         before = self.state.repeats
         self.state.repeats = {}
         news = []
-        for name, one in zip(cameras, found, strict=True):
-            if one is not None:
-                self.state.repeats[name] = t, _in_words(one)
+        for name, words in zip(cameras, found, strict=True):
+            if words:
+                self.state.repeats[name] = t, words
                 if name not in before:
-                    detail = f"{_in_words(one)} What is learned from it is not real."
+                    detail = f"{words} What is learned from it is not real."
                     news.append(("camera_repeats", name, detail))
             elif name in before and before[name][0] >= oldest:
                 self.state.repeats[name] = before[name]
@@ -263,14 +260,6 @@ class AlarmLog:
         if len(reported) > SUBJECTS_MAX:
             del reported[next(iter(reported))]
         yield kind, subject, detail
-
-
-def _in_words(repeats: Repeats) -> str:
-    """Return how a camera repeats itself, in words."""
-    every = f"{repeats.least:.1f}"
-    if repeats.most - repeats.least > AGREE_SECONDS:
-        every += f" to {repeats.most:.1f}"
-    return f"repeats itself every {every} s: a recording in a loop?"
 
 
 def zone_changes(scene: Scene) -> dict[int, tuple[float, float, float]]:

@@ -56,13 +56,6 @@ _LOWER_NATS = 1e4
 """More than the evidence of any stretch."""
 
 
-class Repeats(NamedTuple):
-    """Seconds from one play of a recording to the next: usual least and most."""
-
-    least: float
-    most: float
-
-
 class _Matches(NamedTuple):
     """Judged events with an earlier match, lags (seconds) and evidence (nats), by event and lag."""
 
@@ -80,8 +73,8 @@ class _Repetition(NamedTuple):
     gain: Floats
 
 
-def find_repeats(window: Window) -> list[Repeats | None]:
-    """Return for each camera how its events repeat themselves, None if they do not."""
+def find_repeats(window: Window) -> list[str]:
+    """Return for each camera how its events repeat themselves, in words; "" if they do not."""
     placed = window.has_position()
     found = []
     for rows in window.rows_of_cameras():
@@ -91,14 +84,14 @@ def find_repeats(window: Window) -> list[Repeats | None]:
     return found
 
 
-def repeats_of(t: Floats, entry: Bools, px: Indices, py: Indices) -> Repeats | None:
-    """Return how n events of one camera repeat themselves, None if they do not.
+def repeats_of(t: Floats, entry: Bools, px: Indices, py: Indices) -> str:
+    """Return how n events of one camera repeat themselves, in words; "" if they do not.
 
     t (n, seconds): ascending.
     entry, px, py (n,): True for an entry, False for an exit; position in fixed point.
     """
     if len(t) < 2 or np.abs(t - np.round(t)).max() < _WHOLE_SECONDS:
-        return None
+        return ""
     first = max(len(t) - JUDGED_MAX, 0)
     judged = t[first:]
     weight = 1.0 / _count_within(judged, TOGETHER_SECONDS)
@@ -110,7 +103,7 @@ def repeats_of(t: Floats, entry: Bools, px: Indices, py: Indices) -> Repeats | N
     evidence = sum(one.evidence - math.log(len(t)) for one in found)
     a_year = _YEAR_SECONDS * len(t) / max(t[-1] - t[0], 1.0)
     if evidence < math.log(a_year / FALSE_ALARM):
-        return None
+        return ""
 
     # Number of earlier plays of each event, and the lag of the nearest one of its stretch.
     plays = np.zeros(len(judged), np.intp)
@@ -125,8 +118,14 @@ def repeats_of(t: Floats, entry: Bools, px: Indices, py: Indices) -> Repeats | N
         or max(one.gain[newest[one.events]].sum() for one in found) < _CHANCE_NATS
         or _is_rhythm(matches, found, nearest)
     ):
-        return None
-    return Repeats(*np.quantile(nearest[plays > 0], (0.1, 0.9)).tolist())
+        return ""
+
+    # Usual least and most time from one play to the next.
+    least, most = np.quantile(nearest[plays > 0], (0.1, 0.9))
+    every = f"{least:.1f}"
+    if most - least > AGREE_SECONDS:
+        every += f" to {most:.1f}"
+    return f"repeats itself every {every} s: a recording in a loop?"
 
 
 def _matches(

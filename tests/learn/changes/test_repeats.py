@@ -7,7 +7,7 @@ from collections.abc import Callable, Iterator
 import numpy as np
 import pytest
 
-from camtopod.learn.changes import AlarmLog, AlarmState, Repeats
+from camtopod.learn.changes import AlarmLog, AlarmState
 from camtopod.learn.changes.repeats import KNOWN_MAX, repeats_of
 from camtopod.learn.learner import Learner
 from camtopod.learn.settings import Settings
@@ -149,19 +149,19 @@ def test_a_rhythm_is_no_loop(events: Callable[[Rng], Iterator[tuple[float, ...]]
     px, py = (np.round(values * POSITION_ONE).astype(np.int32) for values in (x, y))
     for n in np.linspace(40, len(t), 12).astype(int):
         newest = slice(max(n - KNOWN_MAX, 0), n)
-        assert repeats_of(t[newest], entry[newest] > 0, px[newest], py[newest]) is None
+        assert repeats_of(t[newest], entry[newest] > 0, px[newest], py[newest]) == ""
 
 
 def test_a_camera_is_free_of_its_loop_when_those_events_have_left_the_window() -> None:
     log = AlarmLog(AlarmState())
-    found = Repeats(80.0, 80.0)
+    found = "repeats itself every 80.0 s"
     kinds = [
         [kind for kind, *_ in log.repeats(t, oldest, ["a"], [one])]
         for t, oldest, one in [
             (100.0, 0.0, found),
             (200.0, 0.0, found),
-            (300.0, 199.0, None),
-            (400.0, 201.0, None),
+            (300.0, 199.0, ""),
+            (400.0, 201.0, ""),
             (500.0, 201.0, found),
         ]
     ]
