@@ -16,7 +16,7 @@ from starlette.requests import Request
 from synthetic_topology import synthetic_topology
 
 from camtopod.cli.commands import web
-from camtopod.cli.exits import CommandError, InputError
+from camtopod.cli.exits import CommandError
 from camtopod.config.settings import Config, WebSettings
 from camtopod.web import login
 from camtopod.web.login import Login
@@ -187,7 +187,7 @@ def test_password_and_token_are_read_from_files(
     if not said:
         assert web._login(Config(web=settings)) is not None
         return
-    with pytest.raises((CommandError, InputError), match=said):
+    with pytest.raises((CommandError, OSError), match=said):
         web._login(Config(web=settings))
 
 
