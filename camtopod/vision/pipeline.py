@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import itertools
+from collections import Counter
 from collections.abc import Callable, Sequence
 from typing import NamedTuple
 
@@ -35,8 +37,6 @@ BOOTSTRAP_SECONDS = 3.0
 """The first background is the median of the frames of this period."""
 BOOTSTRAP_FRAMES_KEPT = 100
 """Number of frames that may wait for the first background."""
-_COUNTERS = ("entries", "exits", "tracks_active", "tracks_broken", "tracks_stitched")
-"""Counters of tracks, which are 0 until there is a background."""
 
 
 class Analysis(NamedTuple):
@@ -89,6 +89,9 @@ class ViewPipeline:
         self._observer = observer
         self._detector = detector
         self._decisions: list[Decision] = []
+        self._counts: Counter[Reason] = Counter()
+        """Number of decisions by reason."""
+        self._numbers = itertools.count(1)
         self._latest: Analysis | None = None
         self._motion = MotionDetector(settings)
         self._waiting: list[tuple[float, Luma]] = []
@@ -125,16 +128,14 @@ class ViewPipeline:
         height, width = waiting[0][1].shape
 
         # Tracking begins, or goes on with new tracks: the scene has changed, or the image its size.
-        events = self._end_tracks("scene changed")
+        events = [] if self._tracker is None else self._tracker.finish("scene changed")
         if self._tracker is None or self._tracker.crossings.size != (width, height):
             ignored = IgnoredAreas(self._motion.watched)
-            recorder = Recorder(
-                (width, height), None if self._observer is None else self._decisions.append
-            )
+            recorder = Recorder((width, height), self._take)
             crossings = Crossings(
                 self._camera, width, height, self._settings.doors, ignored, recorder
             )
-            self._tracker = Tracker(self._settings, crossings, recorder, self._tracker)
+            self._tracker = Tracker(self._settings, crossings, recorder, self._numbers)
 
         self._tracker.crossings.began = waiting[0][0]
         self._t = None
@@ -161,8 +162,7 @@ class ViewPipeline:
         blobs = find_blobs(motion, self._tracker.stature.height)
         if self._detector is not None and image is not None:
             blobs = self._detector.step(t, image, motion.moving, blobs, self._tracked_boxes(dt))
-        changes = self._tracker.step(t, blobs)
-        events = self._tracker.crossings.report(changes, self._tracker.active)
+        events = self._tracker.step(t, blobs)
 
         # Drop ghosts.
         for track in self._tracker.active:
@@ -181,6 +181,12 @@ class ViewPipeline:
         self._motion.learn(motion, dt, claimed)
         self._show(t, motion.frame, motion.moving, events)
         return events
+
+    def _take(self, decision: Decision) -> None:
+        """Count a decision, and keep it for the observer, if there is one."""
+        self._counts[decision.reason] += 1
+        if self._observer is not None:
+            self._decisions.append(decision)
 
     def _show(self, t: float, frame: Luma, moving: Luma | None, events: Sequence[Event]) -> None:
         """Pass the analysis of a frame to the observer, if there is one."""
@@ -239,30 +245,21 @@ class ViewPipeline:
         if self._waiting:
             events = self._bootstrap()
         if self._tracker is not None:
-            remaining = self._end_tracks("in view")
+            remaining = self._tracker.finish("in view")
             if self._observer is not None and self._latest is not None:
                 self._observer(self._latest._replace(events=remaining, decisions=self._decisions))
             events += remaining
         return events
 
-    def _end_tracks(self, reason: Reason) -> list[Event]:
-        """Forget all tracks; return the exits of the objects that have left."""
-        if self._tracker is None:
-            return []
-        return self._tracker.crossings.report_exits(self._tracker.finish(reason))
-
     def statistics(self) -> dict[str, int | float]:
         """Return counters since the start, noise (grey levels) and shake (pixels)."""
-        figures: dict[str, int | float] = dict.fromkeys(_COUNTERS, 0)
-        if self._tracker is not None:
-            figures = {
-                "entries": self._tracker.crossings.entries,
-                "exits": self._tracker.crossings.exits,
-                "tracks_active": sum(track.confirmed for track in self._tracker.active),
-                "tracks_broken": len(self._tracker.lost),
-                "tracks_stitched": self._tracker.stitched,
-            }
-        figures |= {
+        tracker = self._tracker
+        figures: dict[str, int | float] = {
+            "entries": self._counts["entered"] + self._counts["split"],
+            "exits": self._counts["left"] + self._counts["swapped"],
+            "tracks_active": sum(track.confirmed for track in tracker.active) if tracker else 0,
+            "tracks_broken": len(tracker.lost) if tracker else 0,
+            "tracks_stitched": self._counts["continues"],
             "frames_analysed": self.analysed,
             "ghosts": self.ghosts,
             "relearned": self._motion.relearned,

@@ -50,8 +50,8 @@ def count_heads(
     return crowded
 
 
-def missing_track(t: float, blob: Blob, held: list[Track], number: int) -> Track | None:
-    """Return a track, with its number, for a person in the blob who has none; None if too unsure.
+def missing_track(t: float, blob: Blob, held: list[Track]) -> Track | None:
+    """Return a track, not yet numbered, for a person in the blob who has none; None if too unsure.
 
     t (seconds): time of the frame.
     held: confirmed tracks in the blob, fewer than it has heads. Their counts restart, and a
@@ -68,7 +68,7 @@ def missing_track(t: float, blob: Blob, held: list[Track], number: int) -> Track
     free = max(blob.heads, key=lambda x: min(abs(x - _column(track)) for track in held))
     nearest = min(held, key=lambda track: abs(free - _column(track)))
     width = blob.width / len(blob.heads)
-    added = replace(nearest, number=number)
+    added = replace(nearest)
     _move(added, t, free, width)
     if len(held) == 1:
         own = blob.heads[-1] if free == blob.heads[0] else blob.heads[0]

@@ -17,7 +17,7 @@ from camtopod.vision.settings import Polygon
 from camtopod.vision.track.decisions import Edge, Ending, Reason
 from camtopod.vision.track.doors import Doors
 from camtopod.vision.track.ignored_areas import Beyond, IgnoredAreas
-from camtopod.vision.track.track import Changes, Recorder, Sighting, Track
+from camtopod.vision.track.track import Recorder, Sighting, Track
 
 BORDER_SHARE = 0.025
 """Distance from the border within which a box is at it (share of the image's diagonal)."""
@@ -73,8 +73,6 @@ class Crossings:
         self._walks: dict[int, set[tuple[int, int]]] = {}
         self.began = -inf
         """Time of the first frame, seconds: there are no earlier events."""
-        self.entries = 0
-        self.exits = 0
 
     # -- where ------------------------------
 
@@ -136,16 +134,21 @@ class Crossings:
 
     # -- what ------------------------------
 
-    def report(self, changes: Changes, active: list[Track]) -> list[Event]:
-        """Return the events of one frame's changes.
+    def report(
+        self, appeared: list[Track], left: list[Track], vanished: list[Track], active: list[Track]
+    ) -> list[Event]:
+        """Return the events of one frame.
 
+        appeared: tracks that became objects.
+        left: objects that left at an edge of the view.
+        vanished: objects lost in mid-view that were not found again.
         active: all tracks, to learn where people walk.
         """
-        events = [event for track in changes.appeared for event in self._entry(track)]
-        events += self.report_exits(changes.left)
+        events = [event for track in appeared for event in self._entry(track)]
+        events += self.report_exits(left)
 
         # Tracks that vanish in mid-view may be evidence of a door, too.
-        for track in changes.vanished:
+        for track in vanished:
             self._forget(track)
             if track.interrupted:
                 self._note("interrupted", track, track.last)
@@ -236,12 +239,7 @@ class Crossings:
         at = self._at_border(track, at._replace(foot=(x, y)), edge, sense)
         x, y = at.foot
 
-        # Count it, and say why.
         self._note(reason, track, at, edge, other=other or track.successor)
-        if kind == "entry":
-            self.entries += 1
-        else:
-            self.exits += 1
         x = min(max(x / self.size[0], 0.0), 1.0)
         y = min(max(y / self.size[1], 0.0), 1.0)
         return Event(

@@ -1,4 +1,4 @@
-"""State of one tracked object, and the changes that one frame makes to all of them."""
+"""State of one tracked object, and the record of what it was taken for."""
 
 from __future__ import annotations
 
@@ -15,6 +15,9 @@ HISTORY_SIGHTINGS = 16
 """Sightings kept of an object, the newest."""
 WIDTH_SHARE = 0.7
 """Share of the width that counts as the size of wide objects, such as cars."""
+
+Unmet = tuple[Shortfall, float, float]
+"""Condition of an object that is not met, what was measured, and what an object has at least."""
 
 
 @dataclass(slots=True, eq=False)
@@ -58,7 +61,7 @@ class Track:
     crowded_sightings: int = 0
     """Those of them with more heads than tracks: see `companions`."""
     unmet: Unmet | None = None
-    """Condition that a tentative track did not meet in the latest frame that showed it."""
+    """What a tentative track lacked in the latest frame that showed it."""
     edge: Edge | None = None
     """Edge by which it left; None while it has not."""
     inferences: int = 0
@@ -102,28 +105,6 @@ class Track:
         return (across / 2 / dt, down / 2 / dt)
 
 
-@dataclass(frozen=True, slots=True)
-class Changes:
-    """Changes made by one frame."""
-
-    appeared: list[Track]
-    """Tracks that became objects."""
-    left: list[Track]
-    """Objects that left at an edge of the view."""
-    vanished: list[Track]
-    """Objects lost in mid-view that were not found again."""
-
-
-class Unmet(NamedTuple):
-    """Condition of a confirmed track that a tentative one does not meet."""
-
-    reason: Shortfall
-    value: float
-    """What was measured."""
-    least: float
-    """What an object has at least."""
-
-
 class Sighting(NamedTuple):
     """Time (seconds), foot point and box (pixels of the working image)."""
 
@@ -135,11 +116,8 @@ class Sighting(NamedTuple):
 class Recorder:
     """Makes a `Decision` where the tracker or the crossings decide, and passes it to ``take``."""
 
-    def __init__(self, size: Size, take: Callable[[Decision], None] | None) -> None:
-        """Prepare for a working image of ``size`` (width, height), pixels.
-
-        take: None if nobody asks for the decisions.
-        """
+    def __init__(self, size: Size, take: Callable[[Decision], None]) -> None:
+        """Prepare for a working image of ``size`` (width, height), pixels."""
         self._size = size
         self._take = take
 
@@ -154,8 +132,6 @@ class Recorder:
         other: int = 0,
     ) -> None:
         """Record what the beginning or end of ``track`` at a sighting was taken for."""
-        if self._take is None:
-            return
         x = min(max(at.foot[0] / self._size[0], 0.0), 1.0)
         y = min(max(at.foot[1] / self._size[1], 0.0), 1.0)
         self._take(

@@ -17,12 +17,14 @@ area in mid-view it may continue as far away as a person walks meanwhile.
 from __future__ import annotations
 
 from collections import deque
+from collections.abc import Iterator
 from dataclasses import replace
 from math import hypot
 
 import numpy as np
 from scipy.optimize import linear_sum_assignment
 
+from camtopod.records import Event
 from camtopod.vision.boxes import box_height, centre, contains_centre, gap, overlap
 from camtopod.vision.detect import Blob
 from camtopod.vision.settings import VisionSettings
@@ -34,7 +36,6 @@ from camtopod.vision.track.stature import Stature
 from camtopod.vision.track.swap import find_swap
 from camtopod.vision.track.track import (
     HISTORY_SIGHTINGS,
-    Changes,
     Recorder,
     Sighting,
     Track,
@@ -103,38 +104,32 @@ _NEVER = 1e9
 
 
 class Tracker:
-    """All objects of one view; track numbers count within this instance."""
+    """All objects of one view, in images of one size."""
 
     def __init__(
         self,
         settings: VisionSettings,
         crossings: Crossings,
         recorder: Recorder,
-        earlier: Tracker | None = None,
+        numbers: Iterator[int],
     ) -> None:
-        """Begin without tracks.
-
-        earlier: the view's tracker for images of another size, whose numbers and counts go on.
-        """
+        """Begin without tracks; ``numbers`` are those of the next ones."""
         self._note = recorder.note
         self._height_min = settings.min_height * crossings.size[1]
         self.crossings = crossings
         """Tells where objects enter and leave the view."""
-        self._next = 1
+        self._numbers = numbers
         self._t: float | None = None
         self._start: float | None = None
         self.stature = Stature()
         self.active: list[Track] = []
         self.lost: list[Track] = []
-        self.stitched = 0
-        if earlier is not None:
-            self._next = earlier._next
-            self.stitched = earlier.stitched
-            crossings.entries = earlier.crossings.entries
-            crossings.exits = earlier.crossings.exits
 
-    def step(self, t: float, blobs: list[Blob]) -> Changes:
-        """Process the blobs of the frame captured at ``t`` seconds, later than the last."""
+    def step(self, t: float, blobs: list[Blob]) -> list[Event]:
+        """Process the blobs of the frame captured at ``t`` seconds, later than the last.
+
+        Returns the events that are certain now.
+        """
         dt = 0.0 if self._t is None else t - self._t
         self._t = t
         if self._start is None:
@@ -165,7 +160,8 @@ class Tracker:
         appeared = self._confirm(t)
         left += self._find_swaps(t, appeared)
         appeared += self._add_companions(t, blobs)
-        return self._retire(t, appeared, left)
+        vanished = self._retire(t, left)
+        return self.crossings.report(appeared, left, vanished, self.active)
 
     # -- sightings ------------------------------
 
@@ -322,7 +318,7 @@ class Tracker:
         beside = any(gap(track.box, blob.box) < 0.3 * track.height for track in others)
         height = max(blob.height, 0.5 * (expected or 0.0))
         track = Track(
-            number=self._next,
+            number=next(self._numbers),
             first=sighting,
             last=sighting,
             kalman=Kalman(measured, height),
@@ -336,7 +332,6 @@ class Tracker:
         track.history.append(sighting)
         _count_inference(track, blob)
         track.split_from = self._parent_of(t, track)
-        self._next += 1
         self.active.append(track)
 
     def _parent_of(self, t: float, track: Track) -> Track | None:
@@ -374,15 +369,15 @@ class Tracker:
         """Return what a track that is seen at ``t`` lacks to be an object; None if nothing."""
         seconds = t - track.first.t
         if seconds < CONFIRM_SECONDS:
-            return Unmet("brief", seconds, CONFIRM_SECONDS)
+            return "brief", seconds, CONFIRM_SECONDS
         if track.sightings < CONFIRM_SIGHTINGS_SHARE * track.frames:
-            return Unmet("patchy", track.sightings / track.frames, CONFIRM_SIGHTINGS_SHARE)
+            return "patchy", track.sightings / track.frames, CONFIRM_SIGHTINGS_SHARE
         if track.reach < CONFIRM_HEIGHTS * track.height:
-            return Unmet("still", track.reach / track.height, CONFIRM_HEIGHTS)
+            return "still", track.reach / track.height, CONFIRM_HEIGHTS
         if track.inferences >= INFERENCES_MIN:
             share = track.detections / track.inferences
             if share < DETECTED_SHARE_MIN:
-                return Unmet("undetected", share, DETECTED_SHARE_MIN)
+                return "undetected", share, DETECTED_SHARE_MIN
 
         # Tall enough in several sightings.
         if self._height_min > 0.0:
@@ -390,7 +385,7 @@ class Tracker:
             tall = sum(height >= self._height_min for height in heights)
             needed = min(TALL_SIGHTINGS_MIN, len(heights))
             if tall < needed:
-                return Unmet("low", tall, needed)
+                return "low", tall, needed
         return None
 
     def _stitch(self, t: float, track: Track) -> bool:
@@ -432,7 +427,6 @@ class Tracker:
 
     def _absorb(self, track: Track, earlier: Track) -> None:
         """Make ``track`` continue the passage ``earlier``, with its number and beginning."""
-        self.stitched += 1
         seconds = max(0.0, track.first.t - earlier.last.t)
         self._note("continues", track, track.first, value=seconds, other=earlier.number)
         track.number = earlier.number
@@ -477,9 +471,9 @@ class Tracker:
             height = self.stature.height(blob.bottom)
             if not held or not count_heads(blob, held, width, height):
                 continue
-            added = missing_track(t, blob, held, self._next)
+            added = missing_track(t, blob, held)
             if added is not None:
-                self._next += 1
+                added.number = next(self._numbers)
                 self.active.append(added)
                 if not self._stitch(t, added):
                     appeared.append(added)
@@ -491,15 +485,15 @@ class Tracker:
         The rest becomes a new object.
         """
         past = list(track.history)
+        number = next(self._numbers)
         earlier = replace(
             track,
             last=past[turn],
             history=deque(past[: turn + 1], maxlen=HISTORY_SIGHTINGS),
-            successor=self._next,
+            successor=number,
         )
         earlier.edge = self.crossings.at_edge(earlier)
-        track.number = self._next
-        self._next += 1
+        track.number = number
         track.first = past[turn]
         track.history = deque(past[turn:], maxlen=HISTORY_SIGHTINGS)
         track.from_start = track.beside_others = track.entered = False
@@ -508,8 +502,11 @@ class Tracker:
         track.reach = 0.0
         return earlier
 
-    def _retire(self, t: float, appeared: list[Track], left: list[Track]) -> Changes:
-        """End tracks that were not detected for longer than the patience."""
+    def _retire(self, t: float, left: list[Track]) -> list[Track]:
+        """End tracks that were not detected for longer than the patience.
+
+        Adds those that were at an edge to ``left``; returns those that are lost for good.
+        """
         kept = []
 
         # Patience depends on how the object was last seen.
@@ -533,7 +530,7 @@ class Tracker:
         deadline = t - STITCH_SECONDS
         vanished = [track for track in self.lost if track.last.t < deadline]
         self.lost = [track for track in self.lost if track.last.t >= deadline]
-        return Changes(appeared, left, vanished)
+        return vanished
 
     def _end(self, track: Track, left: list[Track]) -> None:
         """Add an object that is not seen any more to those that left at an edge, or are lost."""
@@ -547,7 +544,7 @@ class Tracker:
         """Record why a tentative track that has ended was not an object."""
         assert track.unmet is not None, "set in the frame in which it began"
         reason, value, least = track.unmet
-        self._note(reason, track, track.last, value=value, least=least)
+        self._note(reason, track, track.last, None, value, least)
 
     def drop(self, track: Track) -> None:
         """Remove ``track`` without an event, because it is a ghost."""
@@ -574,11 +571,11 @@ class Tracker:
                 self._end(track, left)
         return left
 
-    def finish(self, reason: Reason) -> list[Track]:
-        """Forget all tracks, at the end of a recording or of a scene; return those that have left.
+    def finish(self, reason: Reason) -> list[Event]:
+        """Forget all tracks, at the end of a recording or of a scene; return the last events.
 
-        These are the ones out of sight at an edge. Objects seen next count as having been there
-        from the start.
+        These are the exits of objects out of sight at an edge. Objects seen next count as having
+        been there from the start.
 
         reason: what is recorded of the others.
         """
@@ -598,7 +595,7 @@ class Tracker:
             self._note("lost", track, track.last)
         self.active = []
         self.lost = []
-        return left
+        return self.crossings.report_exits(left)
 
 
 def _count_inference(track: Track, blob: Blob) -> None:
