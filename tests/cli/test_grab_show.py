@@ -8,8 +8,8 @@ from typing import get_args
 import pytest
 from rendered_scenes import Person, Scene, line
 
-from camtopod.cli.cameras.decision_words import decision_line, words_of
 from camtopod.cli.main import main
+from camtopod.vision.show.decision_words import decision_line, words_of
 from camtopod.vision.track import Decision
 from camtopod.vision.track.decisions import Beginning, Edge, Ending, Shortfall
 

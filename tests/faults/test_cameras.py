@@ -229,7 +229,7 @@ def test_a_camera_that_refuses_is_said_by_its_own_process(
 
     assert data == b""
     assert process.returncode == 66
-    assert "error: camera lobby gave no picture" in log.read_text()
+    assert "camtopod: camera lobby gave no picture" in log.read_text()
     assert "p@ssw0rd" not in log.read_text()
 
 

@@ -14,10 +14,9 @@ from rendered_scenes import FPS, Person, Scene, line
 
 from camtopod.vision.pipeline import ViewPipeline
 from camtopod.vision.settings import VisionSettings
-from camtopod.vision.show import Preview, ShowError, Words, overlay, shown_file
+from camtopod.vision.show import Preview, ShowError, overlay, shown_file
 from camtopod.vision.show.shown_file import LAST_SECONDS, VIDEO_FPS, Picture, open_shown_file
 
-WORDS = Words(lambda t: f"{t:.1f} s", lambda decision: decision.reason)
 GREY = np.full((48, 64, 3), 99, np.uint8)
 SETTINGS = VisionSettings(
     ignore=(((0.0, 0.0), (0.2, 0.0), (0.2, 0.2)),), doors=(((0.5, 0.5),), ((0.8, 0.1),) * 3)
@@ -31,9 +30,9 @@ def _open_umask() -> Iterator[None]:
     os.umask(before)
 
 
-def shown(path: Path, seconds: float, warnings: list[str]) -> list[str]:
+def shown(path: Path, seconds: float) -> list[str]:
     """Show one passage; return the kinds of its events."""
-    preview = Preview(path, "cam", SETTINGS, WORDS, warnings.append)
+    preview = Preview(path, "cam", SETTINGS)
     pipeline = ViewPipeline("cam", SETTINGS, preview)
     scene, events = Scene([Person(line(5.0, (-0.05, 0.7), (1.05, 0.5), 6.0))]), []
     for k in range(round(seconds * FPS)):
@@ -56,13 +55,14 @@ def count(picture: Picture, colour: overlay.Colour) -> int:
     return int(near.sum())
 
 
-def test_a_video_shows_tracks_events_and_areas_in_the_camera_s_time(tmp_path: Path) -> None:
-    warnings: list[str] = []
+def test_a_video_shows_tracks_events_and_areas_in_the_camera_s_time(
+    tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
     path = tmp_path / "film.mp4"
     path.write_text("an older file")
     path.chmod(0o644)
-    assert shown(path, 14.0, warnings) == ["entry", "exit"]
-    assert warnings == []
+    assert shown(path, 14.0) == ["entry", "exit"]
+    assert caplog.messages == []
     assert path.stat().st_mode & 0o777 == 0o600
     assert [one.name for one in tmp_path.iterdir()] == ["film.mp4"]
 
@@ -78,7 +78,7 @@ def test_a_video_shows_tracks_events_and_areas_in_the_camera_s_time(tmp_path: Pa
 
 
 def test_a_portrait_camera_is_shown_whole_at_the_size_of_a_screen(tmp_path: Path) -> None:
-    preview = Preview(tmp_path / "now.png", "cam", SETTINGS, WORDS, pytest.fail)
+    preview = Preview(tmp_path / "now.png", "cam", SETTINGS)
     pipeline = ViewPipeline("cam", SETTINGS, preview)
     for k in range(round(4 * FPS)):
         pipeline.process(k / FPS, np.full((640, 360), 120, np.uint8))
@@ -103,7 +103,6 @@ def test_a_picture_is_replaced_now_and_then(
     file.write(0.0, 102.0, GREY // 2)
     assert os.stat(tmp_path / name).st_ino != first.st_ino, "a new file in its place"
     file.finish(GREY // 3)
-    file.close()
     picture = cv2.imread(str(tmp_path / name))
     assert picture is not None
     assert (picture.shape, round(float(picture.mean()))) == (GREY.shape, 33)
@@ -126,7 +125,7 @@ def test_files_that_cannot_be_written(tmp_path: Path) -> None:
 
 
 def test_a_full_disk_ends_the_picture_with_one_warning_and_no_event(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
 ) -> None:
     name = "v.mp4"
     free = iter([1 << 30] * 30)
@@ -134,9 +133,11 @@ def test_a_full_disk_ends_the_picture_with_one_warning_and_no_event(
     monkeypatch.setattr(
         shown_file, "disk_usage", lambda folder: SimpleNamespace(free=next(free, 1 << 20))
     )
-    warnings: list[str] = []
 
-    assert shown(tmp_path / name, 14.0, warnings) == ["entry", "exit"]
-    assert warnings == [f"cannot write {tmp_path / name}: less than 64 MiB of the disk are free"]
+    assert shown(tmp_path / name, 14.0) == ["entry", "exit"]
+    assert caplog.messages == [
+        f"--show: cannot write {tmp_path / name}: less than 64 MiB of the disk are free; "
+        "it is not written any more, events go on"
+    ]
     assert [one.name for one in tmp_path.iterdir()] == [name]
     assert len(frames(tmp_path / name)) == 29, "what was written can be played"

@@ -3,5 +3,5 @@
 Read `supervisor` first (all cameras of a configuration), then `camera_process` (start, watchdog and
 restart of one process) and `heartbeat` (notifications between the two). `probe` opens cameras once,
 for `camtopod init` and `check --probe`; `onvif` and `finding` find cameras and their streams for
-`init`, `naming` gives them ids. `decision_words` says why a track became an event or not.
+`init`, `naming` gives them ids.
 """

@@ -18,7 +18,7 @@ from camtopod.cli import exits
 from camtopod.cli.cameras.heartbeat import HeartbeatReceiver
 from camtopod.cli.common import counted
 from camtopod.config import CameraSettings
-from camtopod.serve.runtime import SOCKET_VARIABLE
+from camtopod.serve.runtime import SOCKET_VARIABLE, clock
 from camtopod.vision.source import kind_of
 
 log = logging.getLogger(__name__)
@@ -42,14 +42,25 @@ def exit_reason(status: int) -> str:
     return f"ended with status {status}"
 
 
-def with_restarts(times: int, why: str, reason: str) -> str:
-    """Return ``reason`` followed by the number of restarts and the cause of the last one."""
-    if not times:
-        return reason
-    restarted = f"restarted {counted(times, 'time')}, last: {why}"
-    if reason == why:
-        return restarted
-    return f"{reason}; {restarted}".removeprefix("; ")
+def camera_status(
+    camera: str, state: str, reason: str, restarts: int, last_end: str
+) -> dict[str, Any]:
+    """Return the content of ``status/{camera}`` that all cameras have.
+
+    The reason is followed by the number of restarts and the cause of the last one.
+    """
+    if restarts:
+        restarted = f"restarted {counted(restarts, 'time')}, last: {last_end}"
+        known = "" if reason == last_end else reason
+        reason = f"{known}; {restarted}".removeprefix("; ")
+    return {
+        "camera": camera,
+        "state": state,
+        "reason": reason,
+        "restarts": restarts,
+        "last_end": last_end,
+        "t": clock.wall(),
+    }
 
 
 class CameraProcess:
@@ -136,13 +147,7 @@ class CameraProcess:
 
     def summary(self) -> dict[str, Any]:
         """Return the status for ``status/{camera}`` while no process publishes it."""
-        return {
-            "camera": self.camera,
-            "state": self.state,
-            "reason": with_restarts(self.restarts, self.last_end, self.reason),
-            "restarts": self.restarts,
-            "last_end": self.last_end,
-        }
+        return camera_status(self.camera, self.state, self.reason, self.restarts, self.last_end)
 
     def _signal(self, number: signal.Signals, now: float) -> None:
         """Send a signal that should end the process; it is killed if it does not."""

@@ -6,13 +6,11 @@ A process that fails or hangs is restarted and affects no other camera.
 from __future__ import annotations
 
 import argparse
-import contextlib
 import logging
 import os
 import sys
 import threading
 import time
-from typing import TYPE_CHECKING
 
 from camtopod.cli import exits
 from camtopod.cli.cameras.camera_process import STOP_SECONDS, CameraProcess
@@ -21,11 +19,8 @@ from camtopod.cli.common import SignalRequests, configuration
 from camtopod.cli.exits import CommandError
 from camtopod.config import CameraSettings, Config, without_source
 from camtopod.serve.outbox import spool_path
-from camtopod.serve.runtime import clock, systemd
+from camtopod.serve.runtime import systemd
 from camtopod.serve.storage import lock_reason
-
-if TYPE_CHECKING:
-    from camtopod.serve.bus import Bus
 
 log = logging.getLogger(__name__)
 
@@ -140,36 +135,19 @@ class _Supervisor:
 
     def _publish(self) -> None:
         """Publish the statuses of cameras whose processes cannot, until the end."""
-        while not self._ending.is_set():
-            config = self._config
-            with contextlib.ExitStack() as stack:
-                buses: dict[str, Bus] = {}
-                """One per camera, which may have a certificate of its own."""
-                while config is self._config and not self._ending.wait(
-                    config.limits.status_seconds
-                ):
-                    for process in list(self._processes.values()):
-                        if process.silent and (process.restarts or process.over):
-                            self._publish_one(process, config, buses, stack)
+        while not self._ending.wait(self._config.limits.status_seconds):
+            for process in list(self._processes.values()):
+                if not process.silent or not (process.restarts or process.over):
+                    continue
+                from camtopod.serve.bus import dial  # takes memory, and is seldom needed
 
-    def _publish_one(
-        self,
-        process: CameraProcess,
-        config: Config,
-        buses: dict[str, Bus],
-        stack: contextlib.ExitStack,
-    ) -> None:
-        """Publish the status of a camera on its session, which is opened if need be."""
-        from camtopod.serve.bus import dial
-
-        camera = process.camera
-        status = {**process.summary(), "t": clock.wall()}
-        try:
-            if camera not in buses:
-                buses[camera] = stack.enter_context(dial(config.certified(camera)))
-            buses[camera].publish(f"status/{camera}", status, "status")
-        except OSError as error:  # no bus, as the cameras' own processes report
-            log.debug("camera %s: its status is not published: %s", camera, error)
+                camera = process.camera
+                try:
+                    # On a session of its own: the camera may have a certificate of its own.
+                    with dial(self._config.certified(camera)) as bus:
+                        bus.publish(f"status/{camera}", process.summary(), "status")
+                except OSError as error:  # no bus, as the cameras' own processes report
+                    log.debug("camera %s: its status is not published: %s", camera, error)
 
 
 def command(process: CameraProcess, args: argparse.Namespace) -> list[str]:

@@ -19,7 +19,7 @@ from typing import TYPE_CHECKING, Any, BinaryIO
 
 from camtopod import codec, redact
 from camtopod.cli import exits
-from camtopod.cli.cameras.camera_process import with_restarts
+from camtopod.cli.cameras.camera_process import camera_status
 from camtopod.cli.cameras.heartbeat import HeartbeatSender
 from camtopod.cli.common import (
     SignalRequests,
@@ -146,7 +146,7 @@ def _all(args: argparse.Namespace, requests: SignalRequests) -> int:
 
 
 def _one(args: argparse.Namespace, stop: threading.Event) -> int:
-    """Grab one camera, to the bus or to event lines."""
+    """Grab one camera, to the bus or to event lines; return the exit status."""
     config = configuration(args)
     settings = _settings(args, config)
     redact.remember(settings.source)
@@ -178,13 +178,13 @@ def _one(args: argparse.Namespace, stop: threading.Event) -> int:
             stack.callback(preview.close)  # before the camera, which may take long
 
         if args.out is None:
-            return _to_bus(grabber, args, config, stop, heartbeats)
-        if to_stdout:
-            return _to_lines(grabber, output, stop, heartbeats)
-        with open_output(args.out, live=kind_of(settings.source) != "file") as file:
-            if status := _to_lines(grabber, file, stop, heartbeats):
-                raise CommandError(f"no event is written to {args.out}", status)
-            return exits.DONE
+            _to_bus(grabber, args, config, stop, heartbeats)
+        elif to_stdout:
+            _to_lines(grabber, output, stop, heartbeats)
+        else:
+            with open_output(args.out, live=kind_of(settings.source) != "file") as file:
+                _to_lines(grabber, file, stop, heartbeats)
+    return exits.DONE
 
 
 def _settings(args: argparse.Namespace, config: Config) -> CameraSettings:
@@ -224,14 +224,10 @@ def _preview(args: argparse.Namespace, settings: VisionSettings) -> Preview | No
     """Return the preview that --show asks for. Raises `CommandError` if it cannot be written."""
     if args.show is None:
         return None
-    from camtopod.cli.cameras.decision_words import clock_words, words_of
-    from camtopod.vision.show import Preview, ShowError, Words
-
-    def warn(reason: str) -> None:
-        log.warning("--show: %s; it is not written any more, events go on", reason)
+    from camtopod.vision.show import Preview, ShowError
 
     try:
-        return Preview(args.show, args.camera, settings, Words(clock_words, words_of), warn)
+        return Preview(args.show, args.camera, settings)
     except ShowError as error:
         raise CommandError(f"--show: {error}") from None
 
@@ -240,7 +236,7 @@ def _observer(args: argparse.Namespace, preview: Preview | None) -> Observer | N
     """Return what --show and --explain do with each frame; None without them."""
     if not args.explain:
         return preview
-    from camtopod.cli.cameras.decision_words import decision_line
+    from camtopod.vision.show import decision_line
 
     def observe(analysis: Analysis) -> None:
         for decision in analysis.decisions:
@@ -275,7 +271,7 @@ def _until_stopped(
         if cause not in causes and state != "ended":
             causes.add(cause)
             words = f"camera {grabber.camera} is {state}: {grabber.reason}"
-            fine = state in ("connecting", "running", "ended")
+            fine = state in ("connecting", "running")
             log.log(logging.INFO if fine else logging.WARNING, "%s", words.removesuffix(": "))
 
         if event is not None and not too_many:
@@ -304,27 +300,25 @@ def _log_end(grabber: Grabber) -> None:
     figures = grabber.statistics()
     analysed, undecoded, entries, exited = (int(figures[name]) for name in names)
     parts = [grabber.reason, f"{counted(analysed, 'picture')} analysed"]
+    level = logging.INFO
     if undecoded:
         parts.append(f"{undecoded} could not be decoded")
+        level = logging.WARNING
     parts += ["1 entry" if entries == 1 else f"{entries} entries", counted(exited, "exit")]
-    level = logging.WARNING if undecoded else logging.INFO
     log.log(level, "camera %s has ended: %s", grabber.camera, ", ".join(parts))
 
 
 def _to_lines(
     grabber: Grabber, out: BinaryIO, stop: threading.Event, heartbeats: HeartbeatSender
-) -> int:
-    """Write event lines, each flushed at once; return the exit status (66 if there was no
-    picture).
-    """
+) -> None:
+    """Write event lines, each flushed at once. Raises `CommandError` if there was no picture."""
     for event in _until_stopped(grabber, stop, heartbeats):
         if event is not None:
             out.write(codec.to_json(event) + b"\n")
             out.flush()
     if grabber.state == "connecting":
-        log.error("camera %s gave no picture: %s", grabber.camera, grabber.reason)
-        return exits.INPUT
-    return exits.DONE
+        why = f"camera {grabber.camera} gave no picture, so no event is written: {grabber.reason}"
+        raise CommandError(why, exits.INPUT)
 
 
 def _to_bus(
@@ -333,7 +327,7 @@ def _to_bus(
     config: Config,
     stop: threading.Event,
     heartbeats: HeartbeatSender,
-) -> int:
+) -> None:
     """Publish the camera's events, and wait at the end of a file until they are stored.
 
     A supervised process waits for as long as it takes: it would be started again, and its events
@@ -359,10 +353,9 @@ def _to_bus(
                 connection.publish_status()
 
         # Wait until all is stored.
-        patience = DRAIN_SECONDS
+        deadline = time.monotonic() + DRAIN_SECONDS
         if systemd.SOCKET_VARIABLE in os.environ:
-            patience = math.inf
-        deadline = time.monotonic() + patience
+            deadline = math.inf
         while not stop.is_set():
             publisher.retry()
             connection.publish_status()
@@ -377,7 +370,6 @@ def _to_bus(
                     exits.BUS,
                 )
             heartbeats.beat(grabber.state, f"waiting for the daemon to store {waiting} events")
-    return exits.DONE
 
 
 class _Connection:
@@ -446,15 +438,11 @@ class _Connection:
 
     def status(self) -> dict[str, Any]:
         """Return the content of ``status/{camera}``."""
-        reason = with_restarts(self._restarts, self._last_end, self._grabber.reason)
+        grabber = self._grabber
+        reason = redact.redact(grabber.reason)
         return {
-            "camera": self._grabber.camera,
-            "state": self._grabber.state,
-            "reason": redact.redact(reason),
-            "restarts": self._restarts,
-            "last_end": self._last_end,
-            "t": clock.wall(),
-            **self._grabber.statistics(),
+            **camera_status(grabber.camera, grabber.state, reason, self._restarts, self._last_end),
+            **grabber.statistics(),
             **self._publisher.statistics(),
         }
 

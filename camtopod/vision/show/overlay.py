@@ -8,11 +8,11 @@ decisions in words.
 
 from __future__ import annotations
 
+import logging
 import time
 from collections import deque
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Iterable, Sequence
 from pathlib import Path
-from typing import NamedTuple
 
 import cv2
 import numpy as np
@@ -22,8 +22,17 @@ from camtopod.vision.detect import Luma
 from camtopod.vision.detector.detector import DetectorResult
 from camtopod.vision.pipeline import Analysis
 from camtopod.vision.settings import Polygon, VisionSettings
-from camtopod.vision.show.shown_file import Picture, ShowError, open_shown_file
-from camtopod.vision.track import Decision, Track
+from camtopod.vision.show.decision_words import clock_words, words_of
+from camtopod.vision.show.shown_file import (
+    Picture,
+    PictureFile,
+    ShowError,
+    VideoFile,
+    open_shown_file,
+)
+from camtopod.vision.track import Track
+
+log = logging.getLogger(__name__)
 
 WIDTH = 960
 """Width of the drawn picture, pixels; the working picture's longer side is enlarged to it."""
@@ -52,40 +61,21 @@ _FONT = cv2.FONT_HERSHEY_SIMPLEX
 _FONT_SCALE = 0.42
 
 
-class Words(NamedTuple):
-    """The caller's words for the drawn objects."""
-
-    time: Callable[[float], str]
-    """Of a capture time, seconds."""
-    decision: Callable[[Decision], str]
-    """Of a decision: what the track was taken for, and why."""
-
-
 class Preview:
     """Draws analysed frames into a file until it cannot be written any more.
 
     Remembers the last seconds of one view.
     """
 
-    def __init__(
-        self,
-        path: Path,
-        camera: str,
-        settings: VisionSettings,
-        words: Words,
-        on_failure: Callable[[str], None],
-    ) -> None:
+    def __init__(self, path: Path, camera: str, settings: VisionSettings) -> None:
         """Make sure that the file can be written. Raises `ShowError` if not.
 
-        on_failure: called once, with the reason, if the file cannot be written later on.
+        If it cannot be written later on, that is logged once.
         """
-        self._file = open_shown_file(path)
+        self._file: PictureFile | VideoFile | None = open_shown_file(path)
         self._camera = camera
         self._settings = settings
-        self._words = words
-        self._on_failure = on_failure
         self._latest: Analysis | None = None
-        self._failed = False
         self._paths: dict[int, deque[tuple[float, float, float]]] = {}
         """Time (seconds) and foot point (pixels of the working picture) by track number."""
         self._events: deque[tuple[float, Event]] = deque()
@@ -94,7 +84,7 @@ class Preview:
 
     def __call__(self, analysis: Analysis) -> None:
         """Take in a frame, and draw it if the file wants it."""
-        if self._failed:
+        if self._file is None:
             return
         self._remember(analysis)
         self._latest = analysis
@@ -107,18 +97,17 @@ class Preview:
 
     def close(self) -> None:
         """Write the last picture and complete the file."""
+        if self._file is None or self._latest is None:
+            return
         try:
-            if self._latest is not None and not self._failed:
-                self._file.finish(self._drawn(self._latest))
-            self._file.close()
+            self._file.finish(self._drawn(self._latest))
         except ShowError as error:
             self._fail(error)
 
     def _fail(self, error: ShowError) -> None:
-        """Stop drawing, and report the reason once."""
-        if not self._failed:
-            self._failed = True
-            self._on_failure(str(error))
+        """Stop drawing, and say why."""
+        self._file = None
+        log.warning("--show: %s; it is not written any more, events go on", error)
 
     def _remember(self, analysis: Analysis) -> None:
         """Take in the paths, events and decisions of a frame. Costs little."""
@@ -138,7 +127,7 @@ class Preview:
         while self._events and self._events[0][0] < analysis.t - EVENT_SECONDS:
             self._events.popleft()
         for one in analysis.decisions:
-            text = f"{self._words.time(one.t)} track {one.track}: {self._words.decision(one)}"
+            text = f"{clock_words(one.t)} track {one.track}: {words_of(one)}"
             self._lines.append((_REASONS.get(one.reason, _TENTATIVE), text))
 
     def _drawn(self, analysis: Analysis) -> Picture:
@@ -173,7 +162,7 @@ class Preview:
         if analysis.detector is not None:
             state += f"  detector {'' if analysis.detector.trusted else 'not '}trusted, "
             state += f"agreement {analysis.detector.agreement:.2f}"
-        _write(picture, (6, 16), f"{self._camera}  {self._words.time(analysis.t)}{state}", _WORDS)
+        _write(picture, (6, 16), f"{self._camera}  {clock_words(analysis.t)}{state}", _WORDS)
         beside = WIDTH - size[0]
         picture = cv2.copyMakeBorder(picture, 0, 0, 0, beside, cv2.BORDER_CONSTANT, value=_GROUND)
         return cv2.vconcat([picture, self._strip()])

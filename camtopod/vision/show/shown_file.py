@@ -72,13 +72,10 @@ class PictureFile:
             _create(_beside(self._path), content)
             os.replace(_beside(self._path), self._path)
 
-    def close(self) -> None:
-        """Nothing is open."""
-
 
 class VideoFile:
     """A video in the time of the camera, however fast it is read. It cannot be played before
-    `close`.
+    `finish`.
     """
 
     def __init__(self, path: Path) -> None:
@@ -107,14 +104,11 @@ class VideoFile:
         self._add(picture)
 
     def finish(self, picture: Picture) -> None:
-        """Hold the last picture for a while."""
+        """Hold the last picture for a while, and complete the video."""
         for _ in range(round(LAST_SECONDS * VIDEO_FPS)):
             self._add(picture)
-
-    def close(self) -> None:
-        """Complete the video."""
-        if self._writer is not None:
-            self._writer.release()
+        assert self._writer is not None
+        self._writer.release()
 
     def _slot(self, t: float) -> int:
         """Return the frame of the video that shows time ``t``; leaves out a gap in the frames."""

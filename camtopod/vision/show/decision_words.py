@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from datetime import UTC, datetime
 
-from camtopod.cli.common import counted
 from camtopod.vision.track import Decision, Edge, Reason
 
 RECORDING_SECONDS_MAX = 366 * 86400.0
@@ -66,10 +65,11 @@ _WORDS = {**_BEGINNINGS, **_TENTATIVE, **_ENDS}
 def words_of(decision: Decision) -> str:
     """Return what a track was taken for, and why."""
     x, y = decision.place
+    seen = "1 sighting" if decision.sightings == 1 else f"{decision.sightings} sightings"
     return _WORDS[decision.reason].format(
         edge="the border" if decision.edge is None else _EDGES[decision.edge],
         place=f"({x:.2f}, {y:.2f})",
-        seen=counted(decision.sightings, "sighting"),
+        seen=seen,
         value=decision.value,
         least=decision.least,
         other=decision.other,
