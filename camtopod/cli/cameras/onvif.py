@@ -18,7 +18,7 @@ import threading
 import time
 from urllib.parse import quote, unquote, urlsplit
 from xml.etree.ElementTree import Element
-from xml.sax.saxutils import escape, quoteattr
+from xml.sax.saxutils import escape
 
 from msgspec import Struct
 
@@ -204,15 +204,14 @@ class _Camera:
         nonce = secrets.token_bytes(16)
         created = time.strftime("%Y-%m-%dT%H:%M:%SZ", time.gmtime(wall() + self._ahead))
         digest = hashlib.sha1(nonce + created.encode() + self._password.encode()).digest()
-        kind = quoteattr(f"{_SECURITY}username-token-profile-1.0#PasswordDigest")
-        coding = quoteattr(f"{_SECURITY}soap-message-security-1.0#Base64Binary")
         return (
-            f"<Security s:mustUnderstand={quoteattr('1')}"
-            f" xmlns={quoteattr(_SECURITY + 'wssecurity-secext-1.0.xsd')}>"
+            f'<Security s:mustUnderstand="1" xmlns="{_SECURITY}wssecurity-secext-1.0.xsd">'
             f"<UsernameToken><Username>{escape(self._user)}</Username>"
-            f"<Password Type={kind}>{base64.b64encode(digest).decode()}</Password>"
-            f"<Nonce EncodingType={coding}>{base64.b64encode(nonce).decode()}</Nonce>"
-            f"<Created xmlns={quoteattr(_SECURITY + 'wssecurity-utility-1.0.xsd')}>{created}"
+            f'<Password Type="{_SECURITY}username-token-profile-1.0#PasswordDigest">'
+            f"{base64.b64encode(digest).decode()}</Password>"
+            f'<Nonce EncodingType="{_SECURITY}soap-message-security-1.0#Base64Binary">'
+            f"{base64.b64encode(nonce).decode()}</Nonce>"
+            f'<Created xmlns="{_SECURITY}wssecurity-utility-1.0.xsd">{created}'
             "</Created></UsernameToken></Security>"
         )
 

@@ -106,8 +106,8 @@ class Preview:
 
     def _fail(self, error: ShowError) -> None:
         """Stop drawing, and say why."""
-        self._file = None
-        log.warning("--show: %s; it is not written any more, events go on", error)
+        self._file = None  # which completes a video
+        log.warning("--show: %s; it is not written any more, events go on", str(error))
 
     def _remember(self, analysis: Analysis) -> None:
         """Take in the paths, events and decisions of a frame. Costs little."""

@@ -234,7 +234,7 @@ class Capture:
             self.fault = fault or unknown or self.fault
             return None
         self._image = image
-        luma = shrunk(_grey(self._image), self._width_max)
+        luma = shrunk(grey(self._image), self._width_max)
         if self._from_colour:
             luma = cv2.LUT(luma, _VIDEO_RANGE)
         return luma
@@ -337,7 +337,8 @@ def _four_characters(capture: cv2.VideoCapture, of: int) -> str:
     return code.to_bytes(4, "little").decode("latin-1") if 0 <= code < 1 << 32 else ""
 
 
-def _grey(image: Luma) -> Luma:
+def grey(image: Luma) -> Luma:
+    """Return the luma (H, W) of an image, which may have colours (H, W, 3) or have none."""
     if image.ndim == 2:
         return image
     if image.shape[2] == 1:

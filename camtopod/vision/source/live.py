@@ -104,16 +104,12 @@ class LiveSource(Source):
         self._thread.start()
         try:
             while not self._stop.is_set():
-                yield self._next()
+                frame = None
+                with suppress(queue.Empty):
+                    frame = self._queue.get(timeout=HEARTBEAT_SECONDS)
+                yield frame
         finally:
             self.close()  # a thread still in OpenCV at interpreter exit would crash
-
-    def _next(self) -> Frame | None:
-        """Return the next frame, or None after the heartbeat interval."""
-        try:
-            return self._queue.get(timeout=HEARTBEAT_SECONDS)
-        except queue.Empty:
-            return None
 
     @property
     def overdue_seconds(self) -> float:

@@ -22,7 +22,7 @@ from msgspec import Struct
 from camtopod.vision.detect import Luma, shrunk
 from camtopod.vision.detector.model import ModelReport, try_model
 from camtopod.vision.settings import DetectorSettings, VisionSettings
-from camtopod.vision.source.capture import PATIENCE, Capture, timeouts
+from camtopod.vision.source.capture import PATIENCE, Capture, grey, timeouts
 from camtopod.vision.source.ffmpeg_log import FfmpegLog, captured_log
 from camtopod.vision.source.file_times import FPS_UNKNOWN
 from camtopod.vision.source.frame_times import StampClock
@@ -118,8 +118,6 @@ class SettledPicture:
     def __init__(self) -> None:
         self._pictures: list[tuple[float, Luma]] = []
         """Times (seconds) and pictures."""
-        self._compared: list[Luma] = []
-        """The same pictures, small and without colour."""
         self._spacing = SPACING_SECONDS
         self.settled = False
         """True if nearly every pixel looks the same in a majority of the pictures."""
@@ -138,20 +136,17 @@ class SettledPicture:
         # Make room: every second one, from now on at twice the spacing.
         if len(self._pictures) == PICTURES_MAX:
             self._pictures = self._pictures[::2]
-            self._compared = self._compared[::2]
             self._spacing *= 2
             if not self.wants(t):
                 return
 
         self._pictures.append((t, picture))
-        grey = picture if picture.ndim == 2 else cv2.cvtColor(picture, cv2.COLOR_BGR2GRAY)
-        self._compared.append(shrunk(grey, _COMPARED_WIDTH))
         long_enough = self.seconds >= SETTLE_SECONDS_MIN
         self.settled = long_enough and self._unsettled_share() <= UNSETTLED_SHARE_MAX
 
     def _unsettled_share(self) -> float:
         """Return the share of pixels that differ from the median in too many pictures."""
-        stack = np.stack(self._compared)
+        stack = np.stack([shrunk(grey(picture), _COMPARED_WIDTH) for _, picture in self._pictures])
         middle = _median(stack)
         same = np.stack([cv2.absdiff(one, middle) <= SAME_GREY_LEVELS for one in stack])
         minority = same.sum(axis=0) < MAJORITY * len(stack)
@@ -177,15 +172,13 @@ def probe(request: ProbeRequest, ffmpeg_log: FfmpegLog) -> Probe:
     source that does not work.
     """
     source = request.source
-    kind = kind_of(source)
-    if kind == "file":
+    if kind_of(source) == "file":
         try:
             RecordedSource(source, request.settings, 0.0, False, ffmpeg_log=ffmpeg_log).close()
         except OSError as error:
             return Probe(error.strerror or str(error).removeprefix(f"{source}: "))
 
-    levels = PATIENCE[:PROBE_LEVELS] if kind == "stream" else PATIENCE[:1]
-    for patience in levels:
+    for patience in PATIENCE[:PROBE_LEVELS]:
         seen, is_final = _seen(request, ffmpeg_log, patience)
         if is_final:
             break
@@ -206,11 +199,15 @@ def _seen(request: ProbeRequest, ffmpeg_log: FfmpegLog, patience: float) -> tupl
         settled = SettledPicture() if request.picture else None
         seen = _watched(capture, source, settled)
         if request.detector.model and not seen.problem:
-            latest = capture.image(capture.size[0]) if capture.has_image else None
-            seen.detector = try_model(request.detector, latest)
-        if settled is not None:
-            _add_picture(seen, settled)
-        return seen, capture.has_image
+            seen.detector = try_model(request.detector, capture.image(capture.size[0]))
+        if settled is not None and (picture := settled.picture()) is not None:
+            seen.picture = cv2.imencode(".jpg", picture)[1].tobytes()
+            if not settled.settled:
+                seen.remarks.append(
+                    f"the scene has not settled within {settled.seconds:.0f} s, so its picture may "
+                    "show people: take it again with `camtopod check --probe --pictures DIR`"
+                )
+        return seen, capture.has_image or kind_of(source) != "stream"
     finally:
         capture.release()
 
@@ -264,29 +261,14 @@ def _watched(capture: Capture, source: str, settled: SettledPicture | None) -> P
         pairs = zip(stamps, arrivals, strict=True)
         captured = [at for pair in pairs if (at := clock.captured(*pair)) is not None]
         fps = min(_rate(arrivals, ended), _rate(captured or arrivals, ended))
-    width, height = capture.size
-    seen = Probe("", capture.codec, width, height, fps)
-    seen.remarks = remarks(capture.size, fps, contrast)
-    return seen
+    improvable = remarks(capture.size, fps, contrast)
+    return Probe("", capture.codec, *capture.size, fps, improvable)
 
 
 def _rate(times: Sequence[float], until: float) -> float:
     """Return the number of frames a second; of a single frame, at most as many as fit."""
     seconds = times[-1] - times[0]
     return (len(times) - 1) / seconds if seconds > 0.0 else 1.0 / max(until - times[0], 1e-3)
-
-
-def _add_picture(seen: Probe, settled: SettledPicture) -> None:
-    """Add the picture to ``seen``, and a remark if it may show people."""
-    picture = settled.picture()
-    if picture is None:
-        return
-    seen.picture = cv2.imencode(".jpg", picture)[1].tobytes()
-    if not settled.settled:
-        seen.remarks.append(
-            f"the scene has not settled within {settled.seconds:.0f} s, so its picture may show "
-            "people: take it again with `camtopod check --probe --pictures DIR`"
-        )
 
 
 def _median(stack: Luma) -> Luma:

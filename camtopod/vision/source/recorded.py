@@ -124,12 +124,12 @@ class RecordedSource(Source):
 
     def _end(self, capture: Capture) -> None:
         """Say how much was read. Raises `SourceError` if that was nothing."""
-        fault, declared = capture.fault, capture.seconds
-        why = f"no frame in it can be decoded ({capture.codec}){fault and ': '}{fault}"
-        self.close()
+        fault = capture.fault
         if self.state == "connecting":
+            why = f"no frame in it can be decoded ({capture.codec}){fault and ': '}{fault}"
             raise SourceError(f"{self._path}: {why}")
         self.state = "ended"
+        declared = capture.seconds
         read = self._times.latest + self._times.interval
         if read < OBSERVED_SECONDS:
             self._observed.judge()
@@ -137,7 +137,7 @@ class RecordedSource(Source):
             "the video ends early, or begins late" if read < declared - EARLY_SECONDS else "",
             fault if self.dropped else "",
             self._observed.words,
-            f"{self._times.untrusted} time stamps not believed" if self._times.untrusted else "",
+            f"{self.untrusted_stamps} time stamps not believed" if self.untrusted_stamps else "",
         ]
         said = "; ".join(filter(None, notes))
         self.reason = f"{read:.1f} s of {max(read, declared):.1f} s read{said and f' ({said})'}"
