@@ -160,29 +160,20 @@ class _Camera:
         if seconds <= 0.0:
             raise TimeoutError("it answers too slowly")
         connection = http.client.HTTPConnection(self._address, timeout=seconds)
-        timed_out = threading.Event()
-
-        def end(link: socket.socket) -> None:
-            timed_out.set()
-            with contextlib.suppress(OSError):
-                link.shutdown(socket.SHUT_RDWR)  # which ends a read that waits
-
         with contextlib.closing(connection):
             connection.connect()
-            timer = threading.Timer(seconds, end, [connection.sock])
+            deadline = time.monotonic() + seconds
+            timer = threading.Timer(seconds, _shut, [connection.sock])
             timer.start()
             try:
                 headers = {"Content-Type": "application/soap+xml; charset=utf-8"}
                 connection.request("POST", path, body, headers)
                 answer = connection.getresponse()
                 content = answer.read(DOCUMENT_BYTES_MAX + 1)
-            except (OSError, http.client.HTTPException):
-                if not timed_out.is_set():
-                    raise
             finally:
                 timer.cancel()
-        if timed_out.is_set():
-            raise TimeoutError(f"no whole answer within {seconds:.0f} s")
+                if time.monotonic() >= deadline:
+                    raise TimeoutError(f"no whole answer within {seconds:.0f} s")
         return answer.status, content
 
     def _clock_ahead(self) -> float:
@@ -214,6 +205,12 @@ class _Camera:
             f'<Created xmlns="{_SECURITY}wssecurity-utility-1.0.xsd">{created}'
             "</Created></UsernameToken></Security>"
         )
+
+
+def _shut(link: socket.socket) -> None:
+    """End a read that waits."""
+    with contextlib.suppress(OSError):
+        link.shutdown(socket.SHUT_RDWR)
 
 
 def _addresses(host: str) -> set[str]:

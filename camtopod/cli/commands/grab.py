@@ -114,8 +114,8 @@ def add_parser(add: Any) -> None:
         "--state", metavar="DIRECTORY", help="directory of the spool (default: [state] directory)"
     )
     # Options that the supervisor passes to a camera's process.
-    for option in ("with-parent", "restarts"):
-        parser.add_argument(f"--{option}", type=int, help=argparse.SUPPRESS)
+    parser.add_argument("--with-parent", type=int, help=argparse.SUPPRESS)
+    parser.add_argument("--restarts", type=int, default=0, help=argparse.SUPPRESS)
     parser.add_argument("--last-end", default="", help=argparse.SUPPRESS)
 
 
@@ -202,10 +202,7 @@ def _settings(args: argparse.Namespace, config: Config) -> CameraSettings:
 
 
 def _detector(args: argparse.Namespace, settings: CameraSettings) -> Detector | None:
-    """Load the camera's detector, if it has one, once it was tried.
-
-    Raises `CommandError` with file and line.
-    """
+    """Try and load the camera's detector, if any. Raises `CommandError` with file and line."""
     if not settings.detector.model:
         return None
     from camtopod.cli.cameras.probe import try_detector
@@ -271,21 +268,19 @@ def _until_stopped(
         if cause not in causes and state != "ended":
             causes.add(cause)
             words = f"camera {grabber.camera} is {state}: {grabber.reason}"
-            fine = state in ("connecting", "running")
-            log.log(logging.INFO if fine else logging.WARNING, "%s", words.removesuffix(": "))
+            level = logging.WARNING if state == "stalled" else logging.INFO
+            log.log(level, "%s", words.removesuffix(": "))
 
         if event is not None and not too_many:
             newest.append(event.t)
             too_many = len(newest) > EVENTS_PER_MINUTE_MAX and max(newest) - min(newest) < 60.0
             if too_many:
-                log.warning(
-                    "camera %s makes more than %d events a minute, as rain, snow and swaying "
-                    "things do: set min_height or draw an ignore area in [cameras.%s], or use a "
-                    "[detector]",
-                    grabber.camera,
-                    EVENTS_PER_MINUTE_MAX,
-                    grabber.camera,
+                words = (
+                    f"makes more than {EVENTS_PER_MINUTE_MAX} events a minute, as rain, snow and "
+                    "swaying things do: set min_height or draw an ignore area in "
+                    f"[cameras.{grabber.camera}], or use a [detector]"
                 )
+                log.warning("camera %s %s", grabber.camera, words)
         yield event
         if stop.is_set():
             return
@@ -300,11 +295,10 @@ def _log_end(grabber: Grabber) -> None:
     figures = grabber.statistics()
     analysed, undecoded, entries, exited = (int(figures[name]) for name in names)
     parts = [grabber.reason, f"{counted(analysed, 'picture')} analysed"]
-    level = logging.INFO
     if undecoded:
         parts.append(f"{undecoded} could not be decoded")
-        level = logging.WARNING
     parts += ["1 entry" if entries == 1 else f"{entries} entries", counted(exited, "exit")]
+    level = logging.WARNING if undecoded else logging.INFO
     log.log(level, "camera %s has ended: %s", grabber.camera, ", ".join(parts))
 
 
@@ -384,11 +378,9 @@ class _Connection:
         self._config = config
         self._grabber = grabber
         self._publisher = publisher
-        self._restarts = args.restarts or 0
-        self._last_end = args.last_end
-        self._daemons: set[str] = set()
-        self._missed = False
-        """The log says that the daemon is not there."""
+        self._args = args
+        self._is_there: bool | None = None
+        """Whether the daemon is there; None: not known yet. If it is not, the log says so."""
         self._bus: Bus | None = None
         self._closed = threading.Event()
         threading.Thread(target=self._connect, name="connect", daemon=True).start()
@@ -406,14 +398,13 @@ class _Connection:
                 self._miss(str(error))
             if self._closed.is_set():
                 return
-        camera = self._grabber.camera
-        self._publisher.attach(bus, [camera])
-        bus.answer_queries(f"status/{camera}", lambda key, parameters: self.status(), "status")
+        self._publisher.attach(bus, [self._grabber.camera])
+        bus.answer_queries(f"status/{self._grabber.camera}", lambda *_: self.status(), "status")
         bus.watch_alive("daemon", self._on_daemon)
         self._bus = bus
 
         # Look for the daemon once; from then on the bus tells when it appears or goes.
-        if not self._closed.wait(_DAEMON_LOOK_SECONDS) and not self._daemons:
+        if not self._closed.wait(_DAEMON_LOOK_SECONDS) and self._is_there is None:
             self._miss(
                 f"connected to the bus at {bus.endpoint}, but no daemon of site {bus.site} is there"
                 f"{right_site(bus, self._config)}"
@@ -422,26 +413,25 @@ class _Connection:
     def _on_daemon(self, name: str, alive: bool) -> None:
         """Note that a daemon has appeared or gone."""
         if not alive:
-            self._daemons.discard(name)
             self._miss("the daemon has gone")
             return
-        self._daemons.add(name)
-        if self._missed:
-            self._missed = False
+        if self._is_there is False:
             log.info("camera %s: connected to the daemon again", self._grabber.camera)
+        self._is_there = True
 
     def _miss(self, why: str) -> None:
         """Log once that the daemon is not there."""
-        if not self._missed and not self._closed.is_set():
-            self._missed = True
+        if self._is_there is not False and not self._closed.is_set():
+            self._is_there = False
             log.warning("camera %s: %s; events are kept in the spool", self._grabber.camera, why)
 
     def status(self) -> dict[str, Any]:
         """Return the content of ``status/{camera}``."""
         grabber = self._grabber
         reason = redact.redact(grabber.reason)
+        past = (self._args.restarts, self._args.last_end)
         return {
-            **camera_status(grabber.camera, grabber.state, reason, self._restarts, self._last_end),
+            **camera_status(grabber.camera, grabber.state, reason, *past),
             **grabber.statistics(),
             **self._publisher.statistics(),
         }

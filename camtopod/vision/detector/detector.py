@@ -61,8 +61,6 @@ class InferenceModel(Protocol):
 class DetectorResult(NamedTuple):
     """What the detector found in a frame, in pixels of the working image."""
 
-    crops: Sequence[Box] = ()
-    """Parts of the image that were examined."""
     detections: Sequence[Detection] = ()
     trusted: bool = False
     """True if the detector decides on the people in the image and their number."""
@@ -162,9 +160,7 @@ class Detector:
             or any(same_object(track.box, one.box) for track in tracked)
         )
         self._measure(moving, examined, detections)
-        self.result = DetectorResult(
-            examined, detections, self._agreement.trusted, self._agreement.share
-        )
+        self.result = DetectorResult(detections, self._agreement.trusted, self._agreement.share)
 
         # Where it is not trusted, motion alone counts.
         if not self._agreement.trusted:
@@ -245,14 +241,9 @@ class Detector:
             for at, box in self._standing
             if t - at <= STANDING_SECONDS + 0.1
             and not any(contains_centre(crop, box) for crop in crops)
-            and any(one.still and same_object(one.box, box) for one in tracked)
+            and _is_standing(box, tracked)
         ]
-        fresh = [
-            (t, box)
-            for box in boxes
-            if any(one.still and same_object(one.box, box) for one in tracked)
-        ]
-        self._standing = recent + fresh
+        self._standing = recent + [(t, box) for box in boxes if _is_standing(box, tracked)]
         return [box for _, box in recent]
 
 

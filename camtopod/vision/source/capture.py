@@ -320,9 +320,8 @@ def _opened(source: str, seconds: tuple[float, float] | None, options: str) -> c
     parameters = [cv2.CAP_PROP_N_THREADS, 1]
     if seconds is not None:
         source = percent_encoded(source)
-        names = (cv2.CAP_PROP_OPEN_TIMEOUT_MSEC, cv2.CAP_PROP_READ_TIMEOUT_MSEC)
-        for name, timeout in zip(names, seconds, strict=True):
-            parameters += [name, round(1000 * timeout)]
+        parameters += [cv2.CAP_PROP_OPEN_TIMEOUT_MSEC, round(1000 * seconds[0])]
+        parameters += [cv2.CAP_PROP_READ_TIMEOUT_MSEC, round(1000 * seconds[1])]
     else:
         source = f"file:{file_path(source)}"  # what is before a colon is no protocol
     if _DEVICES_OPTION in options:

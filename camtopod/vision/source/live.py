@@ -90,8 +90,8 @@ class LiveSource(Source):
         self._shift = 0.0
         self._latest = float("-inf")
         self._called: float | None = None
-        self._level = 0
-        """Degree of patience that the source needs, as far as is known: index of `PATIENCE`."""
+        self._patience = PATIENCE[0]
+        """What the source needs, as far as is known."""
 
     def frames(self) -> Iterator[Frame | None]:
         """Yield frames with ascending capture times; None if there is none for half a second.
@@ -123,10 +123,6 @@ class LiveSource(Source):
     def _blocked_seconds_max(self) -> float:
         """Longest time a call of OpenCV should take."""
         return sum(timeouts(self._patience)) + MARGIN_SECONDS
-
-    @property
-    def _patience(self) -> float:
-        return PATIENCE[self._level]
 
     def close(self) -> None:
         """Stop; waits for a blocked read, at most the sum of the timeouts."""
@@ -231,7 +227,9 @@ class LiveSource(Source):
         """
         timed_out = waited > 0.9 * timeouts(self._patience)[1]
         if (timed_out and ran < HEALTHY_SECONDS) or (not frames and capture.size == (0, 0)):
-            self._level = min(self._level + 1, len(PATIENCE) - 1)
+            self._patience = next(
+                (more for more in PATIENCE if more > self._patience), PATIENCE[-1]
+            )
         if not frames:
             return f"it opens, but gives no picture: {no_picture(capture)}"
         if timed_out:

@@ -103,7 +103,6 @@ class RecordedSource(Source):
             if positions:
                 yield from self._placed(waiting, positions, began)
                 waiting.clear()
-            self.untrusted_stamps = times.untrusted
 
         yield from self._placed(waiting, times.rest(), began)
         if self._capture is not None:
@@ -113,6 +112,7 @@ class RecordedSource(Source):
         self, frames: list[Frame | None], positions: list[float], began: float
     ) -> Iterator[Frame | None]:
         """Yield frames with their positions, in real time if that was asked for."""
+        self.untrusted_stamps = self._times.untrusted
         for frame, position in zip(frames, positions, strict=True):
             self._observed.add(position, None if frame is None else frame.luma)
             if frame is not None:

@@ -28,7 +28,6 @@ OBSERVED_SECONDS = 10.0
 
 A camera's noise, and each keyframe, changes some pixel meanwhile.
 """
-_URL = re.compile(r"([A-Za-z][A-Za-z0-9+.-]*)://([^/?]*)")
 _SCHEMES = ("rtsp", "rtsps", "rtmp", "rtmps", "http", "https", "tcp", "udp", "rtp", "srt")
 """Schemes of streams."""
 _OTHERS = {
@@ -115,12 +114,11 @@ def why_not_opened(source: str, ffmpeg_log: FfmpegLog) -> str:
     number = device_number(source)
     if number is not None:
         return _of_device(number)
-    scheme, host = m.groups() if (m := _URL.match(source)) else ("", "")
-    if scheme.lower() not in _SCHEMES:
-        known = f"{scheme}:// is none of {', '.join(_SCHEMES)}"
-        return _OTHERS.get(scheme.lower(), known)
+    scheme, _, rest = source.lower().partition("://")
+    if scheme not in _SCHEMES:
+        return _OTHERS.get(scheme, f"{scheme}:// is none of {', '.join(_SCHEMES)}")
     reason = ffmpeg_log.newest_reason()
-    if not reason and "%" in host.rpartition("@")[2]:
+    if not reason and "%" in re.split("[/?]", rest, maxsplit=1)[0].rpartition("@")[2]:
         return "an IPv6 address with a zone may not be understood: give another address"
     return reason
 
