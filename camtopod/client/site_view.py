@@ -143,11 +143,8 @@ class SiteView:
         """
         # Validate the exit as if it had been received.
         asked = {"camera": camera, "kind": "exit", "t": t, "x": x, "y": y, "track": track}
-        event = codec.event_from_msgpack(
-            codec.to_msgpack(
-                {name: _plain(value) for name, value in asked.items() if value is not None}
-            )
-        )
+        given = {name: _plain(value) for name, value in asked.items() if value is not None}
+        event = codec.event_from_msgpack(codec.to_msgpack(given))
         if zone is not None and x is not None:
             raise ValueError("give a zone or a position, not both")
 

@@ -14,7 +14,7 @@ from array import array
 
 import numpy as np
 
-from camtopod.arrays import Floats, Longs
+from camtopod.arrays import Floats
 from camtopod.predict.hazards import Outcomes, model_of
 from camtopod.records import Context, Topology
 from camtopod.topology import BACK_OFF_DEPARTURES, LEAVE_FLOOR, MULTIPLIER_MAX
@@ -95,8 +95,10 @@ class ContextMultipliers:
             if number is None:
                 continue
             total = self._departures[number] + BACK_OFF_DEPARTURES
-            moved = self._transitions_to(number, targets)
-            share_here = (moved + BACK_OFF_DEPARTURES * share) / total
+            of_context = slice(self._end[number], self._end[number + 1])
+            moved = np.zeros(self._zones + 1)
+            moved[self._to[of_context]] = self._transitions[of_context]
+            share_here = (moved[targets] + BACK_OFF_DEPARTURES * share) / total
             leave_here = (self._not_seen_again[number] + BACK_OFF_DEPARTURES * leave) / total
             share = probability * share_here + (1.0 - probability) * share
             leave = probability * leave_here + (1.0 - probability) * leave
@@ -104,13 +106,3 @@ class ContextMultipliers:
         # Ratio to the share without any context, within limits.
         ratio = share / np.maximum(outcomes.share, 1e-300)
         return np.clip(ratio, 1.0 / MULTIPLIER_MAX, MULTIPLIER_MAX), max(leave, LEAVE_FLOOR)
-
-    def _transitions_to(self, number: int, targets: Longs) -> Floats:
-        """Return the number of transitions to each target in a context, (targets,).
-
-        number: number of the context.
-        """
-        of_context = slice(self._end[number], self._end[number + 1])
-        by_zone = np.zeros(self._zones + 1)
-        by_zone[self._to[of_context]] = self._transitions[of_context]
-        return by_zone[targets]

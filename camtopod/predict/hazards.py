@@ -73,8 +73,6 @@ class Hazards:
         model = model_of(topology)
         index = {zone.id: k for k, zone in enumerate(topology.zones)}
         self.bins = LagBins(model.lag_min, model.lag_max, model.lag_scale, model.lag_step)
-        self.bin_of = self.bins.bin_of
-        """See `LagBins.bin_of`."""
         self.past = self.bins.edges[1:] <= 0
         """(bins,) True for lags before the exit."""
 
@@ -154,7 +152,7 @@ class Hazards:
         It is the entry kernel of the two zones at ``elapsed``.
         """
         row = self._entered.get(entry, {}).get(target)
-        at = self.bin_of(elapsed)
+        at = self.bins.bin_of(elapsed)
         if row is None or elapsed < 0.0 or at < 0:
             return 0.0
         return row[at]
@@ -171,10 +169,6 @@ class Hazards:
         It is the mean over the object's passage, as the time of its exit is not known yet.
         """
         return self._rate_before_exit.get((camera, target), 0.0)
-
-    def cameras_before(self, target: int) -> list[str]:
-        """Return the cameras whose objects may appear at a target before they leave the view."""
-        return self._cameras_before.get(target, [])
 
     def seen_before(self, zone: int) -> Bools:
         """Return a mask (zones,) of zones where objects may appear before they leave at ``zone``.
@@ -346,10 +340,11 @@ class Hazards:
                 reached.setdefault(camera, set()).add(target)
         for entry, targets in self._entered.items():
             reached.setdefault(topology.zones[entry].camera, set()).update(targets)
-        self._cameras_before: dict[int, list[str]] = {}
+        self.cameras_before: dict[int, list[str]] = {}
+        """By target: cameras whose objects may appear there before they leave the view."""
         for camera, zones in reached.items():
             for target in sorted(zones):
-                self._cameras_before.setdefault(target, []).append(camera)
+                self.cameras_before.setdefault(target, []).append(camera)
 
         # For each zone, all targets of its camera, and its own targets that are possible before the
         # exit.

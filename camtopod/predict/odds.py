@@ -95,7 +95,6 @@ class ExitTable:
     def __init__(self, site: Site, zone: int) -> None:
         outcomes = site.hazards.outcomes[zone]
         self.outcomes: Outcomes = outcomes
-        self.camera = site.zones[zone].camera
         self.targets = [site.zones[target] for target in outcomes.targets]
         self.target_cameras = site.camera_of[outcomes.targets]
         """(targets,) number of each target's camera."""

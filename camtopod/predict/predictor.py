@@ -26,7 +26,12 @@ from camtopod.predict.hand_over import HandOver, cameras_to_watch
 from camtopod.predict.hazards import Hazards
 from camtopod.predict.odds import ExitTable, Odds, Query, SeenArrivals, Site, find_odds
 from camtopod.predict.open_passages import UNKNOWN, OpenPassages, Passage
-from camtopod.predict.recent_events import RecentEvents, RecentState, moved_zones
+from camtopod.predict.recent_events import (
+    RECENT_MAX,
+    RecentEvents,
+    RecentState,
+    moved_zones,
+)
 from camtopod.predict.speed import PaceModel, windows_at_pace
 from camtopod.predict.time_windows import quantiles
 from camtopod.predict.zone_lookup import ZoneLookup
@@ -190,8 +195,8 @@ class Predictor:
 
         # Odds at the exit.
         corrected = t - self.site.clock_offset[here.camera]
-        is_observed = now is not None and self._has_left(zone, corrected)
-        query = Query(zone, corrected, passage, is_observed)
+        same = (self._exits.t == corrected) & (self._exits.zone == zone)
+        query = Query(zone, corrected, passage, now is not None and bool(same.any()))
         odds = self._odds(query, table)
 
         # The context multiplies the odds. Odds that may be spurious count as leaving the site, from
@@ -289,7 +294,7 @@ class Predictor:
             reported = arrivals.t + (offsets[arrivals.zone] - offsets[query.zone])
             since = (reported >= query.t) & (reported <= query.t + query.elapsed)
             rows = np.concatenate((rows, np.flatnonzero(since)))
-            if arrivals.is_full:
+            if len(arrivals.t) == RECENT_MAX:  # older ones may have been forgotten
                 remembered = float(reported[0]) - query.t
 
         is_before = np.arange(len(rows)) < before
@@ -336,10 +341,6 @@ class Predictor:
         return self._open_passages.was_in_view(
             camera, zone, began, t + self.site.clock_offset[camera]
         )
-
-    def _has_left(self, zone: int, t: float) -> bool:
-        """Return True if an exit at this zone and corrected time has been observed."""
-        return bool(((self._exits.t == t) & (self._exits.zone == zone)).any())
 
     def _is_alive(self) -> Floats:
         """Return the probability (cameras,) that each camera still reports.
@@ -419,7 +420,7 @@ class Predictor:
         # Objects in other views that may appear at the zone before they leave.
         here = self.zones[zone].camera
         in_views = []
-        for camera in hazards.cameras_before(zone):
+        for camera in hazards.cameras_before.get(zone, []):
             if camera == here:
                 continue
             before_exit = hazards.rate_before_exit(camera, zone)

@@ -52,11 +52,6 @@ class RecentEvents:
         """Rates (n, 1/s) of all known causes of arrivals; 0 for exits."""
         return self._rate[self._first : self._stop]
 
-    @property
-    def is_full(self) -> bool:
-        """Return True if older events may have been forgotten."""
-        return self._stop >= RECENT_MAX
-
     def append(self, t: float, zone: int, rate: float = 0.0) -> None:
         """Add an event at corrected time ``t``, with its rate if it is an arrival."""
         if self._stop == len(self._t):

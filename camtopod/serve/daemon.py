@@ -31,7 +31,7 @@ from camtopod.config import Config
 from camtopod.event_time import EventTime, microseconds
 from camtopod.keys.rules import STATUS
 from camtopod.predict import Predictor
-from camtopod.records import CameraFigures, DaemonStatus, EventCounts, Prediction, Topology
+from camtopod.records import CameraFigures, DaemonStatus, EventCounts, Topology
 from camtopod.redact import redact
 from camtopod.serve.admin_queries import Done, command_of
 from camtopod.serve.bus import (
@@ -354,7 +354,7 @@ class Daemon:
         limits = self._config.limits
 
         # Predictions, from the newest version until there is another.
-        self._live = Live(self._publish_prediction)
+        self._live = Live(lambda one: bus.publish(f"prediction/{one.camera}", one, "prediction"))
         if (newest := newest_topology(self._journal)) is not None:
             self._live.use(Predictor(newest))
             self.topology = replace(newest, model=None, weak_links=None)
@@ -494,9 +494,6 @@ class Daemon:
         )
         if not links:
             log.info("%s", waiting_for_links(topology))
-
-    def _publish_prediction(self, prediction: Prediction) -> None:
-        self.bus.publish(f"prediction/{prediction.camera}", prediction, "prediction")
 
     def _publish_status(self, stopping: threading.Event, beat: Beat) -> None:
         """Publish the status at intervals until the daemon stops."""

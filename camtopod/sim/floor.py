@@ -125,10 +125,6 @@ class Plan:
     areas: list[Area]
     views: list[View]
 
-    def streets(self) -> list[str]:
-        """Return the places with a single path: people come from there and go there."""
-        return [name for name in self.places if len(self.around(name)) == 1]
-
     def around(self, place: str) -> list[str]:
         """Return the places that a path joins to ``place``, in the order of the paths."""
         return [a for way in self.ways if place in way for a in way if a != place]
@@ -253,8 +249,9 @@ def _route(plan: Plan, rng: np.random.Generator) -> tuple[Floats, Longs]:
     (n,).
     """
 
-    # Choose the next stop at random, without turning back, until a street is reached.
-    streets = set(plan.streets())
+    # Choose the next stop at random, without turning back, until a street is reached: a place with
+    # a single path.
+    streets = {name for name in plan.places if len(plan.around(name)) == 1}
     stops = [str(rng.choice(sorted(streets)))]
     while len(stops) < 2 or stops[-1] not in streets:
         onward = [name for name in plan.around(stops[-1]) if name not in stops[-2:-1]]

@@ -50,8 +50,6 @@ def read_access(config: Config, clock: Clock) -> rules.Access | None:
     path = config.bus.tls.access
     if not config.bus.tls.ca:
         return None
-
-    # Read the list.
     try:
         access = rules.read_access(Path(path).read_bytes())
     except OSError as error:
@@ -77,8 +75,7 @@ def check_files(config: Config) -> None:
         return
     for path in (tls.ca, tls.certificate, tls.private_key):
         try:
-            with open(path, "rb"):
-                pass
+            Path(path).open("rb").close()
         except OSError as error:
             raise BusError(f"cannot read {path}: {error.strerror}; see [bus.tls]") from None
 

@@ -159,7 +159,8 @@ class Bus(contextlib.AbstractContextManager["Bus"]):
 
         def reply(query: zenoh.Query) -> None:
             with query:
-                parameters = _parameters(str(query.parameters))
+                pairs = (pair.partition("=") for pair in str(query.parameters).split(";") if pair)
+                parameters = {name: value for name, _, value in pairs}
                 asked = str(query.key_expr) if "*" in key else self._full(key)
 
                 # Get the answer, or the refusal.
@@ -471,12 +472,6 @@ def _with_port(endpoint: str) -> str:
 @functools.cache
 def _encoding(schema: str) -> zenoh.Encoding:
     return zenoh.Encoding(_PACK.format(schema))
-
-
-def _parameters(text: str) -> dict[str, str]:
-    """Return a query's parameters by name."""
-    pairs = (pair.partition("=") for pair in text.split(";") if pair)
-    return {name: value for name, _, value in pairs}
 
 
 def _short(error: Exception) -> str:

@@ -53,14 +53,8 @@ class OtherDaemons:
         return f"another daemon ({others}) serves the same site: stop one of them"
 
     def _on_change(self, name: str, alive: bool) -> None:
-        if name == self.name:
-            return
         if not alive:
             self._there.discard(name)
-        elif name not in self._there:
+        elif name != self.name and name not in self._there:
             self._there.add(name)
-            log.error(
-                "another daemon (%s) serves site %s on this bus: stop one of them",
-                name,
-                self._bus.site,
-            )
+            log.error("%s", self.reason)

@@ -40,8 +40,7 @@ class TopologySubscriber:
     def update(self) -> Topology | None:
         """Process what has been received; return the newest version, or None if it is not new."""
         before = self.topology
-        received = self._received
-        if received is not None:
+        if (received := self._received) is not None:
             self._received = None
             self._take(received)
         if self._stale and time.monotonic() >= self._ask_after:

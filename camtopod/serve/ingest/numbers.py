@@ -63,10 +63,10 @@ class Numbers:
         with self._mutex:
             stream = (camera, boot)
             # Publications may count from 0.
-            if seq <= max(self._taken.get(stream, -1), self._stored.get(stream, -1)):
-                return False
-            self._taken[stream] = seq
-            return True
+            is_new = seq > max(self._taken.get(stream, -1), self._stored.get(stream, -1))
+            if is_new:
+                self._taken[stream] = seq
+            return is_new
 
     def note_stored(self, camera: str, boot: str, seq: int) -> None:
         """Note that all events of a stream up to ``seq`` that were taken are stored."""

@@ -10,6 +10,7 @@ import re
 from typing import Literal
 
 from msgspec import Struct
+from msgspec.structs import replace
 
 from camtopod import codec
 from camtopod.admin import Command, Reset, Rewind
@@ -36,8 +37,7 @@ class Received(Struct, frozen=True, gc=False):
 
     def only_stored(self, kind: Literal["future", "refused"]) -> Received:
         """Return the entry by which an event is stored and not learned."""
-        entry = self.entry
-        return Received(Entry(kind, entry.camera, entry.boot, entry.seq, entry.raw))
+        return Received(replace(self.entry, kind=kind))
 
 
 def command_received(command: Command, meta: dict[str, str]) -> Received:

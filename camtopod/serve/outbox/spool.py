@@ -242,8 +242,8 @@ class Spool:
         """Delete the events of ``camera`` that wait, and count them as dropped."""
         with self._using():
             for boot, have in self._marks[camera].items():
-                gone = self._db.execute(f"DELETE FROM {_WAITING}", (camera, boot, have))
-                self.dropped += gone.rowcount
+                waiting = (camera, boot, have)
+                self.dropped += self._db.execute(f"DELETE FROM {_WAITING}", waiting).rowcount
 
     def adopt(self, path: Path) -> None:
         """Move the events of another spool, which no process has open, into this one."""

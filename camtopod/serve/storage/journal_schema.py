@@ -139,14 +139,3 @@ def how_far(database: sqlite3.Connection) -> JournalExtent:
     """Return how far the journal has come."""
     epoch = max(read_meta(database, key) or "" for key in ("epoch", "epoch before"))
     return JournalExtent(last_entry(database), last_version(database), epoch)
-
-
-def prepare_new_epoch(database: sqlite3.Connection, known: JournalExtent) -> None:
-    """Prepare a journal that was set back for a new epoch, within the caller's transaction.
-
-    Its own epoch ends, as published versions may be missing; the next one sorts after it and after
-    the newest that is known.
-    """
-    found = how_far(database)
-    database.execute("DELETE FROM meta WHERE key = 'epoch'")
-    write_meta(database, "epoch before", max(found.epoch, known.epoch))
