@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection
-from types import MappingProxyType
-from typing import NamedTuple
+from collections.abc import Callable
+from typing import Any, NamedTuple
 
-from camtopod.adapt.adapter import Adapter, Sizes
+from camtopod.adapt.adapter import Adapter
 from camtopod.adapt.axis import Axis
 from camtopod.adapt.deepstream import DeepStream
 from camtopod.adapt.frigate import Frigate
@@ -15,24 +14,15 @@ from camtopod.adapt.onvif import Onvif
 from camtopod.adapt.scenescape import SceneScape
 
 
-class FormatOptions(NamedTuple):
-    """Options of all formats; a format has some of them."""
-
-    size: Sizes = MappingProxyType({})
-    label: Collection[str] = ()
-    camera: str | None = None
-    tracked: bool = False
-    fps: float | None = None
-    start: float | None = None
-
-
 class Format(NamedTuple):
     """One format."""
 
     lines: str
     """What its lines are."""
-    make: Callable[[FormatOptions], Adapter] | None = None
-    """Makes its adapter; None for event lines. Raises `ValueError` for options without sense."""
+    make: Callable[[Any], Adapter] | None = None
+    """Makes its adapter of the parsed command line; None for event lines. Raises `ValueError` for
+    options without sense.
+    """
     options: tuple[str, ...] = ()
     """Names of its options."""
     mqtt: bool = True
@@ -43,18 +33,18 @@ FORMATS = {
     "jsonl": Format("event lines as `camtopod grab --out` writes them", mqtt=False),
     "frigate": Format(
         "messages of frigate/events (mosquitto_sub -t frigate/events)",
-        lambda given: Frigate(given.size, given.label),
+        lambda given: Frigate(dict(given.size), given.label),
         ("size", "label", "rename"),
     ),
     "mot": Format(
         "a MOTChallenge text file",
-        lambda given: Mot(given.camera, given.size, given.fps, given.start or 0.0),
+        lambda given: Mot(given.camera, dict(given.size), given.fps, given.start or 0.0),
         ("size", "camera", "fps", "start"),
         mqtt=False,
     ),
     "scenescape": Format(
         "messages of scenescape/data/camera/ID",
-        lambda given: SceneScape(given.size, given.label, given.tracked),
+        lambda given: SceneScape(dict(given.size), given.label, given.tracked),
         ("size", "label", "tracked", "rename"),
     ),
     "axis": Format(
@@ -69,7 +59,7 @@ FORMATS = {
     ),
     "deepstream": Format(
         "messages of nvmsgconv",
-        lambda given: DeepStream(given.size, given.camera, given.label),
+        lambda given: DeepStream(dict(given.size), given.camera, given.label),
         ("size", "label", "camera", "rename"),
     ),
 }

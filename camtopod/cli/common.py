@@ -33,10 +33,21 @@ def configuration(args: argparse.Namespace) -> Config:
 
     Raises `CommandError`.
     """
-    loaded = _load(args.config)
+    loaded = Config()
     if args.config is not None:
+        try:
+            loaded = settings.load(args.config)
+        except settings.ConfigError as error:
+            raise CommandError(f"the configuration has mistakes:\n{error}", exits.CONFIG) from None
+        except OSError as error:
+            raise InputError(
+                f"cannot read {args.config}: {error.strerror}; --config none does without it"
+            ) from None
         if getattr(args, "config_found", False):
-            _say(args, f"configuration: {args.config}")
+            if getattr(args, "logs", False):
+                log.info("configuration: %s", args.config)
+            else:
+                say(visible(f"camtopod: configuration: {args.config}"))
         if getattr(args, "with_parent", None) is None:  # otherwise the supervisor warns
             for sentence in secret_files.find_exposed(loaded.secrets(args.config)):
                 log.warning("%s", sentence)
@@ -52,28 +63,6 @@ def configuration(args: argparse.Namespace) -> Config:
                 f"{error.filename}: {error.strerror}"
             ) from None
     return loaded
-
-
-def _load(path: Path | None) -> Config:
-    """Return the content of the configuration file, if there is one. Raises `CommandError`."""
-    if path is None:
-        return Config()
-    try:
-        return settings.load(path)
-    except settings.ConfigError as error:
-        raise CommandError(f"the configuration has mistakes:\n{error}", exits.CONFIG) from None
-    except OSError as error:
-        raise InputError(
-            f"cannot read {path}: {error.strerror}; --config none does without it"
-        ) from None
-
-
-def _say(args: argparse.Namespace, message: str) -> None:
-    """Log a message, or print it if the command does not log."""
-    if getattr(args, "logs", False):
-        log.info("%s", message)
-    else:
-        say(visible(f"camtopod: {message}"))
 
 
 def say(message: str) -> None:

@@ -136,7 +136,9 @@ def main(argv: Sequence[str] | None = None) -> int:
         what = f"{name} needs the package {error.name!r}, which is not installed"
         return _fail(f"{what}; see README, 'Packages'", exits.FAILED, form)
     except OSError as error:
-        return _fail(*_os_error(error), form)
+        if error.filename is not None:  # of an input, and no command translated it
+            return _fail(f"cannot read {error.filename}: {error.strerror}", exits.INPUT, form)
+        return _fail(str(error), _STATUS_OF_ERROR.get(type(error).__name__, exits.FAILED), form)
     return int(status or exits.DONE)
 
 
@@ -281,16 +283,6 @@ def _add_common(parser: argparse.ArgumentParser, top: bool) -> None:
     group = parser.add_argument_group("common options")
     for option, its in _COMMON.items():
         group.add_argument(option, **(its if top else {**its, "default": argparse.SUPPRESS}))
-
-
-def _os_error(error: OSError) -> tuple[str, int]:
-    """Return (message, exit status) of an OSError that no command translated.
-
-    With a file name it is an input that cannot be read.
-    """
-    if error.filename is not None:
-        return f"cannot read {error.filename}: {error.strerror}", exits.INPUT
-    return str(error), _STATUS_OF_ERROR.get(type(error).__name__, exits.FAILED)
 
 
 def _fail(message: str, status: int, form: str) -> int:

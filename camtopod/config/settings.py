@@ -264,7 +264,11 @@ class Config(Struct, frozen=True, forbid_unknown_fields=True):
     @property
     def dials(self) -> tuple[str, ...]:
         """Endpoints to which all programs but the daemon connect."""
-        return self.bus.connect or tuple(_local_address(endpoint) for endpoint in self.listens)
+        # This machine reaches itself at its own address where it listens on all interfaces.
+        return self.bus.connect or tuple(
+            endpoint.replace("/0.0.0.0:", "/127.0.0.1:").replace("/[::]:", "/[::1]:")
+            for endpoint in self.listens
+        )
 
     def secrets(self, path: Path) -> list[Path]:
         """Return the files that hold secrets, if this configuration was read from ``path``."""
@@ -512,8 +516,3 @@ def _with_paths(tls: TlsSettings, change: Callable[[str], str]) -> TlsSettings:
     return TlsSettings(
         **{field: change(path) for field, path in msgspec.structs.asdict(tls).items()}
     )
-
-
-def _local_address(endpoint: str) -> str:
-    """Return the address at which this machine reaches an endpoint on all interfaces."""
-    return endpoint.replace("/0.0.0.0:", "/127.0.0.1:").replace("/[::]:", "/[::1]:")

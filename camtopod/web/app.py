@@ -28,6 +28,7 @@ from camtopod.serve.bus import Bus
 from camtopod.serve.runtime import STALL_SECONDS, Beat, Clock, Progress
 from camtopod.web.api import Api, content, error, streamed
 from camtopod.web.connections import Connection
+from camtopod.web.explanations import Explanations
 from camtopod.web.feed import Feed
 from camtopod.web.guards import Guard
 from camtopod.web.login import Login
@@ -67,29 +68,26 @@ class Routes:
     def camera(self, request: Request) -> Response:
         """Return one camera's zones and links, and whether there is a picture."""
         name = request.path_params["camera"]
-        explanations = self._feed.explanations
-        details: Any = explanations and explanations.camera(name)
-        more = {
-            "picture": picture_of(self._pictures, name) is not None,
-            "page": self._config.cameras.get(name, CameraSettings()).page or None,
-            "hours": self._feed.hours_of(name),
-        }
-        return _found(details and {**details, **more}, f"camera {name}")
+        return self._explained(
+            f"camera {name}",
+            lambda known: known.camera(name),
+            picture=picture_of(self._pictures, name) is not None,
+            page=self._config.cameras.get(name, CameraSettings()).page or None,
+            hours=self._feed.hours_of(name),
+        )
 
     def pair(self, request: Request) -> Response:
         """Return the links between two cameras."""
         a = request.path_params["a"]
         b = request.path_params["b"]
-        explanations = self._feed.explanations
-        details = explanations and explanations.pair(a, b)
-        return _found(details, f"a link between {a} and {b}")
+        return self._explained(f"a link between {a} and {b}", lambda known: known.pair(a, b))
 
     def link(self, request: Request) -> Response:
         """Return one link, given by ``from``, ``to`` and ``relation``."""
         from_, to, relation = (request.query_params.get(k, "") for k in ("from", "to", "relation"))
-        explanations = self._feed.explanations
-        details = explanations and explanations.link(from_, to, relation)
-        return _found(details, f"the link {from_} → {to}")
+        return self._explained(
+            f"the link {from_} → {to}", lambda known: known.link(from_, to, relation)
+        )
 
     def pictures(self, request: Request) -> Response:
         """Return the cameras of which there is a picture."""
@@ -130,6 +128,15 @@ class Routes:
                     yield message
 
         return streamed(stream())
+
+    def _explained(
+        self, what: str, details_of: Callable[[Explanations], Any], **more: Any
+    ) -> Response:
+        """Return the response with details of the newest version, or that it does not have them."""
+        details = self._feed.explanations and details_of(self._feed.explanations)
+        if not details:
+            return error(404, f"{what} is not in the newest version")
+        return content({**details, **more})
 
 
 def application(
@@ -249,13 +256,6 @@ def serving(
         server.should_exit = True
         for thread in threads:
             thread.join(CLOSE_SECONDS + 1)
-
-
-def _found(details: Any, what: str) -> Response:
-    """Return the response with details, or that the newest version does not have them."""
-    if not details:
-        return error(404, f"{what} is not in the newest version")
-    return content(details)
 
 
 def _file(path: str | Path) -> Response:

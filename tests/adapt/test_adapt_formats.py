@@ -10,6 +10,7 @@ import json
 import random
 from collections.abc import Iterator
 from datetime import UTC, datetime
+from types import SimpleNamespace
 from typing import Any
 
 import frigate_messages as says
@@ -19,7 +20,6 @@ from hypothesis import given, settings, strategies as st
 from camtopod.adapt import (
     FORMATS,
     LINE_BYTES_MAX,
-    FormatOptions,
     camera_names,
     camera_streams,
     frames,
@@ -38,7 +38,9 @@ from camtopod.records import Event
 
 T = 1_700_000_000.0
 SIZES = {"": (says.WIDTH, says.HEIGHT)}
-OPTIONS = FormatOptions(size={"": (1920, 1080)}, camera="gate", fps=10.0)
+OPTIONS = SimpleNamespace(
+    size=[("", (1920, 1080))], label=[], camera="gate", tracked=False, fps=10.0, start=None
+)
 
 
 def iso(t: float) -> str:

@@ -121,7 +121,6 @@ def test_from_standard_input_to_standard_output(
         ("mot x.txt", "mot needs --camera, --fps, and --size"),
         ("mot x.txt --camera a --fps 0 --size 4x4", "above 0"),
         ("mot x.txt --camera a --fps 5 --size b=4x4", "--size of that camera"),
-        ("frigate x.txt --size 4by4", "write it like 1280x720"),
         ("mot x.txt --rename a=b", "--rename is for frigate, scenescape, axis, onvif, deepstream"),
         ("frigate x.txt --fps 5", "--fps is for mot, not frigate"),
         ("scenescape x.txt --ca y.pem", "are for mqtt[s]:// only"),
@@ -137,6 +136,13 @@ def test_usage(line: str, said: str, capsys: pytest.CaptureFixture[str]) -> None
     err = capsys.readouterr().err
     assert said in err
     assert "hunter2" not in err
+
+
+def test_a_size_is_width_and_height(capsys: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(SystemExit) as ended:
+        main(["ingest", "frigate", "x.txt", "--size", "4by4"])
+    assert ended.value.code == exits.USAGE
+    assert "write it like 1280x720" in capsys.readouterr().err
 
 
 def test_reading_that_fails_in_the_middle_is_no_success(

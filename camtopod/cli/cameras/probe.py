@@ -16,14 +16,13 @@ from camtopod.cli import exits
 from camtopod.cli.cameras.camera_process import exit_reason
 from camtopod.cli.common import say, writing
 from camtopod.cli.site_choice import right_site
-from camtopod.config import CameraSettings, Config, detector_line, key_lines
+from camtopod.config import CameraSettings, Config, detector_line, key_lines, secret_files
 from camtopod.redact import remember
 from camtopod.serve.bus import BusError, access, dial
 from camtopod.visible import visible
 from camtopod.vision.detector.model import ModelReport
 from camtopod.vision.settings import DetectorSettings
 from camtopod.vision.source import PROBE_SECONDS_MAX, SETTLE_SECONDS_MAX, Probe, ProbeRequest
-from camtopod.web import pictures
 
 PROGRAM = "camtopod.vision.source.probe"
 """Module that the process runs."""
@@ -60,7 +59,7 @@ def probe_all(
             probe = future.result()
             if folder is not None and probe.picture:
                 with writing(f"--pictures {folder}"):
-                    pictures.store_picture(folder, camera, probe.picture)
+                    secret_files.write(folder / f"{camera}.jpg", probe.picture, 0o640)
             probes[camera] = replace(probe, picture=b"")
             on_probe(camera, probes[camera])
     return {camera: probes[camera] for camera in cameras}

@@ -160,9 +160,8 @@ def numbered_by(boot: str, source: Iterator[Event]) -> Iterator[Event]:
     for event in source:
         if event.boot is None:
             counts[event.camera] += 1
-            yield msgspec.structs.replace(event, boot=boot, seq=counts[event.camera])
-        else:
-            yield event
+            event = msgspec.structs.replace(event, boot=boot, seq=counts[event.camera])
+        yield event
 
 
 def _publish(

@@ -10,13 +10,21 @@ from collections.abc import Iterator
 from typing import Any
 
 from camtopod import mqtt
-from camtopod.adapt import ANY_CAMERA, FORMATS, LINE_BYTES_MAX, Adapter, FormatOptions, Size, frames
+from camtopod.adapt import ANY_CAMERA, FORMATS, LINE_BYTES_MAX, Adapter, Size, frames
 from camtopod.cli import exits
 from camtopod.cli.common import camera_id
 from camtopod.cli.events import broker_options
 from camtopod.cli.events.event_lines import LineReader, open_input, pieces
 from camtopod.cli.exits import CommandError
 from camtopod.records import Event
+
+
+def _size(text: str) -> tuple[str, Size]:
+    """Parse [CAMERA=]WxH; for argparse."""
+    match = _SIZE.fullmatch(text)
+    if match is None:
+        raise argparse.ArgumentTypeError(f"{text!r}: write it like 1280x720 or lobby=1280x720")
+    return match[1] or ANY_CAMERA, (int(match[2]), int(match[3]))
 
 
 def _renaming(text: str) -> tuple[str, str]:
@@ -31,7 +39,7 @@ _OPTIONS: dict[str, tuple[str, dict[str, Any]]] = {
     "size": (
         "width and height in pixels of the pictures that the boxes refer to (of Frigate's detect, "
         "not needed with path_data; of nvstreammux); may be repeated",
-        {"metavar": "[CAMERA=]WxH", "action": "append", "default": []},
+        {"metavar": "[CAMERA=]WxH", "type": _size, "action": "append", "default": []},
     ),
     "label": (
         "only objects of this kind (person, car, ...); may be repeated",
@@ -104,36 +112,21 @@ def events(
 def adapter_for(args: argparse.Namespace) -> Adapter | None:
     """Return the adapter of the format; None for event lines. Raises `CommandError`."""
     chosen = FORMATS[args.format]
-    values = {option: getattr(args, option) for option in _OPTIONS}
-    for option in values.keys() - {*chosen.options}:
-        if values[option]:
+    for option in _OPTIONS.keys() - {*chosen.options}:
+        if getattr(args, option):
             raise CommandError(
                 f"--{option} is for {_formats(option)}, not {args.format}", exits.USAGE
             )
     if chosen.make is None:
         return None
-    renamed = dict(values.pop("rename"))
     try:
-        adapter = chosen.make(FormatOptions(**{**values, "size": _sizes(args.size)}))
+        adapter = chosen.make(args)
     except ValueError as error:
         raise CommandError(str(error), exits.USAGE) from None
-    adapter.cameras.renamed = renamed
+    adapter.cameras.renamed = dict(args.rename)
     return adapter
 
 
 def _formats(option: str) -> str:
     """Return the names of the formats that have an option."""
     return ", ".join(name for name, one in FORMATS.items() if option in one.options)
-
-
-def _sizes(given: list[str]) -> dict[str, Size]:
-    """Return camera -> size in pixels, from the values of --size. Raises `CommandError`."""
-    sizes = {}
-    for text in given:
-        match = _SIZE.fullmatch(text)
-        if match is None:
-            raise CommandError(
-                f"--size {text!r}: write it like 1280x720 or lobby=1280x720", exits.USAGE
-            )
-        sizes[match[1] or ANY_CAMERA] = (int(match[2]), int(match[3]))
-    return sizes
