@@ -58,12 +58,15 @@ def intersection(a: Box, b: Box) -> Box | None:
     return (max(a[0], b[0]), max(a[1], b[1]), min(a[2], b[2]), min(a[3], b[3]))
 
 
+def common_area(a: Box, b: Box) -> float:
+    """Return the area of the common part of two boxes, pixels."""
+    common = intersection(a, b)
+    return 0.0 if common is None else area(common)
+
+
 def overlap(a: Box, b: Box) -> float:
     """Return the common area as a share of the smaller box, 0 to 1."""
-    common = intersection(a, b)
-    if common is None:
-        return 0.0
-    return area(common) / max(min(area(a), area(b)), 1.0)
+    return common_area(a, b) / max(min(area(a), area(b)), 1.0)
 
 
 def gap(a: Box, b: Box) -> float:

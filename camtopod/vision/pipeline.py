@@ -150,11 +150,9 @@ class ViewPipeline:
         dt = 0.0 if self._t is None else min(max(0.0, t - self._t), STEP_SECONDS_MAX)
         self._t = t
 
-        # Moving pixels against the background.
+        # Moving pixels against the background; none in a flash, and when the scene has changed.
         motion = self._motion.detect(frame, dt)
-        # None: the scene has changed, bootstrap again. Disturbed: a flash, or the first frames of a
-        # changed scene.
-        if motion is None or self._motion.disturbed:
+        if motion is None:
             self._show(t, frame, None, [])
             return []
 

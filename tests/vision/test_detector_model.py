@@ -14,7 +14,7 @@ from camtopod.vision.boxes import Box
 from camtopod.vision.detector import layouts
 from camtopod.vision.detector.crops import whole
 from camtopod.vision.detector.model import Detection, DetectorError, Model
-from camtopod.vision.detector.onnx_header import HeaderError, input_size
+from camtopod.vision.detector.onnx_header import input_size
 from camtopod.vision.settings import DetectorSettings, Layout
 
 PEOPLE = ((40, 30, 80, 130), (180, 60, 220, 170))
@@ -124,5 +124,5 @@ def test_other_inputs_are_refused(tmp_path: Path, shapes: list[list[int]], words
     out = helper.make_tensor_value_info("out", TensorProto.FLOAT, shapes[0])
     graph = helper.make_graph([helper.make_node("Relu", ["i0"], ["out"])], "g", inputs, [out])
     save(helper.make_model(graph), str(tmp_path / "m.onnx"))
-    with pytest.raises(HeaderError, match=words):
+    with pytest.raises(DetectorError, match=words):
         input_size(str(tmp_path / "m.onnx"))

@@ -53,7 +53,7 @@ def supervise(args: argparse.Namespace, config: Config, requests: SignalRequests
             requests.stop.wait(0.1)
         if requests.stop.is_set():
             return exits.DONE
-        return supervisor.status
+        return max(process.status for process in supervisor.processes.values())
     finally:
         supervisor.end()
 
@@ -64,7 +64,7 @@ class _Supervisor:
     def __init__(self, args: argparse.Namespace, config: Config) -> None:
         self._args = args
         self._config = config
-        self._processes = {
+        self.processes = {
             name: CameraProcess(name, _filled(config, name)) for name in config.cameras
         }
         """Those of removed cameras are included until they have ended."""
@@ -75,23 +75,18 @@ class _Supervisor:
     @property
     def over(self) -> bool:
         """Return True if all processes have ended and none is to be restarted."""
-        return all(process.over for process in self._processes.values())
-
-    @property
-    def status(self) -> int:
-        """Return the worst exit status."""
-        return max(process.status for process in self._processes.values())
+        return all(process.over for process in self.processes.values())
 
     def look_after(self) -> None:
         """Check every process once; never waits for a camera."""
         now = time.monotonic()
-        for process in self._processes.values():
+        for process in self.processes.values():
             process.look_after(now, command(process, self._args))
-        for name in self._processes.keys() - self._config.cameras.keys():
-            if self._processes[name].over:
-                del self._processes[name]
-        running = sum(process.state == "running" for process in self._processes.values())
-        self._heartbeats.beat(f"{running} of {len(self._processes)} cameras run", "")
+        for name in self.processes.keys() - self._config.cameras.keys():
+            if self.processes[name].over:
+                del self.processes[name]
+        running = sum(process.state == "running" for process in self.processes.values())
+        self._heartbeats.beat(f"{running} of {len(self.processes)} cameras run", "")
 
     def reload(self) -> None:
         """Reload the configuration.
@@ -112,31 +107,31 @@ class _Supervisor:
         every = any(getattr(old, table) != getattr(config, table) for table in _OF_ALL)
         for name in config.cameras:
             settings = _filled(config, name)
-            process = self._processes.get(name)
+            process = self.processes.get(name)
             if process is None:
-                self._processes[name] = CameraProcess(name, settings)
+                self.processes[name] = CameraProcess(name, settings)
             elif every or name not in old.cameras or process.settings != settings:
                 process.restart(settings, now)
-        for name in self._processes.keys() - config.cameras.keys():
-            self._processes[name].request_end(now)
+        for name in self.processes.keys() - config.cameras.keys():
+            self.processes[name].request_end(now)
         log.info("the configuration is reloaded, of %d cameras", len(config.cameras))
 
     def end(self) -> None:
         """End all processes, killing those that do not end in time."""
         systemd.notify("STOPPING=1")
         self._ending.set()
-        for process in self._processes.values():
+        for process in self.processes.values():
             process.request_end(time.monotonic())
         deadline = time.monotonic() + STOP_SECONDS + 1.0
         while not self.over and time.monotonic() < deadline:
-            for process in self._processes.values():
+            for process in self.processes.values():
                 process.look_after(time.monotonic(), command(process, self._args))
             time.sleep(0.02)
 
     def _publish(self) -> None:
         """Publish the statuses of cameras whose processes cannot, until the end."""
         while not self._ending.wait(self._config.limits.status_seconds):
-            for process in list(self._processes.values()):
+            for process in list(self.processes.values()):
                 if not process.silent or not (process.restarts or process.over):
                     continue
                 from camtopod.serve.bus import dial  # takes memory, and is seldom needed

@@ -132,10 +132,7 @@ def _box(row: cv2.typing.MatLike) -> Box:
 
 
 def _blob(group: list[int], box: Box, pixels: int, labels: Luma, motion: Motion) -> Blob | None:
-    """Return the blob of the fragments ``group``, or None.
-
-    None if it fills too little of its box or has too few edges of its own.
-    """
+    """Return the blob of some fragments; None if it fills too little of its box or is a shadow."""
     left, top, right, bottom = map(int, box)
     part = labels[top:bottom, left:right]
     mask = part == group[0]

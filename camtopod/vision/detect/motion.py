@@ -106,11 +106,6 @@ class MotionDetector:
         self._changed_seconds = 0.0
         self.relearned = 0
 
-    @property
-    def disturbed(self) -> bool:
-        """True if light or another scene hides the objects in the latest image."""
-        return self._changed_seconds > 0.0
-
     def filter_noise(self, frame: Luma) -> Luma:
         """Measure the noise of ``frame``; return the frame, filtered if it is noisy."""
         if self._last is None or self._last.shape != frame.shape:
@@ -140,8 +135,8 @@ class MotionDetector:
     def detect(self, frame: Luma, dt: float) -> Motion | None:
         """Return the motion in ``frame``, ``dt`` seconds after the last.
 
-        Returns None if the image has changed for good; the caller then forgets its objects and
-        bootstraps again.
+        Returns None if light or another scene hides the objects. If the image has changed for good,
+        the detector is not `ready` then; the caller forgets its objects and bootstraps again.
         """
         expected = self._background.expected(frame, self._settled, self.noise)
 
@@ -161,13 +156,13 @@ class MotionDetector:
         differs = cv2.threshold(difference, least, 255, cv2.THRESH_BINARY)[1]
         differs = cv2.bitwise_and(differs, self.watched)
         moving = self._swaying.without(differs, frame, expected, least)
-        self._changed_seconds += dt
-        if not self._has_changed(moving):
-            self._changed_seconds = 0.0
-        if self._changed_seconds > CHANGED_SECONDS:
-            self.ready = False
-            self.relearned += 1
+        if self._has_changed(moving):
+            self._changed_seconds += dt
+            if self._changed_seconds > CHANGED_SECONDS:
+                self.ready = False
+                self.relearned += 1
             return None
+        self._changed_seconds = 0.0
         if not cv2.countNonZero(moving):
             return Motion(frame, moving, moving, moving, differs, expected)
 
@@ -181,10 +176,7 @@ class MotionDetector:
         return Motion(frame, solid, edges, moving, differs, expected)
 
     def _has_changed(self, moving: Luma) -> bool:
-        """Return True if most of the image differs, or most of a change that came within a frame.
-
-        moving (H, W): pixels that differ from the scene.
-        """
+        """Return True if most of the image differs, or of a change that came within a frame."""
         appeared = cv2.subtract(moving, self._moving)
         self._moving = moving
         large = SUDDEN_SHARE * cv2.countNonZero(self.watched)

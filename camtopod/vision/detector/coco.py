@@ -5,6 +5,8 @@ T.-Y. Lin et al., Microsoft COCO: Common Objects in Context, ECCV 2014.
 
 from __future__ import annotations
 
+from camtopod.vision.detector.errors import DetectorError
+
 _NAMES = (
     "person|bicycle|car|motorcycle|airplane|bus|train|truck|boat|traffic light|fire hydrant|"
     "stop sign|parking meter|bench|bird|cat|dog|horse|sheep|cow|elephant|bear|zebra|giraffe|"
@@ -30,18 +32,20 @@ def class_number(label: str | int, classes: int | None, from_one: bool) -> int:
     from_one: True if its numbers are COCO's own, from 1, with gaps.
 
     A model with a single class has no need of names: "person" is that class, whatever it is. Raises
-    `ValueError` if the label cannot be a class of this model.
+    `DetectorError` if the label cannot be a class of this model.
     """
     if isinstance(label, int):
         if classes is not None and label >= classes:
-            raise ValueError(f"the model has no class {label}: they are 0 to {classes - 1}")
+            what = f"the model has no class {label}: they are 0 to {classes - 1}"
+            raise DetectorError("labels", what)
         return label
     if classes == 1 and label == "person":
         return 0
     if classes not in (None, len(LABELS), 91):
-        raise ValueError(
+        raise DetectorError(
+            "labels",
             f"the model has {classes} classes, which are not COCO's {len(LABELS)}: "
-            f"write the number of the class instead of {label!r}"
+            f"write the number of the class instead of {label!r}",
         )
     index = LABELS.index(label)
     return IDS[index] if from_one or classes == 91 else index

@@ -22,7 +22,9 @@ from camtopod.vision.boxes import (
     area,
     box_height,
     centre,
+    common_area,
     intersection,
+    overlap,
 )
 from camtopod.vision.detect import Blob, Luma
 
@@ -110,14 +112,13 @@ def fuse(
 
 def same_object(track: Box, detection: Box) -> bool:
     """Return True if a track and a detection are of one object."""
-    common = intersection(track, detection)
-    return common is not None and area(common) >= SAME_SHARE * min(area(track), area(detection))
+    return overlap(track, detection) >= SAME_SHARE
 
 
 def same_outline(a: Box, b: Box) -> bool:
     """Return True if two boxes have the same outline, nearly."""
-    common = intersection(a, b)
-    return common is not None and area(common) > SAME_IOU * (area(a) + area(b) - area(common))
+    common = common_area(a, b)
+    return common > SAME_IOU * (area(a) + area(b) - common)
 
 
 def share_inside(moving: Luma, crop: Box, boxes: Sequence[Box]) -> tuple[int, int]:
@@ -135,10 +136,7 @@ def share_inside(moving: Luma, crop: Box, boxes: Sequence[Box]) -> tuple[int, in
 
 def _linked(blob: Box, detection: Box) -> bool:
     """Return True if a blob shows a piece of a detected object, or contains it."""
-    common = intersection(blob, detection)
-    if common is None:
-        return False
-    shared = area(common)
+    shared = common_area(blob, detection)
     return shared >= LINK_SHARE * area(detection) or shared >= 0.5 * area(blob)
 
 
@@ -171,8 +169,7 @@ def _blob(box: Box, detected: bool, part_of: int) -> Blob:
 
 def _inside(box: Box, crop: Box) -> bool:
     """Return True if most of a box is inside of a crop."""
-    common = intersection(box, crop)
-    return common is not None and area(common) >= 0.8 * area(box)
+    return common_area(box, crop) >= 0.8 * area(box)
 
 
 def _slices(box: Box, image: Luma) -> tuple[slice, slice]:

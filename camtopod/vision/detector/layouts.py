@@ -17,13 +17,14 @@ G = sum of (W / s) * (H / s) over the strides s = 8, 16, 32:
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import NamedTuple, get_args
+from typing import Literal, NamedTuple, get_args
 
 import cv2
 import numpy as np
 import numpy.typing as npt
 
 from camtopod.vision.boxes import Size
+from camtopod.vision.detector.errors import DetectorError
 from camtopod.vision.settings import Layout
 
 Array = npt.NDArray[np.float32]
@@ -41,10 +42,6 @@ DECODED_PIXELS = 8.0
 
 A raw one holds offsets from the cell, in strides: most are between -1 and 2.
 """
-
-
-class LayoutError(ValueError):
-    """The outputs are of no known layout, of several, or not of the one that was asked for."""
 
 
 class Form(NamedTuple):
@@ -83,29 +80,31 @@ class Found(NamedTuple):
 # -- which layout ------------------------------
 
 
-def recognise(outputs: Sequence[Array], size: Size, asked: Layout | None) -> Form:
+def recognise(outputs: Sequence[Array], size: Size, asked: str) -> Form:
     """Return the form of a model's outputs.
 
     outputs: those for any image; their values tell what the shapes leave open.
     size (width, height): the model's input, pixels.
-    asked: the layout that the settings name; None to recognise it.
+    asked: the layout that the settings name; "" to recognise it.
 
-    Raises `LayoutError`, which names the values of `layout` that can be written.
+    Raises `DetectorError`, which names the values of `layout` that can be written, if the outputs
+    are of no known layout, of several, or not of the one that was asked for.
     """
     forms = _possible(outputs, size)
-    fitting = [form for form in forms if asked in (None, form.layout)]
-    if len(fitting) == 1 or (fitting and asked is not None):
+    fitting = [form for form in forms if asked in ("", form.layout)]
+    if len(fitting) == 1 or (fitting and asked):
         return fitting[0]
 
     # None fits, or several do.
     shapes = " and ".join(str(tuple(output.shape)) for output in outputs)
-    if asked is not None:
+    if asked:
         what = f"are not of the layout {asked!r}"
     elif forms:
         what = "do not tell their layout"
     else:
         what = "are of no known layout"
-    raise LayoutError(f"its outputs, {shapes}, {what}; {_can_be(forms)}")
+    key: Literal["layout", "model"] = "layout" if asked else "model"
+    raise DetectorError(key, f"its outputs, {shapes}, {what}; {_can_be(forms)}")
 
 
 def _can_be(forms: Sequence[Form]) -> str:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Literal, NamedTuple, cast
+from typing import NamedTuple, cast
 
 import cv2
 import numpy as np
@@ -15,7 +15,8 @@ from camtopod.vision.boxes import Box, Size
 from camtopod.vision.detector import layouts, onnx_header
 from camtopod.vision.detector.coco import class_number, label_name
 from camtopod.vision.detector.crops import whole
-from camtopod.vision.settings import DetectorSettings, Layout
+from camtopod.vision.detector.errors import DetectorError as DetectorError
+from camtopod.vision.settings import DetectorSettings
 
 Image = cv2.typing.MatLike
 """Colour image (H, W, 3), uint8: blue, green, red."""
@@ -26,17 +27,6 @@ KNOWN_SCORE_SHARE = 0.6
 """Share of the setting `score` that is enough where something is tracked already."""
 BOXES_MAX = 10
 """Boxes that are listed, those of the highest scores."""
-
-
-class DetectorError(Exception):
-    """The model cannot be used; ``str()`` says why.
-
-    key: the setting that is to be changed.
-    """
-
-    def __init__(self, key: Literal["model", "labels", "layout"], what: str) -> None:
-        super().__init__(what)
-        self.key = key
 
 
 class Detection(NamedTuple):
@@ -71,10 +61,7 @@ class Model:
     def __init__(self, settings: DetectorSettings) -> None:
         """Load the model and run it on an empty image. Raises `DetectorError`."""
         self.name = Path(settings.model).name
-        try:
-            self.size = onnx_header.input_size(settings.model)
-        except onnx_header.HeaderError as error:
-            raise DetectorError("model", str(error)) from None
+        self.size = onnx_header.input_size(settings.model)
         try:
             self._net = cv2.dnn.readNetFromONNX(settings.model)
             self._outputs = self._net.getUnconnectedOutLayersNames()
@@ -87,20 +74,12 @@ class Model:
             outputs = self._forward(empty, 1.0, swap=False)
         except cv2.error as error:
             raise DetectorError("model", f"OpenCV cannot run it: {_reason(error)}") from None
-        asked = cast(Layout, settings.layout) if settings.layout else None
-        try:
-            self.form = layouts.recognise(outputs, self.size, asked)
-        except layouts.LayoutError as error:
-            raise DetectorError("layout" if asked else "model", str(error)) from None
+        self.form = layouts.recognise(outputs, self.size, settings.layout)
 
         # The classes that are looked for.
-        try:
-            self._wanted = [
-                class_number(label, self.form.classes, self.form.from_one)
-                for label in settings.labels
-            ]
-        except ValueError as error:
-            raise DetectorError("labels", str(error)) from None
+        self._wanted = [
+            class_number(label, self.form.classes, self.form.from_one) for label in settings.labels
+        ]
         self._score_min = KNOWN_SCORE_SHARE * settings.score
 
     def infer(self, image: Image, crop: Box) -> list[Detection]:

@@ -9,6 +9,8 @@ from __future__ import annotations
 from collections.abc import Iterator
 from pathlib import Path
 
+from camtopod.vision.detector.errors import DetectorError
+
 SIZE_UNKNOWN = 640
 """Width and height (pixels) at which a model is used that leaves its size open."""
 SIZE_MAX = 2048
@@ -31,45 +33,40 @@ _DIM_VALUE = 1
 """TensorShapeProto.Dimension.dim_value"""
 
 
-class HeaderError(ValueError):
-    """The file is not an ONNX model that takes an image; ``str()`` says why."""
-
-
 def input_size(path: str) -> tuple[int, int]:
     """Return width and height (pixels) of the image that the model of a file takes.
 
-    Raises `HeaderError`.
+    Raises `DetectorError`.
     """
     try:
         shapes = input_shapes(Path(path).read_bytes())
     except OSError as error:
-        raise HeaderError(f"cannot read {path}: {error.strerror}") from None
-    except HeaderError as error:
-        raise HeaderError(f"{path} is not an ONNX model: {error}") from None
+        raise DetectorError("model", f"cannot read {path}: {error.strerror}") from None
+    except ValueError as error:
+        raise DetectorError("model", f"{path} is not an ONNX model: {error}") from None
     images = [shape for shape in shapes if len(shape) == 4 and shape[1] in (0, 3)]
     if len(shapes) != 1 or len(images) != 1 or images[0][0] > 1:
         inputs = " and ".join(str(tuple(shape)) for shape in shapes) or "none"
-        raise HeaderError(
-            f"{path} does not take one image (1, 3, height, width); its inputs: {inputs}"
+        raise DetectorError(
+            "model", f"{path} does not take one image (1, 3, height, width); its inputs: {inputs}"
         )
     height, width = (length or SIZE_UNKNOWN for length in images[0][2:])
     if max(width, height) > SIZE_MAX or width % 32 or height % 32:
-        raise HeaderError(
-            f"{path} takes {width} x {height} pixels: multiples of 32 are needed, up to {SIZE_MAX}"
-        )
+        what = f"takes {width} x {height} pixels: multiples of 32 are needed, up to {SIZE_MAX}"
+        raise DetectorError("model", f"{path} {what}")
     return width, height
 
 
 def input_shapes(content: bytes) -> list[list[int]]:
     """Return the shape of each input of the model in ``content``; 0 where a length is left open.
 
-    Raises `HeaderError`.
+    Raises `ValueError`.
     """
     try:
         graphs = _messages(memoryview(content), _GRAPH)
         graph = next(graphs, None)
         if graph is None:
-            raise HeaderError("it has no graph")
+            raise ValueError("it has no graph")
         names = (_name(tensor, _TENSOR_NAME) for tensor in _messages(graph, _INITIALIZER))
         weights = set(names)  # models of old versions list their weights as inputs, too
         return [
@@ -78,7 +75,7 @@ def input_shapes(content: bytes) -> list[list[int]]:
             if _name(value, _VALUE_NAME) not in weights
         ]
     except IndexError:
-        raise HeaderError("it ends early") from None
+        raise ValueError("it ends early") from None
 
 
 def _shape(value: memoryview) -> list[int]:
@@ -104,7 +101,7 @@ def _messages(message: memoryview, number: int) -> Iterator[memoryview]:
 
 
 def _fields(message: memoryview) -> Iterator[tuple[int, memoryview | int]]:
-    """Yield number and content of the fields of a message. Raises `HeaderError`, `IndexError`."""
+    """Yield number and content of the fields of a message. Raises `ValueError`, `IndexError`."""
     at = 0
     while at < len(message):
         key, at = _varint(message, at)
@@ -118,9 +115,9 @@ def _fields(message: memoryview) -> Iterator[tuple[int, memoryview | int]]:
         elif kind in (1, 5):
             length = 8 if kind == 1 else 4
         else:
-            raise HeaderError("it is not an ONNX file")
+            raise ValueError("it is not an ONNX file")
         if at + length > len(message):
-            raise HeaderError("it ends early, or is not an ONNX file")
+            raise ValueError("it ends early, or is not an ONNX file")
         if kind == 2:
             yield key >> 3, message[at : at + length]
         at += length
@@ -135,4 +132,4 @@ def _varint(message: memoryview, at: int) -> tuple[int, int]:
         value |= (byte & 0x7F) << shift
         if not byte & 0x80:
             return value, at
-    raise HeaderError("it is not an ONNX file")
+    raise ValueError("it is not an ONNX file")

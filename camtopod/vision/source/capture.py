@@ -23,12 +23,7 @@ import numpy as np
 from camtopod.vision.detect import Luma, shrunk
 from camtopod.vision.settings import VisionSettings
 from camtopod.vision.source.ffmpeg_log import FfmpegLog, environment
-from camtopod.vision.source.source_url import (
-    device_number,
-    file_path,
-    kind_of,
-    percent_encoded,
-)
+from camtopod.vision.source.source_url import device_number, file_path, kind_of, percent_encoded
 
 STREAM_OPTIONS = "rtsp_transport;tcp|allowed_media_types;video"
 """FFmpeg options of streams."""

@@ -15,23 +15,10 @@ from collections.abc import Callable, Iterator
 from contextlib import suppress
 
 from camtopod.vision.settings import VisionSettings
-from camtopod.vision.source.capture import (
-    PATIENCE,
-    Capture,
-    Frame,
-    FrameSelector,
-    Source,
-    timeouts,
-)
+from camtopod.vision.source.capture import PATIENCE, Capture, Frame, FrameSelector, Source, timeouts
 from camtopod.vision.source.ffmpeg_log import FfmpegLog
 from camtopod.vision.source.frame_times import StampClock
-from camtopod.vision.source.remarks import (
-    Observed,
-    no_picture,
-    unfit,
-    why_not_opened,
-    why_over,
-)
+from camtopod.vision.source.remarks import Observed, no_picture, unfit, why_not_opened, why_over
 from camtopod.vision.source.source_url import RETRY_SEPARATOR
 
 QUEUE_FRAMES = 8
@@ -88,6 +75,7 @@ class LiveSource(Source):
         self._ahead = wall_clock() - time.monotonic()
         """By how much the wall clock was ahead of the monotonic clock, seconds."""
         self._shift = 0.0
+        """By how many seconds the wall clock has been set since then."""
         self._latest = float("-inf")
         self._called: float | None = None
         self._patience = PATIENCE[0]
@@ -242,13 +230,6 @@ class LiveSource(Source):
         self.state = "stalled" if self._latest > float("-inf") else "connecting"
         self.reason = reason.removesuffix(": ")
 
-    def _shift_now(self) -> float:
-        """Return by how many seconds the wall clock has been set since the beginning."""
-        shift = self._wall_clock() - time.monotonic() - self._ahead
-        if abs(shift - self._shift) > CLOCK_STEP_SECONDS:
-            self._shift = shift
-        return self._shift
-
     def _hand_on(self, clock: StampClock, stamp: float, arrival: float, frame: Frame) -> None:
         """Queue a frame with its capture time.
 
@@ -260,7 +241,10 @@ class LiveSource(Source):
             self.untrusted_stamps += 1
             captured = arrival
         self._latest = max(captured, self._latest + TIME_STEP_MIN_SECONDS)
-        frame = frame._replace(t=self._latest + self._ahead, shift=self._shift_now())
+        shift = self._wall_clock() - time.monotonic() - self._ahead
+        if abs(shift - self._shift) > CLOCK_STEP_SECONDS:
+            self._shift = shift
+        frame = frame._replace(t=self._latest + self._ahead, shift=self._shift)
         self._called = None
         for _ in range(round((arrival - captured) / QUEUE_LOOK_SECONDS)):
             if not self._queue.full() or self._stop.wait(QUEUE_LOOK_SECONDS):

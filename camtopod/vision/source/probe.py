@@ -27,13 +27,7 @@ from camtopod.vision.source.ffmpeg_log import FfmpegLog, captured_log
 from camtopod.vision.source.file_times import FPS_UNKNOWN
 from camtopod.vision.source.frame_times import StampClock
 from camtopod.vision.source.recorded import RecordedSource
-from camtopod.vision.source.remarks import (
-    no_picture,
-    remarks,
-    unfit,
-    why_not_opened,
-    why_over,
-)
+from camtopod.vision.source.remarks import no_picture, remarks, unfit, why_not_opened, why_over
 from camtopod.vision.source.source_url import kind_of
 
 PROBE_SECONDS = 2.0

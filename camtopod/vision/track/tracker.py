@@ -34,13 +34,7 @@ from camtopod.vision.track.decisions import Reason
 from camtopod.vision.track.kalman import Kalman
 from camtopod.vision.track.stature import Stature
 from camtopod.vision.track.swap import find_swap
-from camtopod.vision.track.track import (
-    HISTORY_SIGHTINGS,
-    Recorder,
-    Sighting,
-    Track,
-    Unmet,
-)
+from camtopod.vision.track.track import HISTORY_SIGHTINGS, Recorder, Sighting, Track, Unmet
 
 CONFIRM_SECONDS = 0.5
 """Minimum time something must be tracked, and move, before it counts as an object."""
@@ -216,10 +210,7 @@ class Tracker:
             self._seen(track, Sighting(t, (x, bottom), box))
 
     def _assign(self, t: float, blobs: list[Blob]) -> list[Blob]:
-        """Assign one blob to each track at the least total cost (Kuhn 1955).
-
-        Returns the blobs left over.
-        """
+        """Assign one blob to each track at the least total cost (Kuhn 1955); return the others."""
         waiting = [track for track in self.active if track.last.t < t]
         if not waiting or not blobs:
             return blobs
@@ -480,10 +471,7 @@ class Tracker:
         return appeared
 
     def _split(self, track: Track, turn: int) -> Track:
-        """Split ``track`` at sighting ``turn``; return the part before it, which keeps the number.
-
-        The rest becomes a new object.
-        """
+        """Make the rest from sighting ``turn`` on a new object; return the part before it."""
         past = list(track.history)
         number = next(self._numbers)
         earlier = replace(
