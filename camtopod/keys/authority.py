@@ -222,8 +222,7 @@ class Authority:
 
         # Describe what the certificate may be used for, and by which hosts.
         subject = x509.Name([x509.NameAttribute(NameOID.COMMON_NAME, common_name)])
-        ends = _time(self._now) + datetime.timedelta(days=days)
-        ends = min(ends, authority.not_valid_after_utc)
+        ends = min(_time(self._now) + datetime.timedelta(days), authority.not_valid_after_utc)
         builder = _builder(subject, authority.subject, key, self._now, ends, signs=False)
         uses = [ExtendedKeyUsageOID.CLIENT_AUTH]
         if hosts:

@@ -164,13 +164,16 @@ def priorities(site: str) -> Settings:
     every link: in the queue of publications, an answer to a reader that has stopped reading would
     delay the publications to all others. Of these messages at most one waits.
     """
-    answers = {
-        "flows": ["ingress"],
-        "messages": ["query"],
-        "key_exprs": [_key(site, key) for key in READABLE],
-        "overwrite": {"priority": ANSWERS, "congestion_control": "block_first"},
+    return {
+        "qos/network": [
+            {
+                "flows": ["ingress"],
+                "messages": ["query"],
+                "key_exprs": [_key(site, key) for key in READABLE],
+                "overwrite": {"priority": ANSWERS, "congestion_control": "block_first"},
+            }
+        ]
     }
-    return {"qos/network": [answers]}
 
 
 def session_settings(mode: str) -> Settings:

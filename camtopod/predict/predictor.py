@@ -314,14 +314,12 @@ class Predictor:
         """
         # Recent enough.
         times = self._arrivals.t
-        zones = self._arrivals.zone
-        oldest = max(t + self._hazards.bins.lag_min, began)
-        [rows] = (times >= oldest).nonzero()
+        [rows] = (times >= max(t + self._hazards.bins.lag_min, began)).nonzero()
 
         # At zones where objects may appear before they leave at ``zone``, and reported before the
         # exit.
         offsets = self.site.offset_of
-        arrival_zones = zones[rows]
+        arrival_zones = self._arrivals.zone[rows]
         fits = self._hazards.seen_before(zone)[arrival_zones]
         fits &= times[rows] + (offsets[arrival_zones] - offsets[zone]) < t
         return rows[fits]

@@ -94,8 +94,7 @@ def windows_at_pace(pace: Pace | None, lags: Floats, transitions: Floats) -> Flo
         return lags
 
     # Widths (n, 2) of the window below and above the median, log scale.
-    bounded = np.maximum(lags, LAG_SECONDS_MIN)
-    logs = np.log(bounded)
+    logs = np.log(np.maximum(lags, LAG_SECONDS_MIN))
     width = logs[:, 1:] - logs[:, :-1]
 
     # Subtract the width that smoothing has added, half at most, and add the pace's uncertainty.

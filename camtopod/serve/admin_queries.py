@@ -31,11 +31,7 @@ def command_of(key: str, parameters: dict[str, str]) -> Command:
     asked = {**parameters, "type": key.removeprefix("admin/")}
     asked.pop("format", None)  # of the answer
     try:
-        command: Command = msgspec.convert(
-            asked,
-            Forget | TakeBack | Rename | Reset,
-            strict=False,
-        )
+        command: Command = msgspec.convert(asked, Forget | TakeBack | Rename | Reset, strict=False)
     except msgspec.ValidationError as error:
         raise QueryError(f"{key}: {codec.in_words(error)}") from None
 

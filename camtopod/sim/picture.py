@@ -78,10 +78,15 @@ def _map(plan: Plan, times: Times, true_times: Times) -> Picture:
     # Links, then cameras and labels.
     place = {view.camera: zoom * on_plan(plan, np.array(view.target)) for view in plan.views}
     labels = []
+    s = np.linspace(0, 1, 41)[:, None]
     for pair in sorted({(min(ends), max(ends)) for ends in times}):
         a, b = sorted(pair, key=lambda name: tuple(place[name]))
         ways = [times.get((a, b)), times.get((b, a))]
-        line = _curve(place[a], place[b])
+
+        # A line that is bent upwards.
+        rise = np.array((0.0, 2 * BEND * abs(place[b][0] - place[a][0])))
+        middle = (place[a] + place[b]) / 2 - rise
+        line = (1 - s) ** 2 * place[a] + 2 * s * (1 - s) * middle + s**2 * place[b]
         dots = [np.rint(line * 16).astype(np.int32)]
         colour = INK if any(way[0] for way in ways if way) else GREY
         cv2.polylines(picture, dots, False, PAPER, 9, cv2.LINE_AA, 4)
@@ -95,14 +100,6 @@ def _map(plan: Plan, times: Times, true_times: Times) -> Picture:
     for at, text, colour in labels:
         _text(picture, text, at, colour, centred=True)
     return picture
-
-
-def _curve(a: Floats, b: Floats) -> Floats:
-    """Return a line from a to b, (n, 2), bent upwards where it runs from left to right."""
-    middle = (a + b) / 2 - np.array((0.0, 2 * BEND * abs(b[0] - a[0])))
-    s = np.linspace(0, 1, 41)[:, None]
-    result: Floats = (1 - s) ** 2 * a + 2 * s * (1 - s) * middle + s**2 * b
-    return result
 
 
 def _text(

@@ -39,7 +39,10 @@ def report(
         [passages.t_in, passages.t_out, rng.uniform(0, settings.hours * 3600.0, extra)]
     )
     entry = np.concatenate([np.ones(n, bool), np.zeros(n, bool), rng.random(extra) < 0.5])
-    place = np.concatenate([_positions(layout, zone, rng), rng.random((extra, 2))])
+    spread = np.linalg.cholesky(layout.cov)[zone]
+    at = layout.centre[zone] + np.einsum("nij,nj->ni", spread, rng.standard_normal((2 * n, 2)))
+    rng.standard_normal(at.shape)  # unused, so that a seed keeps its events
+    place = np.concatenate([np.clip(at, 0.0, 1.0), rng.random((extra, 2))])
     track = np.concatenate([np.tile(np.arange(n), 2), n + np.arange(extra)])
     track[2 * n :][rng.random(extra) >= 0.5] = -1
     owner = np.full((2 * n + extra, 3), CLUTTER)
@@ -51,17 +54,6 @@ def report(
     t = np.round(t + settings.start, 6)
     order = np.argsort(t, kind="stable")
     return events_of(layout.cameras, camera, entry, t, place, track, order), owner[order]
-
-
-def _positions(layout: Layout, zone: Longs, rng: np.random.Generator) -> Floats:
-    """Draw a position from each zone's normal distribution, clipped to the image."""
-    spread = np.linalg.cholesky(layout.cov)
-    at = layout.centre[zone] + np.einsum(
-        "nij,nj->ni", spread[zone], rng.standard_normal((len(zone), 2))
-    )
-    rng.standard_normal(at.shape)  # unused, so that a seed keeps its events
-    inside: Floats = np.clip(at, 0.0, 1.0)
-    return inside
 
 
 def truth_of(layout: Layout, settings: SimSettings, recorded: Passages, owners: Longs) -> Truth:

@@ -39,8 +39,7 @@ def simulate(settings: SimSettings) -> tuple[list[Event], Truth]:
     chance.random(walkers)  # this and the next two are not used: a seed keeps its events
     chance.integers(1, 4, walkers)
     chance.random(3 * walkers)
-    seconds = settings.hours * 3600.0
-    passages = passages.take((passages.t_in >= 0) & (passages.t_out < seconds))
+    passages = passages.take((passages.t_in >= 0) & (passages.t_out < settings.hours * 3600.0))
     recorded = passages.take(chance.random(len(passages.t_in)) >= settings.missed)
     events, owners = report(recorded, layout, settings, chance)
     return events, truth_of(layout, settings, recorded, owners)

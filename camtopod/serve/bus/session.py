@@ -295,8 +295,7 @@ class Bus(contextlib.AbstractContextManager["Bus"]):
 
     def list_sites(self) -> list[str]:
         """Return the names of all sites that have a daemon on this bus, sorted."""
-        keys = self._alive(f"{PREFIX}/*/alive/daemon/*")
-        names = {key.removeprefix(f"{PREFIX}/").partition("/")[0] for key in keys}
+        names = {key.split("/")[1] for key in self._alive(f"{PREFIX}/*/alive/daemon/*")}
         return sorted(name for name in names if re.match(NAME_PATTERN, name))
 
     def _alive(self, keys: str) -> list[str]:

@@ -209,7 +209,7 @@ class Intake:
             reply(answers.encode({}, "clock", reason))
             return
         if isinstance(request, Hello):
-            self.merger.note_hello()
+            self.merger.said_hello = True
             camera.hello = request.number
             reply(answers.encode({boot: self.numbers.stored(name, boot) for boot in request.boots}))
             return

@@ -57,7 +57,8 @@ class Merger:
         self._ahead_max = ahead_max
         self._nothing_before = now + SETTLE_SECONDS
         self._looked = now
-        self._said_hello = True
+        self.said_hello = True
+        """True if a camera has come back since the last wait for backlogs, perhaps with one."""
         self._holding: dict[str, CameraState] = {}  # cameras with waiting events
         self.waiting = 0
         """Number of events that wait."""
@@ -79,10 +80,6 @@ class Merger:
         if camera.waiting:
             self._holding[camera.name] = camera
 
-    def note_hello(self) -> None:
-        """Note that a camera has come back, perhaps with a backlog."""
-        self._said_hello = True
-
     def note_request(self, camera: CameraState, more: int, wall: float, now: float) -> None:
         """Note that a batch of a camera has come, and how many events wait behind it."""
         camera.more = more
@@ -91,8 +88,8 @@ class Merger:
             self._behind.pop(camera.name, None)
             return
         known = (t for t, _ in camera.waiting if t > -math.inf)
-        if self._said_hello and wall - next(known, wall) > self._lateness:
-            self._said_hello = False
+        if self.said_hello and wall - next(known, wall) > self._lateness:
+            self.said_hello = False
             self._nothing_before = max(self._nothing_before, now + SETTLE_SECONDS)
         if wall - camera.reached <= self._lateness:
             self._behind.pop(camera.name, None)

@@ -111,8 +111,6 @@ class Journal:
         self._lock = sqlite_file.Lock(directory / "journal.lock")
         self._witness = Witness(self._lock)
         self._path = directory / "journal.db"
-        self.set_aside: Path | None = None
-        """Path of a damaged journal that was set aside on opening; this one began empty."""
         self.missing = 0
         """Number of entries known to have been lost before the journal was opened."""
 
@@ -120,6 +118,7 @@ class Journal:
         with contextlib.ExitStack() as undo:
             undo.callback(self._lock.close)
             self._db, self.set_aside = sqlite_file.connect_or_recreate(self._path, SCHEMA, FORMAT)
+            """Path of a damaged journal that was set aside on opening; this one began empty."""
             undo.callback(self._db.close)
             try:
                 with self._access():
@@ -154,7 +153,11 @@ class Journal:
         known = self._witness.known
         found = journal_schema.how_far(self._db)
         self.missing = max(0, known.entries - found.entries)
-        if found.is_older_than(known):
+        if (
+            found.entries < known.entries
+            or found.versions < known.versions
+            or found.epoch < known.epoch
+        ):
             log.error(
                 "%s has come back older than it was: it had %d entries and has %d; the others are "
                 "filled in as far as the cameras' spools still have them, and a new epoch begins",

@@ -195,7 +195,12 @@ def _open(path: Path, schema: str, number: int, needed: Sequence[str], locks: st
 
         # Under FULL, power cuts lost newly created tables in half of the cases measured.
         database.execute("PRAGMA synchronous=EXTRA")
-        _scan(database, path)
+        check = "integrity_check" if path.stat().st_size <= THOROUGH_BYTES_MAX else "quick_check"
+        found = database.execute(f"PRAGMA {check}(1)").fetchone()[0]
+        if found != "ok":
+            raise Damaged(f"{path} is damaged: {' '.join(found.split())}")
+
+        # Create or check the tables.
         with transaction(database):
             if not database.execute("SELECT 1 FROM sqlite_schema").fetchone():
                 _create(database, schema)
@@ -207,7 +212,16 @@ def _open(path: Path, schema: str, number: int, needed: Sequence[str], locks: st
         for table in needed:
             if not all(map(sound, database.execute(f"SELECT * FROM {table}"))):
                 raise Damaged(f"{path} is damaged: a row of its table {table}")
-        _switch_to_wal(database, path)
+
+        # Switch to WAL mode.
+        mode = database.execute("PRAGMA journal_mode=WAL").fetchone()[0]
+        if mode != "wal":
+            raise StateError(
+                f"{path}: SQLite cannot write safely here ({mode}): {_needs_local_disk(path)}"
+            )
+        database.execute("PRAGMA wal_autocheckpoint=200")  # pages in the log
+        database.execute("PRAGMA journal_size_limit=1048576")  # bytes that a longer log is cut to
+        database.execute("PRAGMA mmap_size=0")
         undo.pop_all()
         return database
 
@@ -391,26 +405,6 @@ def _create(database: sqlite3.Connection, schema: str) -> None:
     """Execute each statement of ``schema``."""
     for statement in schema.split(";"):
         database.execute(statement)
-
-
-def _switch_to_wal(database: sqlite3.Connection, path: Path) -> None:
-    """Switch to WAL mode. Raises `StateError` if that is impossible."""
-    mode = database.execute("PRAGMA journal_mode=WAL").fetchone()[0]
-    if mode != "wal":
-        raise StateError(
-            f"{path}: SQLite cannot write safely here ({mode}): {_needs_local_disk(path)}"
-        )
-    database.execute("PRAGMA wal_autocheckpoint=200")  # pages in the log
-    database.execute("PRAGMA journal_size_limit=1048576")  # bytes that a longer log is cut to
-    database.execute("PRAGMA mmap_size=0")
-
-
-def _scan(database: sqlite3.Connection, path: Path) -> None:
-    """Raise `Damaged` if SQLite finds damage."""
-    check = "integrity_check" if path.stat().st_size <= THOROUGH_BYTES_MAX else "quick_check"
-    found = database.execute(f"PRAGMA {check}(1)").fetchone()[0]
-    if found != "ok":
-        raise Damaged(f"{path} is damaged: {' '.join(found.split())}")
 
 
 def _check_format(database: sqlite3.Connection, path: Path, format_number: int) -> None:

@@ -25,14 +25,6 @@ class JournalExtent(NamedTuple):
     versions: int = 0
     epoch: str = ""
 
-    def is_older_than(self, other: JournalExtent) -> bool:
-        """Return True if a journal that had come as far as ``other`` has lost something."""
-        return (
-            self.entries < other.entries
-            or self.versions < other.versions
-            or self.epoch < other.epoch
-        )
-
 
 class Witness:
     """The record, one line in the journal's lock file, which only the holder of the lock writes."""
