@@ -115,8 +115,6 @@ class Api:
 
     def _on_prediction(self, key: str, payload: bytes) -> None:
         """Pass a prediction on to the programs that read; a slow one misses some."""
-        if not self._readers:
-            return
         with contextlib.suppress(codec.Rejected):
             prediction = codec.read(Prediction, payload, pack=True)
             encoded = codec.to_json(prediction)

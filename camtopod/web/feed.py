@@ -52,22 +52,6 @@ NOT_SHOWN = ("cameras", "reject_samples", "alarms")
 """Fields of the daemon's status that the page does not receive."""
 
 
-class CameraHealth(msgspec.Struct, frozen=True):
-    """A camera's row on the health page.
-
-    state: of its grabber; or ``forgotten``, ``silent``, ``gone``, ``no grabber``, `ELSEWHERE`.
-    newest (Unix seconds): time of its newest event.
-    ahead (seconds): by how much its last event was ahead of the daemon's clock.
-    """
-
-    id: str
-    state: str
-    reason: str
-    events: int | None
-    newest: float | None
-    ahead: float | None
-
-
 class Live(msgspec.Struct, frozen=True):
     """Whether the daemon is live.
 
@@ -238,8 +222,13 @@ class Feed:
             behind = math.floor(100 * min(max(0.0, self._daemon.catching_up.share), 1.0))
         return Live(not reason, reason, heard, behind)
 
-    def _cameras(self, now: float) -> list[CameraHealth]:
-        """Return the health of every camera that anybody knows."""
+    def _cameras(self, now: float) -> list[dict[str, Any]]:
+        """Return the health of every camera that anybody knows.
+
+        ``state``: of its grabber; or ``forgotten``, ``silent``, ``gone``, ``no grabber``,
+        `ELSEWHERE`. ``newest``: time of its newest event, Unix seconds. ``ahead``: by how many
+        seconds its last event was ahead of the daemon's clock.
+        """
         figures = self._daemon.cameras
         learned = self.explanations.last_events if self.explanations else {}
         grabbers = dict(self._grabbers)
@@ -251,20 +240,18 @@ class Feed:
         for name in sorted(newest):
             state, reason = self._state(name, grabbers.get(name), now)
             counted = figures.get(name)
-            events = ahead = None
-            if counted is not None:
-                events = counted.events
-                ahead = counted.ahead
-                if state == "no grabber" and counted.alive:
-                    state = ELSEWHERE
             t = newest[name]
-            if is_gone(state, t, last) or (t is None and state == "no grabber"):
+            if state == "no grabber" and counted and counted.alive:
+                state = ELSEWHERE
+            elif is_gone(state, t, last) or (t is None and state == "no grabber"):
                 state = "gone"
                 reason = ""
-            elif state == "no grabber" and events:
+            elif state == "no grabber" and counted and counted.events:
                 state = ELSEWHERE
             if state:
-                rows.append(CameraHealth(name, state, reason, events, t, ahead))
+                row: dict[str, Any] = {"id": name, "state": state, "reason": reason, "newest": t}
+                row |= {key: counted and getattr(counted, key) for key in ("events", "ahead")}
+                rows.append(row)
         return rows
 
     def _state(

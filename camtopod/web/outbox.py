@@ -76,10 +76,6 @@ class PageQueues:
         self._queues.add(queue)
         return queue
 
-    def __bool__(self) -> bool:
-        """Return True if any page is open."""
-        return bool(self._queues)
-
     async def messages(self, queue: PageQueue, beat: Callable[[], bytes]) -> AsyncIterator[bytes]:
         """Yield the messages to a page until it leaves; ``beat`` makes one when there is none."""
         try:

@@ -84,7 +84,7 @@ def test_who_shows_the_site_goes_on(bus: RubbishBus) -> None:
     bus.subscribe("prediction/*", seen.on_prediction)
     for bus.said in RUBBISH:
         bus.tell()
-        rows = {row.id: row.reason for row in feed.health()["cameras"]}
+        rows = {row["id"]: row["reason"] for row in feed.health()["cameras"]}
         assert rows["lobby"] == "no pictures"
         assert "no pictures" in shown.messages()["camtopod/site/camera/lobby/state"]
         assert "no pictures" in "\n".join(watch.parts(seen, None, 1e9))

@@ -54,7 +54,7 @@ class Rig:
 
     def rows(self) -> dict[str, dict[str, Any]]:
         """Return the rows of the health page by camera."""
-        return {row.id: msgspec.to_builtins(row) for row in self.feed.health()["cameras"]}
+        return {row["id"]: row for row in self.feed.health()["cameras"]}
 
     def states(self) -> dict[str, str]:
         return {name: row["state"] for name, row in self.rows().items()}
