@@ -17,7 +17,6 @@ from camtopod.vision.track import (
     Decision,
     IgnoredAreas,
     Reason,
-    Recorder,
     Track,
     Tracker,
 )
@@ -131,11 +130,10 @@ class ViewPipeline:
         events = [] if self._tracker is None else self._tracker.finish("scene changed")
         if self._tracker is None or self._tracker.crossings.size != (width, height):
             ignored = IgnoredAreas(self._motion.watched)
-            recorder = Recorder((width, height), self._take)
             crossings = Crossings(
-                self._camera, width, height, self._settings.doors, ignored, recorder
+                self._camera, width, height, self._settings.doors, ignored, self._take
             )
-            self._tracker = Tracker(self._settings, crossings, recorder, self._numbers)
+            self._tracker = Tracker(self._settings, crossings, self._numbers)
 
         self._tracker.crossings.began = waiting[0][0]
         self._t = None
@@ -239,9 +237,7 @@ class ViewPipeline:
 
         Objects still in view have no exit.
         """
-        events = []
-        if self._waiting:
-            events = self._bootstrap()
+        events = self._bootstrap() if self._waiting else []
         if self._tracker is not None:
             remaining = self._tracker.finish("in view")
             if self._observer is not None and self._latest is not None:

@@ -26,9 +26,7 @@ def named_sources(arguments: Sequence[str]) -> dict[str, str]:
     """
     given: list[tuple[str, str]] = []
     for argument in arguments:
-        lines = [argument]
-        if argument == "-":
-            lines = list(sys.stdin)
+        lines = sys.stdin if argument == "-" else [argument]
         for text in filter(None, map(str.strip, lines)):
             match = _GIVEN.fullmatch(text)
             if match is None or not text.isprintable():

@@ -53,7 +53,6 @@ class Blob:
     right: float
     bottom: float
     foot_x: float
-    area: float
     detected: bool | None = None
     """Whether a detector finds an object in it; None: no inference here, or it is not trusted."""
     part_of: int = 0
@@ -149,7 +148,7 @@ def _blob(group: list[int], box: Box, pixels: int, labels: Luma, motion: Motion)
     feet = np.flatnonzero(mask[-max(1, (bottom - top) // 5) :].any(axis=0))
     foot_x = left + float(feet[0] + feet[-1] + 1) / 2
     heads = tuple(left + column + 0.5 for column in _find_heads(mask))
-    return Blob(left, top, right, bottom, foot_x, pixels, heads=heads)
+    return Blob(left, top, right, bottom, foot_x, heads=heads)
 
 
 def _find_heads(mask: Bools) -> list[int]:

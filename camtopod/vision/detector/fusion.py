@@ -164,7 +164,7 @@ def _moves_beside(rest: Box, track: Box, others: Sequence[Box], moving: Luma) ->
 
 def _blob(box: Box, detected: bool, part_of: int) -> Blob:
     """Return a blob with the foot in the middle of the box's bottom."""
-    return Blob(*box, centre(box)[0], area(box), detected, part_of)
+    return Blob(*box, centre(box)[0], detected, part_of)
 
 
 def _inside(box: Box, crop: Box) -> bool:

@@ -67,10 +67,7 @@ class PictureFile:
     def finish(self, picture: Picture) -> None:
         """Replace the picture for the last time."""
         content = cv2.imencode(self._path.suffix, picture)[1].tobytes()
-        with _failing(self._path):
-            _require_space(self._path)
-            _create(_beside(self._path), content)
-            os.replace(_beside(self._path), self._path)
+        _replace(self._path, content)
 
 
 class VideoFile:
@@ -123,10 +120,7 @@ class VideoFile:
         height, width = picture.shape[:2]
         self._start = t
         self._size = (width, height)
-        with _failing(self._path):
-            _require_space(self._path)
-            _create(_beside(self._path), b"")
-            os.replace(_beside(self._path), self._path)
+        _replace(self._path, b"")
 
         # FFmpeg fills the file that is there, so the permissions stay.
         code = cv2.VideoWriter.fourcc(*_CODEC)
@@ -159,6 +153,14 @@ def _require_writable(path: Path) -> None:
     with _failing(path):
         _create(_beside(path), b"")
         _beside(path).unlink()
+
+
+def _replace(path: Path, content: bytes) -> None:
+    """Replace a file whole or not at all. Raises `ShowError`."""
+    with _failing(path):
+        _require_space(path)
+        _create(_beside(path), content)
+        os.replace(_beside(path), path)
 
 
 def _beside(path: Path) -> Path:

@@ -70,6 +70,8 @@ _CODECS = {
     "av01": "AV1",
 }
 """Name of a codec by its four-character code."""
+HEARTBEAT_SECONDS = 0.5
+"""Longest time until a source yields while it waits."""
 _STEP_RATE = 0.1
 """Weight of the newest interval in the running mean of frame intervals."""
 
@@ -166,9 +168,7 @@ class Capture:
     def fps(self) -> float:
         """Frame rate that the source declares; 0.0 if unknown."""
         fps = float(self._capture.get(cv2.CAP_PROP_FPS))
-        if 0.0 < fps < 1000.0:
-            return fps
-        return 0.0
+        return fps if 0.0 < fps < 1000.0 else 0.0
 
     @property
     def size(self) -> tuple[int, int]:

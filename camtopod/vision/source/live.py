@@ -15,7 +15,15 @@ from collections.abc import Callable, Iterator
 from contextlib import suppress
 
 from camtopod.vision.settings import VisionSettings
-from camtopod.vision.source.capture import PATIENCE, Capture, Frame, FrameSelector, Source, timeouts
+from camtopod.vision.source.capture import (
+    HEARTBEAT_SECONDS,
+    PATIENCE,
+    Capture,
+    Frame,
+    FrameSelector,
+    Source,
+    timeouts,
+)
 from camtopod.vision.source.ffmpeg_log import FfmpegLog
 from camtopod.vision.source.frame_times import StampClock
 from camtopod.vision.source.remarks import Observed, no_picture, unfit, why_not_opened, why_over
@@ -30,8 +38,6 @@ SETTLE_SECONDS = 1.0
 
 The first frames are old by an unknown delay; prompt frames that follow reveal it.
 """
-HEARTBEAT_SECONDS = 0.5
-"""Longest time until `LiveSource.frames` yields."""
 BACKOFF_SECONDS_MIN = 0.5
 """Delay before a lost stream is reopened for the first time; it doubles with each attempt."""
 BACKOFF_SECONDS_MAX = 15.0
@@ -222,8 +228,8 @@ class LiveSource(Source):
             return f"it opens, but gives no picture: {no_picture(capture)}"
         if timed_out:
             return "no frame within the read timeout"
-        ended = "the source ended or closed the connection"
-        return why_over(self._source, frames, clock) or ended
+        why = why_over(self._source, frames, clock)
+        return why or "the source ended or closed the connection"
 
     def _lose(self, reason: str) -> None:
         """Say that there are no pictures, or none any more."""

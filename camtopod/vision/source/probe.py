@@ -209,14 +209,14 @@ def _seen(request: ProbeRequest, ffmpeg_log: FfmpegLog, patience: float) -> tupl
 def _watched(capture: Capture, source: str, settled: SettledPicture | None) -> Probe:
     """Read frames for a while and return what they are; give ``settled`` those that it wants."""
     live = kind_of(source) != "file"
-    stamps: list[float] = []
-    arrivals: list[float] = []
+    frames: list[tuple[float, float]] = []
+    """Stamp and arrival of each, seconds."""
     clock = StampClock()
     contrast = 0.0
     t = 0.0
     ended = 0.0
     while True:
-        counted = t >= PROBE_SECONDS if live else len(arrivals) >= FILE_FRAMES
+        counted = t >= PROBE_SECONDS if live else len(frames) >= FILE_FRAMES
         if counted and (settled is None or settled.settled or t >= SETTLE_SECONDS_MAX):
             break
 
@@ -225,10 +225,9 @@ def _watched(capture: Capture, source: str, settled: SettledPicture | None) -> P
         ended = time.monotonic()
         if stamp is None:
             break
-        stamps.append(stamp)
-        arrivals.append(ended)
+        frames.append((stamp, ended))
         clock.record(stamp, ended)
-        t = arrivals[-1] - arrivals[0] if live else len(arrivals) / (capture.fps or FPS_UNKNOWN)
+        t = ended - frames[0][1] if live else len(frames) / (capture.fps or FPS_UNKNOWN)
 
         # Decode it if it is needed.
         wanted = settled is not None and settled.wants(t)
@@ -240,7 +239,7 @@ def _watched(capture: Capture, source: str, settled: SettledPicture | None) -> P
             if wanted and settled is not None:
                 settled.add(t, capture.image(PICTURE_WIDTH_MAX))
 
-    if not arrivals:
+    if not frames:
         return Probe(f"opens, but delivers no frame: {no_picture(capture)}")
     if not capture.has_image:
         return Probe(f"frames come, none can be decoded: {capture.fault}".removesuffix(": "))
@@ -248,12 +247,12 @@ def _watched(capture: Capture, source: str, settled: SettledPicture | None) -> P
     # Frame rate: of a live source as measured, of a file as declared.
     fps = capture.fps
     if live:
+        arrivals = [arrival for _, arrival in frames]
         is_over = stamp is None and ended - arrivals[-1] < PROBE_SECONDS
-        if is_over and (why := why_over(source, len(arrivals), clock)):
+        if is_over and (why := why_over(source, len(frames), clock)):
             return Probe(why)
         # Arrivals are too many if old frames come first, stamps if they are too slow.
-        pairs = zip(stamps, arrivals, strict=True)
-        captured = [at for pair in pairs if (at := clock.captured(*pair)) is not None]
+        captured = [at for frame in frames if (at := clock.captured(*frame)) is not None]
         fps = min(_rate(arrivals, ended), _rate(captured or arrivals, ended))
     improvable = remarks(capture.size, fps, contrast)
     return Probe("", capture.codec, *capture.size, fps, improvable)

@@ -8,7 +8,7 @@ import time
 from collections.abc import Iterator
 
 from camtopod.vision.settings import VisionSettings
-from camtopod.vision.source.capture import Capture, Frame, FrameSelector, Source
+from camtopod.vision.source.capture import HEARTBEAT_SECONDS, Capture, Frame, FrameSelector, Source
 from camtopod.vision.source.ffmpeg_log import FfmpegLog
 from camtopod.vision.source.file_times import FileTimes
 from camtopod.vision.source.remarks import OBSERVED_SECONDS, Observed
@@ -20,8 +20,6 @@ FAILURES_MAX = 100_000
 """The same in a file that declares so many more pictures: more than an hour of damage."""
 EARLY_SECONDS = 1.0
 """Time by which a video may end before the file, whose sound goes on."""
-HEARTBEAT_SECONDS = 0.5
-"""Longest time until `RecordedSource.frames` yields while it waits."""
 
 
 class SourceError(OSError):

@@ -10,5 +10,5 @@ walk into one. `decisions` has the reasons why a track became an event or not.
 from camtopod.vision.track.crossings import Crossings as Crossings
 from camtopod.vision.track.decisions import Decision as Decision, Edge as Edge, Reason as Reason
 from camtopod.vision.track.ignored_areas import IgnoredAreas as IgnoredAreas
-from camtopod.vision.track.track import Recorder as Recorder, Track as Track
+from camtopod.vision.track.track import Track as Track
 from camtopod.vision.track.tracker import Tracker as Tracker

@@ -7,17 +7,17 @@ it is reported only when the object is confirmed; an exit has the time of the la
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from math import hypot, inf
 from statistics import median
 
 from camtopod.records import Event, Kind
 from camtopod.vision.boxes import TOUCH_PIXELS, Box, border_distances, box_height, touches_border
 from camtopod.vision.settings import Polygon
-from camtopod.vision.track.decisions import Edge, Ending, Reason
+from camtopod.vision.track.decisions import Decision, Edge, Ending, Reason
 from camtopod.vision.track.doors import Doors
 from camtopod.vision.track.ignored_areas import Beyond, IgnoredAreas
-from camtopod.vision.track.track import Recorder, Sighting, Track
+from camtopod.vision.track.track import Sighting, Track
 
 BORDER_SHARE = 0.025
 """Distance from the border within which a box is at it (share of the image's diagonal)."""
@@ -57,15 +57,15 @@ class Crossings:
         height: int,
         doors: Sequence[Polygon],
         ignored: IgnoredAreas,
-        recorder: Recorder,
+        take: Callable[[Decision], None],
     ) -> None:
         """Prepare for a working image of ``width`` x ``height`` pixels.
 
         doors: named doors, in fractions of the image.
-        recorder: takes the decisions about entries and exits.
+        take: called with each decision about the beginning or end of a track.
         """
         self._camera = camera
-        self._note = recorder.note
+        self._take = take
         self.size = (width, height)
         self._margin = BORDER_SHARE * (width**2 + height**2) ** 0.5
         self._ignored = ignored
@@ -73,6 +73,25 @@ class Crossings:
         self._walks: dict[int, set[tuple[int, int]]] = {}
         self.began = -inf
         """Time of the first frame, seconds: there are no earlier events."""
+
+    def note(
+        self,
+        reason: Reason,
+        track: Track,
+        at: Sighting,
+        edge: Edge | None = None,
+        value: float = 0.0,
+        least: float = 0.0,
+        other: int = 0,
+    ) -> None:
+        """Record what the beginning or end of ``track`` at a sighting was taken for."""
+        x = min(max(at.foot[0] / self.size[0], 0.0), 1.0)
+        y = min(max(at.foot[1] / self.size[1], 0.0), 1.0)
+        began = track.first.t
+        seen = track.sightings
+        self._take(
+            Decision(reason, track.number, at.t, (x, y), began, edge, value, least, seen, other)
+        )
 
     # -- where ------------------------------
 
@@ -151,11 +170,11 @@ class Crossings:
         for track in vanished:
             self._forget(track)
             if track.interrupted:
-                self._note("interrupted", track, track.last)
+                self.note("interrupted", track, track.last)
             elif track.occluded:
-                self._note("occluded", track, track.last)
+                self.note("occluded", track, track.last)
             else:
-                self._note("lost", track, track.last)
+                self.note("lost", track, track.last)
                 if _has_walked(track):
                     self.doors.unexplained.append(track.last.foot)
 
@@ -172,12 +191,12 @@ class Crossings:
     def _entry(self, track: Track) -> list[Event]:
         """Return the entry of a track that became an object, if it is one."""
         if track.from_start:
-            self._note("from start", track, track.first)
+            self.note("from start", track, track.first)
             return []
         edge = self.begins_at_edge(track)
         if edge is not None:
             if self._at_border(track, track.first, edge, -1.0).t < self.began:
-                self._note("from start", track, track.first)
+                self.note("from start", track, track.first)
                 return []
             track.entered = True
             return [self._event("entered", track, track.first, edge)]
@@ -185,9 +204,9 @@ class Crossings:
             track.entered = True
             return [self._event("split", track, parent.first, None, other=parent.number)]
         if track.beside_others:
-            self._note("beside others", track, track.first)
+            self.note("beside others", track, track.first)
         else:
-            self._note("in mid-view", track, track.first)
+            self.note("in mid-view", track, track.first)
             track.began_in_view = True
         return []
 
@@ -209,7 +228,7 @@ class Crossings:
         for track in left:
             if track.reach < EXIT_HEIGHTS_MIN * track.height:
                 moved = track.reach / track.height
-                self._note("stayed", track, track.last, track.edge, moved, EXIT_HEIGHTS_MIN)
+                self.note("stayed", track, track.last, track.edge, moved, EXIT_HEIGHTS_MIN)
                 self._walks.pop(track.number, None)
                 continue
             self._forget(track)
@@ -239,7 +258,7 @@ class Crossings:
         at = self._at_border(track, at._replace(foot=(x, y)), edge, sense)
         x, y = at.foot
 
-        self._note(reason, track, at, edge, other=other or track.successor)
+        self.note(reason, track, at, edge, other=other or track.successor)
         x = min(max(x / self.size[0], 0.0), 1.0)
         y = min(max(y / self.size[1], 0.0), 1.0)
         return Event(

@@ -1,6 +1,6 @@
 """Records of the decisions about a track, which explain its events and missing events.
 
-`Tracker` and `Crossings` make them where they decide, through a `Recorder`, and only on request.
+`Tracker` and `Crossings` make them where they decide.
 The command line puts them into words.
 """
 

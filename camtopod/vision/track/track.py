@@ -1,14 +1,13 @@
-"""State of one tracked object, and the record of what it was taken for."""
+"""State of one tracked object."""
 
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import NamedTuple
 
-from camtopod.vision.boxes import Box, Size
-from camtopod.vision.track.decisions import Decision, Edge, Reason, Shortfall
+from camtopod.vision.boxes import Box
+from camtopod.vision.track.decisions import Edge, Shortfall
 from camtopod.vision.track.kalman import Kalman, Vector
 
 HISTORY_SIGHTINGS = 16
@@ -111,40 +110,3 @@ class Sighting(NamedTuple):
     t: float
     foot: tuple[float, float]
     box: Box
-
-
-class Recorder:
-    """Makes a `Decision` where the tracker or the crossings decide, and passes it to ``take``."""
-
-    def __init__(self, size: Size, take: Callable[[Decision], None]) -> None:
-        """Prepare for a working image of ``size`` (width, height), pixels."""
-        self._size = size
-        self._take = take
-
-    def note(
-        self,
-        reason: Reason,
-        track: Track,
-        at: Sighting,
-        edge: Edge | None = None,
-        value: float = 0.0,
-        least: float = 0.0,
-        other: int = 0,
-    ) -> None:
-        """Record what the beginning or end of ``track`` at a sighting was taken for."""
-        x = min(max(at.foot[0] / self._size[0], 0.0), 1.0)
-        y = min(max(at.foot[1] / self._size[1], 0.0), 1.0)
-        self._take(
-            Decision(
-                reason,
-                track.number,
-                at.t,
-                (x, y),
-                track.first.t,
-                edge,
-                value,
-                least,
-                track.sightings,
-                other,
-            )
-        )

@@ -34,7 +34,7 @@ from camtopod.vision.track.decisions import Reason
 from camtopod.vision.track.kalman import Kalman
 from camtopod.vision.track.stature import Stature
 from camtopod.vision.track.swap import find_swap
-from camtopod.vision.track.track import HISTORY_SIGHTINGS, Recorder, Sighting, Track, Unmet
+from camtopod.vision.track.track import HISTORY_SIGHTINGS, Sighting, Track, Unmet
 
 CONFIRM_SECONDS = 0.5
 """Minimum time something must be tracked, and move, before it counts as an object."""
@@ -101,14 +101,10 @@ class Tracker:
     """All objects of one view, in images of one size."""
 
     def __init__(
-        self,
-        settings: VisionSettings,
-        crossings: Crossings,
-        recorder: Recorder,
-        numbers: Iterator[int],
+        self, settings: VisionSettings, crossings: Crossings, numbers: Iterator[int]
     ) -> None:
         """Begin without tracks; ``numbers`` are those of the next ones."""
-        self._note = recorder.note
+        self._note = crossings.note
         self._height_min = settings.min_height * crossings.size[1]
         self.crossings = crossings
         """Tells where objects enter and leave the view."""
