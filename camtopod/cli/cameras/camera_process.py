@@ -51,8 +51,7 @@ def camera_status(
     """
     if restarts:
         restarted = f"restarted {counted(restarts, 'time')}, last: {last_end}"
-        known = "" if reason == last_end else reason
-        reason = f"{known}; {restarted}".removeprefix("; ")
+        reason = restarted if reason in ("", last_end) else f"{reason}; {restarted}"
     return {
         "camera": camera,
         "state": state,
@@ -182,10 +181,7 @@ class CameraProcess:
         assert self._receiver is not None
         self._receiver.close()
         self.process = None
-        self.status = status
-        if status < 0:
-            self.status = exits.FAILED
-
+        self.status = status if status >= 0 else exits.FAILED
         if self._asked_to_end:
             self.status = exits.DONE
             self.state = "ended"

@@ -65,8 +65,7 @@ def streams(source: str) -> list[Stream]:
     camera = _Camera(source)
     media = camera.media_service()
     found = []
-    profiles = camera.ask(media, f'<GetProfiles xmlns="{_MEDIA}"/>')
-    for profile in all_of(profiles, "Profiles"):
+    for profile in all_of(camera.ask(media, f'<GetProfiles xmlns="{_MEDIA}"/>'), "Profiles"):
         for encoder in all_of(profile, "VideoEncoderConfiguration"):  # else sound or metadata only
             answer = camera.ask(
                 media,

@@ -39,8 +39,7 @@ def supervise(args: argparse.Namespace, config: Config, requests: SignalRequests
     """
     _require_sources(config, args)
     for camera in config.cameras:
-        path = spool_path(config.state_directory, config.site.name, camera)
-        if held := lock_reason(path):
+        if held := lock_reason(spool_path(config.state_directory, config.site.name, camera)):
             raise CommandError(f"{camera}: {held}", exits.STATE)
     supervisor = _Supervisor(args, config)
     try:

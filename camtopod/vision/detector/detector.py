@@ -167,8 +167,8 @@ class Detector:
             self._standing.clear()
             return blobs
         boxes = [one.box for one in detections]
-        recent = self._recent_detections(t, boxes, examined, tracked)
-        return fuse(blobs, boxes + recent, examined, tracked, moving)
+        boxes += self._recent_detections(t, boxes, examined, tracked)
+        return fuse(blobs, boxes, examined, tracked, moving)
 
     def detected_recently(self, box: Box) -> bool:
         """Return True if somebody was detected in ``box`` lately (pixels of the working image)."""

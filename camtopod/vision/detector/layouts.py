@@ -97,13 +97,11 @@ def recognise(outputs: Sequence[Array], size: Size, asked: str) -> Form:
 
     # None fits, or several do.
     shapes = " and ".join(str(tuple(output.shape)) for output in outputs)
+    key: Literal["layout", "model"] = "model"
+    what = "do not tell their layout" if forms else "are of no known layout"
     if asked:
+        key = "layout"
         what = f"are not of the layout {asked!r}"
-    elif forms:
-        what = "do not tell their layout"
-    else:
-        what = "are of no known layout"
-    key: Literal["layout", "model"] = "layout" if asked else "model"
     raise DetectorError(key, f"its outputs, {shapes}, {what}; {_can_be(forms)}")
 
 

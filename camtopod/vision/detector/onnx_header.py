@@ -63,12 +63,11 @@ def input_shapes(content: bytes) -> list[list[int]]:
     Raises `ValueError`.
     """
     try:
-        graphs = _messages(memoryview(content), _GRAPH)
-        graph = next(graphs, None)
+        graph = next(_messages(memoryview(content), _GRAPH), None)
         if graph is None:
             raise ValueError("it has no graph")
-        names = (_name(tensor, _TENSOR_NAME) for tensor in _messages(graph, _INITIALIZER))
-        weights = set(names)  # models of old versions list their weights as inputs, too
+        # Models of old versions list their weights as inputs, too.
+        weights = {_name(tensor, _TENSOR_NAME) for tensor in _messages(graph, _INITIALIZER)}
         return [
             _shape(value)
             for value in _messages(graph, _INPUT)

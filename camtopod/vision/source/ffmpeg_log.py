@@ -105,11 +105,8 @@ class FfmpegLog:
 def environment(name: str, value: str) -> Iterator[None]:
     """Set a variable of the environment, which OpenCV reads, while the block runs.
 
-    An empty value changes nothing. It is restored afterwards, so child processes do not get it.
+    It is restored afterwards, so child processes do not get it.
     """
-    if not value:
-        yield
-        return
     before = os.environ.get(name)
     os.environ[name] = value
     try:

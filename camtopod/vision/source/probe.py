@@ -254,8 +254,7 @@ def _watched(capture: Capture, source: str, settled: SettledPicture | None) -> P
         # Arrivals are too many if old frames come first, stamps if they are too slow.
         captured = [at for frame in frames if (at := clock.captured(*frame)) is not None]
         fps = min(_rate(arrivals, ended), _rate(captured or arrivals, ended))
-    improvable = remarks(capture.size, fps, contrast)
-    return Probe("", capture.codec, *capture.size, fps, improvable)
+    return Probe("", capture.codec, *capture.size, fps, remarks(capture.size, fps, contrast))
 
 
 def _rate(times: Sequence[float], until: float) -> float:

@@ -73,13 +73,17 @@ class Observed:
     def __init__(self, size: tuple[int, int]) -> None:
         self._size = size
         self._latest: float | None = None
-        self._seconds = 0.0
         self._luma: Luma | None = None
+        self._begin()
+        self.words = ""
+        """What could be better, by the latest `OBSERVED_SECONDS`; "" if nothing or not known."""
+
+    def _begin(self) -> None:
+        """Begin to count and compare."""
+        self._seconds = 0.0
         self._frames = 0
         self._contrast = 0.0
         self._changed = False
-        self.words = ""
-        """What could be better, by the latest `OBSERVED_SECONDS`; "" if nothing or not known."""
 
     def add(self, arrival: float, luma: Luma | None) -> None:
         """Take a frame into account; ``luma`` (H, W) if it was decoded."""
@@ -103,10 +107,7 @@ class Observed:
                 f"the picture has not changed for {self._seconds:.0f} s: is the camera frozen?"
             )
         self.words = "; ".join(found)
-        self._seconds = 0.0
-        self._frames = 0
-        self._contrast = 0.0
-        self._changed = False
+        self._begin()
 
 
 def why_not_opened(source: str, ffmpeg_log: FfmpegLog) -> str:

@@ -190,14 +190,12 @@ class Crossings:
 
     def _entry(self, track: Track) -> list[Event]:
         """Return the entry of a track that became an object, if it is one."""
-        if track.from_start:
+        edge = self.begins_at_edge(track)
+        entered_at = self._at_border(track, track.first, edge, -1.0).t
+        if track.from_start or (edge is not None and entered_at < self.began):
             self.note("from start", track, track.first)
             return []
-        edge = self.begins_at_edge(track)
         if edge is not None:
-            if self._at_border(track, track.first, edge, -1.0).t < self.began:
-                self.note("from start", track, track.first)
-                return []
             track.entered = True
             return [self._event("entered", track, track.first, edge)]
         if (parent := self._entered_with(track)) is not None:

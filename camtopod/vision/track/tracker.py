@@ -345,10 +345,8 @@ class Tracker:
             if track.confirmed or track.last.t < t:
                 continue
             track.unmet = self._unmet(t, track)
-            if track.unmet is not None:
-                continue
-            track.confirmed = True
-            if not self._stitch(t, track):
+            track.confirmed = track.unmet is None
+            if track.confirmed and not self._stitch(t, track):
                 appeared.append(track)
         return appeared
 
@@ -407,10 +405,9 @@ class Tracker:
                 best = other
                 best_score = distance / reach
 
-        if best is None:
-            return False
-        self._absorb(track, best)
-        return True
+        if best is not None:
+            self._absorb(track, best)
+        return best is not None
 
     def _absorb(self, track: Track, earlier: Track) -> None:
         """Make ``track`` continue the passage ``earlier``, with its number and beginning."""
@@ -431,9 +428,8 @@ class Tracker:
         """
         left = []
         for track in self.active:
-            if not track.confirmed or track.last.t < t or track in appeared:
-                continue
-            if track.cut_t < track.history[0].t:
+            followed = track.confirmed and track.last.t == t and track not in appeared
+            if not followed or track.cut_t < track.history[0].t:
                 continue
             turn = find_swap(track.history, self.crossings.size, track.width, track.height)
             if turn is not None:
