@@ -181,7 +181,7 @@ def test_every_file_exists(page: Path) -> None:
 @pytest.mark.parametrize("page", ["camtopod/ARCHITECTURE.md", "camtopod/learn/METHOD.md"])
 def test_every_module_exists(page: str) -> None:
     """`folder/module` is below the package, or below the page's own folder."""
-    named = set(re.findall(r"`([a-z_]+/[a-z_/]*[a-z_])`", TEXTS[page]))
+    named = set(re.findall(r"`([a-z_]+/[a-z_/]*[a-z_])(?:[.]\w+)?`", TEXTS[page]))
     named = {name for name in named if not name.startswith(("tests/", "bench/", "deploy/"))}
 
     assert len(named) > 10
