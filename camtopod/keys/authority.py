@@ -67,18 +67,15 @@ class Authority:
     def __init__(self, folder: Path, now: float) -> None:
         self.folder = folder
         self._now = now
+        path = folder / "authority" / "issued.json"
         try:
-            raw = (folder / "authority" / "issued.json").read_bytes()
+            ledger = msgspec.json.decode(path.read_bytes(), type=Ledger)
         except FileNotFoundError:
             raise KeysError(
                 f"there is no authority in {folder}: `camtopod keys init` makes one"
             ) from None
-        try:
-            ledger = msgspec.json.decode(raw, type=Ledger)
         except ValueError as error:
-            raise KeysError(
-                f"{folder / 'authority' / 'issued.json'} cannot be read: {error}"
-            ) from None
+            raise KeysError(f"{path} cannot be read: {error}") from None
         self.site = ledger.site
         """The site of this authority."""
         self.issued = ledger.issued

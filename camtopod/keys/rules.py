@@ -218,10 +218,8 @@ def router_json5(access: Access, listen: list[str], message_bytes_max: int) -> s
 
 def expiring_certificates(access: Access, now: float) -> list[tuple[Certificate, float]]:
     """Return the certificates that expire soon, each with the days left (negative: expired)."""
-    left = [(certificate, certificate.expires - now) for certificate in access.certificates]
-    return [
-        (certificate, seconds / 86400.0) for certificate, seconds in left if seconds < SOON_SECONDS
-    ]
+    soon = [one for one in access.certificates if one.expires - now < SOON_SECONDS]
+    return [(one, (one.expires - now) / 86400.0) for one in soon]
 
 
 def _rules(site: str, certificate: Certificate) -> list[dict[str, Any]]:

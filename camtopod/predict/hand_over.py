@@ -10,6 +10,7 @@ to look at.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable
 
 import numpy as np
@@ -86,9 +87,7 @@ def cameras_to_watch(in_view: Iterable[InView], following: Iterable[NextCamera])
     """
     # Cameras that see the object now.
     now = sum_by_camera((one.camera, one.probability) for one in in_view)
-    unseen = 1.0
-    for probability in now.values():
-        unseen *= 1.0 - min(probability, 1.0)
+    unseen = math.prod(1.0 - min(probability, 1.0) for probability in now.values())
 
     # Cameras where the object appears next, if no camera sees it now.
     following_unseen = ((one.camera, unseen * one.probability) for one in following)

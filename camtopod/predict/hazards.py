@@ -92,8 +92,7 @@ class Hazards:
 
         # Hazards from zone to zone.
         if model.onward is None:
-            links = [*topology.links, *(topology.weak_links or [])]
-            self.outcomes = self._from_links(links, index)
+            self.outcomes = self._from_links([*topology.links, *(topology.weak_links or [])], index)
         else:
             self.outcomes = self._from_posterior(model.onward, index)
         self._index_by_target(len(index))

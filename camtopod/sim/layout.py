@@ -206,8 +206,7 @@ def _streets(camera: Longs, cameras: int, rng: np.random.Generator) -> NDArray[n
         mine = np.flatnonzero(camera == c)
         if street[mine].all():
             street[rng.choice(mine)] = False
-    order = rng.permutation(cameras)
-    for c in order:
+    for c in rng.permutation(cameras):
         if street.sum() >= 2:
             break
         street[rng.choice(np.flatnonzero((camera == c) & ~street))] = True
@@ -289,9 +288,8 @@ class _Paths:
 
     def _least(self, camera: int) -> int:
         """Return the zone with the fewest paths, inner ones first."""
-        free = [u for u in self._of(camera) if u not in self._exclusive]
         return min(
-            free,
+            (u for u in self._of(camera) if u not in self._exclusive),
             key=lambda u: (len(self.options[u]) >= 2, bool(self._street[u]), len(self.options[u])),
         )
 

@@ -126,7 +126,7 @@ def test_an_endless_step_holds_up_no_stop_and_loses_nothing(tmp_path: Path) -> N
         stop.set()
         working.join()
 
-        assert recovery.read_failure(one.journal) is None, "the entry had no chance"
+        assert recovery.read_failure(one.journal).times == 0, "the entry had no chance"
         before = one.published
     with contextlib.closing(Installation(tmp_path)) as again:
         assert again.learning.waiting == 101 - again.started_at > 0

@@ -73,13 +73,11 @@ def recover(
     new_epoch: begins an epoch and stores its name.
     """
     failure = read_failure(journal)
-    fatal = None
-    if failure is not None and failure.times >= DEATHS_MAX:
-        fatal = failure.at
+    is_fatal = failure.times >= DEATHS_MAX
 
     # Begin with the newest usable snapshot, else with all entries.
     epoch = journal.meta("epoch") or new_epoch()
-    if fatal == STATE:
+    if is_fatal and failure.at == STATE:
         position = max([journal.first() - 1, 0, *(one.position for one in journal.snapshots())])
         loaded = Loaded()
     else:
@@ -95,13 +93,13 @@ def recover(
     # Begin an epoch without what the learner has died of twice: an entry, or the state above. Begin
     # one, too, where versions would be made anew that may have been published.
     version = loaded.version if loaded.epoch == epoch else 0
-    if fatal is not None:
+    if is_fatal:
         epoch = new_epoch()
-        what = f"entry {fatal} of the journal, which is skipped"
-        if fatal == STATE:
+        what = f"entry {failure.at} of the journal, which is skipped"
+        if failure.at == STATE:
             what = "the state that it continued from: it begins with nothing"
         else:
-            journal.skip(fatal)
+            journal.skip(failure.at)
         log.error("the learner has died twice at %s, in epoch %s; please report this", what, epoch)
         journal.set_meta("failure", codec.to_json(Failure(0, 0)).decode())
     elif version < max(journal.versions(epoch), default=0):
@@ -152,10 +150,10 @@ def recent_events(journal: Journal) -> list[Event]:
     return [event for event in events if event.t > newest - RECENT_SECONDS]
 
 
-def read_failure(journal: Journal) -> Failure | None:
-    """Return the last failure of the learner, which may be past that entry by now."""
+def read_failure(journal: Journal) -> Failure:
+    """Return the last failure of the learner, if any, which may be past that entry by now."""
     kept = journal.meta("failure")
-    return None if kept is None else codec.read(Failure, kept.encode())
+    return Failure(0, 0) if kept is None else codec.read(Failure, kept.encode())
 
 
 def note_failure(journal: Journal, at: int) -> None:
@@ -163,7 +161,7 @@ def note_failure(journal: Journal, at: int) -> None:
     if not at:
         return
     failure = read_failure(journal)
-    if failure is None or failure.at != at:
+    if failure.at != at:
         failure = Failure(at, 0)
     failure.times += 1
     journal.set_meta("failure", codec.to_json(failure).decode())

@@ -45,20 +45,23 @@ class Delivery:
         """Why the daemon does not take this camera, which is one too many; "" if it does."""
         self.reason = ""
         """Why the daemon took nothing of the last request, in its words; "" if it did."""
-        self.unanswered = 0
-        """Number of requests in a row that ended without an answer."""
         self._spool = spool
         self._draw_number = draw_number
         self._number = ""
-        self._greeted = False
-        self._request: Hello | Batch | None = None
         self._sent_at = 0.0
-        self._retry_at = -math.inf
-        self._retry_seconds = RETRY_SECONDS
         self._batch_max = 1
         self._sent: Counter[str] = Counter()  # boot that this process numbers -> highest one sent
-        # Boot and number of an empty batch to be sent next.
-        self._empty: tuple[str, int] | None = None
+        self.on_daemon(-math.inf)
+
+    def on_daemon(self, now: float) -> None:
+        """A daemon has appeared: end the request under way and the waiting."""
+        self._request: Hello | Batch | None = None
+        self._empty: tuple[str, int] | None = None  # boot and number of an empty batch to be sent
+        self._greeted = False
+        self.unanswered = 0
+        """Number of requests in a row that ended without an answer."""
+        self._retry_at = now
+        self._retry_seconds = RETRY_SECONDS
 
     def next_request(self, now: float) -> Hello | Batch | None:
         """Return the request to send now; None if there is none. Its answer is `on_answer`'s."""
@@ -116,15 +119,6 @@ class Delivery:
                 self._empty = request.boot, self._spool.mark(self.camera, request.boot)
         if not useful:
             self._wait(now)
-
-    def on_daemon(self, now: float) -> None:
-        """A daemon has appeared: end the request under way and the waiting."""
-        self._request = None
-        self._empty = None
-        self._greeted = False
-        self.unanswered = 0
-        self._retry_at = now
-        self._retry_seconds = RETRY_SECONDS
 
     @property
     def deadline(self) -> float:

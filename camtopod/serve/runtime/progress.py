@@ -43,8 +43,7 @@ class Progress:
 
     def watch(self, name: str, seconds_max: float) -> Heartbeat:
         """Return a new mark for the loop ``name``, which may be silent for ``seconds_max``."""
-        mark = Heartbeat(seconds_max)
-        self._marks[name] = mark
+        mark = self._marks[name] = Heartbeat(seconds_max)
         return mark
 
     def unwatch(self, name: str) -> None:

@@ -74,10 +74,8 @@ def rescue(database: sqlite3.Connection, aside: Path) -> int:
         places = ", ".join("?" * columns)
         for row in readable(aside, table, key):
             if len(row) == columns and sound(row):
-                added = database.execute(
-                    f"INSERT OR IGNORE INTO {table} VALUES ({places})", row
-                ).rowcount
-                entries += added if table == "entry" else 0
+                insert = f"INSERT OR IGNORE INTO {table} VALUES ({places})"
+                entries += database.execute(insert, row).rowcount * (table == "entry")
     _number_again(database)
     return entries
 

@@ -206,7 +206,14 @@ def _open(path: Path, schema: str, number: int, needed: Sequence[str], locks: st
                 _create(database, schema)
                 row = "format", str(number)
                 database.execute("INSERT INTO meta VALUES (?, ?, ?)", (*row, crc(*row)))
-            _check_format(database, path, number)
+            told = database.execute("SELECT * FROM meta WHERE key = 'format'").fetchone()
+            if told is None or (len(told) > 2 and told[2] != crc(*told[:2])):
+                raise Damaged(f"{path} is damaged: it does not say its format")
+            if told[1] != str(number):
+                raise StateError(
+                    f"{path} has format {told[1]} and this version of camtopod writes {number}:"
+                    " move the state directory away to start anew, or use the version that wrote it"
+                )
         if not _shape_of(schema) <= set(database.execute(_SHAPE)):
             raise Damaged(f"{path} is damaged: its tables are not those of this program")
         for table in needed:
@@ -405,18 +412,6 @@ def _create(database: sqlite3.Connection, schema: str) -> None:
     """Execute each statement of ``schema``."""
     for statement in schema.split(";"):
         database.execute(statement)
-
-
-def _check_format(database: sqlite3.Connection, path: Path, format_number: int) -> None:
-    """Raise `StateError` if the file has another format, and `Damaged` if it does not say which."""
-    row = database.execute("SELECT * FROM meta WHERE key = 'format'").fetchone()
-    if row is None or (len(row) > 2 and row[2] != crc(*row[:2])):
-        raise Damaged(f"{path} is damaged: it does not say its format")
-    if row[1] != str(format_number):
-        raise StateError(
-            f"{path} has format {row[1]} and this version of camtopod writes {format_number}: "
-            "move the state directory away to start anew, or use the version that wrote it"
-        )
 
 
 @functools.cache
