@@ -217,15 +217,22 @@ def paused(stamp: float, number: int) -> float:
     return stamp + (100e3 if number >= 10 else 0)
 
 
+@pytest.fixture(scope="module")
+def plain(film: Path) -> list[Event]:
+    """Return the events of the film with its own stamps."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(pipeline, "BOOTSTRAP_SECONDS", 1.0)
+        return grab(film, film.with_name("plain"))[1]
+
+
 @pytest.mark.parametrize("wrong", [ahead, sticking, begins_anew, paused])
 def test_a_stamp_is_believed_as_far_as_the_rate_bears_it_out(
     wrong: Callable[[float, int], float],
     film: Path,
+    plain: list[Event],
     tmp_path: Path,
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    plain = grab(film, tmp_path / "plain")[1]
-
     class Stamped(Faulty):
         grabs = 0
 

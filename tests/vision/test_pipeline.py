@@ -70,10 +70,10 @@ def test_a_quiet_scene_has_no_events_whatever_the_light_does() -> None:
 
 def test_people_are_seen_in_a_portrait_picture_too() -> None:
     """A picture is scaled down to an equal area, whichever of its sides is the longer one."""
-    scene = Scene([Person(line(5.0, (-0.05, 0.9), (1.05, 0.8), 7.0), tall=0.6, shade=20)])
+    scene = Scene([Person(line(4.0, (-0.05, 0.9), (1.05, 0.8), 5.0), tall=0.6, shade=20)])
     for size in ((640, 360), (360, 640)):
         pipeline, events = ViewPipeline("cam", VisionSettings()), []
-        for k in range(round(16 * FPS)):
+        for k in range(round(11 * FPS)):
             events += pipeline.process(k / FPS, cv2.resize(scene.picture(k / FPS), size))
         assert passages(events + pipeline.finish()) == [("entry", "left"), ("exit", "right")]
 
@@ -188,10 +188,10 @@ def test_a_picture_of_another_size_is_another_scene() -> None:
     """Nobody is lost who left before, and numbers of tracks and counts go on."""
     people = [
         Person(line(5.0, (-0.05, 0.7), (1.05, 0.6), 7.0)),
-        Person(line(20.0, (1.05, 0.6), (-0.05, 0.7), 7.0)),
+        Person(line(17.0, (1.05, 0.6), (-0.05, 0.7), 5.0)),
     ]
     scene, pipeline, events = Scene(people), ViewPipeline("cam", VisionSettings()), []
-    for k in range(round(32 * FPS)):
+    for k in range(round(24 * FPS)):
         picture = scene.picture(k / FPS)
         if k / FPS > 13.0:
             picture = cv2.resize(picture, (120, 160))

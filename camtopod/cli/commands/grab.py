@@ -211,8 +211,7 @@ def _detector(args: argparse.Namespace, settings: CameraSettings) -> Detector | 
 
     report = try_detector(settings.detector)
     if report.problem:
-        text = args.config.read_text(encoding="utf-8")
-        line, name = detector_line(text, args.camera, report.key)
+        line, name = detector_line(args.config.read_text("utf-8"), args.camera, report.key)
         raise CommandError(f"{args.config}:{line}: {name}: {report.problem}", exits.CONFIG)
     return Detector(Model(settings.detector), settings.detector)
 

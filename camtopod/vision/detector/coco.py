@@ -36,8 +36,9 @@ def class_number(label: str | int, classes: int | None, from_one: bool) -> int:
     """
     if isinstance(label, int):
         if classes is not None and label >= classes:
-            what = f"the model has no class {label}: they are 0 to {classes - 1}"
-            raise DetectorError("labels", what)
+            raise DetectorError(
+                "labels", f"the model has no class {label}: they are 0 to {classes - 1}"
+            )
         return label
     if classes == 1 and label == "person":
         return 0

@@ -51,8 +51,7 @@ class Crops:
         """
         if not regions or inferences < 1:
             return []
-        largest = sorted(regions, key=area, reverse=True)
-        groups = [[region] for region in largest[:REGIONS_MAX]]
+        groups = [[one] for one in sorted(regions, key=area, reverse=True)[:REGIONS_MAX]]
         groups = self._merged(groups, HEIGHT_GOOD, 1)
         if len(groups) > inferences:
             groups = self._merged(groups, HEIGHT_MIN, inferences)

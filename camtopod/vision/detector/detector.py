@@ -192,8 +192,8 @@ class Detector:
         # Time earns inferences, up to the rate that is allowed.
         dt = 0.0 if self._t is None else max(0.0, t - self._t)
         self._t = t
-        earned = dt * self._settings.looks_per_second_max
-        self._saved = min(float(INFERENCES_SAVED_MAX), self._saved + earned)
+        self._saved += dt * self._settings.looks_per_second_max
+        self._saved = min(float(INFERENCES_SAVED_MAX), self._saved)
 
         # Less often on standing people, and where it is of no use.
         pause = 0.0

@@ -115,8 +115,7 @@ class Model:
 
     def _forward(self, filled: Image, scale: float, swap: bool) -> Sequence[layouts.Array]:
         """Return the outputs for an image of the input's size."""
-        blob = cv2.dnn.blobFromImage(filled, scale, swapRB=swap)
-        self._net.setInput(blob)
+        self._net.setInput(cv2.dnn.blobFromImage(filled, scale, swapRB=swap))
         return [np.asarray(output, np.float32) for output in self._net.forward(self._outputs)]
 
 

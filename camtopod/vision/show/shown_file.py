@@ -66,8 +66,7 @@ class PictureFile:
 
     def finish(self, picture: Picture) -> None:
         """Replace the picture for the last time."""
-        content = cv2.imencode(self._path.suffix, picture)[1].tobytes()
-        _replace(self._path, content)
+        _replace(self._path, cv2.imencode(self._path.suffix, picture)[1].tobytes())
 
 
 class VideoFile:
