@@ -7,7 +7,7 @@ from collections import Counter
 import numpy as np
 
 from camtopod.arrays import Bools, Floats, Longs
-from camtopod.records import Event, Relation, Transit
+from camtopod.records import Event, Transit
 from camtopod.sim.layout import Layout
 from camtopod.sim.settings import SimSettings
 from camtopod.sim.truth import (
@@ -98,14 +98,11 @@ def _links(
         for u, k in np.argwhere(choices.probability > 0):
             metres = float(choices.metres[u, k])
             way = int(u), int(choices.target[u, k])
-            relation: Relation = "visible"
-            if not inside:
-                relation = relation_of(metres)
             links.append(
                 TrueLink(
                     from_=ids[way[0]],
                     to=ids[way[1]],
-                    relation=relation,
+                    relation="visible" if inside else relation_of(metres),
                     probability=round(float(choices.probability[u, k]), 6),
                     transitions=walked.get((inside, *way), 0),
                     transit=_times(metre[metres > 0], abs(metres)),

@@ -43,8 +43,7 @@ class Answers:
         refused: int = 0,
     ) -> bytes:
         """Return an answer in MessagePack. All cameras share the room for further events."""
-        share = self._room() // max(1, len(self._alive))
-        batch = min(max(1, share), BATCH_EVENTS_MAX)
+        batch = min(max(1, self._room() // max(1, len(self._alive))), BATCH_EVENTS_MAX)
         return codec.to_msgpack(Answer(have, batch, reason, detail, late, refused))
 
     def wait_for_storage(self, camera: CameraState, pending: Pending) -> None:

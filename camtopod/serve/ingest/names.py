@@ -189,8 +189,7 @@ class Names:
         cameras: those that have ever sent anything.
         """
         state, effect = carried_out(self.state, command, cameras, self._clock())
-        meta = {NAMES_KEY: codec.to_json(state).decode()}
-        return state, command_received(command, meta), effect
+        return state, command_received(command, {NAMES_KEY: codec.to_json(state).decode()}), effect
 
     def apply(self, received: Received) -> list[Received]:
         """Return the entries to store for one: renamed or refused, if its camera is.

@@ -297,5 +297,4 @@ class Publisher:
                 self._answers.append((camera, request, payload))
                 self._changed.notify_all()
 
-        content = codec.to_msgpack(request)
-        self._bus.ask(f"store/{camera}", content, ANSWER_SECONDS_MAX, on_answer)
+        self._bus.ask(f"store/{camera}", codec.to_msgpack(request), ANSWER_SECONDS_MAX, on_answer)

@@ -326,8 +326,7 @@ class Journal:
 
     def versions(self, epoch: str) -> dict[int, str]:
         """Return version -> digest for the versions of an epoch, which may have been published."""
-        rows = self._rows("version WHERE epoch = ? ORDER BY version", epoch)
-        return {row[2]: row[4] for row in rows}
+        return {row[2]: row[4] for row in self._rows("version WHERE epoch = ?", epoch)}
 
     def version(self, epoch: str, version: int) -> bytes | None:
         """Return a version as JSON; None if it is not kept or damaged."""
