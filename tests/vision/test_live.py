@@ -5,6 +5,7 @@ from __future__ import annotations
 import threading
 import time
 from collections.abc import Callable
+from functools import cache
 from types import SimpleNamespace
 
 import pytest
@@ -24,6 +25,8 @@ WALKS = [
     Person(line(2.0, (-0.05, 0.55), (1.05, 0.5), 3.0), tall=0.3),
     Person(line(6.0, (1.05, 0.9), (-0.05, 0.95), 3.0), tall=0.3, seed=4),
 ]
+PICTURE = cache(Scene(WALKS).picture)
+"""The scene at a time; the same one for all tests, as drawing it takes long."""
 TRUTH = [("entry", 2.1), ("exit", 4.9), ("entry", 6.1), ("exit", 8.9)]
 """Kind and time of the events, seconds: of who is half inside."""
 
@@ -60,7 +63,7 @@ class Camera:
         self.t = 0.0
         self.sent = 0
         self.stamp = stamp
-        self.scene = Scene(WALKS)
+        self.picture = PICTURE
         self.is_over = False
         self.idle: Callable[[], bool] = lambda: True
         self.closed = threading.Event()
@@ -94,7 +97,7 @@ class Camera:
         return self.stamp(self.t)
 
     def frame(self) -> Frame | None:
-        return Frame(0.0, self.scene.picture(self.t))
+        return Frame(0.0, self.picture(self.t))
 
     def release(self) -> None:
         pass
@@ -188,7 +191,7 @@ def test_pictures_that_come_in_bursts_are_not_lost(monkeypatch: pytest.MonkeyPat
     monkeypatch.setattr(live, "QUEUE_FRAMES", 2)
     camera = Camera(monkeypatch)
     camera.burst = 14
-    camera.scene = Scene(WALKS[1:])
+    camera.picture = cache(Scene(WALKS[1:]).picture)
     grabber = grabber_of(camera, wall_clock=lambda: 4000.0 + camera.now)
     camera.idle = lambda: True
 
@@ -264,6 +267,6 @@ def test_pictures_that_are_none_or_do_not_change_are_said(monkeypatch: pytest.Mo
     assert reason_of(grabber_of(camera), said) == "connecting"
 
     camera = Camera(monkeypatch)
-    frozen = Frame(0.0, camera.scene.picture(0.0))
+    frozen = Frame(0.0, camera.picture(0.0))
     monkeypatch.setattr(camera, "frame", lambda: frozen)
     assert reason_of(grabber_of(camera), "is the camera frozen?") == "running"
