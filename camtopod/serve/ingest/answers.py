@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import threading
 from collections.abc import Callable, Collection
 
@@ -10,6 +11,9 @@ from camtopod.serve.ingest.cameras import Cameras, CameraState, Pending
 from camtopod.serve.ingest.numbers import Numbers
 from camtopod.serve.requests import BATCH_EVENTS_MAX, HELD_SECONDS_MAX, Answer, Reason
 from camtopod.serve.runtime import Clock
+
+LOOK_SECONDS = 1.0
+"""Interval at which requests are looked for whose events have waited for too long."""
 
 
 class Answers:
@@ -33,6 +37,7 @@ class Answers:
         self._alive = alive
         self._steady = steady
         self._mutex = threading.Lock()  # of the cameras' pending requests
+        self._looked = -math.inf
 
     def encode(
         self,
@@ -65,6 +70,9 @@ class Answers:
 
     def end_held(self, now: float) -> None:
         """Answer requests whose events have waited for too long; the grabbers ask again."""
+        if now - self._looked < LOOK_SECONDS:
+            return
+        self._looked = now
         for camera in self._cameras.all():
             pending = camera.pending
             if pending is not None and now - pending.since >= HELD_SECONDS_MAX:
