@@ -410,7 +410,7 @@ class SelfScore(Struct, frozen=True):
 
 
 class _OfVersion(Struct, frozen=True, omit_defaults=True):
-    """What a topology and a delta begin with."""
+    """The first fields of a topology and of a delta."""
 
     schema: str
     site: str

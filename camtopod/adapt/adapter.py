@@ -39,7 +39,7 @@ class Adapter:
     begins = b"{"
     """Signs that begin a message, as for `framing.frames`; without any, each line is one."""
     outside_cause = "is --size right?"
-    """What to see to if boxes lie outside the picture."""
+    """Likely cause of boxes outside the picture, as a message."""
 
     def __init__(self, camera: str | None = None) -> None:
         self.cameras = CameraNames(camera)

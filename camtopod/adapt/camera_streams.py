@@ -77,7 +77,7 @@ class CameraStream:
         """Return the exits of all objects, as no frame has come for too long.
 
         Of a camera that keeps sending while its view is empty the frames are late (the broker or
-        the network stalls), so nobody has left.
+        the network stalls), so no object has left.
         """
         if self._keeps_sending and not self._empty:
             return []

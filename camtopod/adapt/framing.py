@@ -20,7 +20,7 @@ from camtopod import codec
 
 _BOM = b"\xef\xbb\xbf"
 _BETWEEN = re.compile(rb"(?:[\s\0\x1e,\[\]]|\xef\xbb\xbf)*+")
-"""What may stand between two messages: blanks, marks, and the signs of an array."""
+"""Bytes between two messages: blanks, marks, and the signs of an array."""
 _IN_JSON = re.compile(rb'["{}\[\]\n]')
 _IN_STRING = re.compile(rb'["\n]|(?:\\.)++')
 _IN_XML = re.compile(rb"[<>]")
@@ -31,7 +31,7 @@ _ROOT = re.compile(rb"<(?:[\w.-]+:)?MetadataStream[\s>]")
 
 
 class _Stream:
-    """What has come of a stream since the beginning of a message."""
+    """The text of a stream since the beginning of a message."""
 
     def __init__(self, pieces: Iterable[bytes], bytes_max: int) -> None:
         self.text = bytearray()

@@ -119,7 +119,7 @@ class TrackEvents:
         self._wanted = frozenset(map(plain, wanted))
         self._tracks: dict[str, _Track] = {}  # the one seen last is last
         self._verdicts: dict[str, Votes] = {}
-        """What lost tracks were, as one vote: the kind may be told once only."""
+        """Kinds of lost tracks, as one vote: a program may send the kind only once."""
         self._kinds_come = False
         self._waited_in_vain = False
         self._start = self._t = -math.inf

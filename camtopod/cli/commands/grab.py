@@ -289,7 +289,7 @@ def _until_stopped(
 
 
 def _log_end(grabber: Grabber) -> None:
-    """Log what was read of a file and what was found; a warning if a part was not decoded."""
+    """Log how much of a file was read, and its events; a warning if a part was not decoded."""
     names = ("frames_analysed", "frames_dropped", "entries", "exits")
     figures = grabber.statistics()
     analysed, undecoded, entries, exited = (int(figures[name]) for name in names)

@@ -116,7 +116,7 @@ def run(args: argparse.Namespace) -> int:
                 out.writelines(to_json(event) + b"\n" for event in batch)
                 out.flush()
 
-        # Report what was not used.
+        # Report the unused part.
         if (summary := reader.summary()) is not None:
             log.warning("%s", summary)
         if reader.read and sum(reader.rejected.values()) == reader.read:

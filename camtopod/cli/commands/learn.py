@@ -75,7 +75,7 @@ def run(args: argparse.Namespace) -> None:
         if written is not None:
             written.write(to_json(topology) + b"\n")
 
-    # Say what was learned.
+    # Print the result.
     if not (out or args.updates):
         print("\n".join(link_lines(topology)))
         print("camtopod: --topology OUT.json keeps the topology", file=sys.stderr)

@@ -17,7 +17,7 @@ FORKED = (
     "this process was forked from one that uses the bus, whose threads it does not have: start it"
     ' with multiprocessing.get_context("spawn"), and connect in it'
 )
-"""What a child is told."""
+"""Error message in a forked child."""
 
 
 def _refuse(one: object, name: str) -> object:

@@ -1,4 +1,4 @@
-"""What a source is not fit for, and what could be better about it, in words for people."""
+"""Remarks on a source: limits of its use and possible improvements, as sentences."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ _OTHERS = {
     "onvif": "`camtopod init` asks a camera for its streams by ONVIF: give what it finds",
     "v4l2": "give a device by its number, or as /dev/video0",
 }
-"""What to do about URLs that are no streams, by scheme."""
+"""Advice on URLs that are no streams, by scheme."""
 
 
 SINGLE_PICTURE = "it gives a single picture: give the camera's RTSP or MJPEG stream instead"

@@ -60,7 +60,7 @@ class Track:
     crowded_sightings: int = 0
     """Those of them with more heads than tracks: see `companions`."""
     unmet: Unmet | None = None
-    """What a tentative track lacked in the latest frame that showed it."""
+    """Condition that a tentative track did not meet in the latest frame that showed it."""
     edge: Edge | None = None
     """Edge by which it left; None while it has not."""
     inferences: int = 0
