@@ -250,7 +250,7 @@ class ViewPipeline:
         tracker = self._tracker
         figures: dict[str, int | float] = {
             "entries": self._counts["entered"] + self._counts["split"],
-            "exits": self._counts["left"] + self._counts["swapped"],
+            "exits": self._counts["left"],
             "tracks_active": sum(track.confirmed for track in tracker.active) if tracker else 0,
             "tracks_broken": len(tracker.lost) if tracker else 0,
             "tracks_stitched": self._counts["continues"],

@@ -30,6 +30,8 @@ class Person:
     where: Callable[[float], Place | None]
     tall: float = 0.2
     shade: int = 60
+    texture: int = 25
+    """Largest difference of the cloth's patches from ``shade``, grey levels."""
     seed: int = 0
 
 
@@ -94,7 +96,11 @@ def _draw(picture: Picture, person: Person, place: Place) -> None:
     height = round(person.tall * HEIGHT)
     width = max(3, round(0.4 * height))
     left, bottom = round(place[0] * WIDTH - width / 2), round(place[1] * HEIGHT)
-    cloth = np.random.default_rng(person.seed).integers(-25, 25, (6, 3)).astype(np.float32)
+    cloth = (
+        np.random.default_rng(person.seed)
+        .integers(-person.texture, person.texture, (6, 3))
+        .astype(np.float32)
+    )
     cloth = person.shade + cv2.resize(cloth, (width, height), interpolation=cv2.INTER_NEAREST)
     top, right = bottom - height, left + width
     t, b, x, r = max(top, 0), min(bottom, HEIGHT), max(left, 0), min(right, WIDTH)

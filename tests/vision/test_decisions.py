@@ -58,7 +58,7 @@ def test_every_track_ends_once_and_every_event_has_its_decision() -> None:
     ended = Counter(one.track for one in decisions if one.reason in ends)
     assert set(ended) >= numbers
     assert set(ended.values()) == {1}
-    said = [one for one in decisions if one.reason in ("entered", "left", "swapped")]
+    said = [one for one in decisions if one.reason in ("entered", "left")]
     assert [(str(one.track), round(one.t, 6)) for one in said] == [(e.track, e.t) for e in events]
     assert [one.place for one in said] == [
         (pytest.approx(e.x, abs=1e-4), pytest.approx(e.y, abs=1e-4)) for e in events

@@ -9,7 +9,6 @@ from functools import cache
 import cv2
 import numpy as np
 
-from camtopod.arrays import Bools
 from camtopod.vision.boxes import Box, area, box_height, union
 from camtopod.vision.detect.background import Luma
 from camtopod.vision.detect.motion import Motion
@@ -20,22 +19,12 @@ AREA_SHARE_MIN = 0.0004
 """Smallest blob as a share of the image's area."""
 AREA_PIXELS_MIN = 14
 """Smallest blob, pixels."""
-EDGE_SHARE_MIN = 0.2
-"""Smallest share of a blob's pixels with an edge of their own; shadows and light have fewer."""
 FILL_SHARE_MIN = 0.2
 """Smallest share of its box that a person fills."""
 BESIDE_HEIGHTS = 0.06
 """Largest horizontal gap between fragments of one person (heights of the person)."""
 BLOBS_MAX = 400
 """Fragments kept of one frame, the largest; more are noise."""
-HEIGHT_MIN_PIXELS = 16
-"""Least height of a blob in which heads are searched, pixels."""
-APART_HEIGHTS = 0.18
-"""Least distance between two heads (heights of the blob)."""
-TOP_HEIGHTS = 0.3
-"""Largest distance of a head's peak from the top of the blob (heights of the blob)."""
-VALLEY_HEIGHTS = 0.1
-"""Least depth of the valley between two heads (heights of the blob)."""
 _HEIGHT_UNKNOWN = 1.5
 """Largest height of a person, in heights of the taller fragment, while it is unknown."""
 _CLOSE = np.ones((3, 1), np.uint8)
@@ -57,8 +46,6 @@ class Blob:
     """Whether a detector finds an object in it; None: no inference here, or it is not trusted."""
     part_of: int = 0
     """Number of the moving region that a detector has split into several blobs; 0 if it has not."""
-    heads: tuple[float, ...] = ()
-    """Columns of the heads in its outline, from left to right; empty if below two."""
 
     @property
     def box(self) -> Box:
@@ -106,7 +93,7 @@ def find_blobs(motion: Motion, expected_height: ExpectedHeight) -> list[Blob]:
     for group, box in groups:
         pixels = sum(int(areas[label - 1]) for label in group)
         if pixels >= area_min:
-            blob = _blob(group, box, pixels, labels, motion)
+            blob = _blob(group, box, pixels, labels)
             if blob is not None:
                 blobs.append(blob)
     return blobs
@@ -130,70 +117,22 @@ def _box(row: cv2.typing.MatLike) -> Box:
     return (left, top, left + width, top + height)
 
 
-def _blob(group: list[int], box: Box, pixels: int, labels: Luma, motion: Motion) -> Blob | None:
-    """Return the blob of some fragments; None if it fills too little of its box or is a shadow."""
+def _blob(group: list[int], box: Box, pixels: int, labels: Luma) -> Blob | None:
+    """Return the blob of some fragments; None if it fills too little of its box."""
     left, top, right, bottom = map(int, box)
     part = labels[top:bottom, left:right]
     mask = part == group[0]
     for label in group[1:]:
         mask |= part == label
 
-    # Reject shadows, light and scattered pixels.
+    # Reject scattered pixels.
     if pixels < FILL_SHARE_MIN * (right - left) * (bottom - top):
-        return None
-    if np.count_nonzero(motion.edges[top:bottom, left:right][mask]) < EDGE_SHARE_MIN * pixels:
         return None
 
     # Foot: middle of the lowest fifth.
     feet = np.flatnonzero(mask[-max(1, (bottom - top) // 5) :].any(axis=0))
     foot_x = left + float(feet[0] + feet[-1] + 1) / 2
-    heads = tuple(left + column + 0.5 for column in _find_heads(mask))
-    return Blob(left, top, right, bottom, foot_x, heads=heads)
-
-
-def _find_heads(mask: Bools) -> list[int]:
-    """Return the columns of the heads in an outline, from left to right; empty if below two.
-
-    A head is a peak of the outline near its top, with a valley on either side (I. Haritaoglu,
-    D. Harwood and L. Davis, 1999: Hydra: multiple people detection and tracking using silhouettes).
-
-    mask (H, W): pixels of the blob, in its box.
-    """
-    height, width = mask.shape
-    apart = APART_HEIGHTS * height
-    valley = VALLEY_HEIGHTS * height
-    if height < HEIGHT_MIN_PIXELS or width < apart:
-        return []
-
-    # Distance of the outline from the top of the box, by column.
-    depth: list[int] = np.where(mask.any(axis=0), mask.argmax(axis=0), height).tolist()
-
-    # A peak begins where the outline has risen by a valley, and ends where it has fallen by one.
-    heads: list[int] = []
-    deepest = height
-    peak = -1
-    for column, now in enumerate([*depth, height]):
-        if peak < 0:
-            deepest = max(deepest, now)
-            if now <= TOP_HEIGHTS * height and deepest - now >= valley:
-                peak = column
-        elif now < depth[peak]:
-            peak = column
-        elif now - depth[peak] >= valley:
-            middle = _middle_of_peak(depth, peak)
-            if not heads or middle - heads[-1] >= apart:
-                heads.append(middle)
-            deepest = now
-            peak = -1
-    return heads if len(heads) > 1 else []
-
-
-def _middle_of_peak(depth: list[int], peak: int) -> int:
-    """Return the middle column of the flat top that begins at ``peak``."""
-    last = peak
-    while last + 1 < len(depth) and depth[last + 1] <= depth[peak] + 1:
-        last += 1
-    return (peak + last) // 2
+    return Blob(left, top, right, bottom, foot_x)
 
 
 def _merge(

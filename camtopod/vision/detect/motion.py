@@ -81,8 +81,6 @@ class Motion:
     """The frame, aligned with the scene if the camera shakes."""
     moving: Luma
     """Changed pixels without shadows and reflections."""
-    edges: Luma
-    """Edges that the scene does not have."""
     changed: Luma
     """Pixels that differ from the scene, without dynamic background."""
     differs: Luma
@@ -164,16 +162,15 @@ class MotionDetector:
             return None
         self._changed_seconds = 0.0
         if not cv2.countNonZero(moving):
-            return Motion(frame, moving, moving, moving, differs, expected)
+            return Motion(frame, moving, moving, differs, expected)
 
-        # Keep moving pixels near own edges or with a strong difference, and what they enclose.
+        # Keep moving pixels near own edges or with a strong difference.
         edges, strong = self._own_texture(frame, expected)
         near = cv2.dilate(edges, _SQUARE)
         solid = cv2.bitwise_and(moving, cv2.bitwise_or(near, strong))
-        solid = cv2.bitwise_and(moving, _filled(solid))
         # Opening removes lines, such as outlines of furniture.
         solid = cv2.morphologyEx(solid, cv2.MORPH_OPEN, _CROSS)
-        return Motion(frame, solid, edges, moving, differs, expected)
+        return Motion(frame, solid, moving, differs, expected)
 
     def _has_changed(self, moving: Luma) -> bool:
         """Return True if most of the image differs, or of a change that came within a frame."""
@@ -274,21 +271,3 @@ def watched_pixels(ignore: Sequence[Polygon], height: int, width: int) -> Luma:
         corners = np.array(polygon) * (width, height) - 0.5  # pixel (0, 0) has its middle at 0.5
         cv2.fillPoly(mask, [corners.round().astype(np.int32)], (0.0,))
     return mask
-
-
-def _filled(mask: Luma) -> Luma:
-    """Return ``mask`` with its holes filled: all that a flood fill from outside does not reach.
-
-    The cost of a flood fill grows with the area, so it is limited to the bounding box of the mask.
-    """
-    left, top, width, height = cv2.boundingRect(mask)
-    if width == 0:
-        return mask
-    part = slice(top, top + height), slice(left, left + width)
-    flooded = cv2.copyMakeBorder(mask[part], 1, 1, 1, 1, cv2.BORDER_CONSTANT, value=(0.0,))
-    cv2.floodFill(flooded, None, (0, 0), (255.0,))
-    filled = mask.copy()
-    filled[part] = cv2.bitwise_or(
-        mask[part], cv2.bitwise_not(flooded[1 : height + 1, 1 : width + 1])
-    )
-    return filled

@@ -91,7 +91,7 @@ def fuse(
             and same_outline(blobs[alone].box, box)
             and not any(same_object(track, blobs[alone].box) for track in others)
         ):
-            found.append(replace(blobs[alone], detected=True, heads=()))  # it is one, as detected
+            found.append(replace(blobs[alone], detected=True))  # it is one, as detected
             continue
         shared = next((b + 1 for b in own_blobs if len(links[b]) > 1), 0)
         outline = _to_border(box, [blobs[b].box for b in own_blobs], (width, height))

@@ -46,7 +46,6 @@ _TENTATIVE: dict[Reason, str] = {
 """Words by the reason why a track was not an object."""
 _ENDS: dict[Reason, str] = {
     "left": "exit by {edge} at {place}",
-    "swapped": "exit by {edge} at {place}, where track {other} came in at the same time",
     "stayed": "no exit: gone at {edge} at {place}, but had only swayed or stood there, moved by "
     "{value:.2f} of its height, at least {least:g} are needed",
     "lost": "no exit: lost in mid-view at {place}, not at a border or door, and not found again "

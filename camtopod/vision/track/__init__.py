@@ -1,10 +1,9 @@
 """Tracking: blobs -> tracks -> entry and exit events of one view.
 
 `tracker` is the centre and explains the method. It uses `track` (state of an object), `kalman`
-(prediction of positions), `stature` (expected height of a person), `companions` (people who entered
-side by side) and `swap` (two people changing places at the border). `crossings` turns track changes
-into events, with `doors` for entrances away from the border and `ignored_areas` for objects that
-walk into one. `decisions` has the reasons why a track became an event or not.
+(prediction of positions) and `stature` (expected height of a person). `crossings` turns track
+changes into events, with `doors` for entrances away from the border and `ignored_areas` for objects
+that walk into one. `decisions` has the reasons why a track became an event or not.
 """
 
 from camtopod.vision.track.crossings import Crossings as Crossings

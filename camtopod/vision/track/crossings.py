@@ -14,7 +14,7 @@ from statistics import median
 from camtopod.records import Event, Kind
 from camtopod.vision.boxes import TOUCH_PIXELS, Box, border_distances, box_height, touches_border
 from camtopod.vision.settings import Polygon
-from camtopod.vision.track.decisions import Decision, Edge, Ending, Reason
+from camtopod.vision.track.decisions import Decision, Edge, Reason
 from camtopod.vision.track.doors import Doors
 from camtopod.vision.track.ignored_areas import Beyond, IgnoredAreas
 from camtopod.vision.track.track import Sighting, Track
@@ -230,8 +230,7 @@ class Crossings:
                 self._walks.pop(track.number, None)
                 continue
             self._forget(track)
-            reason: Ending = "swapped" if track.successor else "left"
-            events.append(self._event(reason, track, track.last, track.edge))
+            events.append(self._event("left", track, track.last, track.edge))
         return events
 
     def _forget(self, track: Track) -> None:
@@ -256,7 +255,7 @@ class Crossings:
         at = self._at_border(track, at._replace(foot=(x, y)), edge, sense)
         x, y = at.foot
 
-        self.note(reason, track, at, edge, other=other or track.successor)
+        self.note(reason, track, at, edge, other=other)
         x = min(max(x / self.size[0], 0.0), 1.0)
         y = min(max(y / self.size[1], 0.0), 1.0)
         return Event(

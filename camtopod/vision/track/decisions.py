@@ -42,7 +42,6 @@ continues: it continues the track `other`, which was lost `value` seconds before
 
 Ending = Literal[
     "left",
-    "swapped",
     "stayed",
     "lost",
     "occluded",
@@ -55,7 +54,6 @@ Ending = Literal[
 """Why a track has ended.
 
 left: an exit, by `edge`.
-swapped: an exit by the border, where the track `other` came in at the same time.
 stayed: out of sight at an edge, but it had moved by `value` heights only, of `least`: no exit.
 lost: out of sight in mid-view and not found again; if that happens again and again at a place, a
     door is learned.

@@ -55,10 +55,6 @@ class Track:
     """Time when the border last cut its box, seconds."""
     measured_at: tuple[float, float] = (0.0, 0.0)
     """Foot point where its height was last measured."""
-    whole_sightings: int = 0
-    """Sightings of its blob that the border does not cut, since a person was last added to it."""
-    crowded_sightings: int = 0
-    """Those of them with more heads than tracks: see `companions`."""
     unmet: Unmet | None = None
     """Condition that a tentative track did not meet in the latest frame that showed it."""
     edge: Edge | None = None
@@ -71,8 +67,6 @@ class Track:
     """Moving region that it shares with others, in the latest sighting: see `Blob.part_of`."""
     split_from: Track | None = None
     """Track of the moving region that a detector has split to begin this one."""
-    successor: int = 0
-    """Number of the object that came in where this one left; 0 if there is none."""
 
     @property
     def size(self) -> float:

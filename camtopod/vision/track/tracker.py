@@ -5,9 +5,6 @@ then it is *confirmed*. In each frame, blobs that cover several confirmed tracks
 group (people crossing or walking side by side). The other blobs are assigned one to one (Kalman
 prediction, Hungarian method, gate in heights of the person).
 
-A blob that shows more heads than tracks, image after image, gets tracks for the others
-(`companions`).
-
 A confirmed track that is not detected for longer than the patience has *ended* if it was at an edge
 of the view. In mid-view it is *lost*: it is kept for some seconds, and a track confirmed nearby
 continues it. A passage that is lost behind a lamp post thus stays one passage. Behind an ignored
@@ -16,9 +13,7 @@ area in mid-view it may continue as far away as a person walks meanwhile.
 
 from __future__ import annotations
 
-from collections import deque
 from collections.abc import Iterator
-from dataclasses import replace
 from math import hypot
 
 import numpy as np
@@ -28,13 +23,11 @@ from camtopod.records import Event
 from camtopod.vision.boxes import box_height, centre, contains_centre, gap, overlap
 from camtopod.vision.detect import Blob
 from camtopod.vision.settings import VisionSettings
-from camtopod.vision.track.companions import count_heads, missing_track
 from camtopod.vision.track.crossings import Crossings
 from camtopod.vision.track.decisions import Reason
 from camtopod.vision.track.kalman import Kalman
 from camtopod.vision.track.stature import Stature
-from camtopod.vision.track.swap import find_swap
-from camtopod.vision.track.track import HISTORY_SIGHTINGS, Sighting, Track, Unmet
+from camtopod.vision.track.track import Sighting, Track, Unmet
 
 CONFIRM_SECONDS = 0.5
 """Minimum time something must be tracked, and move, before it counts as an object."""
@@ -54,8 +47,6 @@ TENTATIVE_PATIENCE_SECONDS = 0.45
 """Patience with tentative tracks."""
 GONE_PATIENCE_SECONDS = 0.7
 """Patience with an object that the border cut when it was last seen."""
-OCCLUDED_PATIENCE_FACTOR = 2.0
-"""Factor of the patience with an object occluded by others."""
 STITCH_HEIGHTS = 1.0
 """Distance (heights) within which a lost track may continue, for a gap of no time."""
 STITCH_HEIGHTS_PER_SECOND = 0.4
@@ -148,8 +139,6 @@ class Tracker:
 
         # Confirm, split and end tracks.
         appeared = self._confirm(t)
-        left += self._find_swaps(t, appeared)
-        appeared += self._add_companions(t, blobs)
         vanished = self._retire(t, left)
         return self.crossings.report(appeared, left, vanished, self.active)
 
@@ -263,12 +252,7 @@ class Tracker:
 
         # Measure the height of whole people, once per distance walked.
         step = hypot(blob.foot_x - track.measured_at[0], blob.bottom - track.measured_at[1])
-        if (
-            track.confirmed
-            and step > STATURE_STEP_HEIGHTS * track.height
-            and not cut
-            and not blob.heads
-        ):
+        if track.confirmed and step > STATURE_STEP_HEIGHTS * track.height and not cut:
             track.measured_at = blob.foot
             self.stature.add(track.number, blob.bottom, blob.height, blob.width)
 
@@ -421,67 +405,6 @@ class Tracker:
         self.lost = [other for other in self.lost if other is not earlier]
         self.active = [other for other in self.active if other is not earlier]
 
-    def _find_swaps(self, t: float, appeared: list[Track]) -> list[Track]:
-        """Split tracks where one person replaced another at the border.
-
-        Returns the people who left and adds the new ones to ``appeared``.
-        """
-        left = []
-        for track in self.active:
-            followed = track.confirmed and track.last.t == t and track not in appeared
-            if not followed or track.cut_t < track.history[0].t:
-                continue
-            turn = find_swap(track.history, self.crossings.size, track.width, track.height)
-            if turn is not None:
-                left.append(self._split(track, turn))
-                appeared.append(track)
-        return left
-
-    def _add_companions(self, t: float, blobs: list[Blob]) -> list[Track]:
-        """Start tracks for people merged into one blob; return the confirmed ones."""
-        appeared = []
-        for blob in blobs:
-            if self.crossings.touches(blob.box):
-                continue
-            held = [
-                track
-                for track in self.active
-                if track.confirmed
-                and track.last.t == t
-                and contains_centre(blob.box, track.last.box)
-            ]
-            width = self.stature.width(blob.height)
-            height = self.stature.height(blob.bottom)
-            if not held or not count_heads(blob, held, width, height):
-                continue
-            added = missing_track(t, blob, held)
-            if added is not None:
-                added.number = next(self._numbers)
-                self.active.append(added)
-                if not self._stitch(t, added):
-                    appeared.append(added)
-        return appeared
-
-    def _split(self, track: Track, turn: int) -> Track:
-        """Make the rest from sighting ``turn`` on a new object; return the part before it."""
-        past = list(track.history)
-        number = next(self._numbers)
-        earlier = replace(
-            track,
-            last=past[turn],
-            history=deque(past[: turn + 1], maxlen=HISTORY_SIGHTINGS),
-            successor=number,
-        )
-        earlier.edge = self.crossings.at_edge(earlier)
-        track.number = number
-        track.first = past[turn]
-        track.history = deque(past[turn:], maxlen=HISTORY_SIGHTINGS)
-        track.from_start = track.beside_others = track.entered = False
-        left, top, right, _ = track.first.box
-        track.origin = ((left + right) / 2, top, *track.first.foot)
-        track.reach = 0.0
-        return earlier
-
     def _retire(self, t: float, left: list[Track]) -> list[Track]:
         """End tracks that were not detected for longer than the patience.
 
@@ -494,9 +417,7 @@ class Tracker:
             patience = TENTATIVE_PATIENCE_SECONDS
             if track.confirmed:
                 patience = PATIENCE_SECONDS
-            if track.occluded:
-                patience *= OCCLUDED_PATIENCE_FACTOR
-            elif self.crossings.touches(track.last.box) and self.crossings.at_edge(track):
+            if self.crossings.touches(track.last.box) and self.crossings.at_edge(track):
                 patience = min(patience, GONE_PATIENCE_SECONDS)
             if t - track.last.t <= patience:
                 kept.append(track)
