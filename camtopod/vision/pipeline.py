@@ -249,7 +249,7 @@ class ViewPipeline:
         """Return counters since the start, noise (grey levels) and shake (pixels)."""
         tracker = self._tracker
         figures: dict[str, int | float] = {
-            "entries": self._counts["entered"] + self._counts["split"],
+            "entries": self._counts["entered"],
             "exits": self._counts["left"],
             "tracks_active": sum(track.confirmed for track in tracker.active) if tracker else 0,
             "tracks_broken": len(tracker.lost) if tracker else 0,

@@ -142,13 +142,6 @@ def test_whoever_stands_is_held_while_others_pass() -> None:
     assert last.t == pytest.approx(34.0, abs=0.6)
 
 
-def test_what_moves_and_is_no_person_is_no_event_where_the_detector_is_trusted() -> None:
-    other = Person(line(16.0, (-0.05, 0.8), (1.05, 0.8), 8.0), tall=0.12, shade=20)
-    assert len(ColouredScene(ALONE, [other]).events(30, None)) >= 4
-    scene = ColouredScene(ALONE, [other])
-    assert kinds(scene.events(30, drawn(scene))) == ["entry", "exit"]
-
-
 # --- where it is not trusted ---------------------------------------------------------------------
 
 

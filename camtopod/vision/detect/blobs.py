@@ -42,10 +42,6 @@ class Blob:
     right: float
     bottom: float
     foot_x: float
-    detected: bool | None = None
-    """Whether a detector finds an object in it; None: no inference here, or it is not trusted."""
-    part_of: int = 0
-    """Number of the moving region that a detector has split into several blobs; 0 if it has not."""
 
     @property
     def box(self) -> Box:

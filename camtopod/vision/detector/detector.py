@@ -168,7 +168,7 @@ class Detector:
             return blobs
         boxes = [one.box for one in detections]
         boxes += self._recent_detections(t, boxes, examined, tracked)
-        return fuse(blobs, boxes, examined, tracked, moving)
+        return fuse(blobs, boxes, tracked, moving)
 
     def detected_recently(self, box: Box) -> bool:
         """Return True if somebody was detected in ``box`` lately (pixels of the working image)."""

@@ -10,7 +10,6 @@ the border. A detection without motion is kept if it is tracked: a person who st
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
@@ -53,14 +52,12 @@ class TrackedBox(NamedTuple):
 def fuse(
     blobs: Sequence[Blob],
     detections: Sequence[Box],
-    crops: Sequence[Box],
     tracked: Sequence[TrackedBox],
     moving: Luma,
 ) -> list[Blob]:
     """Return the blobs of a frame as the detector sees them.
 
     detections: boxes of objects.
-    crops: parts of the image that were examined.
     tracked: the tracks.
     moving (H, W): mask of moving pixels.
 
@@ -75,10 +72,9 @@ def fuse(
     # Blobs without a detection.
     for blob, own in zip(blobs, links, strict=True):
         if not own:
-            seen = any(_inside(blob.box, crop) for crop in crops)
-            fused.append(replace(blob, detected=False) if seen else blob)
+            fused.append(blob)
 
-    # Detections: one blob each, with the number of the blob that several share.
+    # Detections: one blob each.
     found = []
     for d, box in enumerate(detections):
         own_blobs = [b for b, own in enumerate(links) if d in own]
@@ -91,11 +87,10 @@ def fuse(
             and same_outline(blobs[alone].box, box)
             and not any(same_object(track, blobs[alone].box) for track in others)
         ):
-            found.append(replace(blobs[alone], detected=True))  # it is one, as detected
+            found.append(blobs[alone])  # it is one, as detected
             continue
-        shared = next((b + 1 for b in own_blobs if len(links[b]) > 1), 0)
         outline = _to_border(box, [blobs[b].box for b in own_blobs], (width, height))
-        found.append(_blob(outline, detected=True, part_of=shared))
+        found.append(_blob(outline))
 
     # Tracked objects that move within a blob of others and are not detected in this frame.
     boxes = [blob.box for blob in found]
@@ -105,7 +100,7 @@ def fuse(
         for b, blob in enumerate(blobs):
             rest = intersection(track, blob.box)
             if links[b] and rest is not None and _moves_beside(rest, track, boxes, moving):
-                fused.append(_blob(rest, detected=False, part_of=0))
+                fused.append(_blob(rest))
                 break
     return fused + found
 
@@ -162,14 +157,9 @@ def _moves_beside(rest: Box, track: Box, others: Sequence[Box], moving: Luma) ->
     return count - covered >= MOVING_SHARE * area(track)
 
 
-def _blob(box: Box, detected: bool, part_of: int) -> Blob:
+def _blob(box: Box) -> Blob:
     """Return a blob with the foot in the middle of the box's bottom."""
-    return Blob(*box, centre(box)[0], detected, part_of)
-
-
-def _inside(box: Box, crop: Box) -> bool:
-    """Return True if most of a box is inside of a crop."""
-    return common_area(box, crop) >= 0.8 * area(box)
+    return Blob(*box, centre(box)[0])
 
 
 def _slices(box: Box, image: Luma) -> tuple[slice, slice]:

@@ -19,8 +19,6 @@ _EDGES: dict[Edge, str] = {
 }
 _BEGINNINGS: dict[Reason, str] = {
     "entered": "entry by {edge} at {place}",
-    "split": "entry at {place} together with track {other}: the detector found both in one moving "
-    "region",
     "from start": "no entry: in view already when tracking began",
     "beside others": "no entry: appeared at {place} beside another track, in mid-view: rather half "
     "of a group than a new person",
@@ -39,8 +37,6 @@ _TENTATIVE: dict[Reason, str] = {
     "{least:g} are needed",
     "low": "no event: lower than min_height at {place}, reaches it in {value:.0f} of {least:.0f} "
     "sightings that are needed",
-    "undetected": "no event: at {place} the detector found it in {value:.0%} of its inferences, at "
-    "least {least:.0%} are needed",
     "paused": "no event: too short at {place}, the pictures paused after {seen}",
 }
 """Words by the reason why a track was not an object."""

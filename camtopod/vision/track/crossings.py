@@ -33,8 +33,6 @@ FOOT_SIGHTINGS = 5
 """Sightings whose median gives the foot row of a person cut by the side of the image."""
 WHOLE_SHARE = 0.6
 """Least height of these sightings, as a share of the tallest one."""
-SPLIT_SECONDS_MAX = 3.0
-"""Time after an entry within which a detector may find that several people have entered."""
 EXIT_HEIGHTS_MIN = 0.6
 """Least distance from its origin (heights) that a track must have moved for an exit.
 
@@ -196,29 +194,13 @@ class Crossings:
             self.note("from start", track, track.first)
             return []
         if edge is not None:
-            track.entered = True
             return [self._event("entered", track, track.first, edge)]
-        if (parent := self._entered_with(track)) is not None:
-            track.entered = True
-            return [self._event("split", track, parent.first, None, other=parent.number)]
         if track.beside_others:
             self.note("beside others", track, track.first)
         else:
             self.note("in mid-view", track, track.first)
             track.began_in_view = True
         return []
-
-    def _entered_with(self, track: Track) -> Track | None:
-        """Return the track that had been one moving region with ``track`` since its entry.
-
-        None if there is none. Motion dates the entry, a detector says how many have entered.
-        """
-        parent = track.split_from
-        if parent is None or track.first.t - parent.first.t > SPLIT_SECONDS_MAX:
-            return None
-        if parent.from_start or not (parent.entered or self.begins_at_edge(parent)):
-            return None
-        return parent
 
     def report_exits(self, left: Sequence[Track]) -> list[Event]:
         """Return the exits of tracks that have ended at an edge, if they had moved enough."""
@@ -238,15 +220,13 @@ class Crossings:
         ends = {self.doors.cell(*track.first.foot), self.doors.cell(*track.last.foot)}
         self.doors.record_walk(self._walks.pop(track.number, set()) - ends)
 
-    def _event(
-        self, reason: Reason, track: Track, at: Sighting, edge: Edge | None, other: int = 0
-    ) -> Event:
+    def _event(self, reason: Reason, track: Track, at: Sighting, edge: Edge | None) -> Event:
         """Return an event at a sighting.
 
         The foot row of a person cut by the side of the image is estimated from the sightings
         that are kept.
         """
-        kind: Kind = "entry" if reason in ("entered", "split") else "exit"
+        kind: Kind = "entry" if reason == "entered" else "exit"
         sense = 1.0 if kind == "exit" else -1.0
         x, y = at.foot
         left, _, right, _ = border_distances(at.box, self.size)
@@ -255,7 +235,7 @@ class Crossings:
         at = self._at_border(track, at._replace(foot=(x, y)), edge, sense)
         x, y = at.foot
 
-        self.note(reason, track, at, edge, other=other)
+        self.note(reason, track, at, edge)
         x = min(max(x / self.size[0], 0.0), 1.0)
         y = min(max(y / self.size[1], 0.0), 1.0)
         return Event(

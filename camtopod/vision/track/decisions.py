@@ -19,21 +19,19 @@ Edge = Literal[
 ]
 """Where objects enter and leave the view. An ignored area is one if it reaches to the border."""
 
-Shortfall = Literal["brief", "patchy", "still", "low", "undetected"]
+Shortfall = Literal["brief", "patchy", "still", "low"]
 """What a tentative track lacks to be an object; `Decision.value` is compared with `least`.
 
 brief: followed for `value` seconds.
 patchy: seen in the share `value` of the frames.
 still: moved by `value` heights.
 low: as tall as the setting `min_height` in `value` sightings.
-undetected: the detector, which is trusted here, detected it in the share `value` of its inferences.
 """
 
-Beginning = Literal["entered", "split", "from start", "beside others", "in mid-view", "continues"]
+Beginning = Literal["entered", "from start", "beside others", "in mid-view", "continues"]
 """What the beginning of an object was taken for.
 
 entered: an entry, by `edge`.
-split: an entry together with the track `other`: the detector found both in one moving region.
 from start: in view when watching began, so no entry.
 beside others: began next to another object, so rather half of a group than a new one.
 in mid-view: began away from every edge; if that happens again and again, a door is learned.

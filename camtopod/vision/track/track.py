@@ -41,8 +41,6 @@ class Track:
     confirmed: bool = False
     occluded: bool = False
     """Occluded by others in the latest frame."""
-    entered: bool = False
-    """An entry was reported for it."""
     began_in_view: bool = False
     """Began in mid-view without explanation, and has not walked far enough yet to be evidence."""
     interrupted: bool = False
@@ -59,14 +57,6 @@ class Track:
     """Condition that a tentative track did not meet in the latest frame that showed it."""
     edge: Edge | None = None
     """Edge by which it left; None while it has not."""
-    inferences: int = 0
-    """Sightings with an inference, of a detector that is trusted at this camera."""
-    detections: int = 0
-    """Those of them in which it detected an object."""
-    part_of: int = 0
-    """Moving region that it shares with others, in the latest sighting: see `Blob.part_of`."""
-    split_from: Track | None = None
-    """Track of the moving region that a detector has split to begin this one."""
 
     @property
     def size(self) -> float:

@@ -76,12 +76,6 @@ TALL_SIGHTINGS_MIN = 3
 
 A single one may be two small animals in one blob.
 """
-INFERENCES_MIN = 3
-"""Inferences on a track after which the detector says whether there is an object."""
-DETECTED_SHARE_MIN = 0.2
-"""Least share of these in which it detects one, for the track to be confirmed."""
-SPLIT_HEIGHTS_MAX = 1.5
-"""Distance (heights) within which two blobs of one moving region are of people side by side."""
 _SIZE_RATE = 0.2
 """Weight of the newest sighting in the running means of height and width."""
 _NEVER = 1e9
@@ -248,7 +242,6 @@ class Tracker:
 
         track.kalman.update(measured, track.height)
         self._seen(track, Sighting(t, blob.foot, blob.box))
-        _count_inference(track, blob)
 
         # Measure the height of whole people, once per distance walked.
         step = hypot(blob.foot_x - track.measured_at[0], blob.bottom - track.measured_at[1])
@@ -261,7 +254,6 @@ class Tracker:
         track.last = sighting
         track.history.append(sighting)
         track.sightings += 1
-        track.part_of = 0
         if self.crossings.touches(sighting.box):
             track.cut_t = sighting.t
         left, top, right, bottom = sighting.box
@@ -301,26 +293,7 @@ class Tracker:
             cut_t=t if cut else float("-inf"),
         )
         track.history.append(sighting)
-        _count_inference(track, blob)
-        track.split_from = self._parent_of(t, track)
         self.active.append(track)
-
-    def _parent_of(self, t: float, track: Track) -> Track | None:
-        """Return the track whose moving region a detector has split to begin ``track``."""
-        if not track.part_of:
-            return None
-        x, y = track.first.foot
-        reach = SPLIT_HEIGHTS_MAX * track.height
-        return next(
-            (
-                other
-                for other in self.active
-                if other.last.t == t
-                and other.part_of == track.part_of
-                and hypot(other.last.foot[0] - x, other.last.foot[1] - y) <= reach
-            ),
-            None,
-        )
 
     def _confirm(self, t: float) -> list[Track]:
         """Confirm tracks that have become objects; return those that continue no lost track."""
@@ -343,10 +316,6 @@ class Tracker:
             return "patchy", track.sightings / track.frames, CONFIRM_SIGHTINGS_SHARE
         if track.reach < CONFIRM_HEIGHTS * track.height:
             return "still", track.reach / track.height, CONFIRM_HEIGHTS
-        if track.inferences >= INFERENCES_MIN:
-            share = track.detections / track.inferences
-            if share < DETECTED_SHARE_MIN:
-                return "undetected", share, DETECTED_SHARE_MIN
 
         # Tall enough in several sightings.
         if self._height_min > 0.0:
@@ -399,7 +368,6 @@ class Tracker:
         self._note("continues", track, track.first, value=seconds, other=earlier.number)
         track.number = earlier.number
         track.first = earlier.first
-        track.entered = earlier.entered
         track.from_start = earlier.from_start
         track.beside_others = earlier.beside_others
         self.lost = [other for other in self.lost if other is not earlier]
@@ -497,11 +465,3 @@ class Tracker:
         self.active = []
         self.lost = []
         return self.crossings.report_exits(left)
-
-
-def _count_inference(track: Track, blob: Blob) -> None:
-    """Count the inference on the blob that shows a track."""
-    track.part_of = blob.part_of
-    if blob.detected is not None:
-        track.inferences += 1
-        track.detections += blob.detected
