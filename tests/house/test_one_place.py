@@ -21,7 +21,6 @@ PLACES = {
         "files.py": "all files that are whole or not at all",
         "cli/common.py": "a stream's lines, which have no end",
         "serve/storage/sqlite_file.py": "SQLite's files",
-        "vision/show/shown_file.py": "a video, by OpenCV or as pictures",
     },
 }
 """By pattern: the modules of the package in which it may stand, and why."""

@@ -1,4 +1,4 @@
-"""What the grabber sees, drawn into a video or a picture."""
+"""What the grabber sees, drawn into a video or an image."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from rendered_scenes import FPS, Person, Scene, line
 from camtopod.vision.pipeline import ViewPipeline
 from camtopod.vision.settings import VisionSettings
 from camtopod.vision.show import Preview, ShowError, overlay, shown_file
-from camtopod.vision.show.shown_file import LAST_SECONDS, VIDEO_FPS, Picture, open_shown_file
+from camtopod.vision.show.shown_file import SHOWN_SECONDS, Image, open_shown_file
 
 GREY = np.full((48, 64, 3), 99, np.uint8)
 SETTINGS = VisionSettings(
@@ -42,16 +42,16 @@ def shown(path: Path, seconds: float) -> list[str]:
     return [event.kind for event in events]
 
 
-def frames(path: Path) -> list[Picture]:
+def frames(path: Path) -> list[Image]:
     video, found = cv2.VideoCapture(str(path)), []
     while (got := video.read())[0]:
         found.append(got[1])
     return found
 
 
-def count(picture: Picture, colour: overlay.Colour) -> int:
+def count(image: Image, colour: overlay.Colour) -> int:
     """Return how many pixels have about this colour."""
-    near = np.abs(picture.astype(int) - colour).max(axis=2) < 60
+    near = np.abs(image.astype(int) - colour).max(axis=2) < 60
     return int(near.sum())
 
 
@@ -67,10 +67,10 @@ def test_a_video_shows_tracks_events_and_areas_in_the_camera_s_time(
     assert [one.name for one in tmp_path.iterdir()] == ["film.mp4"]
 
     film = frames(path)
-    assert len(film) / VIDEO_FPS == pytest.approx(14.0 + LAST_SECONDS, abs=0.3)
+    assert len(film) / FPS == pytest.approx(14.0 + SHOWN_SECONDS, abs=0.3)
     assert film[0].shape[1] == overlay.WIDTH
     assert film[0].shape[0] % 2 == 0
-    empty, walking, entered = film[20], film[82], film[66]
+    empty, walking, entered = (film[round(FPS * t)] for t in (2.0, 8.2, 6.6))
     assert count(walking, overlay._OBJECT) > count(empty, overlay._OBJECT) + 500
     assert count(entered, overlay._ENTRY) > count(empty, overlay._ENTRY) + 200
     assert count(empty, overlay._IGNORED) > 200
@@ -88,21 +88,18 @@ def test_a_portrait_camera_is_shown_whole_at_the_size_of_a_screen(tmp_path: Path
     assert height <= 1080 * 1.05
 
 
-def test_a_picture_is_replaced_now_and_then(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_an_image_is_replaced_now_and_then(tmp_path: Path) -> None:
     name = "now.jpg"
-    file = open_shown_file(tmp_path / name)
+    file = open_shown_file(tmp_path / name, FPS)
 
-    assert list(tmp_path.iterdir()) == [], "nothing before the first picture"
-    monkeypatch.setattr(shown_file, "PICTURE_SECONDS", 2.0)
-    file.write(0.0, 100.0, GREY)
+    assert list(tmp_path.iterdir()) == [], "nothing before the first image"
+    file.write(100.0, GREY)
     first = os.stat(tmp_path / name)
     assert first.st_mode & 0o777 == 0o600
-    assert [file.wants(1.0, now) for now in (101.0, 101.9, 102.0)] == [False, False, True]
-    file.write(0.0, 102.0, GREY // 2)
+    assert [file.wants(t) for t in (101.0, 101.9, 102.0)] == [False, False, True]
+    file.write(102.0, GREY // 2)
     assert os.stat(tmp_path / name).st_ino != first.st_ino, "a new file in its place"
-    file.finish(GREY // 3)
+    file.finish(102.5, GREY // 3)
     picture = cv2.imread(str(tmp_path / name))
     assert picture is not None
     assert (picture.shape, round(float(picture.mean()))) == (GREY.shape, 33)
@@ -121,7 +118,7 @@ def test_files_that_cannot_be_written(tmp_path: Path) -> None:
         ("file/x.png", "Not a directory"),
     ):
         with pytest.raises(ShowError, match=why):
-            open_shown_file(tmp_path / name)
+            open_shown_file(tmp_path / name, FPS)
 
 
 def test_a_full_disk_ends_the_picture_with_one_warning_and_no_event(
@@ -129,7 +126,6 @@ def test_a_full_disk_ends_the_picture_with_one_warning_and_no_event(
 ) -> None:
     name = "v.mp4"
     free = iter([1 << 30] * 30)
-    monkeypatch.setattr(shown_file, "PICTURE_SECONDS", 0.0)
     monkeypatch.setattr(
         shown_file, "disk_usage", lambda folder: SimpleNamespace(free=next(free, 1 << 20))
     )

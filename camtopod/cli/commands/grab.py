@@ -88,7 +88,7 @@ def add_parser(add: Any) -> None:
         metavar="FILE",
         type=Path,
         help="draw what the grabber sees into FILE on this machine, readable by you alone: .mp4: a "
-        "video of the whole time; .jpg or .png: one picture that is replaced every 2 seconds. "
+        "video of the whole time; .jpg or .png: one image that is replaced every 2 seconds. "
         "Boxes and paths of the tracks, foreground, ignored areas, doors, events, and why each "
         "track became an event or not. It shows people; it is not sent",
     )

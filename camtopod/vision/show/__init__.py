@@ -1,6 +1,6 @@
-"""What the grabber sees, drawn for people: a video, or one picture that is replaced now and then.
+"""What the grabber sees, drawn for people: a video, or one image that is replaced now and then.
 
-`overlay` draws boxes, paths, foreground, areas and events into the working picture, as an observer
+`overlay` draws boxes, paths, foreground, areas and events into the working image, as an observer
 of the pipeline; `shown_file` writes the result to a file on this machine. `decision_words` says why
 a track became an event or not.
 """

@@ -6,8 +6,7 @@ from datetime import UTC, datetime
 
 from camtopod.vision.track import Decision, Edge, Reason
 
-RECORDING_SECONDS_MAX = 366 * 86400.0
-"""Times below this (seconds) are positions in a recording rather than dates."""
+_EPOCH = datetime.fromtimestamp(0, UTC)
 _EDGES: dict[Edge, str] = {
     "left border": "the left border",
     "right border": "the right border",
@@ -31,13 +30,13 @@ _BEGINNINGS: dict[Reason, str] = {
 _TENTATIVE: dict[Reason, str] = {
     "brief": "no event: too short at {place}, {seen} in {value:.1f} s, at least {least:g} s are "
     "needed",
-    "patchy": "no event: flickers at {place}, seen in {value:.0%} of the pictures, at least "
+    "patchy": "no event: flickers at {place}, seen in {value:.0%} of the frames, at least "
     "{least:.0%} are needed",
     "still": "no event: sways or stands at {place}, moved by {value:.2f} of its height, at least "
     "{least:g} are needed",
     "low": "no event: lower than min_height at {place}, reaches it in {value:.0f} of {least:.0f} "
     "sightings that are needed",
-    "paused": "no event: too short at {place}, the pictures paused after {seen}",
+    "paused": "no event: too short at {place}, the stream paused after {seen}",
 }
 """Words by the reason why a track was not an object."""
 _ENDS: dict[Reason, str] = {
@@ -47,10 +46,10 @@ _ENDS: dict[Reason, str] = {
     "lost": "no exit: lost in mid-view at {place}, not at a border or door, and not found again "
     "(if that happens there again and again, a door is learned)",
     "occluded": "no exit: lost behind others in mid-view at {place}, and not found again",
-    "interrupted": "no exit: in mid-view at {place} when the pictures paused, and not found again",
+    "interrupted": "no exit: in mid-view at {place} when the stream paused, and not found again",
     "ghost": "no exit: not an object, but the hole in the background where one stood at {place}; "
     "the background is corrected",
-    "scene changed": "no exit: the whole picture changed, and all tracks are forgotten",
+    "scene changed": "no exit: the whole image changed, and all tracks are forgotten",
     "in view": "no exit: still in view at the end of the recording",
 }
 """Words by the reason of the end of an object."""
@@ -84,8 +83,11 @@ def decision_line(camera: str, decision: Decision) -> str:
 
 
 def clock_words(t: float) -> str:
-    """Return a capture time in words: the position in a recording, or date and time in UTC."""
-    if t < RECORDING_SECONDS_MAX:
-        return f"{t:.1f} s"
+    """Return a capture time in words: date and time in UTC, or the position in a recording.
+
+    Times within the epoch's first year are positions.
+    """
     at = datetime.fromtimestamp(t, UTC)
+    if at.year <= _EPOCH.year:
+        return f"{t:.1f} s"
     return f"{at:%Y-%m-%dT%H:%M:%S}.{at.microsecond // 100000}Z"

@@ -1,32 +1,28 @@
-"""Draw what the pipeline made of a frame into an enlarged copy of the working picture.
+"""Draw what the pipeline made of a frame into an enlarged copy of the working image.
 
 Green: an object; grey: a track that is not one yet, or is lost at the moment; yellow: foreground;
-red: ignored areas; blue: doors, named ones filled; violet: what the detector found in this frame.
-Events are discs at their place: an entry green, an exit red. Below the picture are the latest
-decisions in words.
+red: ignored areas; blue: doors; violet: what the detector found in this frame. Events are discs at
+their place: an entry green, an exit red. Below the image are the latest decisions in words.
 """
 
 from __future__ import annotations
 
 import logging
-import time
 from collections import deque
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 
 import cv2
 import numpy as np
 
 from camtopod.records import Event
-from camtopod.vision.detect import Luma
-from camtopod.vision.detector.detector import DetectorResult
 from camtopod.vision.pipeline import Analysis
-from camtopod.vision.settings import Polygon, VisionSettings
+from camtopod.vision.settings import VisionSettings
 from camtopod.vision.show.decision_words import clock_words, words_of
 from camtopod.vision.show.shown_file import (
-    Picture,
-    PictureFile,
-    ShowError,
+    SHOWN_SECONDS,
+    Image,
+    ImageFile,
     VideoFile,
     open_shown_file,
 )
@@ -35,15 +31,11 @@ from camtopod.vision.track import Track
 log = logging.getLogger(__name__)
 
 WIDTH = 960
-"""Width of the drawn picture, pixels; the working picture's longer side is enlarged to it."""
-PATH_SECONDS = 5.0
-"""Length of the drawn paths, seconds."""
-EVENT_SECONDS = 3.0
-"""Time for which an event is drawn, seconds."""
+"""Width of the drawn image, pixels; the working image's longer side is enlarged to it."""
 LINES = 8
-"""Decisions shown below the picture."""
+"""Decisions shown below the image."""
 LINE_PIXELS = 20
-"""Height of one line of words, pixels."""
+"""Height of a line of words, and diameter of an event or a door, pixels."""
 
 Colour = tuple[int, int, int]
 _OBJECT: Colour = (80, 220, 80)
@@ -58,7 +50,7 @@ _REASONS: dict[str, Colour] = {"entered": _ENTRY, "left": _EXIT}
 _WORDS: Colour = (235, 235, 235)
 _GROUND: Colour = (24, 24, 24)
 _FONT = cv2.FONT_HERSHEY_SIMPLEX
-_FONT_SCALE = 0.42
+_FONT_SCALE = cv2.getFontScaleFromHeight(_FONT, LINE_PIXELS // 2)
 
 
 class Preview:
@@ -72,13 +64,14 @@ class Preview:
 
         If it cannot be written later on, that is logged once.
         """
-        self._file: PictureFile | VideoFile | None = open_shown_file(path)
+        self._file: ImageFile | VideoFile | None = open_shown_file(path, settings.analysed_fps)
+        self._path = path
         self._camera = camera
         self._settings = settings
         self._latest: Analysis | None = None
-        self._paths: dict[int, deque[tuple[float, float, float]]] = {}
-        """Time (seconds) and foot point (pixels of the working picture) by track number."""
-        self._events: deque[tuple[float, Event]] = deque()
+        self._feet: list[tuple[float, int, tuple[float, float]]] = []
+        """Time (seconds), track number and foot point (pixels of the working image)."""
+        self._events: list[tuple[float, Event]] = []
         """Time (seconds) from which an event is drawn, and the event."""
         self._lines: deque[tuple[Colour, str]] = deque(maxlen=LINES)
 
@@ -87,182 +80,121 @@ class Preview:
         if self._file is None:
             return
         self._remember(analysis)
-        self._latest = analysis
-        now = time.monotonic()
-        try:
-            if self._file.wants(analysis.t, now):
-                self._file.write(analysis.t, now, self._drawn(analysis))
-        except ShowError as error:
-            self._fail(error)
+        if self._file.wants(analysis.t):
+            self._write(self._file.write, analysis)
 
     def close(self) -> None:
-        """Write the last picture and complete the file."""
-        if self._file is None or self._latest is None:
-            return
-        try:
-            self._file.finish(self._drawn(self._latest))
-        except ShowError as error:
-            self._fail(error)
+        """Write the last image and complete the file."""
+        if self._file is not None and self._latest is not None:
+            self._write(self._file.finish, self._latest)
 
-    def _fail(self, error: ShowError) -> None:
-        """Stop drawing, and say why."""
-        self._file = None  # which completes a video
-        log.warning("--show: %s; it is not written any more, events go on", str(error))
+    def _write(self, write: Callable[[float, Image], None], analysis: Analysis) -> None:
+        """Draw a frame and write it; if that fails, say why and stop drawing."""
+        try:
+            write(analysis.t, self._drawn(analysis))
+        except OSError as error:
+            self._file = None  # which completes a video
+            why = f"cannot write {self._path}: {error.strerror}"
+            log.warning("--show: %s; it is not written any more, events go on", why)
 
     def _remember(self, analysis: Analysis) -> None:
-        """Take in the paths, events and decisions of a frame. Costs little."""
-        # Paths of the last seconds.
-        for track in analysis.tracks:
-            if track.last.t == analysis.t:
-                path = self._paths.setdefault(track.number, deque())
-                path.append((analysis.t, *track.last.foot))
-        for number, path in list(self._paths.items()):
-            while path and path[0][0] < analysis.t - PATH_SECONDS:
-                path.popleft()
-            if not path:
-                del self._paths[number]
-
-        # Events and decisions.
+        """Take in the feet, events and decisions of a frame. Costs little."""
+        self._latest = analysis
+        self._feet += (
+            (analysis.t, track.number, track.last.foot)
+            for track in analysis.tracks
+            if track.last.t == analysis.t
+        )
         self._events += ((analysis.t, event) for event in analysis.events)
-        while self._events and self._events[0][0] < analysis.t - EVENT_SECONDS:
-            self._events.popleft()
+        since = analysis.t - SHOWN_SECONDS
+        self._feet = [one for one in self._feet if one[0] >= since]
+        self._events = [one for one in self._events if one[0] >= since]
         for one in analysis.decisions:
             text = f"{clock_words(one.t)} track {one.track}: {words_of(one)}"
             self._lines.append((_REASONS.get(one.reason, _TENTATIVE), text))
 
-    def _drawn(self, analysis: Analysis) -> Picture:
-        """Return the drawn picture of a frame that was remembered last."""
+    def _drawn(self, analysis: Analysis) -> Image:
+        """Return the drawn image of a frame that was remembered last."""
         height, width = analysis.frame.shape
         factor = WIDTH / max(height, width)
-        size = (round(width * factor), 2 * round(height * factor / 2))  # video needs even numbers
-        picture = cv2.cvtColor(
-            cv2.resize(analysis.frame, size, interpolation=cv2.INTER_LINEAR), cv2.COLOR_GRAY2BGR
-        )
+        high = 2 * round(factor * height / 2)  # video needs even numbers
+        drawn = np.full((high + LINES * LINE_PIXELS, WIDTH, 3), _GROUND, np.uint8)
+        image = drawn[:high, : round(factor * width)]
+        size = image.shape[1::-1]
+        image[:] = cv2.resize(analysis.frame, size)[:, :, None]
 
-        # The view: areas, doors, foreground.
-        _draw_areas(picture, self._settings.ignore)
-        _draw_doors(picture, self._settings.doors, analysis.learned_doors, factor)
+        # Areas, doors, foreground.
+        for areas, colour in ((self._settings.ignore, _IGNORED), (self._settings.doors, _DOOR)):
+            for area in areas:
+                _draw_corners(image, np.multiply(area, size), colour)
+        for door in analysis.learned_doors:
+            _draw_corners(image, factor * np.array([door]), _DOOR)
         if analysis.moving is not None:
-            _draw_outline(picture, analysis.moving)
+            moving = cv2.resize(analysis.moving, size, interpolation=cv2.INTER_NEAREST)
+            outlines, _ = cv2.findContours(moving, cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_SIMPLE)
+            cv2.drawContours(image, outlines, -1, _FOREGROUND)
 
         # Detections, tracks, events.
-        if analysis.detector is not None:
-            _draw_detections(picture, analysis.detector, factor)
-        for track in analysis.lost:
-            self._draw_track(picture, track, factor, lost=True)
-        for track in analysis.tracks:
-            self._draw_track(picture, track, factor, lost=track.last.t < analysis.t)
-        for _, event in self._events:
-            _draw_event(picture, event)
-
-        # Words.
-        state = ""
-        if analysis.moving is None:
-            state = "  most of the picture has changed"
+        state = "" if analysis.moving is not None else "  most of the image has changed"
         if analysis.detector is not None:
             state += f"  detector {'' if analysis.detector.trusted else 'not '}trusted, "
             state += f"agreement {analysis.detector.agreement:.2f}"
-        _write(picture, (6, 16), f"{self._camera}  {clock_words(analysis.t)}{state}", _WORDS)
-        beside = WIDTH - size[0]
-        picture = cv2.copyMakeBorder(picture, 0, 0, 0, beside, cv2.BORDER_CONSTANT, value=_GROUND)
-        return cv2.vconcat([picture, self._strip()])
+            for one in analysis.detector.detections:
+                _draw_box(image, factor, one.box, f"{one.label} {one.score:.2f}", _DETECTION)
+        for track in (*analysis.lost, *analysis.tracks):
+            self._draw_track(image, track, factor, analysis.t)
+        for _, event in self._events:
+            _draw_event(image, event)
 
-    def _draw_track(self, picture: Picture, track: Track, factor: float, lost: bool) -> None:
-        """Draw box, number and path of a track.
-
-        lost: it is not seen in this frame.
-        """
-        followed = track.confirmed and not lost
-        colour = _OBJECT if followed else _TENTATIVE
-        left, top, right, bottom = (round(factor * value) for value in track.last.box)
-        cv2.rectangle(picture, (left, top), (right, bottom), colour, 2 if followed else 1)
-        label = f"{track.number}{'' if track.confirmed else '?'}{' lost' if lost else ''}"
-        _write(picture, (max(left, 0), max(top - 4, 32)), label, colour)
-
-        path = self._paths.get(track.number, ())
-        if len(path) > 1:
-            feet = np.array([(x, y) for _, x, y in path]) * factor
-            cv2.polylines(picture, [feet.round().astype(np.int32)], False, colour, 1, cv2.LINE_AA)
-
-    def _strip(self) -> Picture:
-        """Return the strip with the latest decisions in words, the newest at the bottom."""
-        strip = np.full((LINES * LINE_PIXELS + 8, WIDTH, 3), _GROUND, np.uint8)
+        # Words.
+        _write(drawn, (0, 0), f"{self._camera}  {clock_words(analysis.t)}{state}", _WORDS)
         for row, (colour, text) in enumerate(self._lines):
-            _write(strip, (6, (row + 1) * LINE_PIXELS), text, colour)
-        return strip
+            _write(drawn, (0, high + row * LINE_PIXELS), text, colour)
+        return drawn
+
+    def _draw_track(self, image: Image, track: Track, factor: float, t: float) -> None:
+        """Draw box, number and path of a track at ``t`` (seconds)."""
+        lost = track.last.t < t
+        colour = _OBJECT if track.confirmed and not lost else _TENTATIVE
+        label = f"{track.number}{'' if track.confirmed else '?'}{' lost' if lost else ''}"
+        _draw_box(image, factor, track.last.box, label, colour)
+        feet = [foot for _, number, foot in self._feet if number == track.number]
+        if feet:
+            points = (factor * np.array(feet)).round().astype(np.int32)
+            cv2.polylines(image, [points], False, colour)
 
 
-def _draw_areas(picture: Picture, areas: Iterable[Polygon]) -> None:
-    """Darken and frame ignored areas."""
-    for area in areas:
-        corners = _corners(picture, area)
-        dark = picture.copy()
-        cv2.fillPoly(dark, [corners], _IGNORED)
-        cv2.addWeighted(dark, 0.35, picture, 0.65, 0.0, picture)
-        cv2.polylines(picture, [corners], True, _IGNORED, 2)
+def _draw_corners(image: Image, corners: np.ndarray, colour: Colour) -> None:
+    """Draw a polygon, or a disc at a single point; ``corners`` (N, 2) in pixels."""
+    thickness = 2 if len(corners) > 1 else LINE_PIXELS
+    cv2.polylines(image, [corners.round().astype(np.int32)], True, colour, thickness)
 
 
-def _draw_doors(
-    picture: Picture,
-    named: Iterable[Polygon],
-    learned: Iterable[tuple[float, float]],
-    factor: float,
+def _draw_box(
+    image: Image, factor: float, box: Sequence[float], label: str, colour: Colour
 ) -> None:
-    """Draw named doors, and learned ones as circles."""
-    for door in named:
-        corners = _corners(picture, door)
-        if len(door) == 1:
-            cv2.circle(picture, _point(*corners[0]), 7, _DOOR, -1, cv2.LINE_AA)
-        else:
-            cv2.polylines(picture, [corners], True, _DOOR, 2)
-    for x, y in learned:
-        cv2.circle(picture, _point(factor * x, factor * y), 7, _DOOR, 2, cv2.LINE_AA)
+    """Draw a box (left, top, right, bottom; pixels of the working image) with a label above it."""
+    left, top, right, bottom = (round(factor * value) for value in box)
+    cv2.rectangle(image, (left, top), (right, bottom), colour, 2)
+    _write(image, (left, top - LINE_PIXELS), label, colour)
 
 
-def _draw_outline(picture: Picture, moving: Luma) -> None:
-    """Draw the outline of the foreground, a mask of the working picture."""
-    height, width = picture.shape[:2]
-    mask = cv2.resize(moving, (width, height), interpolation=cv2.INTER_NEAREST)
-    outlines, _ = cv2.findContours(mask, cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_SIMPLE)
-    cv2.drawContours(picture, outlines, -1, _FOREGROUND, 1)
-
-
-def _draw_detections(picture: Picture, result: DetectorResult, factor: float) -> None:
-    """Draw what the detector has found in this frame, with scores."""
-    for one in result.detections:
-        left, top, right, bottom = (round(factor * value) for value in one.box)
-        cv2.rectangle(picture, (left, top), (right, bottom), _DETECTION, 1)
-        _write(picture, (left, bottom + 12), f"{one.label} {one.score:.2f}", _DETECTION)
-
-
-def _draw_event(picture: Picture, event: Event) -> None:
-    """Draw an event at its place."""
-    height, width = picture.shape[:2]
-    x, y = _point((event.x or 0.0) * width, (event.y or 0.0) * height)
+def _draw_event(image: Image, event: Event) -> None:
+    """Draw an event at its place, with words beside it."""
+    height, width = image.shape[:2]
+    at = (round((event.x or 0.0) * width), round((event.y or 0.0) * height))
     colour = _ENTRY if event.kind == "entry" else _EXIT
-    cv2.circle(picture, (x, y), 9, colour, -1, cv2.LINE_AA)
-    cv2.circle(picture, (x, y), 9, _WORDS, 1, cv2.LINE_AA)
-
-    # Words beside it, on the side with more room.
-    label = f"{event.kind} {event.track}"
-    (wide, _), _ = cv2.getTextSize(label, _FONT, _FONT_SCALE, 1)
-    left = x + 14 if x < width / 2 else x - 14 - wide
-    _write(picture, (left, min(max(y + 4, 32), height - 6)), label, colour)
+    cv2.circle(image, at, LINE_PIXELS // 2, colour, cv2.FILLED)
+    _write(image, at, f"{event.kind} {event.track}", colour)
 
 
-def _write(picture: Picture, at: tuple[int, int], text: str, colour: Colour) -> None:
-    """Write text whose lower left corner is ``at``, on a dark ground."""
-    x, y = at
-    (wide, high), below = cv2.getTextSize(text, _FONT, _FONT_SCALE, 1)
-    cv2.rectangle(picture, (x - 2, y - high - 2), (x + wide + 2, y + below), _GROUND, -1)
-    cv2.putText(picture, text, at, _FONT, _FONT_SCALE, colour, 1, cv2.LINE_AA)
-
-
-def _corners(picture: Picture, polygon: Sequence[tuple[float, float]]) -> cv2.typing.MatLike:
-    """Return the corners (N, 2) of a polygon in pixels of the drawn picture."""
-    height, width = picture.shape[:2]
-    return np.asarray(np.multiply(polygon, (width, height)).round(), np.int32)
-
-
-def _point(x: float, y: float) -> tuple[int, int]:
-    return round(x), round(y)
+def _write(image: Image, at: tuple[int, int], text: str, colour: Colour) -> None:
+    """Write text whose upper left corner is ``at``, or as near as it fits, on a dark ground."""
+    height, width = image.shape[:2]
+    (wide, _), _ = cv2.getTextSize(text, _FONT, _FONT_SCALE, 1)
+    x = max(0, min(at[0], width - wide))
+    y = max(0, min(at[1], height - LINE_PIXELS))
+    cv2.rectangle(image, (x, y), (x + wide, y + LINE_PIXELS - 1), _GROUND, cv2.FILLED)
+    cv2.putText(
+        image, text, (x, y + LINE_PIXELS * 3 // 4), _FONT, _FONT_SCALE, colour, 1, cv2.LINE_AA
+    )
