@@ -3,7 +3,8 @@
 A track is *tentative* until it has been followed for half a second and its head or foot has moved;
 then it is *confirmed*. In each frame, blobs that cover several confirmed tracks update these as a
 group (people crossing or walking side by side). The other blobs are assigned one to one (Kalman
-prediction, Hungarian method, gate in heights of the person).
+prediction, Hungarian method, gate in heights of the person), and what is left in a second pass by
+area and distance of the middles.
 
 A confirmed track that is not detected for longer than the patience has *ended* if it was at an edge
 of the view. In mid-view it is *lost*: it is kept for some seconds, and a track confirmed nearby
@@ -13,14 +14,14 @@ area in mid-view it may continue as far away as a person walks meanwhile.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from math import hypot
 
 import numpy as np
 from scipy.optimize import linear_sum_assignment
 
 from camtopod.records import Event
-from camtopod.vision.boxes import box_height, centre, contains_centre, gap, overlap
+from camtopod.vision.boxes import area, box_height, centre, contains_centre, gap, overlap
 from camtopod.vision.detect import Blob
 from camtopod.vision.settings import VisionSettings
 from camtopod.vision.track.crossings import Crossings
@@ -78,8 +79,14 @@ A single one may be two small animals in one blob.
 """
 _SIZE_RATE = 0.2
 """Weight of the newest sighting in the running means of height and width."""
+LIKE_AREAS = 2.0
+"""Largest factor between the areas of one object in two sightings that no border cuts."""
 _NEVER = 1e9
 """Cost of an assignment that is not allowed."""
+
+
+Costs = Callable[[Track, list[Blob]], list[float]]
+"""Cost of each blob for a track; `_NEVER` where it is not allowed."""
 
 
 class Tracker:
@@ -107,6 +114,7 @@ class Tracker:
         """
         dt = 0.0 if self._t is None else t - self._t
         self._t = t
+        self._dt = dt
         if self._start is None:
             self._start = t
         left = []
@@ -123,7 +131,8 @@ class Tracker:
 
         # Assign blobs, to groups first. They occlude others, or start tracks.
         free = self._update_groups(t, blobs)
-        free = self._assign(t, free)
+        free = self._assign(t, free, self._costs)
+        free = self._assign(t, free, self._costs_by_area)
         for track in self.active:
             if track.last.t < t and track.confirmed:
                 box = track.box
@@ -188,12 +197,12 @@ class Tracker:
             track.kalman.update((x, bottom - track.height, x, bottom), track.height)
             self._seen(track, Sighting(t, (x, bottom), box))
 
-    def _assign(self, t: float, blobs: list[Blob]) -> list[Blob]:
+    def _assign(self, t: float, blobs: list[Blob], costs: Costs) -> list[Blob]:
         """Assign one blob to each track at the least total cost (Kuhn 1955); return the others."""
         waiting = [track for track in self.active if track.last.t < t]
         if not waiting or not blobs:
             return blobs
-        cost = np.array([self._costs(track, blobs) for track in waiting])
+        cost = np.array([costs(track, blobs) for track in waiting])
         taken = set()
         for i, j in zip(*linear_sum_assignment(cost), strict=True):
             if cost[i, j] < _NEVER:
@@ -226,6 +235,33 @@ class Tracker:
                 continue
             if blob.bottom - blob.top >= height_min or self.crossings.touches(blob.box):
                 costs[j] = (0.7 * near + 0.3 * far) / gate + (0.0 if track.confirmed else 0.5)
+        return costs
+
+    def _costs_by_area(self, track: Track, blobs: list[Blob]) -> list[float]:
+        """Return for each blob of like area the distance of its middle, as a share of the reach.
+
+        For what the first pass leaves: objects that move by more than a gate from frame to frame,
+        or whose head and foot jump because the border cuts them or fragments come and go.
+        """
+        assert self._t is not None
+        costs = [_NEVER] * len(blobs)
+        box = track.last.box
+        if self._t - track.last.t > GONE_PATIENCE_SECONDS:
+            return costs
+
+        # One step at its speed, or what its outline may jump.
+        head_x, head_y, foot_x, foot_y = track.kalman.velocity
+        step = self._dt * hypot(head_x + foot_x, head_y + foot_y) / 2
+        cut = self.crossings.touches(box)
+        reach = max(step, box[2] - box[0], box_height(box) / (1 if cut else 2))
+        middles = [centre(box), centre(track.box)]
+        for j, blob in enumerate(blobs):
+            x, y = centre(blob.box)
+            distance = min(hypot(x - a, y - b) for a, b in middles)
+            ratio = area(blob.box) / area(box)
+            alike = 1 / LIKE_AREAS <= ratio <= LIKE_AREAS
+            if distance <= reach and (alike or cut or self.crossings.touches(blob.box)):
+                costs[j] = distance / reach
         return costs
 
     def _update_single(self, t: float, track: Track, blob: Blob) -> None:
