@@ -111,13 +111,19 @@ class ViewPipeline:
         small = self._motion.filter_noise(shrunk(frame, self._settings.working_width))
         if self._motion.ready:
             return self._step(t, small, image)
+
+        # Tracking ends: the scene has changed, or the image its size.
+        events = []
         if self._waiting and self._waiting[0][1].shape != small.shape:
             self._waiting.clear()
+        if not self._waiting and self._tracker is not None:
+            self._tracker.crossings.now = t
+            events = self._tracker.finish("scene changed")
         self._waiting.append((t, small))
         enough = t - self._waiting[0][0] >= BOOTSTRAP_SECONDS
         if enough or len(self._waiting) >= BOOTSTRAP_FRAMES_KEPT:
-            return self._bootstrap()
-        return []
+            events += self._bootstrap()
+        return events
 
     def _bootstrap(self) -> list[Event]:
         """Initialise the background from the waiting frames, then analyse them."""
@@ -126,8 +132,8 @@ class ViewPipeline:
         self._motion.bootstrap([frame for _, frame in waiting])
         height, width = waiting[0][1].shape
 
-        # Tracking begins, or goes on with new tracks: the scene has changed, or the image its size.
-        events = [] if self._tracker is None else self._tracker.finish("scene changed")
+        # Tracking begins, or goes on with new tracks.
+        events = []
         if self._tracker is None or self._tracker.crossings.size != (width, height):
             ignored = IgnoredAreas(self._motion.watched)
             crossings = Crossings(
@@ -136,6 +142,7 @@ class ViewPipeline:
             self._tracker = Tracker(self._settings, crossings, self._numbers)
 
         self._tracker.crossings.began = waiting[0][0]
+        self._tracker.crossings.now = waiting[-1][0]
         self._t = None
         for t, frame in waiting:
             if self._motion.ready:

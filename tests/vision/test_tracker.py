@@ -2,16 +2,19 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import numpy as np
+from rendered_scenes import FPS, Person, Place, Scene, line
 
 from camtopod.records import Event
 from camtopod.vision.boxes import Box
 from camtopod.vision.detect import Blob
+from camtopod.vision.pipeline import ViewPipeline
 from camtopod.vision.settings import VisionSettings
 from camtopod.vision.track import Crossings, IgnoredAreas, Tracker
 
 WIDTH, HEIGHT = 320, 240
-FPS = 7.0
 
 
 def tracked(frames: list[list[Box]]) -> list[Event]:
@@ -33,3 +36,35 @@ def test_what_moves_by_its_own_length_in_each_frame_is_one_passage() -> None:
         [(max(0, x - 50), 100, min(WIDTH, x), 125)] for x in range(20, WIDTH + 50, 50)
     ]
     assert [event.kind for event in tracked(frames)] == ["entry", "exit"]
+
+
+def halting(start: float, at: Place) -> Callable[[float], Place | None]:
+    """Return a walk that begins at the border, stands at ``at`` for six seconds, and goes on."""
+    on = line(start + 6.0, at, (1.05, 0.9), 5.0)
+    return lambda t: at if start < t < start + 6.0 else on(t)
+
+
+def test_no_event_is_told_more_than_four_seconds_after_its_time() -> None:
+    """Standing at a border, crowds, pauses, another scene: what is known late is not told."""
+    rng = np.random.default_rng(7)
+    people = [Person(halting(4.0, (0.01 * k, 0.4 + 0.3 * k)), seed=k) for k in range(3)]
+    people.append(Person(line(15.0, (1.05, 0.6), (-0.05, 0.6), 5.1), seed=9))
+    for k in range(8):
+        a, b = (-0.05, rng.uniform(0.3, 1.0)), (1.05, rng.uniform(0.3, 1.0))
+        way = (b, a) if k % 2 else (a, b)
+        people.append(Person(line(14.0 + rng.uniform(0, 16), *way, rng.uniform(3, 8)), seed=20 + k))
+    scene = Scene(people)
+    reasons: set[str] = set()
+    pipeline = ViewPipeline(
+        "cam", VisionSettings(), lambda seen: reasons.update(one.reason for one in seen.decisions)
+    )
+
+    lateness = []
+    for k in range(round(40 * FPS)):
+        t = k / FPS
+        paused = 20.0 < t < 25.0
+        if not paused:
+            picture = scene.picture(t) if t < 33.0 else scene.picture(t)[:, ::-1]
+            lateness += [t - event.t for event in pipeline.process(t, picture)]
+    assert 0.0 < max(lateness) <= 4.0
+    assert {"entered", "left", "entered late", "left late"} <= reasons

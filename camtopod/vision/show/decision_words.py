@@ -18,6 +18,8 @@ _EDGES: dict[Edge, str] = {
 }
 _BEGINNINGS: dict[Reason, str] = {
     "entered": "entry by {edge} at {place}",
+    "entered late": "no entry: came in by {edge} at {place}, which was known {value:.1f} s later, "
+    "at most {least:g} s are allowed",
     "from start": "no entry: in view already when tracking began",
     "beside others": "no entry: appeared at {place} beside another track, in mid-view: rather half "
     "of a group than a new person",
@@ -41,6 +43,8 @@ _TENTATIVE: dict[Reason, str] = {
 """Words by the reason why a track was not an object."""
 _ENDS: dict[Reason, str] = {
     "left": "exit by {edge} at {place}",
+    "left late": "no exit: went out by {edge} at {place}, which was known {value:.1f} s later, at "
+    "most {least:g} s are allowed",
     "stayed": "no exit: gone at {edge} at {place}, but had only swayed or stood there, moved by "
     "{value:.2f} of its height, at least {least:g} are needed",
     "lost": "no exit: lost in mid-view at {place}, not at a border or door, and not found again "

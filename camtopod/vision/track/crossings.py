@@ -29,6 +29,8 @@ BORDER_SECONDS_MAX = 1.5
 """Longest time between a sighting and the crossing of the border that it is moved to."""
 DATED_SECONDS_MAX = 0.7
 """Longest time that it is dated back or forward; an exit is known no sooner after the sighting."""
+LATENESS_SECONDS_MAX = 4.0
+"""Longest time after an event at which it is told; the daemon does not learn from later ones."""
 FOOT_SIGHTINGS = 5
 """Sightings whose median gives the foot row of a person cut by the side of the image."""
 WHOLE_SHARE = 0.6
@@ -71,6 +73,8 @@ class Crossings:
         self._walks: dict[int, set[tuple[int, int]]] = {}
         self.began = -inf
         """Time of the first frame, seconds: there are no earlier events."""
+        self.now = -inf
+        """Capture time of the newest frame, seconds; `LATENESS_SECONDS_MAX` counts from there."""
 
     def note(
         self,
@@ -194,7 +198,7 @@ class Crossings:
             self.note("from start", track, track.first)
             return []
         if edge is not None:
-            return [self._event("entered", track, track.first, edge)]
+            return self._told("entry", track, track.first, edge)
         if track.beside_others:
             self.note("beside others", track, track.first)
         else:
@@ -212,7 +216,7 @@ class Crossings:
                 self._walks.pop(track.number, None)
                 continue
             self._forget(track)
-            events.append(self._event("left", track, track.last, track.edge))
+            events += self._told("exit", track, track.last, track.edge)
         return events
 
     def _forget(self, track: Track) -> None:
@@ -220,27 +224,33 @@ class Crossings:
         ends = {self.doors.cell(*track.first.foot), self.doors.cell(*track.last.foot)}
         self.doors.record_walk(self._walks.pop(track.number, set()) - ends)
 
-    def _event(self, reason: Reason, track: Track, at: Sighting, edge: Edge | None) -> Event:
-        """Return an event at a sighting.
+    def _told(self, kind: Kind, track: Track, at: Sighting, edge: Edge | None) -> list[Event]:
+        """Return the event at a sighting; none if it is known too late.
 
+        An event with another time than its own would mislead more than one that is missing.
         The foot row of a person cut by the side of the image is estimated from the sightings
         that are kept.
         """
-        kind: Kind = "entry" if reason == "entered" else "exit"
-        sense = 1.0 if kind == "exit" else -1.0
+        entry = kind == "entry"
+        sense = -1.0 if entry else 1.0
         x, y = at.foot
         left, _, right, _ = border_distances(at.box, self.size)
         if min(left, right) <= TOUCH_PIXELS:
-            y = _foot_row(list(track.history), latest=kind == "exit")
+            y = _foot_row(list(track.history), latest=not entry)
         at = self._at_border(track, at._replace(foot=(x, y)), edge, sense)
         x, y = at.foot
 
-        self.note(reason, track, at, edge)
+        lateness = self.now - at.t
+        if lateness > LATENESS_SECONDS_MAX:
+            reason: Reason = "entered late" if entry else "left late"
+            self.note(reason, track, at, edge, lateness, LATENESS_SECONDS_MAX)
+            return []
+        self.note("entered" if entry else "left", track, at, edge)
         x = min(max(x / self.size[0], 0.0), 1.0)
         y = min(max(y / self.size[1], 0.0), 1.0)
-        return Event(
-            self._camera, kind, round(at.t, 6), round(x, 4), round(y, 4), str(track.number)
-        )
+        return [
+            Event(self._camera, kind, round(at.t, 6), round(x, 4), round(y, 4), str(track.number))
+        ]
 
     def _at_border(self, track: Track, at: Sighting, edge: Edge | None, sense: float) -> Sighting:
         """Return a sighting moved along the way of the track to where it crosses the border.

@@ -28,10 +28,13 @@ still: moved by `value` heights.
 low: as tall as the setting `min_height` in `value` sightings.
 """
 
-Beginning = Literal["entered", "from start", "beside others", "in mid-view", "continues"]
+Beginning = Literal[
+    "entered", "entered late", "from start", "beside others", "in mid-view", "continues"
+]
 """What the beginning of an object was taken for.
 
 entered: an entry, by `edge`.
+entered late: the same, but known only after `value` seconds, of `least` at most: no entry.
 from start: in view when watching began, so no entry.
 beside others: began next to another object, so rather half of a group than a new one.
 in mid-view: began away from every edge; if that happens again and again, a door is learned.
@@ -40,6 +43,7 @@ continues: it continues the track `other`, which was lost `value` seconds before
 
 Ending = Literal[
     "left",
+    "left late",
     "stayed",
     "lost",
     "occluded",
@@ -52,6 +56,7 @@ Ending = Literal[
 """Why a track has ended.
 
 left: an exit, by `edge`.
+left late: the same, but known only after `value` seconds, of `least` at most: no exit.
 stayed: out of sight at an edge, but it had moved by `value` heights only, of `least`: no exit.
 lost: out of sight in mid-view and not found again; if that happens again and again at a place, a
     door is learned.

@@ -115,6 +115,7 @@ class Tracker:
         dt = 0.0 if self._t is None else t - self._t
         self._t = t
         self._dt = dt
+        self.crossings.now = max(self.crossings.now, t)
         if self._start is None:
             self._start = t
         left = []
