@@ -194,5 +194,5 @@ def _read(
         if number > skipped and cadence.wants(t):
             luma = capture.retrieve()
             if luma is not None:
-                yield Picture(t, luma)
+                yield Picture(t, luma.copy())  # the capture fills its buffer again
     capture.release()

@@ -81,6 +81,13 @@ def border_distances(box: Box, size: Size) -> Box:
     return (box[0], box[1], size[0] - box[2], size[1] - box[3])
 
 
+def pixels(box: Box, shape: tuple[int, ...]) -> tuple[slice, slice]:
+    """Return the rows and columns of a box that are in an image of ``shape`` (H, W)."""
+    left, right = (min(max(round(x), 0), shape[1]) for x in (box[0], box[2]))
+    top, bottom = (min(max(round(y), 0), shape[0]) for y in (box[1], box[3]))
+    return slice(top, bottom), slice(left, right)
+
+
 def touches_border(box: Box, size: Size) -> bool:
     """Return True if the border of an image cuts the box."""
     return min(border_distances(box, size)) <= TOUCH_PIXELS

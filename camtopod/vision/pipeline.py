@@ -8,9 +8,9 @@ from collections.abc import Callable, Sequence
 from typing import NamedTuple
 
 from camtopod.records import Event
-from camtopod.vision.detect import Luma, MotionDetector, find_blobs, shrunk
+from camtopod.vision.boxes import Box
+from camtopod.vision.detect import Blob, Luma, MotionDetector, find_blobs, shrunk
 from camtopod.vision.detector.detector import Detector, DetectorResult
-from camtopod.vision.detector.fusion import TrackedBox
 from camtopod.vision.settings import VisionSettings
 from camtopod.vision.track import (
     Crossings,
@@ -81,7 +81,7 @@ class ViewPipeline:
         """Prepare for the first frame.
 
         observer: called with every analysed frame; the events do not depend on it.
-        detector: counts the people in moving regions; None: motion alone.
+        detector: finds people in moving regions; None: motion alone.
         """
         self._camera = camera
         self._settings = settings
@@ -162,15 +162,17 @@ class ViewPipeline:
             return []
 
         # Blobs, tracks, events.
-        blobs = find_blobs(motion, self._tracker.stature.height)
+        found = find_blobs(motion, self._tracker.stature.height)
+        blobs: list[Blob] | None = found
+        trusted = False
         if self._detector is not None and image is not None:
-            blobs = self._detector.step(t, image, motion.moving, blobs, self._tracked_boxes(dt))
-        events = self._tracker.step(t, blobs)
+            blobs = self._detector.step(t, image, motion.moving, found, self._tracked())
+            trusted = self._detector.result.trusted
+        self._tracker.crossings.anywhere = trusted
+        events = [] if blobs is None else self._tracker.step(t, blobs)
 
         # Drop ghosts.
-        for track in self._tracker.active:
-            if self._detector is not None and self._detector.detected_recently(track.last.box):
-                continue
+        for track in [] if trusted else self._tracker.active:
             if self._is_still(track, t) and self._motion.is_ghost(motion, track.last.box):
                 self._tracker.drop(track)
                 self.ghosts += 1
@@ -210,18 +212,10 @@ class ViewPipeline:
         self._decisions.clear()
         self._observer(self._latest)
 
-    def _tracked_boxes(self, dt: float) -> list[TrackedBox]:
-        """Return where the tracks are expected, ``dt`` seconds after the last frame."""
+    def _tracked(self) -> list[Box]:
+        """Return the expected boxes of the tracks."""
         assert self._tracker is not None
-        tracked = []
-        for track in self._tracker.active:
-            head_x, head_y, foot_x, foot_y = track.kalman.velocity
-            x, y = dt * (head_x + foot_x) / 2, dt * (head_y + foot_y) / 2
-            left, top, right, bottom = track.box
-            box = (left + x, top + y, right + x, bottom + y)
-            still = track.confirmed and self._is_still(track, track.last.t)
-            tracked.append(TrackedBox(box, track.confirmed, still))
-        return tracked
+        return [track.box for track in self._tracker.active]
 
     def _is_still(self, track: Track, t: float) -> bool:
         """Return True if the track is seen now and has stayed in place for `GHOST_SECONDS`.

@@ -62,5 +62,5 @@ class ColouredScene:
         for k in range(round(seconds * FPS)):
             picture = self.picture(k / FPS)
             luma = cv2.cvtColor(picture, cv2.COLOR_BGR2GRAY)
-            events += view.process(k / FPS, luma, None if detector is None else picture)
+            events += view.process(k / FPS, luma, picture)
         return sorted(events + view.finish(), key=lambda event: event.t)

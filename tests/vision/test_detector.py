@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
+from typing import Any
 
+import numpy as np
 import pytest
 from coloured_scenes import FACTOR, SETTINGS, ColouredScene
 from onnx_models import write_model
@@ -12,10 +14,9 @@ from rendered_scenes import HEIGHT, WIDTH, Person, Place, line
 
 from camtopod.codec import to_json
 from camtopod.records import Event
-from camtopod.vision.boxes import Box
+from camtopod.vision.boxes import Box, area, box_height, common_area
 from camtopod.vision.detect import Blob
 from camtopod.vision.detector.detector import Detector
-from camtopod.vision.detector.fusion import TrackedBox
 from camtopod.vision.detector.model import Detection, Image as Picture, Model
 from camtopod.vision.pipeline import ViewPipeline
 from camtopod.vision.settings import DetectorSettings
@@ -30,30 +31,54 @@ GREY = tuple(Person(person.where, shade=30, seed=person.seed) for person in SIDE
 
 
 class Drawn:
-    """A model that knows where the people of a scene are drawn.
+    """A model that knows where the people of a scene are drawn, with the faults of real ones.
 
     late: least visible share of a person that it finds.
+    missed: share of the people that it misses, at random.
+    jitter: standard deviation of a box's sides (heights).
+    doubled: share of the people of whom it finds the upper half as well.
     """
 
     size = (160, 160)
 
-    def __init__(self, scene: ColouredScene, late: float = 0.0) -> None:
-        self._scene, self._late = scene, late
+    def __init__(
+        self,
+        scene: ColouredScene,
+        late: float = 0.5,
+        missed: float = 0.0,
+        jitter: float = 0.0,
+        doubled: float = 0.0,
+        score: Callable[[float], float] = lambda t: 0.8,
+    ) -> None:
+        self._scene = scene
+        self._late = late
+        self._missed = missed
+        self._jitter = jitter
+        self._doubled = doubled
+        self._score = score
+        self._random = np.random.default_rng(7)
         self.t = 0.0
         self.times: list[float] = []
-        self.parts: list[Box] = []
 
-    def infer(self, picture: Picture, part: Box) -> list[Detection]:
+    def infer(self, picture: Picture, crop: Box) -> list[Detection]:
         self.times.append(self.t)
-        self.parts.append(part)
         found = []
-        for left, top, right, bottom in self._scene.boxes(self.t):
-            x, y = max(left, 0), max(top, 0)
-            r, b = min(right, WIDTH * FACTOR), min(bottom, HEIGHT * FACTOR)
-            shown = max(0, r - x) * max(0, b - y) / ((right - left) * (bottom - top))
-            middle = part[0] <= (x + r) / 2 <= part[2] and part[1] <= (y + b) / 2 <= part[3]
-            if shown > self._late and middle:
-                found.append(Detection((x, y, r, b), 0.8, "person"))
+        image = (0.0, 0.0, float(WIDTH * FACTOR), float(HEIGHT * FACTOR))
+        for box in self._scene.boxes(self.t):
+            shown = common_area(box, image) / area(box)
+            if shown <= self._late or self._random.random() < self._missed:
+                continue
+            noise = self._random.normal(0.0, self._jitter * box_height(box), 4)
+            left, top, right, bottom = (
+                min(max(side + error, end), far)
+                for side, error, end, far in zip(
+                    box, noise.tolist(), image[:2] * 2, image[2:] * 2, strict=True
+                )
+            )
+            found.append(Detection((left, top, right, bottom), self._score(self.t), "person"))
+            if self._random.random() < self._doubled:
+                half = (left, top, right, (top + bottom) / 2)
+                found.append(Detection(half, 0.4 * self._score(self.t), "person"))
         return found
 
 
@@ -65,19 +90,14 @@ class Timed(Detector):
         self.drawn = model
 
     def step(
-        self,
-        t: float,
-        picture: Picture,
-        moving: Picture,
-        blobs: list[Blob],
-        known: list[TrackedBox],  # type: ignore[override]
-    ) -> list[Blob]:
+        self, t: float, image: Picture, moving: Picture, blobs: list[Blob], tracked: Sequence[Box]
+    ) -> list[Blob] | None:
         self.drawn.t = t
-        return super().step(t, picture, moving, blobs, known)
+        return super().step(t, image, moving, blobs, tracked)
 
 
-def drawn(scene: ColouredScene, late: float = 0.5, rate: float = 7.0) -> Timed:
-    return Timed(Drawn(scene, late), DetectorSettings("m.onnx", looks_per_second_max=rate))
+def drawn(scene: ColouredScene, rate: float = 7.0, **faults: Any) -> Timed:
+    return Timed(Drawn(scene, **faults), DetectorSettings("m.onnx", looks_per_second_max=rate))
 
 
 @pytest.fixture
@@ -142,6 +162,76 @@ def test_whoever_stands_is_held_while_others_pass() -> None:
     assert last.t == pytest.approx(34.0, abs=0.6)
 
 
+def test_what_moves_and_is_no_person_is_no_event_where_the_detector_is_trusted() -> None:
+    other = Person(line(16.0, (-0.05, 0.8), (1.05, 0.8), 8.0), tall=0.12, shade=20)
+    assert len(ColouredScene(ALONE, [other]).events(30, None)) >= 4
+    scene = ColouredScene(ALONE, [other])
+    assert kinds(scene.events(30, drawn(scene))) == ["entry", "exit"]
+
+
+FAULTS: dict[str, dict[str, float]] = {
+    "none": {},
+    "missed": {"missed": 0.2},
+    "late": {"late": 0.8},
+    "jitter": {"jitter": 0.03},
+    "doubled": {"doubled": 0.3},
+    "all": {"missed": 0.1, "late": 0.7, "jitter": 0.02, "doubled": 0.2},
+}
+SCENES: dict[str, tuple[Person, ...]] = {
+    "crossing": (
+        Person(line(5.0, (-0.05, 0.7), (1.05, 0.7), 8.0)),
+        Person(line(5.0, (1.05, 0.78), (-0.05, 0.78), 8.0), seed=1),
+    ),
+    "group": tuple(
+        Person(line(5.0 + 0.7 * k, (-0.05, 0.66 + 0.06 * k), (1.05, 0.66 + 0.06 * k), 8.0), seed=k)
+        for k in range(3)
+    ),
+}
+
+
+@pytest.mark.parametrize("faults", FAULTS)
+@pytest.mark.parametrize("people", SCENES)
+def test_each_enters_once_and_leaves_once_whatever_the_faults(people: str, faults: str) -> None:
+    walks = SCENES[people]
+    scene = ColouredScene(walks)
+    events = scene.events(20, drawn(scene, **FAULTS[faults]))
+
+    assert kinds(events) == ["entry"] * len(walks) + ["exit"] * len(walks)
+    assert len({event.track for event in events}) == len(walks)
+    for event in events:
+        assert min(event.x, 1 - event.x) < 0.15
+
+
+def test_a_door_in_mid_view_needs_no_learning_and_no_event_is_late() -> None:
+    walks = [
+        Person(line(4.0, (-0.05, 0.6), (1.05, 0.6), 8.0)),
+        Person(line(16.0, (-0.05, 0.7), (0.5, 0.7), 4.0), seed=1),
+        Person(line(28.0, (0.5, 0.7), (1.05, 0.7), 4.0), seed=2),
+    ]
+    scene = ColouredScene(walks)
+    told: list[tuple[float, Event]] = []
+    view = ViewPipeline(
+        "cam", SETTINGS, lambda one: told.extend((one.t, e) for e in one.events), drawn(scene)
+    )
+    events = scene.events(36, None, pipeline=view)
+
+    assert kinds(events) == ["entry", "exit"] * 3
+    assert events[3].t == pytest.approx(20.0, abs=0.3)
+    assert events[3].x == pytest.approx(0.5, abs=0.05)
+    assert events[4].t == pytest.approx(28.0, abs=0.5)
+    assert max(t - event.t for t, event in told) < 4.0
+
+
+def test_a_low_score_continues_a_track_and_begins_none() -> None:
+    first, later = ALONE[0], Person(line(20.0, (-0.05, 0.8), (1.05, 0.8), 8.0), tall=0.12)
+    faint = ColouredScene([first, later])
+
+    def score(t: float) -> float:
+        return 0.8 if t < 7.0 else 0.2
+
+    assert kinds(faint.events(30, drawn(faint, score=score))) == ["entry", "exit"]
+
+
 # --- where it is not trusted ---------------------------------------------------------------------
 
 
@@ -185,6 +275,3 @@ def test_inference_runs_only_when_something_moves_and_not_too_often() -> None:
     scene.events(18, rarely)
     assert len(rarely.drawn.times) <= 24
     assert rarely.statistics()["detector_looks"] == len(rarely.drawn.times)
-
-
-# --- fusion ---------------------------------------------------------------------------------------

@@ -42,6 +42,8 @@ class Blob:
     right: float
     bottom: float
     foot_x: float
+    begins: bool = True
+    """It may begin a track; otherwise it only continues one."""
 
     @property
     def box(self) -> Box:

@@ -23,7 +23,7 @@ Image = cv2.typing.MatLike
 
 PADDING = 114
 """Grey level beside an image that does not fill the model's input, as in training."""
-KNOWN_SCORE_SHARE = 0.6
+KNOWN_SCORE_SHARE = 0.375
 """Share of the setting `score` that is enough where something is tracked already."""
 BOXES_MAX = 10
 """Boxes that are listed, those of the highest scores."""

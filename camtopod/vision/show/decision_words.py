@@ -15,6 +15,7 @@ _EDGES: dict[Edge, str] = {
     "ignored area": "an ignored area that reaches to the border",
     "named door": "the named door",
     "learned door": "the learned door",
+    "mid-view": "what hides it in mid-view",
 }
 _BEGINNINGS: dict[Reason, str] = {
     "entered": "entry by {edge} at {place}",

@@ -7,12 +7,8 @@ capture times from presentation stamps. `ffmpeg_log` finds out why a stream cann
 `remarks` what could be better about it.
 """
 
-from camtopod.vision.source.capture import HEARTBEAT_SECONDS as HEARTBEAT_SECONDS, State as State
-from camtopod.vision.source.ffmpeg_log import (
-    NO_LOG as NO_LOG,
-    FfmpegLog as FfmpegLog,
-    captured_log as captured_log,
-)
+from camtopod.vision.source.capture import State as State
+from camtopod.vision.source.ffmpeg_log import FfmpegLog as FfmpegLog, captured_log as captured_log
 from camtopod.vision.source.live import LiveSource as LiveSource
 from camtopod.vision.source.makers import streams_by_maker as streams_by_maker
 from camtopod.vision.source.probe import (

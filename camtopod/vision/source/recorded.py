@@ -2,19 +2,24 @@
 
 from __future__ import annotations
 
+import os
+import stat
 import time
 from collections.abc import Iterator
-from pathlib import Path
 
 from camtopod.vision.settings import VisionSettings
 from camtopod.vision.source.capture import HEARTBEAT_SECONDS, Capture, Frame, FrameSelector, Source
-from camtopod.vision.source.ffmpeg_log import NO_LOG, FfmpegLog
+from camtopod.vision.source.ffmpeg_log import FfmpegLog
 from camtopod.vision.source.file_times import FileTimes
-from camtopod.vision.source.remarks import Observed
+from camtopod.vision.source.remarks import OBSERVED_SECONDS, Observed
 from camtopod.vision.source.source_url import file_path
 
-FAILURES_MAX = 10_000
-"""Failures to read a frame, on end, before a file has ended: some minutes of damage."""
+FAILURES_MIN = 1000
+"""Failures to read a picture, on end, before the end of a file that declares none."""
+FAILURES_MAX = 100_000
+"""The same in a file that declares so many more pictures: more than an hour of damage."""
+EARLY_SECONDS = 1.0
+"""Time by which a video may end before the file, whose sound goes on."""
 
 
 class SourceError(OSError):
@@ -34,7 +39,7 @@ class RecordedSource(Source):
         start: float,
         realtime: bool,
         colour: bool = False,
-        ffmpeg_log: FfmpegLog = NO_LOG,
+        ffmpeg_log: FfmpegLog | None = None,
     ) -> None:
         """Open the file, of which ``path`` may be the URL.
 
@@ -44,19 +49,20 @@ class RecordedSource(Source):
 
         Raises `OSError`, `SourceError`.
         """
+        ffmpeg_log = ffmpeg_log or FfmpegLog()
         if why := _no_file(path):
             raise SourceError(f"{path}: {why}")
         self._path = path
         self._settings = settings
         self._start = start
         self._realtime = realtime
-        self._capture = Capture(path, settings, colour, ffmpeg_log)
+        self._capture: Capture | None = Capture(path, settings, colour, ffmpeg_log)
         if not self._capture.is_open:
             self.close()
             why = ffmpeg_log.newest_reason()
             raise SourceError(f"{path}: not a video this program can decode{why and ': '}{why}")
         self._times = FileTimes(self._capture.fps)
-        self.observed = Observed(self._capture, settings)
+        self._observed = Observed(self._capture.size)
         self.reason = "not read yet"
         self.connections = 1
         self.overdue_seconds = 0.0
@@ -74,10 +80,13 @@ class RecordedSource(Source):
         """Frames whose positions are not known yet; None for those that are not analysed."""
         failures = 0
         began = time.monotonic()
-        while self._capture.is_open and failures <= FAILURES_MAX:
+        while self._capture is not None:
             stamp = self._capture.grab()
             if stamp is None:
                 failures += 1
+                remaining = self._capture.pictures - self.grabbed
+                if failures > min(max(FAILURES_MIN, remaining), FAILURES_MAX):
+                    break
                 continue
             self.dropped += failures
             failures = 0
@@ -94,8 +103,8 @@ class RecordedSource(Source):
                 waiting.clear()
 
         yield from self._placed(waiting, times.rest(), began)
-        if self._capture.is_open:
-            self._end()
+        if self._capture is not None:
+            self._end(self._capture)
 
     def _placed(
         self, frames: list[Frame | None], positions: list[float], began: float
@@ -103,28 +112,29 @@ class RecordedSource(Source):
         """Yield frames with their positions, in real time if that was asked for."""
         self.untrusted_stamps = self._times.untrusted
         for frame, position in zip(frames, positions, strict=True):
-            self.observed.add(position, None if frame is None else frame.luma)
+            self._observed.add(position, None if frame is None else frame.luma)
             if frame is not None:
                 self.state = "running"
-                self.reason = self.observed.words
+                self.reason = self._observed.words
                 if self._realtime:
                     yield from _until(began + position)
                 yield frame._replace(t=self._start + position)
 
-    def _end(self) -> None:
+    def _end(self, capture: Capture) -> None:
         """Say how much was read. Raises `SourceError` if that was nothing."""
-        fault = self._capture.fault
+        fault = capture.fault
         if self.state == "connecting":
-            why = f"no frame in it can be decoded ({self._capture.codec}){fault and ': '}{fault}"
+            why = f"no frame in it can be decoded ({capture.codec}){fault and ': '}{fault}"
             raise SourceError(f"{self._path}: {why}")
         self.state = "ended"
-        declared = self._capture.seconds
+        declared = capture.seconds
         read = self._times.latest + self._times.interval
-        self.observed.conclude()
+        if read < OBSERVED_SECONDS:
+            self._observed.judge()
         notes = [
-            "the video ends early, or begins late" if read < declared - self._times.gap else "",
+            "the video ends early, or begins late" if read < declared - EARLY_SECONDS else "",
             fault if self.dropped else "",
-            self.observed.words,
+            self._observed.words,
             f"{self.untrusted_stamps} time stamps not believed" if self.untrusted_stamps else "",
         ]
         said = "; ".join(filter(None, notes))
@@ -132,7 +142,9 @@ class RecordedSource(Source):
 
     def close(self) -> None:
         """Release the file."""
-        self._capture.release()
+        if self._capture is not None:
+            self._capture.release()
+            self._capture = None
 
 
 def _no_file(source: str) -> str:
@@ -142,13 +154,14 @@ def _no_file(source: str) -> str:
     """
     if source == "-":
         return "standard input cannot be read: write the video to a file first"
-    path = Path(file_path(source))
-    if path.is_fifo() or path.is_socket():
+    path = file_path(source)
+    found = os.stat(path)
+    if stat.S_ISFIFO(found.st_mode) or stat.S_ISSOCK(found.st_mode):
         return "a pipe cannot be read: write the video to a file first"
-    if path.is_char_device() or path.is_block_device():
+    if stat.S_ISCHR(found.st_mode) or stat.S_ISBLK(found.st_mode):
         return "not a video device: a camera is /dev/video0 or 0, for example"
-    with path.open("rb") as file:
-        return "" if file.read(1) else "the file is empty"
+    with open(path, "rb"):
+        return "" if found.st_size else "the file is empty"
 
 
 def _until(due: float) -> Iterator[None]:

@@ -8,18 +8,23 @@ import re
 import numpy as np
 
 from camtopod.vision.detect import Luma
-from camtopod.vision.settings import VisionSettings
-from camtopod.vision.source.capture import IMAGE_WIDTH_MAX, Capture
+from camtopod.vision.source.capture import Capture
 from camtopod.vision.source.ffmpeg_log import DAMAGED, FfmpegLog
 from camtopod.vision.source.frame_times import StampClock
 from camtopod.vision.source.source_url import device_number
 
 FPS_MIN = 4.5
 """Frame rate below which fast walkers are hardly detected."""
+FPS_FOLLOWED = 1.0
+"""Frame rate below which people are not followed: they are elsewhere in the next picture."""
+PIXELS_MAX = 1920 * 1080
+"""Number of pixels above which decoding alone takes much of a small machine's capacity."""
+WIDTH_MIN = 160
+"""Width (pixels) below which people can hardly be detected."""
 CONTRAST_MIN = 3.0
-"""Standard deviation of the luma (of 255) below which an image shows nothing."""
+"""Standard deviation of the luma (of 255) below which a picture shows nothing."""
 OBSERVED_SECONDS = 10.0
-"""Time over which frames of a stream are counted and compared.
+"""Time over which pictures of a stream are counted and compared.
 
 A camera's noise, and each keyframe, changes some pixel meanwhile.
 """
@@ -30,81 +35,78 @@ _OTHERS = {
     "v4l2": "give a device by its number, or as /dev/video0",
 }
 """Advice on URLs that are no streams, by scheme."""
+
+
 SINGLE_PICTURE = "it gives a single picture: give the camera's RTSP or MJPEG stream instead"
 RECORDING = "it is a recording, not a stream: download it, and give the file"
 
 
-class Observed:
-    """The frames of an open source, and what could be better about them."""
+def remarks(size: tuple[int, int], fps: float, contrast: float) -> list[str]:
+    """Return what could be better about a source that works.
 
-    def __init__(self, capture: Capture, settings: VisionSettings) -> None:
-        self.codec = capture.codec
-        self.size = capture.size
-        """Width and height, pixels."""
-        self.fps = 0.0
-        """Frame rate as measured; 0.0 if not known yet."""
-        self.remarks: list[str] = []
-        """What could be better, by the latest `OBSERVED_SECONDS`; empty if nothing or not known."""
-        self._width_min = settings.working_width / 2
-        """Width (pixels) below which people can hardly be detected."""
+    size: width and height, pixels.
+    fps: frame rate; 0.0 if unknown.
+    contrast: standard deviation of the luma.
+    """
+    found = []
+    width, height = size
+    if contrast < CONTRAST_MIN:
+        found.append("the picture has hardly any contrast: is the lens covered?")
+    if 0.0 < fps < FPS_MIN:
+        lost = "fast walkers are missed" if fps >= FPS_FOLLOWED else "people cannot be followed"
+        found.append(
+            f"the frame rate is so low that {lost}: set the camera to 5 frames a second or more"
+        )
+    if width * height > PIXELS_MAX:
+        found.append(
+            "the picture is larger than needed: "
+            "a smaller stream of the camera takes less of this machine's capacity"
+        )
+    if width < WIDTH_MIN:
+        found.append("the picture is so small that people can hardly be detected")
+    return found
+
+
+class Observed:
+    """The pictures of a source that runs, and what could be better about them."""
+
+    def __init__(self, size: tuple[int, int]) -> None:
+        self._size = size
         self._latest: float | None = None
         self._luma: Luma | None = None
         self._begin()
+        self.words = ""
+        """What could be better, by the latest `OBSERVED_SECONDS`; "" if nothing or not known."""
 
     def _begin(self) -> None:
         """Begin to count and compare."""
-        self.seconds = 0.0
-        """Time that has been observed since the remarks, seconds."""
+        self._seconds = 0.0
         self._frames = 0
         self._contrast = 0.0
         self._changed = False
 
-    @property
-    def words(self) -> str:
-        """The remarks in one text."""
-        return "; ".join(self.remarks)
-
-    def add(self, t: float, luma: Luma | None) -> None:
-        """Take a frame at ``t`` (seconds) into account; ``luma`` (H, W) if it was decoded."""
+    def add(self, arrival: float, luma: Luma | None) -> None:
+        """Take a frame into account; ``luma`` (H, W) if it was decoded."""
         if self._latest is not None:
             self._frames += 1
-            self.seconds += min(t - self._latest, OBSERVED_SECONDS)  # a file may pause
-        self._latest = t
+            self._seconds += min(arrival - self._latest, OBSERVED_SECONDS)  # a file may pause
+        self._latest = arrival
         if luma is not None:
             self._changed |= self._luma is not None and not np.array_equal(luma, self._luma)
             self._contrast = max(self._contrast, float(luma.std()))
             self._luma = luma
-        if self.seconds >= OBSERVED_SECONDS:
-            self._judge()
+        if self._seconds >= OBSERVED_SECONDS:
+            self.judge()
 
-    def conclude(self) -> None:
-        """Make the remarks on a source that was observed for a shorter time."""
-        if not self.fps:
-            self._judge()
-
-    def _judge(self) -> None:
-        """Make the remarks, by the frames since the last time."""
-        self.fps = round(self._frames / self.seconds, 3) if self.seconds else 0.0
-        lost = "fast walkers are missed" if self.fps >= 1.0 else "people cannot be followed"
-        remarks = {
-            "the picture has hardly any contrast: is the lens covered?": (
-                self._contrast < CONTRAST_MIN
-            ),
-            f"the frame rate is so low that {lost}: set the camera to 5 frames a second or more": (
-                0.0 < self.fps < FPS_MIN
-            ),
-            "the picture is larger than needed: "
-            "a smaller stream of the camera takes less of this machine's capacity": (
-                max(self.size) > IMAGE_WIDTH_MAX
-            ),
-            "the picture is so small that people can hardly be detected": (
-                self.size[0] < self._width_min
-            ),
-            f"the picture has not changed for {self.seconds:.0f} s: is the camera frozen?": (
-                not self._changed and self.seconds >= OBSERVED_SECONDS
-            ),
-        }
-        self.remarks = [remark for remark, holds in remarks.items() if holds]
+    def judge(self) -> None:
+        """Say what could be better, by the frames since the last time."""
+        fps = self._frames / self._seconds if self._seconds > 0.0 else 0.0
+        found = remarks(self._size, fps, self._contrast)
+        if not self._changed and self._seconds >= OBSERVED_SECONDS:
+            found.append(
+                f"the picture has not changed for {self._seconds:.0f} s: is the camera frozen?"
+            )
+        self.words = "; ".join(found)
         self._begin()
 
 
@@ -122,8 +124,8 @@ def why_not_opened(source: str, ffmpeg_log: FfmpegLog) -> str:
     return reason
 
 
-def no_frame(capture: Capture) -> str:
-    """Return why an open source may give no frame."""
+def no_picture(capture: Capture) -> str:
+    """Return why an open source may give no picture."""
     if capture.fault not in ("", DAMAGED):
         return f"{capture.fault} ({capture.codec})"
     if capture.fault or capture.size == (0, 0):
@@ -141,12 +143,10 @@ def unfit(source: str, capture: Capture) -> str:
 
 
 def why_over(source: str, frames: int, clock: StampClock) -> str:
-    """Return why a URL has ended after so many frames."""
+    """Return what a URL is that has ended after so many frames; "" if it may be a stream."""
     if frames == 1:
         return SINGLE_PICTURE
-    if clock.outran and not source.lower().startswith("rtsp"):
-        return RECORDING
-    return "the source ended or closed the connection"
+    return RECORDING if clock.outran and not source.lower().startswith("rtsp") else ""
 
 
 def _of_device(number: int) -> str:

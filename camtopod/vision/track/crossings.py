@@ -71,6 +71,8 @@ class Crossings:
         self._ignored = ignored
         self.doors = Doors(width, height, doors)
         self._walks: dict[int, set[tuple[int, int]]] = {}
+        self.anywhere = False
+        """Objects may enter and leave in mid-view, where a detector is trusted."""
         self.began = -inf
         """Time of the first frame, seconds: there are no earlier events."""
         self.now = -inf
@@ -175,6 +177,9 @@ class Crossings:
                 self.note("interrupted", track, track.last)
             elif track.occluded:
                 self.note("occluded", track, track.last)
+            elif self.anywhere:
+                track.edge = "mid-view"
+                events += self.report_exits([track])
             else:
                 self.note("lost", track, track.last)
                 if _has_walked(track):
@@ -201,6 +206,8 @@ class Crossings:
             return self._told("entry", track, track.first, edge)
         if track.beside_others:
             self.note("beside others", track, track.first)
+        elif self.anywhere:
+            return self._told("entry", track, track.first, "mid-view")
         else:
             self.note("in mid-view", track, track.first)
             track.began_in_view = True

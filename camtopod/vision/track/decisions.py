@@ -16,8 +16,10 @@ Edge = Literal[
     "ignored area",
     "named door",
     "learned door",
+    "mid-view",
 ]
-"""Where objects enter and leave the view. An ignored area is one if it reaches to the border."""
+"""Where objects enter and leave the view. An ignored area is one if it reaches to the border;
+mid-view is one where a detector is trusted."""
 
 Shortfall = Literal["brief", "patchy", "still", "low"]
 """What a tentative track lacks to be an object; `Decision.value` is compared with `least`.

@@ -24,7 +24,7 @@ from camtopod.records import Event
 from camtopod.vision.boxes import area, box_height, centre, contains_centre, gap, overlap
 from camtopod.vision.detect import Blob
 from camtopod.vision.settings import VisionSettings
-from camtopod.vision.track.crossings import Crossings
+from camtopod.vision.track.crossings import LATENESS_SECONDS_MAX, Crossings
 from camtopod.vision.track.decisions import Reason
 from camtopod.vision.track.kalman import Kalman
 from camtopod.vision.track.stature import Stature
@@ -139,7 +139,8 @@ class Tracker:
                 box = track.box
                 track.occluded = any(contains_centre(blob.box, box) for blob in blobs)
         for blob in free:
-            self._start_track(t, blob)
+            if blob.begins:
+                self._start_track(t, blob)
 
         # Confirm, split and end tracks.
         appeared = self._confirm(t)
@@ -433,7 +434,10 @@ class Tracker:
         self.active = kept
 
         # Lost tracks that were not continued have vanished.
-        deadline = t - STITCH_SECONDS
+        patience = STITCH_SECONDS
+        if self.crossings.anywhere:  # an exit is told in time
+            patience = LATENESS_SECONDS_MAX - CONFIRM_SECONDS
+        deadline = t - patience
         vanished = [track for track in self.lost if track.last.t < deadline]
         self.lost = [track for track in self.lost if track.last.t >= deadline]
         return vanished
