@@ -1,66 +1,66 @@
 """Score the grabber's events on real clips against ground truth.
 
-    python -m bench grab_truth [FOLDER...] [--drawn SEEDS] [--variants] [--phases 4] [--details]
-                               [--json FILE] [--data FOLDER] [--vtest FILE] [--rtsp]
+    python -m bench grab_truth [FOLDER...] [--model FILE] [--variants] [--details]
+                               [--json FILE] [--against FILE] [--data FOLDER]
 
-Each FOLDER holds clips with their truth beside them: NAME.mp4 with NAME.jsonl, a line for each
-event, ``{"kind": "entry", "t": 8.25, "x": 0.31, "y": 0.88}`` (seconds from the beginning of the
-file, foot point in fractions of the picture); or with NAME.json, passages by frame number as in
-bench/support/truth_vtest.json. An empty NAME.jsonl stands for a clip without events. Without a
-FOLDER it scores the two clips with which the grabber was developed: one-by-one/ of --data (default:
-the environment's CAMTOPOD_TEST_DATA) and Debian's vtest.avi.
+Each FOLDER holds clips and their truth: NAME.mp4 with NAME.jsonl, a line for each event,
+``{"kind": "entry", "t": 8.25, "x": 0.31, "y": 0.88}`` (seconds from the beginning of the file, foot
+point in fractions of the picture; an empty file stands for a clip without events); with NAME.json,
+passages by frame number as in bench/support/truth_vtest.json; or a truth.json for several clips,
+with areas and events that do not count (bench/support/truth_clips.py). Without a FOLDER it scores
+the two clips with which the grabber was developed: one-by-one/ of --data (default: the
+environment's CAMTOPOD_TEST_DATA) and Debian's vtest.avi.
 
-An event counts as found within 1.5 s and 0.12 of the picture's diagonal, if it is of the same kind.
-``--drawn`` adds drawn scenes of situations that are hard (two who enter together, a highway, a door
-in mid-view): for finding errors, not for judging how good the grabber is.
+An event counts as found within 1.5 s and 0.12 of the picture's diagonal of a true one of its kind,
+one to one, the nearest first. As a clip's figures vary with the pictures that happen to be taken,
+each is analysed four times: without the first 0, 1/4, 1/2, 3/4 of the time from one picture to the
+next. The mean over the clips has its standard error; ``--against`` compares with the FILE of an
+earlier ``--json``, clip by clip: a difference below its standard error is none.
 
-Each clip is analysed several times, at 7 pictures a second, with the first frames left out, as a
-single clip's figures vary with the pictures that happen to be taken. ``--variants`` adds what can
-be made of the clips: mirrored, backwards in time, cropped where nobody enters or leaves, with half
-the light, shaken, slowed, begun later, with a bush in the wind, and two side by side, each with its
-truth changed accordingly. ``--rtsp`` also serves vtest.avi over a real RTSP server in real time
-(two minutes) and compares with the file.
+``--variants`` adds what can be made of the clips: mirrored, backwards in time, cropped where nobody
+enters or leaves, with half the light, shaken, slowed, begun later, with a bush in the wind, and two
+side by side, each with its truth changed accordingly.
 """
 
 from __future__ import annotations
 
 import argparse
+import math
 import os
 import sys
-import tempfile
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
-from statistics import mean
+from statistics import mean, stdev
 
 import msgspec
-import numpy as np
 from msgspec import Struct
 
-from bench.scenes.drawn_clips import drawn_clips
-from bench.support import rtsp_streams as streams
 from bench.support.clip_variants import with_variants
 from bench.support.truth_clips import Clip, TruthError, clip_of, clips_in
-from bench.support.watched_clips import HERE, VTEST, best_offset, match, one_by_one, shifted
+from bench.support.watched_clips import HERE, VTEST, one_by_one
 from camtopod.records import Event
-from camtopod.vision.grabber import Grabber
+from camtopod.vision.detector.detector import Detector
+from camtopod.vision.detector.model import Model
 from camtopod.vision.pipeline import ViewPipeline
+from camtopod.vision.settings import DetectorSettings
 
 PHASES = 4
 """Times that each clip is analysed, with other pictures of it."""
-VTEST_FPS = 7.0
-"""Frame rate at which vtest.avi was recorded."""
 _NAME = 44
 """Width of the column of names."""
 
 
 class Run(Struct):
-    """One analysis of a clip: numbers of events, and processor seconds with decoding."""
+    """One analysis of a clip: numbers of events, and seconds."""
 
     found: int
     missed: int
     spurious: int
     cpu_seconds: float
+    """Processor time, with decoding."""
+    latest_seconds: float
+    """Longest time from an event until it is told, in the time of the video."""
 
     @property
     def precision(self) -> float:
@@ -98,6 +98,11 @@ class Score(Struct):
         return mean(run.f1 for run in self.runs)
 
     @property
+    def key(self) -> tuple[str, str]:
+        """Identify the clip in a file of figures."""
+        return self.clip, self.variant
+
+    @property
     def load(self) -> float:
         """Processor seconds for each second of video, mean over the runs."""
         return mean(run.cpu_seconds for run in self.runs) / self.seconds
@@ -111,106 +116,109 @@ def main(argv: list[str]) -> int:
         epilog=(__doc__ or "").split("\n\n", 2)[2],
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
-    parser.add_argument(
-        "folders", nargs="*", type=Path, metavar="FOLDER", help="clips with their truth files"
-    )
-    parser.add_argument("--variants", action="store_true", help="also score variants of the clips")
-    parser.add_argument(
-        "--phases", type=int, default=PHASES, help="runs a clip (default: %(default)s)"
-    )
-    parser.add_argument(
-        "--drawn",
-        type=int,
-        default=0,
-        metavar="SEEDS",
-        help="also score drawn scenes, each from this many seeds",
-    )
-    parser.add_argument(
-        "--details", action="store_true", help="list missed and spurious events of the first run"
-    )
-    parser.add_argument("--json", type=Path, metavar="FILE", help="also write the figures there")
-    parser.add_argument("--data", help="folder with one-by-one/")
-    parser.add_argument(
-        "--vtest", type=Path, default=VTEST, help="vtest.avi of Debian's opencv-doc"
-    )
-    parser.add_argument(
-        "--rtsp", action="store_true", help="also vtest.avi over a real RTSP server"
-    )
-    arguments = parser.parse_args(argv)
-    if arguments.phases < 1:
-        parser.error("--phases must be 1 or more")
-    if arguments.data:
-        os.environ["CAMTOPOD_TEST_DATA"] = arguments.data
+    add = parser.add_argument
+    add("folders", nargs="*", type=Path, metavar="FOLDER", help="clips with their truth")
+    add("--model", metavar="FILE", help="with this detector, an ONNX file")
+    add("--variants", action="store_true", help="also variants of the clips")
+    add("--details", action="store_true", help="list missed and spurious events of the first run")
+    add("--json", type=Path, metavar="FILE", help="also write the figures there")
+    add("--against", type=Path, metavar="FILE", help="compare with the figures of an earlier run")
+    add("--data", metavar="FOLDER", help="folder with one-by-one/")
+    given = parser.parse_args(argv)
+    if given.model and given.variants:
+        parser.error("variants are without colour, which a model needs")
+    if given.data:
+        os.environ["CAMTOPOD_TEST_DATA"] = given.data
 
     # Score the clips.
+    detector, colour = detector_of(given.model), bool(given.model)
     try:
-        clips = [clip for folder in arguments.folders for clip in clips_in(folder)]
-        clips += drawn_clips(arguments.drawn)
-        if not clips:
-            clips = developed_with(arguments.vtest)
+        clips = [clip for folder in given.folders for clip in clips_in(folder, colour=colour)]
+        clips = clips if given.folders else developed_with(colour=colour)
     except TruthError as error:
         print(f"grab_truth: {error}", file=sys.stderr)
         return 1
     scores = []
     print(_HEAD, flush=True)
-    for clip in with_variants(clips) if arguments.variants else clips:
-        score, details = scored(clip, arguments.phases)
+    for clip in with_variants(clips) if given.variants else clips:
+        score, details = scored(clip, PHASES, detector)
         scores.append(score)
-        print(_line(score), *(details if arguments.details else ()), sep="\n", flush=True)
-    print("\n".join(summary(scores)))
-    if arguments.json:
-        arguments.json.write_bytes(msgspec.json.format(msgspec.json.encode(scores)))
+        print(_line(score), *(details if given.details else ()), sep="\n", flush=True)
 
-    # The same over RTSP.
-    if arguments.rtsp:
-        _rtsp(arguments.vtest)
+    # Means, and differences from an earlier run.
+    print("\n".join(summary(scores)))
+    if given.against:
+        earlier = msgspec.json.decode(given.against.read_bytes(), type=list[Score])
+        print("\n".join(compared(scores, earlier)))
+    if given.json:
+        given.json.write_bytes(msgspec.json.format(msgspec.json.encode(scores)))
     return 0
 
 
-def developed_with(vtest: Path) -> list[Clip]:
+def developed_with(*, colour: bool = False) -> list[Clip]:
     """Return the two clips with which the grabber was developed, as far as they are there."""
     clips = []
     one = one_by_one()
     if one is None:
         print("one-by-one: skipped, clip not found (set --data or CAMTOPOD_TEST_DATA)")
     else:
-        clips.append(clip_of(one, HERE / "truth_one_by_one.json", "one-by-one"))
-    if not vtest.exists():
-        print(f"vtest: skipped, no {vtest} (install Debian's opencv-doc)")
+        clips.append(clip_of(one, HERE / "truth_one_by_one.json", "one-by-one", colour=colour))
+    if not VTEST.exists():
+        print(f"vtest: skipped, no {VTEST} (install Debian's opencv-doc)")
     else:
-        clips.append(clip_of(vtest, HERE / "truth_vtest.json", "vtest"))
+        clips.append(clip_of(VTEST, HERE / "truth_vtest.json", "vtest", colour=colour))
     return clips
 
 
-def scored(clip: Clip, phases: int) -> tuple[Score, list[str]]:
+def detector_of(model: str | None) -> Callable[[], Detector | None]:
+    """Return a function that makes a new detector with a model, an ONNX file; or none."""
+    if not model:
+        return lambda: None
+    settings = DetectorSettings(model=model)
+    loaded = Model(settings)
+    return lambda: Detector(loaded, settings)
+
+
+def grabbed(
+    clip: Clip, phase: int, phases: int = PHASES, detector: Detector | None = None
+) -> tuple[list[Event], list[float]]:
+    """Return the events of a clip, and how long after each it is told, seconds of the video.
+
+    phase: part of the time between two pictures that is left out at the beginning, of ``phases``.
+    """
+    pipeline = ViewPipeline("cam", clip.settings, detector=detector)
+    events: list[Event] = []
+    delays: list[float] = []
+    t, left_out = 0.0, phase / phases / clip.settings.analysed_fps
+    for t, luma, image in clip.pictures(left_out, clip.settings):
+        events += pipeline.process(t, luma, image)
+        delays += [t - event.t for event in events[len(delays) :]]
+    events += pipeline.finish()
+    delays += [t - event.t for event in events[len(delays) :]]
+    return events, delays
+
+
+def scored(
+    clip: Clip, phases: int, detector: Callable[[], Detector | None] = lambda: None
+) -> tuple[Score, list[str]]:
     """Analyse a clip ``phases`` times; return its score and the first run's errors in words."""
     runs: list[Run] = []
     details: list[str] = []
     for phase in range(phases):
-        # From pictures to events.
         began = time.process_time()
-        pipeline = ViewPipeline("cam", clip.settings)
-        events = []
-        for t, luma in clip.pictures(clip.frames_skipped(phase, phases), clip.settings):
-            events += pipeline.process(t, luma)
-        events += pipeline.finish()
+        events, delays = grabbed(clip, phase, phases, detector())
         cpu_seconds = time.process_time() - began
-
-        # Compare with the truth; what is near a seam counts neither way.
-        truth = list(clip.truth)
-        result = match(truth, events, clip.aspect)
-        found = [i for i, _ in result.pairs if clip.scored(truth[i])]
-        missed = [truth[i] for i in result.missed if clip.scored(truth[i])]
-        spurious = [events[j] for j in result.spurious if clip.scored(events[j])]
-        runs.append(Run(len(found), len(missed), len(spurious), cpu_seconds))
+        found, missed, _, spurious = clip.judged(events)
+        runs.append(
+            Run(len(found), len(missed), len(spurious), cpu_seconds, max(delays, default=0.0))
+        )
         if phase == 0:
             details = [
                 f"    {label} {event.kind} at {event.t:.1f} s ({event.x:.2f}, {event.y:.2f})"
                 for label, some in (("missed", missed), ("spurious", spurious))
                 for event in some
             ]
-    true_events = runs[0].found + runs[0].missed
-    return Score(clip.name, clip.variant, clip.seconds, true_events, runs), details
+    return Score(clip.name, clip.variant, clip.seconds, len(clip.truth), runs), details
 
 
 # -- the table ------------------------------
@@ -246,68 +254,60 @@ def summary(scores: Sequence[Score]) -> list[str]:
         if busy:
             phases = len(busy[0].runs)
             by_phase = [mean(score.runs[k].f1 for score in busy) for k in range(phases)]
-            line += f"mean F1 {mean(by_phase):.3f} ({min(by_phase):.3f} to {max(by_phase):.3f}), "
+            line += f"mean F1 {mean(by_phase):.3f}, standard error over clips "
+            line += f"{standard_error([score.f1 for score in busy]):.3f} "
+            line += f"(phases {' '.join(f'{one:.3f}' for one in by_phase)}), "
             line += f"pooled {pooled_f1(busy):.3f}, {len(busy)} clips with "
             line += f"{sum(score.true_events for score in busy)} events; "
         if quiet:
             line += f"{sum(map(_false, quiet)):.2f} false events in "
             line += f"{sum(score.seconds for score in quiet):.0f} s without events; "
+        latest = max(run.latest_seconds for score in some for run in score.runs)
+        line += f"latest event told {latest:.1f} s after its time; "
         lines.append(line + f"{mean(score.load for score in some):.3f} CPU s/s")
     return lines
+
+
+def compared(scores: Sequence[Score], earlier: Sequence[Score]) -> list[str]:
+    """Return a line for each variant: difference of the mean F1, on the clips that both have."""
+    before = {score.key: score for score in earlier if score.true_events}
+    lines = []
+    for variant in dict.fromkeys(score.variant for score in scores):
+        both = [one for one in scores if one.variant == variant and one.key in before]
+        line = f"{variant or 'the clips'}, against the earlier run: "
+        if not both:
+            lines.append(line + "no clip in common")
+            continue
+        changes = [score.f1 - before[score.key].f1 for score in both]
+        change, error = mean(changes), standard_error(changes)
+        pooled = pooled_f1(both) - pooled_f1([before[score.key] for score in both])
+        line += f"mean F1 {change:+.3f}, standard error {error:.3f} over {len(both)} clips, "
+        line += f"pooled {pooled:+.3f}: "
+        if abs(change) <= error or not change:
+            line += "no difference (not above its standard error)"
+        else:
+            line += "better" if change > 0 else "worse"
+        lines.append(line)
+    return lines
+
+
+def standard_error(values: Sequence[float]) -> float:
+    """Return the standard error of the mean; it is infinite for a single value."""
+    return stdev(values) / math.sqrt(len(values)) if len(values) > 1 else math.inf
 
 
 def pooled_f1(scores: Sequence[Score]) -> float:
     """Return F1 of the events of all clips and runs together."""
     runs = [run for score in scores for run in score.runs]
-    return Run(
-        sum(run.found for run in runs),
-        sum(run.missed for run in runs),
-        sum(run.spurious for run in runs),
-        0.0,
-    ).f1
+    found, missed, spurious = (
+        sum(getattr(run, name) for run in runs) for name in ("found", "missed", "spurious")
+    )
+    return Run(found, missed, spurious, 0.0, 0.0).f1
 
 
 def _false(score: Score) -> float:
     """Return the number of spurious events, mean over the runs."""
     return mean(run.spurious for run in score.runs)
-
-
-# -- RTSP ------------------------------
-
-
-def _rtsp(vtest: Path) -> None:
-    """Serve ``vtest`` once over RTSP and compare the events with those of the file itself."""
-    if reason := streams.missing():
-        print(f"vtest over RTSP: skipped, {reason}")
-        return
-    with tempfile.TemporaryDirectory() as folder:
-        path = Path(folder) / "vtest.mp4"
-        streams.transcode(vtest, path, VTEST_FPS)
-        grabber = Grabber("cam", str(path), wall_clock=time.time)
-        recorded = [event for event in grabber.events() if event is not None]
-        streamed: list[Event] = []
-        with streams.served(path) as port:
-            grabber = Grabber("cam", f"rtsp://127.0.0.1:{port}/camera", wall_clock=time.time)
-            for event in grabber.events():
-                if event is not None:
-                    streamed.append(event)
-                if grabber.statistics()["failures"]:
-                    break
-            grabber.close()
-
-    # Subtract the clock difference before comparing.
-    streamed = shifted(streamed, best_offset(recorded, streamed, 4 / 3))
-    result = match(recorded, streamed, 4 / 3)
-    print(
-        f"vtest, RTSP against the file: {len(result.pairs)} events the same, "
-        f"{len(result.missed)} missed, {len(result.spurious)} spurious"
-    )
-    differences = [streamed[j].t - recorded[i].t for i, j in result.pairs]
-    if differences:
-        print(
-            f"    times differ by {np.std(differences):.3f} s (sd), "
-            f"{np.abs(differences).max():.3f} s at most"
-        )
 
 
 if __name__ == "__main__":

@@ -9,8 +9,9 @@ import cv2
 import msgspec
 import numpy as np
 
-from bench.support.truth_clips import Clip, Picture
-from camtopod.records import Event
+from bench.support.truth_clips import Clip, Picture, place_of
+from bench.support.watched_clips import DIAGONALS
+from camtopod.records import Event, Kind
 from camtopod.vision.detect import Luma
 from camtopod.vision.settings import VisionSettings
 
@@ -45,49 +46,40 @@ GUST_SECONDS = 12.0
 def mirrored(clip: Clip) -> Clip:
     """Return the clip with left and right exchanged."""
 
-    def pictures(skipped: int, settings: VisionSettings) -> Iterator[Picture]:
-        for picture in clip.pictures(skipped, settings):
+    def pictures(left_out: float, settings: VisionSettings) -> Iterator[Picture]:
+        for picture in clip.pictures(left_out, settings):
             yield picture._replace(luma=np.ascontiguousarray(picture.luma[:, ::-1]))
 
-    truth = [msgspec.structs.replace(event, x=1.0 - _at(event)[0]) for event in clip.truth]
-    return replace(clip, variant="mirrored", truth=tuple(truth), pictures=pictures)
+    return _mapped(clip, "mirrored", pictures, x=(-1.0, 1.0))
 
 
 def backwards(clip: Clip) -> Clip:
     """Return the clip reversed in time: entries become exits."""
 
-    def pictures(skipped: int, settings: VisionSettings) -> Iterator[Picture]:
-        for picture in reversed(list(clip.pictures(skipped, settings))):
+    def pictures(left_out: float, settings: VisionSettings) -> Iterator[Picture]:
+        for picture in reversed(list(clip.pictures(left_out, settings))):
             yield picture._replace(t=max(0.0, clip.seconds - picture.t))
 
-    truth = [
-        msgspec.structs.replace(
-            event,
-            kind="exit" if event.kind == "entry" else "entry",
-            t=max(0.0, clip.seconds - event.t),
-        )
-        for event in reversed(clip.truth)
-    ]
-    return replace(clip, variant="backwards", truth=tuple(truth), pictures=pictures)
+    return _mapped(clip, "backwards", pictures, t=(-1.0, clip.seconds))
 
 
 def darkened(clip: Clip) -> Clip:
     """Return the clip with less light, and so less contrast."""
 
-    def pictures(skipped: int, settings: VisionSettings) -> Iterator[Picture]:
-        for picture in clip.pictures(skipped, settings):
+    def pictures(left_out: float, settings: VisionSettings) -> Iterator[Picture]:
+        for picture in clip.pictures(left_out, settings):
             yield picture._replace(luma=cv2.convertScaleAbs(picture.luma, alpha=DARKER))
 
-    return replace(clip, variant="darkened", pictures=pictures)
+    return _mapped(clip, "darkened", pictures)
 
 
 def shaken(clip: Clip) -> Clip:
     """Return the clip as of a camera that trembles: each picture has its own shift."""
 
-    def pictures(skipped: int, settings: VisionSettings) -> Iterator[Picture]:
+    def pictures(left_out: float, settings: VisionSettings) -> Iterator[Picture]:
         rng = np.random.default_rng(1)
         detailed = _detailed(settings)
-        for picture in clip.pictures(skipped, detailed):
+        for picture in clip.pictures(left_out, detailed):
             height, width = picture.luma.shape
             margin = max(1, round(SHAKE_SHARE_MAX * width))
             shift = np.clip(rng.normal(0.0, SHAKE_SHARE * width, 2), -margin, margin)
@@ -95,7 +87,7 @@ def shaken(clip: Clip) -> Clip:
             luma = picture.luma[y : y + height - 2 * margin, x : x + width - 2 * margin]
             yield picture._replace(luma=np.ascontiguousarray(luma))
 
-    return replace(clip, variant="shaken", pictures=pictures)
+    return _mapped(clip, "shaken", pictures)
 
 
 def cropped(clip: Clip) -> Clip | None:
@@ -106,47 +98,65 @@ def cropped(clip: Clip) -> Clip | None:
     """
     if not clip.truth:
         return None
-    at = np.array([_at(event) for event in clip.truth])
+    at = np.array([place_of(event) for event in clip.truth])
     room = np.concatenate([at.min(axis=0), 1.0 - at.max(axis=0)]) - CROP_CLEAR_SHARE
     cut = np.where(room < CROP_SHARE_MIN, 0.0, np.minimum(room, CROP_SHARE_MAX))
     left, top, right, bottom = cut.tolist()
-    if not cut.any():
-        return None
+    return part_of(clip, "cropped", (left, top, 1 - right, 1 - bottom)) if cut.any() else None
 
-    def pictures(skipped: int, settings: VisionSettings) -> Iterator[Picture]:
-        for picture in clip.pictures(skipped, _detailed(settings)):
-            height, width = picture.luma.shape
-            rows = slice(round(top * height), round((1.0 - bottom) * height))
-            columns = slice(round(left * width), round((1.0 - right) * width))
-            yield picture._replace(luma=np.ascontiguousarray(picture.luma[rows, columns]))
 
-    wide, high = 1.0 - left - right, 1.0 - top - bottom
-    truth = [
-        msgspec.structs.replace(event, x=(x - left) / wide, y=(y - top) / high)
-        for event, (x, y) in zip(clip.truth, at.tolist(), strict=True)
-    ]
-    aspect = clip.aspect * wide / high
-    return replace(clip, variant="cropped", truth=tuple(truth), aspect=aspect, pictures=pictures)
+def part_of(clip: Clip, variant: str, box: tuple[float, float, float, float]) -> Clip:
+    """Return the part of the picture in a box (left, top, right, bottom; fractions).
+
+    The truth is that of the clip: it fits if nobody enters or leaves at the cuts.
+    """
+    left, top, right, bottom = box
+
+    def cut(image: Luma) -> Luma:
+        height, width = image.shape[:2]
+        rows = slice(round(top * height), round(bottom * height))
+        return np.ascontiguousarray(image[rows, round(left * width) : round(right * width)])
+
+    def pictures(left_out: float, settings: VisionSettings) -> Iterator[Picture]:
+        for t, luma, image in clip.pictures(left_out, _detailed(settings)):
+            yield Picture(t, cut(luma), None if image is None else cut(image))
+
+    wide, high = right - left, bottom - top
+    x, y = (1 / wide, -left / wide), (1 / high, -top / high)
+    return replace(_mapped(clip, variant, pictures, x, y), aspect=clip.aspect * wide / high)
 
 
 def slowed(clip: Clip) -> Clip:
     """Return the clip played more slowly; pictures are taken as often as before."""
 
-    def pictures(skipped: int, settings: VisionSettings) -> Iterator[Picture]:
+    def pictures(left_out: float, settings: VisionSettings) -> Iterator[Picture]:
         # The same pictures as of the clip itself at a higher rate.
         faster = msgspec.structs.replace(settings, analysed_fps=SLOWER * settings.analysed_fps)
-        for picture in clip.pictures(skipped, faster):
+        for picture in clip.pictures(left_out / SLOWER, faster):
             yield picture._replace(t=SLOWER * picture.t)
 
-    truth = [msgspec.structs.replace(event, t=SLOWER * event.t) for event in clip.truth]
     return replace(
-        clip,
-        variant="slowed",
-        truth=tuple(truth),
-        seconds=SLOWER * clip.seconds,
-        rate=clip.rate / SLOWER,
-        pictures=pictures,
+        _mapped(clip, "slowed", pictures, t=(SLOWER, 0.0)), seconds=SLOWER * clip.seconds
     )
+
+
+def begun_later(clip: Clip) -> Clip | None:
+    """Return the clip without its first part; None if it is short.
+
+    People who are in view at the beginning have no entry, and may become part of the scene.
+    """
+    begin = LATER_SHARE * clip.seconds
+    if clip.seconds - begin < LATER_SECONDS_MIN:
+        return None
+
+    def pictures(left_out: float, settings: VisionSettings) -> Iterator[Picture]:
+        for picture in clip.pictures(left_out, settings):
+            if picture.t >= begin:
+                yield picture._replace(t=picture.t - begin)
+
+    rest = replace(clip, truth=tuple(event for event in clip.truth if event.t > begin))
+    later = _mapped(rest, "begun later", pictures, t=(1.0, -begin))
+    return replace(later, seconds=clip.seconds - begin)
 
 
 def side_by_side(left: Clip, right: Clip) -> Clip:
@@ -161,12 +171,12 @@ def side_by_side(left: Clip, right: Clip) -> Clip:
     # The halves have the height of the first, so the second one's width follows from its shape.
     width = round(left.settings.working_width / seam)
 
-    def pictures(skipped: int, settings: VisionSettings) -> Iterator[Picture]:
+    def pictures(left_out: float, settings: VisionSettings) -> Iterator[Picture]:
         single = msgspec.structs.replace(settings, working_width=left.settings.working_width)
-        others = right.pictures(skipped, single)
+        others = right.pictures(left_out, single)
         other = next(others, None)
         following = next(others, None)
-        for picture in left.pictures(skipped, single):
+        for picture in left.pictures(left_out, single):
             # The other clip's newest picture.
             while following is not None and following.t <= picture.t:
                 other, following = following, next(others, None)
@@ -177,63 +187,36 @@ def side_by_side(left: Clip, right: Clip) -> Clip:
             beside = cv2.resize(other.luma, size, interpolation=cv2.INTER_AREA)
             yield picture._replace(luma=np.hstack([picture.luma, beside]))
 
-    def at_half(clip: Clip, begin: float, share: float) -> list[Event]:
-        return [
-            msgspec.structs.replace(event, x=begin + share * _at(event)[0])
-            for event in clip.truth
-            if event.t <= seconds
-        ]
-
-    truth = at_half(left, 0.0, seam) + at_half(right, seam, 1.0 - seam)
+    # The truth of both halves.
+    a = _mapped(left, "", pictures, x=(seam, 0.0))
+    b = _mapped(right, "", pictures, x=(1.0 - seam, seam))
+    reach = DIAGONALS * float(np.hypot(total, 1.0)) / total
+    truth = sorted((event for event in a.truth + b.truth if event.t <= seconds), key=_time)
+    near = [event for event in truth if abs(place_of(event)[0] - seam) <= reach]
     return Clip(
         f"{left.name} + {right.name}",
         "side by side",
-        tuple(sorted(truth, key=lambda event: event.t)),
+        tuple(event for event in truth if event not in near),
         total,
         seconds,
-        left.rate,
         msgspec.structs.replace(left.settings, working_width=width),
         pictures,
-        seam,
-    )
-
-
-def begun_later(clip: Clip) -> Clip | None:
-    """Return the clip without its first part; None if it is short.
-
-    People who are in view at the beginning have no entry, and may become part of the scene.
-    """
-    begin = LATER_SHARE * clip.seconds
-    truth = [
-        msgspec.structs.replace(event, t=event.t - begin) for event in clip.truth if event.t > begin
-    ]
-    if clip.seconds - begin < LATER_SECONDS_MIN:
-        return None
-
-    def pictures(skipped: int, settings: VisionSettings) -> Iterator[Picture]:
-        for picture in clip.pictures(skipped, settings):
-            if picture.t >= begin:
-                yield picture._replace(t=picture.t - begin)
-
-    return replace(
-        clip,
-        variant="begun later",
-        truth=tuple(truth),
-        seconds=clip.seconds - begin,
-        pictures=pictures,
+        (*a.maybe, *b.maybe, *near),
+        (*a.skip, *b.skip, (seam - reach, 0.0, seam + reach, 1.0)),
+        (max(a.span[0], b.span[0]), min(a.span[1], b.span[1])),
     )
 
 
 def with_leaves(clip: Clip) -> Clip:
     """Return the clip with a bush in the wind in front of the corner where least happens."""
-    at = np.array([_at(event) for event in clip.truth]).reshape(-1, 2)
+    at = np.array([place_of(event) for event in clip.truth]).reshape(-1, 2)
     corners = np.array([(0.0, 0.0), (1.0, 0.0), (0.0, 1.0), (1.0, 1.0)])
     distances = np.linalg.norm(at[None, :, :] - corners[:, None, :], axis=2)
     x, y = corners[int(distances.min(axis=1, initial=2.0).argmax())].tolist()
 
-    def pictures(skipped: int, settings: VisionSettings) -> Iterator[Picture]:
+    def pictures(left_out: float, settings: VisionSettings) -> Iterator[Picture]:
         bush: Bush | None = None
-        for picture in clip.pictures(skipped, settings):
+        for picture in clip.pictures(left_out, settings):
             luma = picture.luma.copy()
             height, width = luma.shape
             bush = bush or Bush(round(LEAVES_SHARE * width), round(LEAVES_SHARE * height))
@@ -241,7 +224,7 @@ def with_leaves(clip: Clip) -> Clip:
             bush.draw(luma[top : top + bush.height, left : left + bush.width], picture.t)
             yield picture._replace(luma=luma)
 
-    return replace(clip, variant="with leaves", pictures=pictures)
+    return _mapped(clip, "with leaves", pictures)
 
 
 class Bush:
@@ -328,8 +311,46 @@ def _detailed(settings: VisionSettings) -> VisionSettings:
     return msgspec.structs.replace(settings, working_width=DETAIL_FACTOR * settings.working_width)
 
 
-def _at(event: Event) -> tuple[float, float]:
-    """Return the foot point of a true event, which always has one."""
-    assert event.x is not None
-    assert event.y is not None
-    return event.x, event.y
+def _mapped(
+    clip: Clip,
+    variant: str,
+    pictures: Callable[[float, VisionSettings], Iterator[Picture]],
+    x: tuple[float, float] = (1.0, 0.0),
+    y: tuple[float, float] = (1.0, 0.0),
+    t: tuple[float, float] = (1.0, 0.0),
+) -> Clip:
+    """Return a variant whose places and times are those of the clip, times a factor, plus a shift.
+
+    Entries become exits where time runs backwards.
+    """
+
+    def mapped(event: Event) -> Event:
+        column, row = place_of(event)
+        turned: Kind = "exit" if event.kind == "entry" else "entry"
+        return msgspec.structs.replace(
+            event,
+            kind=turned if t[0] < 0 else event.kind,
+            t=max(0.0, t[0] * event.t + t[1]),
+            x=x[0] * column + x[1],
+            y=y[0] * row + y[1],
+        )
+
+    def box(area: tuple[float, float, float, float]) -> tuple[float, float, float, float]:
+        left, right = sorted(x[0] * side + x[1] for side in area[::2])
+        top, bottom = sorted(y[0] * side + y[1] for side in area[1::2])
+        return left, top, right, bottom
+
+    begin, end = sorted(t[0] * moment + t[1] for moment in clip.span)
+    return replace(
+        clip,
+        variant=variant,
+        pictures=pictures,
+        truth=tuple(sorted(map(mapped, clip.truth), key=_time)),
+        maybe=tuple(map(mapped, clip.maybe)),
+        skip=tuple(map(box, clip.skip)),
+        span=(begin, end),
+    )
+
+
+def _time(event: Event) -> float:
+    return event.t

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import json
+import math
 import os
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from scipy.optimize import linear_sum_assignment
 
 from camtopod.records import Event
 
@@ -64,30 +65,30 @@ def watched(name: str, fps: float) -> list[Event]:
     ]
 
 
-def match(truth: list[Event], seen: list[Event], aspect: float) -> Match:
-    """Return the best one-to-one pairs of one kind within the tolerances.
+def match(truth: Sequence[Event], seen: Sequence[Event], aspect: float) -> Match:
+    """Return one-to-one pairs of one kind within the tolerances, the nearest first.
 
-    ``aspect`` is the image's width / height.
+    ``aspect`` is the image's width / height. What is near is the sum of the distances in time and
+    in the image, as shares of their tolerances.
     """
-    far = 1e6
-    cost = np.full((len(truth), len(seen)), far)
-    diagonal = np.hypot(aspect, 1.0)
+    near = []
+    diagonal = math.hypot(aspect, 1.0)
     for i, a in enumerate(truth):
         for j, b in enumerate(seen):
             assert a.x is not None and a.y is not None and b.x is not None and b.y is not None  # noqa: PT018
-            distance = float(np.hypot(aspect * (a.x - b.x), a.y - b.y)) / diagonal
-            if a.kind == b.kind and abs(a.t - b.t) <= SECONDS and distance <= DIAGONALS:
-                cost[i, j] = abs(a.t - b.t) / SECONDS + distance / DIAGONALS
-    pairs = [
-        (int(i), int(j))
-        for i, j in zip(*linear_sum_assignment(cost), strict=True)
-        if cost[i, j] < far
-    ]
-    return Match(
-        pairs,
-        sorted(set(range(len(truth))) - {i for i, _ in pairs}),
-        sorted(set(range(len(seen))) - {j for _, j in pairs}),
-    )
+            seconds = abs(a.t - b.t) / SECONDS
+            distance = math.hypot(aspect * (a.x - b.x), a.y - b.y) / diagonal / DIAGONALS
+            if a.kind == b.kind and max(seconds, distance) <= 1.0:
+                near.append((seconds + distance, i, j))
+
+    # The rest of either side.
+    missed, spurious, pairs = set(range(len(truth))), set(range(len(seen))), []
+    for _, i, j in sorted(near):
+        if i in missed and j in spurious:
+            pairs.append((i, j))
+            missed.remove(i)
+            spurious.remove(j)
+    return Match(pairs, sorted(missed), sorted(spurious))
 
 
 def best_offset(reference: list[Event], seen: list[Event], aspect: float) -> float:

@@ -2,18 +2,16 @@
 
 from __future__ import annotations
 
-import itertools
 import json
 import shutil
 from pathlib import Path
 
-import numpy as np
 import pytest
 
 from bench import demo, grab, grab_truth
-from bench.scenes.drawn_clips import SCENES, drawn_clips
 from bench.support import clip_variants, films, ratios
 from bench.support.truth_clips import clips_in
+from camtopod.records import Event
 
 needs_ffmpeg = pytest.mark.skipif(shutil.which("ffmpeg") is None, reason="no ffmpeg")
 
@@ -46,10 +44,63 @@ def test_the_grabber_costs_more_than_decoding(
 
 
 @needs_ffmpeg
-def test_a_folder_is_scored(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    assert grab_truth.main([str(folder), "--phases", "1"]) == 0
+def test_a_folder_is_scored_and_compared(
+    folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    figures = tmp_path / "figures.json"
+    assert grab_truth.main([str(folder), "--json", str(figures)]) == 0
 
-    assert "1 clips with 2 events" in capsys.readouterr().out
+    assert grab_truth.main([str(folder), "--against", str(figures)]) == 0
+
+    out = capsys.readouterr().out
+    assert "1 clips with 2 events" in out
+    assert "mean F1 +0.000" in out
+    assert "no difference" in out
+
+
+def score(clip: str, *found: int) -> grab_truth.Score:
+    """Return the score of a clip with ten events of which so many are found in each run."""
+    runs = [grab_truth.Run(n, 10 - n, 10 - n, 0.0, 0.0) for n in found]
+    return grab_truth.Score(clip, "", 10.0, 10, runs)
+
+
+@pytest.mark.parametrize(
+    ("now", "said"),
+    [((9, 9, 7), "better"), ((5, 6, 4), "worse"), ((9, 6, 5), "no difference"), ((7, 7, 5), "no")],
+)
+def test_a_difference_below_its_standard_error_is_none(now: tuple[int, ...], said: str) -> None:
+    before = [score("a", 7, 7), score("b", 7, 7), score("c", 5, 5)]
+    after = [score(name, n, n) for name, n in zip("abc", now, strict=True)]
+
+    [line] = grab_truth.compared(after, before)
+
+    assert line.partition("pooled")[2].partition(": ")[2].startswith(said)
+
+
+@needs_ffmpeg
+def test_some_events_count_neither_way(folder: Path, tmp_path: Path) -> None:
+    (tmp_path / "walker.mp4").symlink_to(folder / "walker.mp4")
+    line = {"kind": "entry", "t": 5.0, "x": 0.0, "y": 0.7, "person": "A"}
+    maybe = [{"kind": "exit", "t": 9.0, "x": 1.0, "y": 0.7}]
+    truth = {"events": [line], "maybe": maybe, "skip": [[0.4, 0.4, 0.6, 0.6]], "span": [1, 12]}
+    (tmp_path / "truth.json").write_text(json.dumps({"walker.mp4": truth}))
+    [clip] = clips_in(tmp_path)
+    true = Event("cam", "entry", 5.5, 0.05, 0.7)
+    wrong = Event("cam", "exit", 9.0, 0.7, 0.5)
+    seen = [
+        true,
+        wrong,
+        Event("cam", "exit", 9.5, 0.97, 0.7),  # maybe
+        Event("cam", "exit", 9.0, 0.5, 0.5),  # in an area that is skipped
+        Event("cam", "exit", 12.5, 0.7, 0.5),  # after the span
+    ]
+
+    found, missed, unmatched, spurious = clip.judged(seen)
+
+    assert [(one.track, event) for one, event in found] == [("A", true)]
+    assert missed == []
+    assert len(unmatched) == 4
+    assert spurious == [wrong]
 
 
 @needs_ffmpeg
@@ -62,15 +113,6 @@ def test_the_truth_of_a_variant_fits_its_pictures(folder: Path, name: str) -> No
     assert variant is not None
     score, details = grab_truth.scored(variant, 1)
     assert (score.f1, score.true_events) == (1.0, 2), details
-
-
-def test_objects_are_drawn_where_events_are() -> None:
-    clips = drawn_clips(1)
-
-    assert len(clips) == len(SCENES)
-    assert all(len(clip.truth) >= 4 for clip in clips)
-    first, *_, later = itertools.islice(clips[0].pictures(0, clips[0].settings), 60)
-    assert np.abs(later.luma.astype(int) - first.luma).max() > 20
 
 
 @needs_ffmpeg
