@@ -25,7 +25,7 @@ from camtopod.cli.commands.demo import MINUTES, WALKERS_PER_SECOND
 from camtopod.learn.learner import Learner
 from camtopod.learn.settings import Settings
 from camtopod.records import Event, Topology, Zone
-from camtopod.sim.floor import Plan, demo_plan, passages, simulate_walks, truth_of
+from camtopod.sim.floor import Plan, Walk, demo_plan, passages, simulate_walks, truth_of
 from camtopod.sim.rendering import SUFFIX, render
 from camtopod.sim.scoring import Score, match_zones, score
 from camtopod.sim.truth import Truth
@@ -58,7 +58,10 @@ def main(argv: list[str]) -> int:
     with tempfile.TemporaryDirectory() as temporary:
         for title, plan, seed in sites:
             films = (given.films or Path(temporary)) / title.replace(", seed", "").replace(" ", "-")
-            truth, events = recorded(plan, 60.0 * given.minutes, seed, films)
+            seconds, rng = 60.0 * given.minutes, np.random.default_rng(seed)
+            walks = simulate_walks(plan, seconds, WALKERS_PER_SECOND, rng)
+            truth = truth_of(plan, passages(plan, walks))
+            events = recorded(plan, walks, seconds, seed, films)
             topology = learned(events)
             result = score(topology, truth)
             good = result.cameras_right == result.cameras
@@ -70,12 +73,11 @@ def main(argv: list[str]) -> int:
     return 0
 
 
-def recorded(plan: Plan, seconds: float, seed: int, films: Path) -> tuple[Truth, list[Event]]:
-    """Return the ground truth of a recording and what the grabbers see, in order of time.
+def recorded(plan: Plan, walks: list[Walk], seconds: float, seed: int, films: Path) -> list[Event]:
+    """Return what the grabbers see of a recording, in order of time.
 
     films: folder of the cameras' films; those that are missing are rendered.
     """
-    walks = simulate_walks(plan, seconds, WALKERS_PER_SECOND, np.random.default_rng(seed))
     films.mkdir(parents=True, exist_ok=True)
     events: list[Event] = []
     for view in plan.views:
@@ -86,8 +88,7 @@ def recorded(plan: Plan, seconds: float, seed: int, films: Path) -> tuple[Truth,
             part.rename(film)
         grabber = Grabber(view.camera, str(film), start=START, wall_clock=time.time)
         events += [event for event in grabber.events() if event is not None]
-    events.sort(key=lambda event: event.t)
-    return truth_of(plan, passages(plan, walks)), events
+    return sorted(events, key=lambda event: event.t)
 
 
 def learned(events: list[Event]) -> Topology:

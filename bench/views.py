@@ -1,0 +1,389 @@
+"""End to end: learn what the grabber makes of several cameras, beside what is true.
+
+    python -m bench views [FOLDER] [--runs 4] [--model FILE] [--films FOLDER]
+
+FOLDER holds synchronised clips with a truth.json (bench/support/truth_clips.py) whose events have a
+``person``, or SceneScape's recording of two cameras (bench/support/scenescape.py). Without it, the
+demo's site is rendered (about two minutes a run; --films keeps them) with people who stop and go in
+company.
+
+Clips are too short to learn from, so each person in them stands for many visitors. A visitor comes
+at a random time, 45 s after the last one on average, and brings all events of a person, either the
+true ones or those that the grabber told in one of its four phases (`bench.grab_truth`). Times
+within a visit are stretched at random by a smooth factor, the same for both; places are blurred.
+What the grabber told and nobody did goes along with one visitor in five. What it tells later than
+the daemon waits for is not learned.
+
+The real learner learns either. A true link leads from an exit to an entry of the same person: of a
+passage through a view in which the person was in the meantime, or of the next one, unless all views
+that still see the person are left before. It is walked often enough (as in `bench.real`) between
+the learned zones that are next to both events; a false link by hardly anybody, at whatever time.
+Where views overlap more links are true than are needed, so the column of the true events tells what
+can be expected. All clocks are right.
+"""
+
+from __future__ import annotations
+
+import argparse
+import sys
+import tempfile
+from collections import Counter, defaultdict
+from collections.abc import Iterable, Sequence
+from itertools import groupby, pairwise
+from pathlib import Path
+from statistics import median
+
+import msgspec
+import numpy as np
+from msgspec import Struct
+
+from bench.demo import START, recorded
+from bench.grab_truth import PHASES, detector_of, grabbed
+from bench.scenes.recording import PAIR_WALKS_MIN
+from bench.scenes.stops import with_stops
+from bench.support.measure import CLOCK_SECONDS_MAX
+from bench.support.recordings import (
+    SPURIOUS_TRANSITIONS_MAX,
+    TRANSITIONS_MIN,
+    TRANSITIONS_SHARE_MIN,
+)
+from bench.support.scenescape import scenescape_clips
+from bench.support.truth_clips import TRUTH, Clip, TruthError, clips_in, place_of
+from bench.support.watched_clips import match
+from camtopod.cli.commands.demo import MINUTES, WALKERS_PER_SECOND
+from camtopod.learn.learner import Learner
+from camtopod.learn.settings import Settings
+from camtopod.records import Event, Topology
+from camtopod.sim.floor import HEIGHT, WIDTH, demo_plan, passages, simulate_walks
+from camtopod.sim.scoring import ZONE_TOLERANCE
+
+RUNS = 4
+VISITORS, BETWEEN_SECONDS = 400, 45.0
+"""Visitors of a run, and the mean time from one to the next, seconds."""
+STRETCH_SD, STRETCH_SECONDS = 0.7, 10.0
+"""Spread of the factor on times (log scale), and the time in which it changes, seconds."""
+BLUR = 0.012
+"""Spread of places, fraction of the image."""
+ALONG_SHARE = 0.2
+"""Share of the visitors with whom goes what is not true."""
+TRANSIT_SECONDS, TRANSIT_SHARE = 1.0, 0.2
+"""A transit time is right within this, or within this share of the true median."""
+
+
+class Passage(Struct):
+    """A person's true passage through a view."""
+
+    person: str
+    entry: Event
+    exit: Event
+
+
+class Network(Struct):
+    """Counts of a learned topology, beside the truth."""
+
+    pairs: float
+    """True pairs of cameras: people are in both views at once, or go from one to the other."""
+    pairs_found: float
+    pairs_related: float
+    """Found ones with the true relation: overlapped, or an unseen path."""
+    pairs_false: float
+    overlaps: float
+    """Pairs that are called overlapped."""
+    links_learned: float
+    links_true: float
+    """True ones."""
+    links_timed: float
+    """Those of them with the right transit time."""
+    links_false: float
+    transit_error: float
+    """Median error of the median transit time, seconds."""
+    clocks: float
+    """Right clocks that are called wrong."""
+    clock_error: float
+    """Largest clock offset that is claimed, seconds."""
+
+
+_ROWS = (
+    "pairs of cameras, true",
+    "    found",
+    "    of them with the right relation",
+    "    false",
+    "    called overlapped",
+    "links learned",
+    "    true",
+    "    of them with the right transit time",
+    "    false",
+    "    median error of the transit time, s",
+    "clocks, all right: called wrong",
+    "    largest offset claimed, s",
+)
+"""Titles of `Network`'s fields, in order."""
+
+
+class Recording(Struct):
+    """What is learned in one run: true passages, and events by time."""
+
+    passages: list[Passage]
+    true: list[Event]
+    seen: list[Event]
+
+
+def main(argv: list[str]) -> int:
+    """Print the table and return the exit status."""
+    parser = argparse.ArgumentParser(
+        prog="python -m bench views",
+        description=(__doc__ or "").partition("\n\n")[0],
+        epilog=(__doc__ or "").split("\n\n", 2)[2],
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
+    add = parser.add_argument
+    add("folder", nargs="?", type=Path, metavar="FOLDER", help="synchronised clips with truth")
+    add("--runs", type=int, default=RUNS, help="times that all is learned (default: %(default)s)")
+    add("--model", metavar="FILE", help="with this detector, an ONNX file")
+    add("--films", type=Path, metavar="FOLDER", help="folder to keep the rendered films in")
+    given = parser.parse_args(argv)
+
+    # Record and learn.
+    try:
+        if given.folder is None:
+            recordings = rendered(given.runs, given.films)
+        else:
+            recordings = revisited(clips_of(given.folder, given.model), given.runs, given.model)
+        networks = [
+            (judged(learned(one.true), one.passages), judged(learned(one.seen), one.passages))
+            for one in recordings
+        ]
+    except TruthError as error:
+        print(f"views: {error}", file=sys.stderr)
+        return 1
+
+    # Means over the runs.
+    print(f"{'mean of ' + str(len(networks)) + ' runs':40}{'as true':>10}{'as grabbed':>12}")
+    columns = [
+        np.mean([msgspec.structs.astuple(network) for network in side], axis=0)
+        for side in zip(*networks, strict=True)
+    ]
+    for title, true, seen in zip(_ROWS, *columns, strict=True):
+        print(f"{title:40}{true:>10.1f}{seen:>12.1f}")
+    return 0
+
+
+def learned(events: Sequence[Event]) -> Topology:
+    """Return what the learner learns from events by time."""
+    learner = Learner(only_last=True)
+    for event in events:
+        learner.receive(event)
+    learner.flush()
+    assert learner.topology is not None, "no events"
+    return learner.topology
+
+
+# -- recordings ------------------------------
+
+
+def clips_of(folder: Path, model: str | None) -> list[Clip]:
+    """Return clips of which each true event has a person; raises `TruthError`."""
+    if (folder / "gtLoc.json.gz").exists():
+        return scenescape_clips(folder, colour=bool(model))
+    clips = clips_in(folder, colour=bool(model))
+    clips = [clip for clip in clips if all(event.track is not None for event in clip.truth)]
+    if not any(clip.truth for clip in clips):
+        raise TruthError(f"{folder}: no clip whose events have a person in {TRUTH}")
+    return clips
+
+
+def revisited(clips: Sequence[Clip], runs: int, model: str | None) -> list[Recording]:
+    """Return recordings of many visitors, made of the people in short clips."""
+    true: dict[str, list[Event]] = defaultdict(list)
+    for clip in clips:
+        for event in clip.truth:
+            true[str(event.track)].append(event)
+
+    # What the grabber tells, by phase and by whose events they are; "" for nobody's.
+    detector, lateness = detector_of(model), Settings().lateness_seconds
+    told: list[dict[str, list[Event]]] = []
+    counts = []
+    for phase in range(PHASES):
+        told.append(defaultdict(list))
+        for clip in clips:
+            events, delays = grabbed(clip, phase, PHASES, detector())
+            in_time = [
+                msgspec.structs.replace(event, camera=clip.name)
+                for event, delay in zip(events, delays, strict=True)
+                if delay <= lateness
+            ]
+            result = clip.judged(in_time)
+            counts.append((len(result.found), len(result.missed), len(result.spurious)))
+            for one, seen in result.found:
+                told[-1][str(one.track)].append(seen)
+            told[-1][""] += result.unmatched
+    found, missed, spurious = np.sum(counts, axis=0) / PHASES
+    print(
+        f"{len(clips)} views, {found + missed:.0f} true events of {len(true)} people; mean of "
+        f"{PHASES} phases: {found:.2f} found, {missed:.2f} missed, {spurious:.2f} false"
+    )
+    return [visits(true, told, np.random.default_rng(run)) for run in range(runs)]
+
+
+def visits(
+    true: dict[str, list[Event]], told: list[dict[str, list[Event]]], rng: np.random.Generator
+) -> Recording:
+    """Return visitors at random times, each as one of the people.
+
+    true, told: events by person, the latter of each phase.
+    """
+    recording, begin = Recording([], [], []), START
+    last = max(event.t for events in true.values() for event in events)
+    for visitor in range(VISITORS):
+        begin += rng.exponential(BETWEEN_SECONDS)
+        person = str(rng.choice(sorted(true)))
+        seen = told[int(rng.integers(len(told)))]
+        along = seen[""] if rng.random() < ALONG_SHARE else []
+
+        # Time within the visit, from that of the clips.
+        knots = np.arange(-STRETCH_SECONDS, last + 3 * STRETCH_SECONDS, STRETCH_SECONDS)
+        factors = np.exp(STRETCH_SD * rng.standard_normal(len(knots)))
+        steps = STRETCH_SECONDS * (factors[1:] + factors[:-1]) / 2
+        stretched = np.concatenate([[0.0], np.cumsum(steps)])
+
+        def moved(events: Iterable[Event]) -> list[Event]:
+            return [
+                msgspec.structs.replace(
+                    event,
+                    t=begin + float(np.interp(event.t, knots, stretched)),  # noqa: B023
+                    x=float(np.clip(place_of(event)[0] + BLUR * rng.standard_normal(), 0, 1)),
+                    y=float(np.clip(place_of(event)[1] + BLUR * rng.standard_normal(), 0, 1)),
+                    track=f"{visitor}-{event.track}",  # noqa: B023
+                )
+                for event in events
+            ]
+
+        visit = moved(true[person])
+        recording.true += visit
+        recording.seen += moved([*seen[person], *along])
+        recording.passages += passages_of(visit)
+    recording.true.sort(key=lambda event: event.t)
+    recording.seen.sort(key=lambda event: event.t)
+    return recording
+
+
+def passages_of(events: Iterable[Event]) -> list[Passage]:
+    """Return one person's whole passages, by time of entry."""
+    result = []
+    by_camera = sorted(events, key=lambda event: (event.camera, event.t))
+    for _, some in groupby(by_camera, key=lambda event: event.camera):
+        for one, following in pairwise(some):
+            if (one.kind, following.kind) == ("entry", "exit"):
+                result.append(Passage(str(one.track), one, following))
+    return sorted(result, key=lambda passage: passage.entry.t)
+
+
+def rendered(runs: int, films: Path | None) -> list[Recording]:
+    """Return recordings of the demo's site with people who stop and go in company."""
+    plan, seconds, result = demo_plan(), 60.0 * MINUTES, []
+    for seed in range(1, runs + 1):
+        rng = np.random.default_rng(seed)
+        walks = with_stops(simulate_walks(plan, seconds, WALKERS_PER_SECOND, rng), rng)
+        with tempfile.TemporaryDirectory() as temporary:
+            folder = (films or Path(temporary)) / f"stops-{seed}"
+            seen = recorded(plan, walks, seconds, seed, folder)
+        walked = []
+        for number, one in enumerate(passages(plan, walks)):
+            entry = Event(one.camera, "entry", START + one.t_in, *one.at_in, number)
+            left = Event(one.camera, "exit", START + one.t_out, *one.at_out, number)
+            if one.t_out < seconds:
+                walked.append(Passage(str(one.walker), entry, left))
+        true = sorted((e for one in walked for e in (one.entry, one.exit)), key=lambda e: e.t)
+        found = 0
+        for camera in {event.camera for event in true}:
+            theirs, ours = ([one for one in side if one.camera == camera] for side in (true, seen))
+            found += len(match(theirs, ours, WIDTH / HEIGHT).pairs)
+        print(
+            f"seed {seed}: {len(plan.views)} views, {len(true)} true events; {found} found, "
+            f"{len(true) - found} missed, {len(seen) - found} false",
+            flush=True,
+        )
+        result.append(Recording(walked, true, seen))
+    return result
+
+
+# -- comparison ------------------------------
+
+
+def judged(topology: Topology, walked: Sequence[Passage]) -> Network:
+    """Compare a topology with the true passages, which are sorted by person, then by entry."""
+    # True links between the learned zones, and true pairs of cameras.
+    lags: dict[tuple[str, str], list[float]] = defaultdict(list)
+    exits, walks = Counter[str](), Counter[tuple[str, str]]()
+    together, after = Counter[tuple[str, ...]](), Counter[tuple[str, ...]]()
+    for _, some in groupby(walked, key=lambda passage: passage.person):
+        visit = list(some)
+        for one in visit:
+            exits[source := zone_of(topology, one.exit)] += 1
+            walks.update((source, zone_of(topology, o.entry)) for o in visit if o is not one)
+            others = [o for o in visit if o.entry.camera != one.entry.camera]
+            beside = [o for o in others if o.entry.t < one.exit.t and o.exit.t > one.entry.t]
+            until = max((o.exit.t for o in beside if o.exit.t > one.exit.t), default=np.inf)
+            following = [o for o in visit if one.exit.t <= o.entry.t < until][:1]
+            together.update(_cameras(one, other) for other in beside)
+            after.update(_cameras(one, other) for other in following)
+            for other in (*beside, *following):
+                ends = source, zone_of(topology, other.entry)
+                lags[ends].append(other.entry.t - one.exit.t)
+    links = {
+        ends: some
+        for ends, some in lags.items()
+        if len(some) >= max(TRANSITIONS_MIN, TRANSITIONS_SHARE_MIN * exits[ends[0]])
+    }
+    overlapped = {pair for pair, n in together.items() if n >= PAIR_WALKS_MIN}
+    pairs = overlapped | {pair for pair, n in after.items() if n >= PAIR_WALKS_MIN}
+    pairs = {pair for pair in pairs if pair[0] != pair[1]}
+
+    # What was learned.
+    found = {(link.from_, link.to): link for link in topology.links if link.relation != "visible"}
+    errors = {
+        ends: abs(link.transit.q50 - median(links[ends]))
+        for ends, link in found.items()
+        if ends in links
+    }
+    timed = [
+        error <= max(TRANSIT_SECONDS, TRANSIT_SHARE * abs(median(links[ends])))
+        for ends, error in errors.items()
+    ]
+    right = [pair for pair in topology.pairs if pair.cameras in pairs]
+    related = [(pair.relation == "overlapped") == (pair.cameras in overlapped) for pair in right]
+    offsets = [abs(camera.clock_offset) for camera in topology.cameras]
+    return Network(
+        len(pairs),
+        len(right),
+        sum(related),
+        len(topology.pairs) - len(right),
+        sum(pair.relation == "overlapped" for pair in topology.pairs),
+        len(found),
+        len(errors),
+        sum(timed),
+        sum(walks[ends] <= SPURIOUS_TRANSITIONS_MAX for ends in found),
+        median(errors.values()) if errors else 0.0,
+        sum(offset > CLOCK_SECONDS_MAX for offset in offsets),
+        max(offsets),
+    )
+
+
+def zone_of(topology: Topology, event: Event) -> str:
+    """Return the learned zone that is next to a true event; the camera's name if there is none."""
+    x, y = place_of(event)
+    near = [
+        (np.hypot(zone.x - x, zone.y - y), zone.id)
+        for zone in topology.zones
+        if zone.camera == event.camera and zone.x is not None and zone.y is not None
+    ]
+    distance, zone = min(near, default=(np.inf, ""))
+    return zone if distance <= ZONE_TOLERANCE else event.camera
+
+
+def _cameras(one: Passage, other: Passage) -> tuple[str, ...]:
+    return tuple(sorted((one.entry.camera, other.entry.camera)))
+
+
+if __name__ == "__main__":
+    sys.exit(main(sys.argv[1:]))
