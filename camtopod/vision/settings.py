@@ -62,7 +62,7 @@ class VisionSettings(Struct, frozen=True, forbid_unknown_fields=True):
     """
 
 
-Layout = Literal["yolox", "yolov5", "yolov8", "end-to-end", "ssd", "rt-detr"]
+Layout = Literal["yolox", "yolov8", "end-to-end", "rt-detr"]
 """How a detector's model writes the boxes that it finds."""
 
 
@@ -80,19 +80,19 @@ class DetectorSettings(Struct, frozen=True, forbid_unknown_fields=True):
     classes, from 0.
     """
     score: Annotated[float, Meta(gt=0, le=1)] = 0.4
-    """Least score of a detection, 0 to 1; 0.6 of it is enough where something is tracked already.
+    """Least score of a detection, 0 to 1; 3/8 of it is enough where something is tracked already.
     """
     looks_per_second_max: Annotated[float, Meta(gt=0)] = 7.0
-    """Maximum number of inferences per second and camera; only regions with motion or standing
-    people are examined.
+    """Maximum number of inferences per second and camera, on the region where something moves or is
+    tracked.
     """
     layout: Annotated[
         str,
         Meta(
-            pattern=r"^$|^(yolox|yolov5|yolov8|end-to-end|ssd|rt-detr)\Z",
-            description="one of yolox, yolov5, yolov8, end-to-end, ssd and rt-detr",
+            pattern=r"^$|^(yolox|yolov8|end-to-end|rt-detr)\Z",
+            description="one of yolox, yolov8, end-to-end and rt-detr",
         ),
     ] = ""
-    """Layout of the model's outputs: yolox, yolov5, yolov8 (also of later ones), end-to-end, ssd or
-    rt-detr; empty: it is recognised, or `camtopod check` asks for it.
+    """Layout of the model's outputs: yolox, yolov8 (also of later ones), end-to-end or rt-detr;
+    empty: it is recognised, or `camtopod check` asks for it.
     """

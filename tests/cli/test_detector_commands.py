@@ -69,7 +69,7 @@ def test_a_camera_has_the_common_detector_one_of_its_own_or_none() -> None:
         ('[detector]\nmodel = "a"\nlabels = []\n', ":3: detector.labels: is empty"),
         (
             '[detector]\nmodel = "a"\nlayout = "yolo"\n',
-            ":3: detector.layout: expected one of yolox, yolov5, ",
+            ":3: detector.layout: expected one of yolox, yolov8, ",
         ),
         (
             "[cameras.a]\ndetector = true\n",

@@ -22,6 +22,8 @@ STRIDE = 8
 BASE = 8
 """Pixels between the two places whose difference is the slope."""
 CLASSES = 80
+TARGET = "orig_target_sizes"
+"""Second input of D-FINE's exporter: width and height in whose units the boxes are."""
 
 
 def draw_person(picture: Picture, box: tuple[int, int, int, int]) -> None:
@@ -71,39 +73,70 @@ def write_model(
     classes: int = CLASSES,
     blind: bool = False,
     open_size: bool = False,
+    exporter: str = "",
+    shuffled: bool = False,
 ) -> Path:
     """Write a model with an input of ``size`` (width, height) that finds people, class 0.
 
     decoded: with "yolox", positions are pixels.
     blind: it finds nothing.
     open_size: the file leaves the size open.
+    exporter: with "rt-detr", whose outputs and inputs it has: "RF-DETR" or "D-FINE".
+    shuffled: nodes come before those that they need.
     """
     width, height = size
     graph = _Graph()
-    bgr = layout in ("yolox", "ssd")
-    rows, score = _found(graph, size, bgr, blind)
+    image = "images"
+    if exporter == "RF-DETR":
+        deviation = np.array([0.229, 0.224, 0.225]).reshape(1, 3, 1, 1)
+        mean = np.array([0.485, 0.456, 0.406]).reshape(1, 3, 1, 1)
+        image = graph.add("Mul", image, graph.constant(deviation))
+        image = graph.add("Add", image, graph.constant(mean))
+    rows, score = _found(graph, size, layout == "yolox", blind, image)
     outputs = _HEADS[layout](graph, rows, score, size, decoded, classes)
 
     # The file.
-    lengths = [None] * (4 if layout == "ssd" else 3)
     shape = [1, 3, "height" if open_size else height, "width" if open_size else width]
+    inputs = [helper.make_tensor_value_info("images", TensorProto.FLOAT, shape)]
+    lengths = {name: [None] * 3 for name in outputs}
+    if exporter == "RF-DETR":
+        lengths = {"labels": [None] * 3, "dets": [None] * 3}
+        for name, made in zip(lengths, outputs, strict=True):
+            graph.nodes.append(helper.make_node("Identity", [made], [name]))
+    if exporter == "D-FINE":
+        inputs.append(helper.make_tensor_value_info(TARGET, TensorProto.INT64, [1, 2]))
+        lengths = _d_fine(graph, *outputs)
+    if shuffled:
+        graph.nodes.reverse()
     model = helper.make_model(
         helper.make_graph(
             graph.nodes,
             "people",
-            [helper.make_tensor_value_info("images", TensorProto.FLOAT, shape)],
-            [helper.make_tensor_value_info(name, TensorProto.FLOAT, lengths) for name in outputs],
+            inputs,
+            [
+                helper.make_tensor_value_info(
+                    name,
+                    TensorProto.INT64
+                    if name == "labels" and exporter == "D-FINE"
+                    else TensorProto.FLOAT,
+                    dims,
+                )
+                for name, dims in lengths.items()
+            ],
             graph.constants,
         ),
         opset_imports=[helper.make_opsetid("", 13)],
         ir_version=8,
     )
-    checker.check_model(model)
+    if not shuffled:
+        checker.check_model(model)
     save(model, str(path))
     return path
 
 
-def _found(graph: _Graph, size: tuple[int, int], bgr: bool, blind: bool) -> tuple[str, str]:
+def _found(
+    graph: _Graph, size: tuple[int, int], bgr: bool, blind: bool, image: str
+) -> tuple[str, str]:
     """Return middles and sizes (1, N, 4), pixels, and scores (1, N, 1) of the cells of stride 8."""
     width, height = size
     red, green, blue = (2, 1, 0) if bgr else (0, 1, 2)
@@ -117,10 +150,10 @@ def _found(graph: _Graph, size: tuple[int, int], bgr: bool, blind: bool) -> tupl
     weights[2, green, -1, middle], weights[2, green, 0, middle] = scale / BASE, -scale / BASE
     weights[3, blue, middle, -1], weights[3, blue, middle, 0] = scale / BASE, -scale / BASE
     grid = {"kernel_shape": [kernel, kernel], "strides": [STRIDE, STRIDE], "pads": [0, 0, 1, 1]}
-    maps = graph.add("Conv", "images", graph.constant(weights), **grid)
+    maps = graph.add("Conv", image, graph.constant(weights), **grid)
     reds = np.zeros((1, 3, 1, 1), np.float32)
     reds[0, red] = -scale
-    negative = graph.add("Conv", "images", graph.constant(reds), kernel_shape=[1, 1])
+    negative = graph.add("Conv", image, graph.constant(reds), kernel_shape=[1, 1])
     least = graph.add("MaxPool", negative, **grid)
 
     # Red from 0.8 to 1 is a score from 0 to 1.
@@ -168,12 +201,6 @@ def _yolox(
     return [_padded(graph, [places, score, _class(graph, size, classes)], size)]
 
 
-def _yolov5(
-    graph: _Graph, rows: str, score: str, size: tuple[int, int], decoded: bool, classes: int
-) -> list[str]:
-    return [_padded(graph, [rows, score, _class(graph, size, classes)], size, times=3)]
-
-
 def _yolov8(
     graph: _Graph, rows: str, score: str, size: tuple[int, int], decoded: bool, classes: int
 ) -> list[str]:
@@ -191,18 +218,6 @@ def _end_to_end(
     return [graph.add("Pad", table, graph.constant([0, 0, 0, 0, 9, 0], np.int64))]
 
 
-def _ssd(
-    graph: _Graph, rows: str, score: str, size: tuple[int, int], decoded: bool, classes: int
-) -> list[str]:
-    cells = (size[0] // STRIDE) * (size[1] // STRIDE)
-    corners = _corners(graph, rows)
-    fractions = graph.add("Div", corners, graph.constant([[[*size, *size]]]))
-    zero = graph.add("Mul", score, graph.constant(0.0))
-    one = graph.add("Add", zero, graph.constant(1.0))
-    table = graph.add("Concat", zero, one, score, fractions, axis=2)
-    return [graph.add("Reshape", table, graph.constant([1, 1, cells, 7], np.int64))]
-
-
 def _rt_detr(
     graph: _Graph, rows: str, score: str, size: tuple[int, int], decoded: bool, classes: int
 ) -> list[str]:
@@ -215,12 +230,21 @@ def _rt_detr(
     return [logits, graph.add("Clip", boxes, graph.constant(0.0), graph.constant(1.0))]
 
 
+def _d_fine(graph: _Graph, logits: str, places: str) -> dict[str, list[int | None]]:
+    """Add what the exporters of RT-DETR and D-FINE add, and return names and shapes of outputs."""
+    scores = graph.add("Sigmoid", logits)
+    graph.nodes.append(helper.make_node("ReduceMax", [scores], ["scores"], axes=[2], keepdims=0))
+    graph.nodes.append(helper.make_node("ArgMax", [scores], ["labels"], axis=2, keepdims=0))
+    sizes = graph.add("Cast", TARGET, to=TensorProto.FLOAT)
+    scale = graph.add("Concat", sizes, sizes, axis=1)
+    graph.nodes.append(helper.make_node("Mul", [_corners(graph, places), scale], ["boxes"]))
+    return {"labels": [None] * 2, "boxes": [None] * 3, "scores": [None] * 2}
+
+
 _HEADS = {
     "yolox": _yolox,
-    "yolov5": _yolov5,
     "yolov8": _yolov8,
     "end-to-end": _end_to_end,
-    "ssd": _ssd,
     "rt-detr": _rt_detr,
 }
 

@@ -14,7 +14,7 @@ from camtopod.vision.boxes import Box
 from camtopod.vision.detector import layouts
 from camtopod.vision.detector.crops import whole
 from camtopod.vision.detector.model import Detection, DetectorError, Model
-from camtopod.vision.detector.onnx_header import input_size
+from camtopod.vision.detector.onnx_header import read_header
 from camtopod.vision.settings import DetectorSettings, Layout
 
 PEOPLE = ((40, 30, 80, 130), (180, 60, 220, 170))
@@ -61,13 +61,60 @@ def test_a_layout_is_recognised_and_its_boxes_are_right(tmp_path: Path, layout: 
 
 def test_positions_may_be_pixels_where_the_layout_is_named(tmp_path: Path) -> None:
     path = write_model(tmp_path / "m.onnx", "yolox", decoded=True)
-    with pytest.raises(DetectorError, match='write layout = "yolox" or "yolov5"') as caught:
+    with pytest.raises(DetectorError, match='they can be layout = "yolox"') as caught:
         Model(settings(path))
 
     assert caught.value.key == "model"
     people = found(Model(settings(path, layout="yolox")))
     assert len(people) == 2
     assert_near(people[0].box, PEOPLE[0], 3.0)
+
+
+@pytest.mark.parametrize("exporter", ["RF-DETR", "D-FINE"])
+@pytest.mark.parametrize("classes", [4, 80])
+def test_what_exporters_of_rt_detr_write_is_recognised(
+    tmp_path: Path, exporter: str, classes: int
+) -> None:
+    path = write_model(tmp_path / "m.onnx", "rt-detr", exporter=exporter, classes=classes)
+    model = Model(settings(path, labels=(0,)))
+    assert model.form.layout == "rt-detr"
+    (one,) = found(model)
+    assert one.score > 0.9
+    assert_near(one.box, PEOPLE[0], 3.0)
+
+
+def test_rf_detr_numbers_its_91_classes_as_coco_does(tmp_path: Path) -> None:
+    path = write_model(tmp_path / "m.onnx", "rt-detr", exporter="RF-DETR", classes=91)
+    assert found(Model(settings(path))) == [], "its person is class 1"
+    assert len(found(Model(settings(path, labels=(0,))))) == 1
+
+
+@pytest.mark.parametrize("exporter", ["", "D-FINE"])
+def test_nodes_need_not_be_in_order(tmp_path: Path, exporter: str) -> None:
+    plain = write_model(tmp_path / "m.onnx", "rt-detr", exporter=exporter)
+    mixed = write_model(tmp_path / "mixed.onnx", "rt-detr", exporter=exporter, shuffled=True)
+    assert found(Model(settings(mixed))) == found(Model(settings(plain))) != []
+
+
+@pytest.mark.parametrize("shape", [[1, 1575, 85], [1, 1, 100, 7], [1, 100, 4]])
+def test_other_outputs_are_refused_with_the_names_of_the_known(
+    tmp_path: Path, shape: list[int]
+) -> None:
+    image = helper.make_tensor_value_info("i", TensorProto.FLOAT, [1, 3, 160, 160])
+    out = helper.make_tensor_value_info("out", TensorProto.FLOAT, shape)
+    table = helper.make_tensor("t", TensorProto.FLOAT, shape, np.full(shape, 9.0).ravel())
+    nodes = [
+        helper.make_node("ReduceMean", ["i"], ["mean"], keepdims=0),
+        helper.make_node("Add", ["mean", "t"], ["out"]),
+    ]
+    graph = helper.make_graph(nodes, "g", [image], [out], [table])
+    opset = [helper.make_opsetid("", 13)]
+    save(helper.make_model(graph, opset_imports=opset), str(tmp_path / "m.onnx"))
+    with pytest.raises(
+        DetectorError, match="known are yolox, yolov8, end-to-end, rt-detr"
+    ) as caught:
+        Model(settings(tmp_path / "m.onnx"))
+    assert str(tuple(shape)) in str(caught.value)
 
 
 # --- labels ---------------------------------------------------------------------------------------
@@ -109,11 +156,10 @@ def test_a_file_that_is_no_model_is_refused(tmp_path: Path, content: bytes, word
 @pytest.mark.parametrize(
     ("shapes", "words"),
     [
-        ([[1, 3, 100, 160]], "160 x 100 pixels: multiples of 32"),
         ([[1, 3, 4096, 4096]], "up to 2048"),
         ([[1, 1, 160, 160]], "does not take one image"),
-        ([[4, 3, 160, 160]], "does not take one image"),
-        ([[1, 3, 160, 160], [1, 2]], r"its inputs: \(1, 3, 160, 160\) and \(1, 2\)"),
+        ([[4, 3, 160, 160]], "takes 4 x 160 x 160 pixels"),
+        ([[1, 3, 160, 160], [1, 3]], r"its inputs: \(1, 3, 160, 160\) and \(1, 3\)"),
     ],
 )
 def test_other_inputs_are_refused(tmp_path: Path, shapes: list[list[int]], words: str) -> None:
@@ -125,4 +171,4 @@ def test_other_inputs_are_refused(tmp_path: Path, shapes: list[list[int]], words
     graph = helper.make_graph([helper.make_node("Relu", ["i0"], ["out"])], "g", inputs, [out])
     save(helper.make_model(graph), str(tmp_path / "m.onnx"))
     with pytest.raises(DetectorError, match=words):
-        input_size(str(tmp_path / "m.onnx"))
+        read_header(str(tmp_path / "m.onnx"))

@@ -19,17 +19,14 @@ _NAMES = (
 LABELS = tuple(_NAMES.split("|"))
 """The 80 labels, in the order in which detectors number their classes, from 0."""
 GAPS = (12, 26, 29, 30, 45, 66, 68, 69, 71, 83)
-"""Numbers from 1 to 90 that COCO's own numbering leaves out."""
-IDS = [number for number in range(1, 91) if number not in GAPS]
-"""COCO's own number of each of the 80 labels; detectors of the SSD family use it."""
+"""Numbers from 1 to 90 that COCO's own numbering leaves out; models with 91 classes use it."""
 
 
-def class_number(label: str | int, classes: int | None, from_one: bool) -> int:
+def class_number(label: str | int, classes: int | None) -> int:
     """Return the number of the class that ``label`` means in the outputs of a model.
 
     label: a name of `LABELS`, or the number itself.
     classes: how many classes the model has; None if its outputs do not say.
-    from_one: True if its numbers are COCO's own, from 1, with gaps.
 
     A model with a single class has no need of names: "person" is that class, whatever it is. Raises
     `DetectorError` if the label cannot be a class of this model.
@@ -40,24 +37,27 @@ def class_number(label: str | int, classes: int | None, from_one: bool) -> int:
                 "labels", f"the model has no class {label}: they are 0 to {classes - 1}"
             )
         return label
-    if classes == 1 and label == "person":
-        return 0
-    if classes not in (None, len(LABELS), 91):
+    names = _names(classes)
+    if label not in names:
         raise DetectorError(
             "labels",
             f"the model has {classes} classes, which are not COCO's {len(LABELS)}: "
             f"write the number of the class instead of {label!r}",
         )
-    index = LABELS.index(label)
-    return IDS[index] if from_one or classes == 91 else index
+    return names.index(label)
 
 
-def label_name(number: int, classes: int | None, from_one: bool) -> str:
+def label_name(number: int, classes: int | None) -> str:
     """Return the name of a class number; the number itself if it has none."""
+    names = _names(classes)
+    return (names[number : number + 1] or [""])[0] or str(number)
+
+
+def _names(classes: int | None) -> list[str]:
+    """Return the names of a model's classes, in their order; "" for one without a name."""
     if classes == 1:
-        return "person"
-    if from_one or classes == 91:
-        return LABELS[IDS.index(number)] if number in IDS else str(number)
-    return (
-        LABELS[number] if classes in (None, len(LABELS)) and number < len(LABELS) else str(number)
-    )
+        return ["person"]
+    if classes == len(LABELS) + len(GAPS) + 1:
+        left = iter(LABELS)
+        return ["" if number in (0, *GAPS) else next(left) for number in range(classes)]
+    return list(LABELS) if classes in (None, len(LABELS)) else []

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Sequence
 from pathlib import Path
 from typing import NamedTuple, cast
 
@@ -12,10 +11,11 @@ import numpy as np
 from msgspec import Struct
 
 from camtopod.vision.boxes import Box, Size
-from camtopod.vision.detector import layouts, onnx_header
+from camtopod.vision.detector import layouts
 from camtopod.vision.detector.coco import class_number, label_name
 from camtopod.vision.detector.crops import whole
 from camtopod.vision.detector.errors import DetectorError as DetectorError
+from camtopod.vision.detector.onnx_header import read_header
 from camtopod.vision.settings import DetectorSettings
 
 Image = cv2.typing.MatLike
@@ -25,8 +25,10 @@ PADDING = 114
 """Grey level beside an image that does not fill the model's input, as in training."""
 KNOWN_SCORE_SHARE = 0.375
 """Share of the setting `score` that is enough where something is tracked already."""
-BOXES_MAX = 10
-"""Boxes that are listed, those of the highest scores."""
+IMAGENET_MEAN = np.array([0.485, 0.456, 0.406], np.float32).reshape(1, 3, 1, 1)
+"""Mean of red, green and blue (0 to 1) in ImageNet."""
+IMAGENET_DEVIATION = np.array([0.229, 0.224, 0.225], np.float32).reshape(1, 3, 1, 1)
+"""Their standard deviation."""
 
 
 class Detection(NamedTuple):
@@ -61,9 +63,13 @@ class Model:
     def __init__(self, settings: DetectorSettings) -> None:
         """Load the model and run it on an empty image. Raises `DetectorError`."""
         self.name = Path(settings.model).name
-        self.size = onnx_header.input_size(settings.model)
+        self._header = read_header(settings.model)
+        self.size = self._header.size
         try:
-            self._net = cv2.dnn.readNetFromONNX(settings.model)
+            if self._header.in_order is None:
+                self._net = cv2.dnn.readNetFromONNX(settings.model)
+            else:
+                self._net = cv2.dnn.readNetFromONNX(np.frombuffer(self._header.in_order, np.uint8))
             self._outputs = self._net.getUnconnectedOutLayersNames()
         except cv2.error as error:
             raise DetectorError("model", f"OpenCV cannot load it: {_reason(error)}") from None
@@ -71,15 +77,13 @@ class Model:
         # Run it once: the outputs tell the layout.
         empty = np.full((self.size[1], self.size[0], 3), PADDING, np.uint8)
         try:
-            outputs = self._forward(empty, 1.0, swap=False)
+            outputs = self._forward(cv2.dnn.blobFromImage(empty))
         except cv2.error as error:
             raise DetectorError("model", f"OpenCV cannot run it: {_reason(error)}") from None
         self.form = layouts.recognise(outputs, self.size, settings.layout)
 
         # The classes that are looked for.
-        self._wanted = [
-            class_number(label, self.form.classes, self.form.from_one) for label in settings.labels
-        ]
+        self._wanted = [class_number(label, self.form.classes) for label in settings.labels]
         self._score_min = KNOWN_SCORE_SHARE * settings.score
 
     def infer(self, image: Image, crop: Box) -> list[Detection]:
@@ -92,10 +96,13 @@ class Model:
         width, height = self.size
         factor = width / (crop[2] - crop[0])
         filled = _cropped(image, crop, self.size)
-        if self.form.bgr:
-            outputs = self._forward(filled, 1.0, swap=False)
+        if self.form.layout == "yolox":
+            blob = cv2.dnn.blobFromImage(filled)
         else:
-            outputs = self._forward(filled, 1.0 / 255.0, swap=True)
+            blob = cv2.dnn.blobFromImage(filled, 1.0 / 255.0, swapRB=True)
+        if self.form.imagenet:
+            blob = (blob - IMAGENET_MEAN) / IMAGENET_DEVIATION
+        outputs = self._forward(blob)
         found = layouts.decode(outputs, self.form, self.size, self._wanted, self._score_min)
 
         # From pixels of the input to pixels of the image.
@@ -107,16 +114,22 @@ class Model:
             Detection(
                 cast(Box, tuple(map(float, box))),
                 float(score),
-                label_name(int(number), self.form.classes, self.form.from_one),
+                label_name(int(number), self.form.classes),
             )
             for box, score, number in zip(boxes, found.scores, found.classes, strict=True)
             if box[2] - box[0] >= 1.0 and box[3] - box[1] >= 1.0
         ]
 
-    def _forward(self, filled: Image, scale: float, swap: bool) -> Sequence[layouts.Array]:
-        """Return the outputs for an image of the input's size."""
-        self._net.setInput(cv2.dnn.blobFromImage(filled, scale, swapRB=swap))
-        return [np.asarray(output, np.float32) for output in self._net.forward(self._outputs)]
+    def _forward(self, blob: cv2.typing.MatLike) -> layouts.Outputs:
+        """Return the outputs for an image as a blob (1, 3, height, width)."""
+        self._net.setInput(blob, self._header.image)
+        if self._header.target:
+            self._net.setInput(np.array([self.size], np.int64), self._header.target)
+        outputs = self._net.forward(self._outputs)
+        return {
+            name: np.asarray(output, np.float32)
+            for name, output in zip(self._outputs, outputs, strict=True)
+        }
 
 
 def try_model(settings: DetectorSettings, image: Image | None = None) -> ModelReport:
@@ -146,13 +159,12 @@ def try_model(settings: DetectorSettings, image: Image | None = None) -> ModelRe
         f"{one.label} {one.score:.2f} at ({one.box[0] / shown.shape[1]:.2f}, "
         f"{one.box[1] / shown.shape[0]:.2f}) to ({one.box[2] / shown.shape[1]:.2f}, "
         f"{one.box[3] / shown.shape[0]:.2f})"
-        for one in found[:BOXES_MAX]
+        for one in found
     ]
-    more = f" and {len(found) - BOXES_MAX} more" if len(found) > BOXES_MAX else ""
     where = "an empty image" if image is None else "the whole image"
     return ModelReport(
         text=f"{model.name}: layout {model.form.layout}, {width}x{height}{kinds}, "
-        f"{milliseconds:.0f} ms an inference; in {where}: {', '.join(boxes) or 'nothing'}{more}"
+        f"{milliseconds:.0f} ms an inference; in {where}: {', '.join(boxes) or 'nothing'}"
     )
 
 

@@ -1,125 +1,169 @@
-"""Size of the image that an ONNX model takes, read from its file.
+"""What OpenCV does not say about an ONNX model, read from its file: its inputs, and their size.
 
-OpenCV does not say it. An ONNX file is a message of Protocol Buffers; this reads the few fields
-that are needed and steps over the others. The numbers of the fields are those of `onnx.proto`.
+An ONNX file is a message of Protocol Buffers; this reads the few fields that are needed and steps
+over the others.
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterator
+from enum import IntEnum
+from graphlib import TopologicalSorter
 from pathlib import Path
+from typing import NamedTuple
 
+from camtopod.vision.boxes import Size
 from camtopod.vision.detector.errors import DetectorError
 
 SIZE_UNKNOWN = 640
 """Width and height (pixels) at which a model is used that leaves its size open."""
 SIZE_MAX = 2048
 """Largest width and height of a model's input, pixels."""
-_GRAPH = 7
-"""ModelProto.graph"""
-_INITIALIZER, _INPUT = 5, 11
-"""GraphProto.initializer, GraphProto.input"""
-_TENSOR_NAME = 8
-"""TensorProto.name"""
-_VALUE_NAME, _VALUE_TYPE = 1, 2
-"""ValueInfoProto.name, ValueInfoProto.type"""
-_TENSOR_TYPE = 1
-"""TypeProto.tensor_type"""
-_SHAPE = 2
-"""TypeProto.Tensor.shape"""
-_DIM = 1
-"""TensorShapeProto.dim"""
-_DIM_VALUE = 1
-"""TensorShapeProto.Dimension.dim_value"""
 
 
-def input_size(path: str) -> tuple[int, int]:
-    """Return width and height (pixels) of the image that the model of a file takes.
+class Field(IntEnum):
+    """Numbers of the fields in ``onnx.proto``, by message and field."""
 
-    Raises `DetectorError`.
-    """
+    MODEL_GRAPH = 7
+    GRAPH_NODE = 1
+    GRAPH_INITIALIZER = 5
+    GRAPH_INPUT = 11
+    NODE_INPUT = 1
+    NODE_OUTPUT = 2
+    TENSOR_NAME = 8
+    VALUE_NAME = 1
+    VALUE_TYPE = 2
+    TYPE_TENSOR = 1
+    TENSOR_TYPE_SHAPE = 2
+    SHAPE_DIM = 1
+    DIM_VALUE = 1
+
+
+class Header(NamedTuple):
+    """Inputs of a model."""
+
+    size: Size
+    """Width and height of the image that it takes, pixels."""
+    image: str
+    """Name of the input for the image."""
+    target: str
+    """Name of the input for the width and height in whose units it gives boxes; "" if none."""
+    in_order: bytes | None
+    """The model with each node after those that it needs; None if the file has that order."""
+
+
+def read_header(path: str) -> Header:
+    """Return what the file of a model says. Raises `DetectorError`."""
     try:
-        shapes = input_shapes(Path(path).read_bytes())
+        content = memoryview(Path(path).read_bytes())
+        inputs = _inputs(content)
+        in_order = _in_order(content)
     except OSError as error:
         raise DetectorError("model", f"cannot read {path}: {error.strerror}") from None
-    except ValueError as error:
-        raise DetectorError("model", f"{path} is not an ONNX model: {error}") from None
-    images = [shape for shape in shapes if len(shape) == 4 and shape[1] in (0, 3)]
-    if len(shapes) != 1 or len(images) != 1 or images[0][0] > 1:
-        inputs = " and ".join(str(tuple(shape)) for shape in shapes) or "none"
+    except (ValueError, IndexError) as error:
+        what = "it ends early" if isinstance(error, IndexError) else error
+        raise DetectorError("model", f"{path} is not an ONNX model: {what}") from None
+
+    # One image, and perhaps its size.
+    images = {n: shape for n, shape in inputs.items() if len(shape) == 4 and shape[1] in (0, 3)}
+    targets = [name for name, shape in inputs.items() if len(shape) == 2 and shape[1] == 2]
+    if len(images) != 1 or len(images) + len(targets) != len(inputs) or len(targets) > 1:
+        shapes = " and ".join(str(tuple(shape)) for shape in inputs.values()) or "none"
         raise DetectorError(
-            "model", f"{path} does not take one image (1, 3, height, width); its inputs: {inputs}"
+            "model", f"{path} does not take one image (1, 3, height, width); its inputs: {shapes}"
         )
-    height, width = (length or SIZE_UNKNOWN for length in images[0][2:])
-    if max(width, height) > SIZE_MAX or width % 32 or height % 32:
-        what = f"takes {width} x {height} pixels: multiples of 32 are needed, up to {SIZE_MAX}"
-        raise DetectorError("model", f"{path} {what}")
-    return width, height
+    ((image, shape),) = images.items()
+    height, width = (length or SIZE_UNKNOWN for length in shape[2:])
+    if max(width, height) > SIZE_MAX or shape[0] > 1:
+        what = f"takes {shape[0] or 1} x {width} x {height} pixels"
+        raise DetectorError("model", f"{path} {what}: one image up to {SIZE_MAX} is possible")
+    return Header((width, height), image, "".join(targets), in_order)
 
 
-def input_shapes(content: bytes) -> list[list[int]]:
-    """Return the shape of each input of the model in ``content``; 0 where a length is left open.
-
-    Raises `ValueError`.
-    """
-    try:
-        graph = next(_messages(memoryview(content), _GRAPH), None)
-        if graph is None:
-            raise ValueError("it has no graph")
-        # Models of old versions list their weights as inputs, too.
-        weights = {_name(tensor, _TENSOR_NAME) for tensor in _messages(graph, _INITIALIZER)}
-        return [
-            _shape(value)
-            for value in _messages(graph, _INPUT)
-            if _name(value, _VALUE_NAME) not in weights
+def _inputs(content: memoryview) -> dict[str, list[int]]:
+    """Return name and shape of each input of a model; 0 where a length is left open."""
+    graph = next(_at(content, Field.MODEL_GRAPH), None)
+    if graph is None:
+        raise ValueError("it has no graph")
+    # Models of old versions list their weights as inputs, too.
+    weights = {*_names(graph, Field.GRAPH_INITIALIZER, Field.TENSOR_NAME)}
+    shape = (Field.VALUE_TYPE, Field.TYPE_TENSOR, Field.TENSOR_TYPE_SHAPE, Field.SHAPE_DIM)
+    return {
+        name: [
+            next((_varint(number, 0)[0] for number in _at(dim, Field.DIM_VALUE)), 0)
+            for dim in _at(value, *shape)
         ]
-    except IndexError:
-        raise ValueError("it ends early") from None
+        for value in _at(graph, Field.GRAPH_INPUT)
+        for name in _names(value, Field.VALUE_NAME)
+        if name not in weights
+    }
 
 
-def _shape(value: memoryview) -> list[int]:
-    """Return the shape in a ValueInfoProto."""
-    return [
-        next((n for number, n in _fields(dim) if number == _DIM_VALUE and isinstance(n, int)), 0)
-        for kind in _messages(value, _VALUE_TYPE)
-        for tensor in _messages(kind, _TENSOR_TYPE)
-        for shape in _messages(tensor, _SHAPE)
-        for dim in _messages(shape, _DIM)
-    ]
+def _in_order(content: memoryview) -> bytes | None:
+    """Return a model with its nodes in topological order; None if they are.
+
+    OpenCV reads the nodes one after the other, and knows nothing of those that come later.
+    """
+    (graph,) = _at(content, Field.MODEL_GRAPH)
+    nodes = [whole for number, _, whole in _fields(graph) if number == Field.GRAPH_NODE]
+    made = {
+        name: k
+        for k, node in enumerate(nodes)
+        for name in _names(node, Field.GRAPH_NODE, Field.NODE_OUTPUT)
+    }
+    needs = {
+        k: [made[name] for name in _names(node, Field.GRAPH_NODE, Field.NODE_INPUT) if name in made]
+        for k, node in enumerate(nodes)
+    }
+    if all(other < k for k, others in needs.items() for other in others):
+        return None
+    parts = [nodes[k] for k in TopologicalSorter(needs).static_order()]
+    parts += [whole for number, _, whole in _fields(graph) if number != Field.GRAPH_NODE]
+    sorted_graph = b"".join(parts)
+    others = [whole for number, _, whole in _fields(content) if number != Field.MODEL_GRAPH]
+    length = len(sorted_graph)
+    head = [Field.MODEL_GRAPH << 3 | 2]
+    while length > 0x7F:
+        head.append(length & 0x7F | 0x80)
+        length >>= 7
+    return b"".join([*others, bytes([*head, length]), sorted_graph])
 
 
-def _name(message: memoryview, number: int) -> bytes:
-    return next((bytes(text) for text in _messages(message, number)), b"")
+# -- Protocol Buffers ------------------------------
 
 
-def _messages(message: memoryview, number: int) -> Iterator[memoryview]:
-    """Yield the fields of that number that hold bytes."""
-    for found, content in _fields(message):
-        if found == number and isinstance(content, memoryview):
-            yield content
+def _names(message: memoryview, *path: Field) -> Iterator[str]:
+    """Yield the texts at a path of fields."""
+    return (bytes(name).decode(errors="replace") for name in _at(message, *path))
 
 
-def _fields(message: memoryview) -> Iterator[tuple[int, memoryview | int]]:
-    """Yield number and content of the fields of a message. Raises `ValueError`, `IndexError`."""
+def _at(message: memoryview, *path: Field) -> Iterator[memoryview]:
+    """Yield the contents at a path of fields, one message in another."""
+    for number, content, _ in _fields(message):
+        if number == path[0]:
+            yield from _at(content, *path[1:]) if path[1:] else (content,)
+
+
+def _fields(message: memoryview) -> Iterator[tuple[int, memoryview, memoryview]]:
+    """Yield number, content and all bytes of each field. Raises `ValueError`, `IndexError`."""
     at = 0
     while at < len(message):
+        begin = at
         key, at = _varint(message, at)
         kind = key & 7
         if kind == 0:
-            value, at = _varint(message, at)
-            yield key >> 3, value
-            continue
-        if kind == 2:
+            _, end = _varint(message, at)
+        elif kind == 2:
             length, at = _varint(message, at)
+            end = at + length
         elif kind in (1, 5):
-            length = 8 if kind == 1 else 4
+            end = at + (8 if kind == 1 else 4)
         else:
             raise ValueError("it is not an ONNX file")
-        if at + length > len(message):
+        if end > len(message):
             raise ValueError("it ends early, or is not an ONNX file")
-        if kind == 2:
-            yield key >> 3, message[at : at + length]
-        at += length
+        yield key >> 3, message[at:end], message[begin:end]
+        at = end
 
 
 def _varint(message: memoryview, at: int) -> tuple[int, int]:
