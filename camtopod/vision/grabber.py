@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import time
-from collections import deque
 from collections.abc import Callable, Iterable, Iterator
 
 from msgspec.structs import replace
@@ -12,12 +11,15 @@ from camtopod.records import Event
 from camtopod.vision.detector.detector import Detector
 from camtopod.vision.pipeline import Observer, ViewPipeline
 from camtopod.vision.settings import VisionSettings
-from camtopod.vision.source import FfmpegLog, LiveSource, RecordedSource, State, kind_of
-
-HEARTBEAT_SECONDS = 0.5
-"""`Grabber.events` yields at least this often (processing of a single frame aside)."""
-SHIFTS_KEPT = 16
-"""Number of the latest settings of the wall clock that are kept, to label events with."""
+from camtopod.vision.source import (
+    HEARTBEAT_SECONDS,
+    NO_LOG,
+    FfmpegLog,
+    LiveSource,
+    RecordedSource,
+    State,
+    kind_of,
+)
 
 
 class Grabber:
@@ -49,7 +51,7 @@ class Grabber:
         realtime: bool = False,
         wall_clock: Callable[[], float],
         settings: VisionSettings | None = None,
-        ffmpeg_log: FfmpegLog | None = None,
+        ffmpeg_log: FfmpegLog = NO_LOG,
         observer: Observer | None = None,
         detector: Detector | None = None,
     ) -> None:
@@ -67,8 +69,10 @@ class Grabber:
         self._pipeline = ViewPipeline(camera, settings, observer, detector)
         self._analysis_seconds = 0.0
         self._last_t: float | None = None
-        self._shifts = deque([(float("-inf"), 0.0)], SHIFTS_KEPT)
-        """Capture times from which on the wall clock was shifted, and by how much, seconds."""
+        self._shifts = (0.0, 0.0)
+        """By how much the wall clock was shifted until it was set last, and since, seconds."""
+        self._set_at = 0.0
+        """Capture time from which on the latter holds."""
 
     def events(self) -> Iterator[Event | None]:
         """Yield events as they become certain, and None at least about once a second.
@@ -87,8 +91,9 @@ class Grabber:
 
             if frame is not None:
                 began = time.thread_time()
-                if frame.shift != self._shifts[-1][1]:
-                    self._shifts.append((frame.t, frame.shift))
+                if frame.shift != self._shifts[1]:
+                    self._shifts = (self._shifts[1], frame.shift)
+                    self._set_at = frame.t
                 events = self._pipeline.process(frame.t, frame.luma, frame.image)
                 self._analysis_seconds += time.thread_time() - began
                 self._last_t = frame.t + frame.shift
@@ -108,8 +113,7 @@ class Grabber:
     def _labelled(self, events: Iterable[Event]) -> Iterator[Event]:
         """Yield events with the time that the wall clock showed then; it may have been set."""
         for event in events:
-            shift = next((shift for t, shift in reversed(self._shifts) if t <= event.t), 0.0)
-            yield replace(event, t=event.t + shift)
+            yield replace(event, t=event.t + self._shifts[event.t >= self._set_at])
 
     @property
     def state(self) -> State:

@@ -23,8 +23,8 @@ from camtopod.cli.main import main
 from camtopod.config import settings
 from camtopod.config.settings import Config, VisionSettings
 from camtopod.serve.daemon import Daemon
+from camtopod.vision.source.capture import IMAGE_WIDTH_MAX
 from camtopod.vision.source.probe import Probe
-from camtopod.vision.source.remarks import PIXELS_MAX
 from camtopod.web import pictures
 
 QUICK = VisionSettings()
@@ -75,7 +75,7 @@ def everything_below(folder: Path) -> dict[str, tuple[int, str]]:
 
 def test_a_file_and_what_could_be_better_about_it(film: Path, tmp_path: Path) -> None:
     huge = painted(tmp_path / "huge.mp4", (2560, 1440), 2.0)
-    assert PIXELS_MAX < 2560 * 1440
+    assert IMAGE_WIDTH_MAX < 2560
     good, bad, none = probed(
         {"good": str(film), "bad": str(huge), "none": str(tmp_path / "x.mp4")}
     ).values()

@@ -19,8 +19,8 @@ from camtopod.cli.main import main
 from camtopod.codec import Rejected
 from camtopod.untrusted_xml import DOCUMENT_BYTES_MAX, parse_xml
 from camtopod.vision.source import percent_encoded
-from camtopod.vision.source.makers import PATHS, streams_by_maker
 from camtopod.vision.source.probe import Probe
+from camtopod.vision.source.source_url import PATHS, streams_by_maker
 
 PROFILES = [("main", 2560, 1440, 25), ("mid", 1280, 720, 15), ("sub", 640, 360, 10)]
 STREAMS = {

@@ -124,7 +124,7 @@ def test_what_cannot_be_decoded_is_said_by_grab_and_init(
     assert "(MPEG-4): there is no decoder for it" in capsys.readouterr().err
     with captured_log() as log:
         problem = probe(ProbeRequest(str(film), VisionSettings()), log).problem
-    assert problem.endswith("there is no decoder for it (MPEG-4)")
+    assert problem.endswith("(MPEG-4): there is no decoder for it")
 
 
 class Damaged(Faulty):

@@ -35,10 +35,8 @@ needs_server = pytest.mark.skipif(
 def quick(monkeypatch: pytest.MonkeyPatch) -> None:
     """Begin, and give up, sooner."""
     monkeypatch.setattr(pipeline, "BOOTSTRAP_SECONDS", 1.0)
-    monkeypatch.setattr(live, "BACKOFF_SECONDS_MIN", 0.2)
     monkeypatch.setattr(live, "BACKOFF_SECONDS_MAX", 0.4)
-    monkeypatch.setattr(capture, "OPEN_SECONDS_MAX", 1.0)
-    monkeypatch.setattr(capture, "READ_SECONDS_MAX", 1.0)
+    monkeypatch.setattr(capture, "CALL_SECONDS_MAX", 1.0)
 
 
 @pytest.fixture(scope="module")

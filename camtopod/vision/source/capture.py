@@ -9,11 +9,12 @@ Properties of OpenCV's FFmpeg backend that this code respects:
 - Without ``rtsp_transport;tcp`` it switches to UDP.
 - To reduce the frame rate, skip `retrieve`, never `grab`, or the stream falls behind.
 - The luma plane must be requested before the first `retrieve`, which fixes the conversion.
-- `retrieve` calls a picture good that FFmpeg could not convert, and returns an older one, or none.
+- `retrieve` calls a frame good that FFmpeg could not convert, and returns an older one, or none.
 """
 
 from __future__ import annotations
 
+import math
 import os
 from typing import Any, Literal, NamedTuple
 
@@ -22,18 +23,13 @@ import numpy as np
 
 from camtopod.vision.detect import Luma, shrunk
 from camtopod.vision.settings import VisionSettings
-from camtopod.vision.source.ffmpeg_log import FfmpegLog, environment
+from camtopod.vision.source.ffmpeg_log import NO_LOG, FfmpegLog, environment
 from camtopod.vision.source.source_url import device_number, file_path, kind_of, percent_encoded
 
 STREAM_OPTIONS = "rtsp_transport;tcp|allowed_media_types;video"
 """FFmpeg options of streams."""
 QUICK_OPTIONS = "|probesize;32768|analyzeduration;300000"
 """More of them at first: the small probe gives the first frame after 0.6 s instead of 1.9 s."""
-PATIENCE = (1.0, 4.0, 20.0)
-"""Factors of `READ_SECONDS_MAX` for streams, in the order in which they are tried.
-
-A stream that gives nothing within one may have keyframes, pictures or segments farther apart.
-"""
 OPTIONS_VARIABLE = "OPENCV_FFMPEG_CAPTURE_OPTIONS"
 """Environment variable from which OpenCV reads FFmpeg options; a user's value replaces ours."""
 _DEVICES_OPTION = "hw_decoders_any"
@@ -43,19 +39,24 @@ _DECODER_OPTION = "video_codec"
 LUMA_FORMATS = frozenset({"I420", "YV12", "Y42B", "444P", "NV12", "NV21", "Y800"})
 """FFmpeg's names of pixel formats that begin with a plane of 8-bit luma."""
 PATIENT_OPTIONS = "probesize;1000000000|analyzeduration;1000000000"
-"""FFmpeg options of a file whose pictures have no known size: its video begins late."""
-OPEN_SECONDS_MAX = 5.0
-"""Timeout for opening a stream; with patience it is longer by as much as that for reading."""
-READ_SECONDS_MAX = 3.0
-"""Time without a frame after which a stream is reopened."""
+"""FFmpeg options of a file whose frames have no known size: its video begins late."""
+CALL_SECONDS_MAX = 5.0
+"""Timeout for opening a stream, and for waiting for a frame of it."""
+PATIENCE = 4.0
+"""Factor of it for a stream that gives nothing within it.
+
+Its keyframes, frames or segments may be farther apart.
+"""
+THOROUGH_OPTIONS = f"|probesize;100000000|analyzeduration;{1e6 * CALL_SECONDS_MAX * PATIENCE:.0f}"
+"""FFmpeg options, instead of the quick ones, for a stream that needs patience."""
 IMAGE_WIDTH_MAX = 1920
 """Largest width (pixels) of an image in colour, which a detector examines."""
 _VIDEO_RANGE = (16 + np.arange(256) * 219 / 255).round().astype(np.uint8)
 """Luma as video has it, 16 to 235, by the grey level of the image in colour."""
-DAMAGED_PICTURES_MAX = 250
-"""Pictures after a fault that are damaged if none is coded by itself, which is seldom so late."""
-REORDERED_PICTURES = 3
-"""Pictures by which a picture may come later than the message about it, as B pictures do."""
+DAMAGED_FRAMES_MAX = 250
+"""Frames after a fault that are damaged if none is coded by itself, which is seldom so late."""
+REORDERED_FRAMES = 3
+"""Frames by which a frame may come later than the message about it, as B frames do."""
 _CODECS = {
     "avc1": "H.264",
     "h264": "H.264",
@@ -71,9 +72,7 @@ _CODECS = {
 }
 """Name of a codec by its four-character code."""
 HEARTBEAT_SECONDS = 0.5
-"""Longest time until a source yields while it waits."""
-_STEP_RATE = 0.1
-"""Weight of the newest interval in the running mean of frame intervals."""
+"""Longest time until a source yields while it waits, and shortest until it connects again."""
 
 
 State = Literal["connecting", "running", "stalled", "ended"]
@@ -97,11 +96,10 @@ class Source:
     state: State = "connecting"
     reason: str
     """Readable reason why the state is not ``running``; "" if it is. Contains no password."""
-    grabbed = 0
-    dropped = 0
-    connections = 0
-    failures = 0
-    untrusted_stamps = 0
+    lost = False
+    """True if there are no frames, for a reason that more patience does not help against."""
+    grabbed = dropped = connections = failures = untrusted_stamps = 0
+    """Counters: frames, those that were not decoded or analysed, and so on."""
 
 
 class Capture:
@@ -112,15 +110,15 @@ class Capture:
         source: str,
         settings: VisionSettings,
         colour: bool = False,
-        ffmpeg_log: FfmpegLog | None = None,
-        patience: float = PATIENCE[0],
+        ffmpeg_log: FfmpegLog = NO_LOG,
+        patient: bool = False,
     ) -> None:
-        """Open ``source``; `is_open` tells if that worked. Blocks for at most the open timeout.
+        """Open ``source``; `is_open` tells if that worked. Blocks for at most the timeout.
 
-        colour: convert frames to colour, as `image` requires. The luma then differs from that of
-            the video by its rounding.
-        ffmpeg_log: tells which pictures are damaged or none; without it all are believed.
-        patience: factor of the timeout for reading a stream (`timeouts`).
+        colour: frames have an image in colour. The luma then differs from that of the video by its
+            rounding.
+        ffmpeg_log: tells which frames are damaged or none; without it all are believed.
+        patient: a stream needs patience (`call_seconds_max`).
         """
         cv2.utils.logging.setLogLevel(0)  # its messages contain URLs with passwords
         # Images are so small that waking more threads costs more than it gains.
@@ -128,36 +126,33 @@ class Capture:
 
         # Open with timeouts (streams) and one decoder thread.
         kind = kind_of(source)
-        seconds = timeouts(patience) if kind == "stream" else None
-        options = os.environ.get(OPTIONS_VARIABLE, _stream_options(patience) if seconds else "")
-        number = device_number(source)
-        if number is not None:
-            self._capture = cv2.VideoCapture(number)
-        else:
-            self._capture = _opened(source, seconds, options)
-            if kind == "file" and self.is_open and self.size == (0, 0):
-                options = options or PATIENT_OPTIONS
-                self._capture = _opened(source, None, options)
-        self._ffmpeg_log = ffmpeg_log or FfmpegLog()
+        options = STREAM_OPTIONS + (THOROUGH_OPTIONS if patient else QUICK_OPTIONS)
+        options = os.environ.get(OPTIONS_VARIABLE, options if kind == "stream" else "")
+        self._capture = _opened(source, patient, options)
+        if kind == "file" and self.is_open and self.size == (0, 0):
+            options = options or PATIENT_OPTIONS
+            self._capture = _opened(source, patient, options)
+        self._ffmpeg_log = ffmpeg_log
         self._ffmpeg_log.newest_fault()  # forgets those of opening, which looks far ahead
         self.fault = ""
-        """Why the latest picture that could not be decoded was none; "" if that is not known."""
-        self._damaged = 0
-        """Number of pictures that are taken for damaged unless one comes coded by itself."""
+        """Why the latest frame that could not be decoded was none; "" if that is not known."""
+        self._after_fault = DAMAGED_FRAMES_MAX
+        """Number of frames since the latest fault or, if they are sound, `DAMAGED_FRAMES_MAX`."""
         self._is_joined = kind != "stream"
-        """True from the first picture on; a stream begins with messages about what came before."""
+        """True from the first frame on; a stream begins with messages about what came before."""
 
         # Request the luma plane if the pixel format has one.
         self._width_max = settings.working_width
         self._image: Luma | None = None
         """Buffer of the latest frame; allocating a new one costs more than filling it."""
-        pixels = ""
-        if kind != "device" and _DEVICES_OPTION not in options and _DECODER_OPTION not in options:
-            pixels = _four_characters(self._capture, cv2.CAP_PROP_CODEC_PIXEL_FORMAT)
-        if pixels in LUMA_FORMATS and not colour:
-            self._capture.set(cv2.CAP_PROP_CONVERT_RGB, 0)
-        self._from_colour = pixels in LUMA_FORMATS and colour
+        self._has_luma = (
+            kind != "device"
+            and not any(option in options for option in (_DEVICES_OPTION, _DECODER_OPTION))
+            and _four_characters(self._capture, cv2.CAP_PROP_CODEC_PIXEL_FORMAT) in LUMA_FORMATS
+        )
         self._colour = colour
+        if self._has_luma and not colour:
+            self._capture.set(cv2.CAP_PROP_CONVERT_RGB, 0)
 
     @property
     def is_open(self) -> bool:
@@ -167,14 +162,15 @@ class Capture:
     @property
     def fps(self) -> float:
         """Frame rate that the source declares; 0.0 if unknown."""
-        fps = float(self._capture.get(cv2.CAP_PROP_FPS))
-        return fps if 0.0 < fps < 1000.0 else 0.0
+        return max(0.0, float(self._capture.get(cv2.CAP_PROP_FPS)))
 
     @property
     def size(self) -> tuple[int, int]:
         """Width and height of the source's images, pixels."""
-        get = self._capture.get
-        return int(get(cv2.CAP_PROP_FRAME_WIDTH)), int(get(cv2.CAP_PROP_FRAME_HEIGHT))
+        return (
+            int(self._capture.get(cv2.CAP_PROP_FRAME_WIDTH)),
+            int(self._capture.get(cv2.CAP_PROP_FRAME_HEIGHT)),
+        )
 
     @property
     def codec(self) -> str:
@@ -183,15 +179,10 @@ class Capture:
         return _CODECS.get(code.lower(), code or "unknown codec")
 
     @property
-    def pictures(self) -> int:
-        """Number of pictures that a file declares; 0 if unknown."""
-        return max(0, int(self._capture.get(cv2.CAP_PROP_FRAME_COUNT)))
-
-    @property
     def seconds(self) -> float:
         """Duration that a file declares; 0.0 if unknown."""
-        fps = float(self._capture.get(cv2.CAP_PROP_FPS))
-        return self.pictures / fps if fps > 0.0 else 0.0
+        frames = self._capture.get(cv2.CAP_PROP_FRAME_COUNT)
+        return max(0.0, frames / self.fps) if self.fps else 0.0
 
     def grab(self) -> float | None:
         """Take the next frame without converting it; None if there is none.
@@ -203,36 +194,31 @@ class Capture:
         if fault := self._ffmpeg_log.newest_fault():
             self.fault = fault
             if self._is_joined:
-                self._damaged = DAMAGED_PICTURES_MAX
+                self._after_fault = 0
         if not good:
             return None
         self._is_joined = True
-        if self._damaged:
-            self._damaged -= 1
-            late = DAMAGED_PICTURES_MAX - self._damaged > REORDERED_PICTURES
-            if late and self._capture.get(cv2.CAP_PROP_FRAME_TYPE) == ord("I"):
-                self._damaged = 0
+        self._after_fault += 1
+        late = self._after_fault > REORDERED_FRAMES
+        if late and self._capture.get(cv2.CAP_PROP_FRAME_TYPE) == ord("I"):
+            self._after_fault = DAMAGED_FRAMES_MAX
         return float(self._capture.get(cv2.CAP_PROP_POS_MSEC)) / 1000.0
 
     def retrieve(self) -> Luma | None:
         """Return the grabbed frame's luma (H, W) at working size.
 
-        None if it is no picture: damaged, or it could not be decoded or converted; `fault` has the
-        reason.
+        None if it is damaged, or could not be decoded or converted; `fault` has the reason.
         """
-        if self._damaged:
+        if self._after_fault < DAMAGED_FRAMES_MAX:
             return None
         good, image = self._capture.retrieve(self._image)
         fault = self._ffmpeg_log.newest_fault()
         if fault or not good:
-            unknown = "the size of its pictures is unknown" if self.size == (0, 0) else ""
-            self.fault = fault or unknown or self.fault
+            self.fault = fault or self.fault
             return None
         self._image = image
-        luma = shrunk(grey(self._image), self._width_max)
-        if self._from_colour:
-            luma = cv2.LUT(luma, _VIDEO_RANGE)
-        return luma
+        luma = shrunk(_grey(image), self._width_max)
+        return cv2.LUT(luma, _VIDEO_RANGE) if self._has_luma and self._colour else luma
 
     def frame(self) -> Frame | None:
         """Return the grabbed frame with time 0.0, in colour as well if that was asked for.
@@ -242,24 +228,15 @@ class Capture:
         luma = self.retrieve()
         if luma is None:
             return None
-        return Frame(0.0, luma, self.image(IMAGE_WIDTH_MAX) if self._colour else None)
+        return Frame(0.0, luma, self.image() if self._colour else None)
 
-    @property
-    def has_image(self) -> bool:
-        """True if a frame has been retrieved."""
-        return self._image is not None
-
-    def image(self, width_max: int) -> Luma:
-        """Return a copy of the latest retrieved frame, at most ``width_max`` pixels wide.
+    def image(self, width_max: int = IMAGE_WIDTH_MAX) -> Luma:
+        """Return a copy of the frame retrieved last, at most ``width_max`` pixels wide.
 
         It has colours, (H, W, 3), if they were asked for.
         """
         assert self._image is not None, "retrieve first"
-        height, width = self._image.shape[:2]
-        if width <= width_max:
-            return self._image.copy()
-        size = (width_max, round(height * width_max / width))
-        return cv2.resize(self._image, size, interpolation=cv2.INTER_AREA)
+        return narrowed(self._image, width_max)
 
     def release(self) -> None:
         """Close the capture. Call it from the thread that reads."""
@@ -271,52 +248,39 @@ class FrameSelector:
 
     def __init__(self, fps: float) -> None:
         self._interval = 1.0 / fps
-        self._step = 0.0
-        self._last_stamp: float | None = None
-        self._last_taken: float | None = None
+        self._last_stamp = math.inf
+        self._last_taken = math.inf
 
     def wants(self, stamp: float) -> bool:
         """Return True if the frame with this stamp (seconds) is to be analysed.
 
         Must be called for every frame.
         """
-        # Running mean of the source's frame interval.
-        if self._last_stamp is not None and stamp > self._last_stamp:
-            step = min(stamp - self._last_stamp, 1.0)
-            self._step += (step - self._step) * (_STEP_RATE if self._step else 1.0)
-        self._last_stamp = stamp
-
         # Due: nearer to the wanted time than the next frame would be, or the stamps went back.
-        due = (
-            self._last_taken is None
-            or not 0.0 <= stamp - self._last_taken < self._interval - self._step / 2
-        )
+        step = max(0.0, stamp - self._last_stamp)
+        due = not 0.0 <= stamp - self._last_taken < self._interval - step / 2
+        self._last_stamp = stamp
         if due:
             self._last_taken = stamp
         return due
 
 
-def timeouts(patience: float) -> tuple[float, float]:
-    """Return the timeouts for opening and reading a stream, seconds."""
-    read = patience * READ_SECONDS_MAX
-    return OPEN_SECONDS_MAX + read - READ_SECONDS_MAX, read
+def call_seconds_max(patient: bool) -> float:
+    """Return the timeout for opening a stream, and for waiting for a frame of it, seconds."""
+    return CALL_SECONDS_MAX * (PATIENCE if patient else 1)
 
 
-def _stream_options(patience: float) -> str:
-    """Return FFmpeg's options for a stream."""
-    if patience == PATIENCE[0]:
-        return STREAM_OPTIONS + QUICK_OPTIONS
-    microseconds = round(1e6 * timeouts(patience)[1])
-    return f"{STREAM_OPTIONS}|probesize;100000000|analyzeduration;{microseconds}"
-
-
-def _opened(source: str, seconds: tuple[float, float] | None, options: str) -> cv2.VideoCapture:
-    """Open a stream with its timeouts, or a file, with FFmpeg's ``options``."""
+def _opened(source: str, patient: bool, options: str) -> cv2.VideoCapture:
+    """Open a device, a stream with its timeouts, or a file, with FFmpeg's ``options``."""
+    number = device_number(source)
+    if number is not None:
+        return cv2.VideoCapture(number)
     parameters = [cv2.CAP_PROP_N_THREADS, 1]
-    if seconds is not None:
+    if kind_of(source) == "stream":
         source = percent_encoded(source)
-        parameters += [cv2.CAP_PROP_OPEN_TIMEOUT_MSEC, round(1000 * seconds[0])]
-        parameters += [cv2.CAP_PROP_READ_TIMEOUT_MSEC, round(1000 * seconds[1])]
+        milliseconds = round(1000 * call_seconds_max(patient))
+        for timeout in (cv2.CAP_PROP_OPEN_TIMEOUT_MSEC, cv2.CAP_PROP_READ_TIMEOUT_MSEC):
+            parameters += [timeout, milliseconds]
     else:
         source = f"file:{file_path(source)}"  # what is before a colon is no protocol
     if _DEVICES_OPTION in options:
@@ -331,10 +295,17 @@ def _four_characters(capture: cv2.VideoCapture, of: int) -> str:
     return code.to_bytes(4, "little").decode("latin-1") if 0 <= code < 1 << 32 else ""
 
 
-def grey(image: Luma) -> Luma:
+def _grey(image: Luma) -> Luma:
     """Return the luma (H, W) of an image, which may have colours (H, W, 3) or have none."""
-    if image.ndim == 2:
-        return image
-    if image.shape[2] == 1:
-        return image[:, :, 0]
+    if image.ndim == 2 or image.shape[2] == 1:
+        return image.reshape(image.shape[:2])
     return np.asarray(cv2.cvtColor(image[:, :, :3], cv2.COLOR_BGR2GRAY), dtype=np.uint8)
+
+
+def narrowed(image: Luma, width_max: int) -> Luma:
+    """Return a copy of an image (H, W, 3), at most ``width_max`` pixels wide."""
+    height, width = image.shape[:2]
+    if width <= width_max:
+        return image.copy()
+    size = (width_max, round(height * width_max / width))
+    return cv2.resize(image, size, interpolation=cv2.INTER_AREA)

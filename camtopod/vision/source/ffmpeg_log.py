@@ -1,6 +1,6 @@
-"""Find out from FFmpeg's log why a source cannot be opened, and which pictures are none.
+"""Find out from FFmpeg's log why a source cannot be opened, and which frames are none.
 
-OpenCV reports neither, and even calls a picture good that FFmpeg could not convert. FFmpeg logs
+OpenCV reports neither, and even calls a frame good that FFmpeg could not convert. FFmpeg logs
 both, and OpenCV prints that to standard output. Only what is recognised is passed on, in our own
 words: FFmpeg's may contain addresses and passwords.
 """
@@ -12,12 +12,12 @@ import os
 import re
 import sys
 from collections.abc import Iterator
-from contextlib import contextmanager, suppress
+from contextlib import contextmanager
+from io import FileIO
 
 LEVEL_VARIABLE = "OPENCV_FFMPEG_LOGLEVEL"
 LEVEL_WARNINGS = "24"
 """FFmpeg's number for the log level "warning"."""
-_READ_BYTES = 65536
 _LIBC = ctypes.CDLL(None)
 """Flushed before FFmpeg's output is read: C's standard output, which is separate from `sys.stdout`,
 holds it.
@@ -50,33 +50,31 @@ _PHRASES = {
 DAMAGED = "damaged video"
 _FAULTS = {
     "interlaced video cannot be read: make it progressive": rb"Cannot convert interlaced",
-    "its pictures cannot be converted": rb"Failed initializing scaling|: fmt:.* -> fmt:",
+    "its frames cannot be converted": rb"Failed initializing scaling|: fmt:.* -> fmt:",
     "there is no decoder for it": rb"support hardware accelerated",
     DAMAGED: rb"damaged|Packet corrupt|RTP: missed|while decoding MB|concealing \d"
     rb"|block unavailable|Invalid NAL|splitting the input|missing picture|Could not find ref"
     rb"|Error constructing|Error at MB|skipped MB|bad vlc|error y=|no frame!",
 }
-"""Fault of pictures by what FFmpeg logs while it decodes or converts them."""
+"""Fault of frames by what FFmpeg logs while it decodes or converts them."""
 
 
 def reason_in(output: bytes) -> str:
     """Return the last recognised reason in FFmpeg's output; "" if there is none."""
     for line in reversed(output.splitlines()):
-        refused = _REFUSED.search(line)
-        if refused is not None:
+        if refused := _REFUSED.search(line):
             status = int(refused.group(1))
             return f"{_STATUSES.get(status, 'the camera refuses')} ({status})"
-        for phrase, words in _PHRASES.items():
-            if phrase in line:
-                return words
+        if words := next((words for phrase, words in _PHRASES.items() if phrase in line), ""):
+            return words
     return ""
 
 
 class FfmpegLog:
     """FFmpeg's output since the last query; empty unless created by `captured_log`."""
 
-    def __init__(self, fd: int | None = None) -> None:
-        self._fd = fd
+    def __init__(self, pipe: FileIO | None = None) -> None:
+        self._pipe = pipe
         self._reason = ""
 
     def newest_reason(self) -> str:
@@ -87,18 +85,16 @@ class FfmpegLog:
         return reason
 
     def newest_fault(self) -> str:
-        """Return what FFmpeg says of the pictures since the last query, or "". Never blocks."""
-        if self._fd is None:
+        """Return what FFmpeg says of the frames since the last query, or "". Never blocks."""
+        if self._pipe is None:
             return ""
         _LIBC.fflush(None)
-        output = b""
-        with suppress(BlockingIOError):
-            while chunk := os.read(self._fd, _READ_BYTES):  # nothing: the pipe has been closed
-                output = (output + chunk)[-_READ_BYTES:]
-        if not output:
-            return ""
+        output = self._pipe.read() or b""
         self._reason = reason_in(output) or self._reason
         return next((words for words, said in _FAULTS.items() if re.search(said, output)), "")
+
+
+NO_LOG = FfmpegLog()
 
 
 @contextmanager
@@ -125,19 +121,16 @@ def captured_log() -> Iterator[FfmpegLog]:
     """
     sys.stdout.flush()
     _LIBC.fflush(None)
-    reader, writer = os.pipe()
-    for fd in (reader, writer):
-        os.set_blocking(fd, False)  # a full pipe loses output instead of blocking
+    reader, writer = os.pipe2(os.O_NONBLOCK)  # a full pipe loses output instead of blocking
 
     # Redirect standard output; the descriptor is restored at the end.
     before = os.dup(_STANDARD_OUTPUT)
     os.dup2(writer, _STANDARD_OUTPUT, inheritable=False)
     os.close(writer)
-    try:
-        with environment(LEVEL_VARIABLE, LEVEL_WARNINGS):
-            yield FfmpegLog(reader)
-    finally:
-        _LIBC.fflush(None)  # or its output would mix with what is printed next
-        os.dup2(before, _STANDARD_OUTPUT)
-        os.close(before)
-        os.close(reader)
+    with FileIO(reader) as pipe, environment(LEVEL_VARIABLE, LEVEL_WARNINGS):
+        try:
+            yield FfmpegLog(pipe)
+        finally:
+            _LIBC.fflush(None)  # or its output would mix with what is printed next
+            os.dup2(before, _STANDARD_OUTPUT)
+            os.close(before)

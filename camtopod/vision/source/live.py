@@ -2,7 +2,7 @@
 
 One thread owns the capture: it opens, reads and releases it (from another thread OpenCV crashes)
 and may block for as long as the timeouts. The caller never blocks for longer than the heartbeat.
-Frames pass through a small queue; if the caller is slow, the oldest are dropped.
+Frames pass through a small queue; if the caller is slow, some are dropped.
 """
 
 from __future__ import annotations
@@ -16,42 +16,34 @@ from contextlib import suppress
 
 from camtopod.vision.settings import VisionSettings
 from camtopod.vision.source.capture import (
+    CALL_SECONDS_MAX,
     HEARTBEAT_SECONDS,
-    PATIENCE,
     Capture,
     Frame,
     FrameSelector,
     Source,
-    timeouts,
+    call_seconds_max,
 )
-from camtopod.vision.source.ffmpeg_log import FfmpegLog
-from camtopod.vision.source.frame_times import StampClock
-from camtopod.vision.source.remarks import Observed, no_picture, unfit, why_not_opened, why_over
+from camtopod.vision.source.ffmpeg_log import NO_LOG, FfmpegLog
+from camtopod.vision.source.frame_times import PROMPT_SECONDS, StampClock
+from camtopod.vision.source.remarks import (
+    OBSERVED_SECONDS,
+    Observed,
+    no_frame,
+    no_stream,
+    why_not_opened,
+)
 from camtopod.vision.source.source_url import RETRY_SEPARATOR
 
 QUEUE_FRAMES = 8
-"""Frames that wait for the caller; beyond it the oldest are dropped."""
-QUEUE_LOOK_SECONDS = 0.01
-"""Interval at which room for a frame is looked for."""
+"""Frames that wait for the caller; further ones are dropped."""
 SETTLE_SECONDS = 1.0
 """Time for which frames are held after opening.
 
 The first frames are old by an unknown delay; prompt frames that follow reveal it.
 """
-BACKOFF_SECONDS_MIN = 0.5
-"""Delay before a lost stream is reopened for the first time; it doubles with each attempt."""
 BACKOFF_SECONDS_MAX = 15.0
-"""Maximum delay before a lost stream is reopened."""
-HEALTHY_SECONDS = 10.0
-"""Duration of a connection after which the backoff starts from its minimum again."""
-MARGIN_SECONDS = 1.0
-"""Time that a call of OpenCV may exceed its timeouts by."""
-UNDECODED_SECONDS_MAX = 3.0
-"""Time without a decoded picture, while frames come, after which a stream does not run."""
-TIME_STEP_MIN_SECONDS = 0.001
-"""Smallest difference of the capture times of consecutive frames."""
-CLOCK_STEP_SECONDS = 0.05
-"""Least step of the wall clock that is followed; capture times are no more exact than that."""
+"""Maximum delay before a lost stream is reopened; it begins at the heartbeat, and doubles."""
 
 
 class LiveSource(Source):
@@ -62,7 +54,7 @@ class LiveSource(Source):
         source: str,
         settings: VisionSettings,
         wall_clock: Callable[[], float],
-        ffmpeg_log: FfmpegLog | None = None,
+        ffmpeg_log: FfmpegLog = NO_LOG,
         colour: bool = False,
     ) -> None:
         """Prepare to connect.
@@ -73,7 +65,7 @@ class LiveSource(Source):
         self._source = source
         self._settings = settings
         self._wall_clock = wall_clock
-        self._ffmpeg_log = ffmpeg_log or FfmpegLog()
+        self._ffmpeg_log = ffmpeg_log
         self._queue: queue.Queue[Frame] = queue.Queue(QUEUE_FRAMES)
         self._stop = threading.Event()
         self._thread = threading.Thread(target=self._run, name="capture", daemon=True)
@@ -83,9 +75,10 @@ class LiveSource(Source):
         self._shift = 0.0
         """By how many seconds the wall clock has been set since then."""
         self._latest = float("-inf")
+        """Capture time of the latest frame."""
         self._called: float | None = None
-        self._patience = PATIENCE[0]
-        """What the source needs, as far as is known."""
+        self._patient = False
+        """True if the source is known to need patience."""
 
     def frames(self) -> Iterator[Frame | None]:
         """Yield frames with ascending capture times; None if there is none for half a second.
@@ -115,12 +108,14 @@ class LiveSource(Source):
 
     @property
     def _blocked_seconds_max(self) -> float:
-        """Longest time a call of OpenCV should take."""
-        return sum(timeouts(self._patience)) + MARGIN_SECONDS
+        """Longest time a call of OpenCV should take: opening takes up to two timeouts."""
+        return 3 * call_seconds_max(self._patient)
 
     def close(self) -> None:
-        """Stop; waits for a blocked read, at most the sum of the timeouts."""
+        """Stop; waits for a blocked read, at most its timeouts."""
         self._stop.set()
+        with suppress(queue.Empty):
+            self._queue.get_nowait()  # the thread may wait for room
         if self._thread.is_alive():
             self._thread.join(self._blocked_seconds_max)
 
@@ -128,19 +123,21 @@ class LiveSource(Source):
 
     def _run(self) -> None:
         """Connect, read, and reconnect after a delay, until stopped."""
-        wait = BACKOFF_SECONDS_MIN
+        wait = HEARTBEAT_SECONDS
         while not self._stop.is_set():
             self._ffmpeg_log.newest_reason()  # discard those of an earlier connection
 
-            began = time.monotonic()
+            was_patient = self._patient
             reason = self._connection()
+            if self._stop.is_set():
+                return
 
-            # Wait with jitter; the delay doubles unless the connection was healthy.
+            # Wait with jitter; the delay doubles unless there were frames.
             self.failures += 1
-            if time.monotonic() - began > HEALTHY_SECONDS:
-                wait = BACKOFF_SECONDS_MIN
+            if self.state == "running":
+                wait = HEARTBEAT_SECONDS
             pause = wait * random.uniform(0.5, 1.0)
-            self._lose(f"{reason}{RETRY_SEPARATOR}{pause:.1f} s")
+            self._lose(f"{reason}{RETRY_SEPARATOR}{pause:.1f} s", was_patient == self._patient)
             wait = min(2 * wait, BACKOFF_SECONDS_MAX)
             self._stop.wait(pause)
 
@@ -151,14 +148,14 @@ class LiveSource(Source):
         """
         self._called = time.monotonic()
         capture = Capture(
-            self._source, self._settings, self._colour, self._ffmpeg_log, self._patience
+            self._source, self._settings, self._colour, self._ffmpeg_log, self._patient
         )
         try:
             if not capture.is_open:
                 why = why_not_opened(self._source, self._ffmpeg_log)
                 return f"the source cannot be opened{why and ': '}{why}"
             self.connections += 1
-            return unfit(self._source, capture) or self._read(capture)
+            return no_stream(self._source, capture, 0, StampClock()) or self._read(capture)
         finally:
             self._called = time.monotonic()
             capture.release()
@@ -168,7 +165,7 @@ class LiveSource(Source):
         """Pass frames on until the source dies; return the reason."""
         clock = StampClock()
         selector = FrameSelector(self._settings.analysed_fps)
-        observed = Observed(capture.size)
+        self.observed = Observed(capture, self._settings)
         held: list[tuple[float, float, Frame]] = []
         began = decoded = time.monotonic()
         frames = 0
@@ -188,23 +185,24 @@ class LiveSource(Source):
             # Decode it if it is to be analysed.
             clock.record(stamp, arrival)
             moment = max(moment, clock.captured(stamp, arrival) or arrival)
-            if not selector.wants(moment):
-                observed.add(arrival, None)
-                continue
-            retrieved = capture.frame()
-            if retrieved is None:
-                self.dropped += 1
-                if arrival - decoded > UNDECODED_SECONDS_MAX:
-                    self._lose(f"frames come, none can be decoded: {capture.fault}")
-                continue
-            decoded = arrival
-            observed.add(arrival, retrieved.luma)
+            frame = None
+            if selector.wants(moment):
+                frame = capture.frame()
+                self.dropped += frame is None
+            if frame is not None:
+                decoded = arrival
+                held.append((stamp, arrival, frame))
+            if arrival - decoded > CALL_SECONDS_MAX:
+                self._lose(f"frames come, none can be decoded: {capture.fault}")
 
             # Hold it until the clock has settled, then pass it on with its capture time.
-            held.append((stamp, arrival, retrieved))
-            if arrival - began >= SETTLE_SECONDS:
+            if arrival - began < SETTLE_SECONDS:
+                continue
+            self.observed.add(arrival, None if frame is None else frame.luma)
+            if held:
                 self.state = "running"
-                self.reason = observed.words
+                self.reason = "; ".join(self.observed.remarks)
+                self.lost = False
                 for one in held:
                     self._hand_on(clock, *one)
                 held.clear()
@@ -219,44 +217,47 @@ class LiveSource(Source):
         waited: time that the last call took, seconds.
         ran: time from its first frame to the last one that was decoded, seconds.
         """
-        timed_out = waited > 0.9 * timeouts(self._patience)[1]
-        if (timed_out and ran < HEALTHY_SECONDS) or (not frames and capture.size == (0, 0)):
-            self._patience = next(
-                (more for more in PATIENCE if more > self._patience), PATIENCE[-1]
-            )
+        timed_out = waited > call_seconds_max(self._patient) / 2
+        self._patient |= (timed_out and ran < OBSERVED_SECONDS) or (
+            not frames and capture.size == (0, 0)
+        )
         if not frames:
-            return f"it opens, but gives no picture: {no_picture(capture)}"
+            return f"it opens, but gives no picture: {no_frame(capture)}"
         if timed_out:
             return "no frame within the read timeout"
-        why = why_over(self._source, frames, clock)
-        return why or "the source ended or closed the connection"
+        return (
+            no_stream(self._source, capture, frames, clock)
+            or "the source ended or closed the connection"
+        )
 
-    def _lose(self, reason: str) -> None:
-        """Say that there are no pictures, or none any more."""
+    def _lose(self, reason: str, lost: bool = True) -> None:
+        """Say that there are no frames, or none any more.
+
+        lost: more patience does not help.
+        """
+        self.lost = lost
         self.state = "stalled" if self._latest > float("-inf") else "connecting"
         self.reason = reason.removesuffix(": ")
 
     def _hand_on(self, clock: StampClock, stamp: float, arrival: float, frame: Frame) -> None:
-        """Queue a frame with its capture time.
+        """Queue a frame with its capture time, unless that is not later than the last one's.
 
         If the queue is full, a frame of a burst waits for as long as it came late, as the next
-        burst takes as long to come; then the oldest one is dropped. Nobody else puts any in.
+        burst takes as long to come; then it is dropped.
         """
         captured = clock.captured(stamp, arrival)
-        if captured is None:
-            self.untrusted_stamps += 1
-            captured = arrival
-        self._latest = max(captured, self._latest + TIME_STEP_MIN_SECONDS)
+        self.untrusted_stamps += captured is None
+        t = captured or arrival
+        if t <= self._latest:
+            self.dropped += 1
+            return
+        self._latest = t
         shift = self._wall_clock() - time.monotonic() - self._ahead
-        if abs(shift - self._shift) > CLOCK_STEP_SECONDS:
+        if abs(shift - self._shift) > PROMPT_SECONDS:  # capture times are no more exact
             self._shift = shift
-        frame = frame._replace(t=self._latest + self._ahead, shift=self._shift)
+        frame = frame._replace(t=t + self._ahead, shift=self._shift)
         self._called = None
-        for _ in range(round((arrival - captured) / QUEUE_LOOK_SECONDS)):
-            if not self._queue.full() or self._stop.wait(QUEUE_LOOK_SECONDS):
-                break
-        if self._queue.full():
-            with suppress(queue.Empty):  # the caller has just taken one
-                self._queue.get_nowait()
-                self.dropped += 1
-        self._queue.put_nowait(frame)
+        try:
+            self._queue.put(frame, timeout=arrival - t)
+        except queue.Full:
+            self.dropped += 1

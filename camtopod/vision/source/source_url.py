@@ -1,4 +1,4 @@
-"""Kind of a source by its name, and encoding of passwords in URLs for FFmpeg."""
+"""Kind of a source by its name, encoding of passwords in URLs, and where streams may be."""
 
 from __future__ import annotations
 
@@ -9,6 +9,22 @@ from urllib.parse import quote, unquote
 
 RETRY_SEPARATOR = "; trying again in "
 """Separates the reason why a source gives no frames from the seconds until it is reopened."""
+PATHS = {
+    "Axis": "/axis-media/media.amp",
+    "Bosch": "/rtsp_tunnel",
+    "Dahua, Amcrest, Lorex": "/cam/realmonitor?channel=1&subtype=0",
+    "Foscam": "/videoMain",
+    "Hanwha, Samsung": "/profile2/media.smp",
+    "Hikvision, Annke": "/Streaming/Channels/101",
+    "Panasonic, i-PRO": "/MediaInput/stream_1",
+    "Reolink": "/h264Preview_01_main",
+    "Sony": "/video1",
+    "TP-Link, Ezviz": "/stream1",
+    "Ubiquiti": "/s0",
+    "Uniview": "/media/video1",
+    "Vivotek": "/live.sdp",
+}
+"""Path under which cameras offer their large stream, by makers."""
 _SCHEME = re.compile(r"([A-Za-z][A-Za-z0-9+.-]*)://(.*)", re.DOTALL)
 _DEVICE = re.compile(r"(?:/dev/video)?([0-9]+)")
 _FILE_URL = re.compile(r"file://(?:localhost(?=/))?", re.IGNORECASE)
@@ -16,6 +32,7 @@ _HOST = re.compile(
     r"(?P<name>(?P<address>\[[0-9A-Fa-f:.]+(?:%\w+)?\]|\d+\.\d+\.\d+\.\d+(?=[:/?]|$))"
     r"|[A-Za-z0-9_.-]+)(?P<port>:\d+)?(?=[/?]|$)"
 )
+_BARE = re.compile(r"rtsps?://(?:.*@)?[^/?@]+/*", re.IGNORECASE)
 _ENCODED = re.compile(r"(?:[^%]|%[0-9A-Fa-f]{2})*")
 
 
@@ -27,9 +44,7 @@ def kind_of(source: str) -> Literal["device", "stream", "file"]:
     if device_number(source) is not None:
         return "device"
     match = _SCHEME.match(source)
-    if match is None or match.group(1).lower() == "file":
-        return "file"
-    return "stream"
+    return "file" if match is None or match[1].lower() == "file" else "stream"
 
 
 def device_number(source: str) -> int | None:
@@ -62,25 +77,30 @@ def percent_encoded(url: str) -> str:
     if begins is not None and begins["address"]:
         return url
 
-    # Rank the @ by what follows each.
-    hosts = {
-        at.start(): host
+    # Rank each @: by whether a likely host follows, outside of the query, an address, the last.
+    ranks = [
+        (
+            bool(host["address"] or host["port"] or "." in host["name"]),
+            "?" not in rest[: at.start()],
+            bool(host["address"]),
+            at.start(),
+        )
         for at in re.finditer("@", rest)
-        if (host := _HOST.match(rest, at.end())) is not None
-    }
-
-    def rank(at: int) -> tuple[bool, bool, bool, int]:
-        host = hosts[at]
-        named = "." in host["name"] or host["port"] is not None
-        likely = host["address"] is not None or named
-        return likely, "?" not in rest[:at], host["address"] is not None, at
-
-    at = max(hosts, key=rank, default=None)
-    if at is None or (begins is not None and not (begins["port"] and rank(at)[0])):
+        if (host := _HOST.match(rest, at.end()))
+    ]
+    is_likely, _, _, end = max(ranks, default=(False, False, False, -1))
+    if end < 0 or (begins is not None and not (begins["port"] and is_likely)):
         return url  # no user name
-    user, colon, password = rest[:at].partition(":")
-    return f"{scheme}://{_quoted(user)}{colon}{_quoted(password)}{rest[at:]}"
+    user, colon, password = rest[:end].partition(":")
+    return f"{scheme}://{_quoted(user)}{colon}{_quoted(password)}{rest[end:]}"
 
 
 def _quoted(text: str) -> str:
     return quote(text, safe="%" if _ENCODED.fullmatch(text) else "")
+
+
+def streams_by_maker(source: str) -> dict[str, str]:
+    """Return the URLs to try, by makers, for an ``rtsp://`` URL without a path; else none."""
+    if not _BARE.fullmatch(source):
+        return {}
+    return {maker: source.rstrip("/") + path for maker, path in PATHS.items()}
