@@ -14,11 +14,11 @@ Positive = Annotated[float, Meta(gt=0)]
 
 Fraction = Annotated[float, Meta(ge=0, le=1)]
 Point = tuple[Fraction, Fraction]
-"""x and y in fractions of the picture's width and height, x to the right, y down."""
+"""x and y in fractions of the image's width and height, x to the right, y down."""
 Polygon = tuple[Point, ...]
-"""An area of the picture by its corners; a single point stands for a place."""
+"""An area of the image by its corners; a single point stands for a place."""
 
-_FORM = "of three points or more in fractions of the picture, like [[[x, y], [x, y], [x, y]]]"
+_FORM = "of three points or more in fractions of the image, like [[[x, y], [x, y], [x, y]]]"
 Areas = Annotated[
     tuple[Annotated[Polygon, Meta(min_length=3)], ...], Meta(description=f"polygons {_FORM}")
 ]
@@ -31,7 +31,7 @@ Places = Annotated[
 
 
 class VisionSettings(Struct, frozen=True, forbid_unknown_fields=True):
-    """``[vision]``: how pictures become events. Each key may also stand in ``[cameras.ID]``, for
+    """``[vision]``: how frames become events. Each key may also stand in ``[cameras.ID]``, for
     that camera alone.
     """
 
@@ -44,16 +44,16 @@ class VisionSettings(Struct, frozen=True, forbid_unknown_fields=True):
     """
     ignore: Areas = ()
     """Areas in which motion is ignored (a tree, a street behind the fence, a clock in the
-    picture): polygons of [x, y] points in fractions of the picture, such as [[[0.0, 0.0],
+    image): polygons of [x, y] points in fractions of the image, such as [[[0.0, 0.0],
     [0.3, 0.0], [0.3, 0.1], [0.0, 0.1]]], or texts as Frigate's "0,0,0.3,0,0.3,0.1,0,0.1".
     """
     doors: Places = ()
     """Places in mid-view where people may appear and disappear, besides those that are learned:
     points [x, y] (the feet are within 0.6 of the person's height) or polygons (the feet are
-    inside), such as [[0.42, 0.35]]; fractions of the picture.
+    inside), such as [[0.42, 0.35]]; fractions of the image.
     """
     min_height: Annotated[float, Meta(ge=0, lt=1)] = 0.0
-    """Least height of an object, as a fraction of the picture's height; lower ones (cats, birds,
+    """Least height of an object, as a fraction of the image's height; lower ones (cats, birds,
     people far away) make no events.
     """
     sensitivity: Annotated[float, Meta(ge=0.25, le=4)] = 1.0

@@ -246,6 +246,20 @@ def test_a_stream_is_waited_for_as_long_as_its_frames_take(
     assert grabber.statistics()["frames_analysed"] > 5
 
 
+def test_a_probe_measures_a_stream_and_has_as_much_patience(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    camera = Camera(monkeypatch)
+    camera.film_seconds = float("inf")
+    camera.needs_patience = True
+
+    seen = probe.probe(probe.ProbeRequest("http://192.0.2.1/s", VisionSettings()), FfmpegLog())
+
+    assert (seen.problem, seen.codec, (seen.width, seen.height)) == ("", "H.264", camera.size)
+    assert seen.fps == pytest.approx(FPS, rel=0.01)
+    assert camera.patience == [False, True]
+
+
 def test_a_stream_whose_size_is_unknown_is_opened_with_more_patience(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
