@@ -83,9 +83,9 @@ class Detector:
         detections = [one._replace(box=scaled(one.box, 1 / factor)) for one in found]
 
         # Is it trusted? Then its boxes are the objects.
-        working = (moving.shape[1], moving.shape[0])
-        boxes = objects(detections, blobs, tracked, working, self._settings.score)
-        self._trust.add(moving, [one.box for one in boxes])
+        boxes, outside = objects(detections, moving, blobs, tracked, self._settings.score)
+        area = float((moving != 0).mean())
+        self._trust.add(area, area - outside)
         self.result = DetectorResult(detections, self._trust.trusted, self._trust.share)
         return boxes if self._trust.trusted else blobs
 

@@ -9,9 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-import numpy as np
-
-from camtopod.vision.boxes import TOUCH_PIXELS, Box, Size, box_height, centre, overlap, pixels
+from camtopod.vision.boxes import TOUCH_PIXELS, Box, Size, box_height, centre, iou, overlap, pixels
 from camtopod.vision.detect import Blob, Luma
 from camtopod.vision.detector.model import Detection
 
@@ -26,7 +24,8 @@ PRIOR_AREA = 0.03
 INFERENCES_MEMORY = 200
 """Inferences after which a moving area counts 1/e as much."""
 OVERLAP_MIN = 0.3
-"""Least overlap (share of the smaller box) of a detection with its motion, or with its track."""
+"""Least IoU of a box with the track that it continues, and its least share of moving pixels to
+begin one."""
 BORDER_HEIGHTS = 0.15
 """Distance from the border (heights) within which a box ends there, if its motion does."""
 
@@ -44,13 +43,8 @@ class Trust:
         self.trusted = False
         """True if objects are the boxes, not the blobs."""
 
-    def add(self, moving: Luma, boxes: Sequence[Box]) -> None:
-        """Update with one inference: mask of moving pixels (H, W), and boxes in its pixels."""
-        outside = moving != 0
-        area = int(np.count_nonzero(outside)) / moving.size
-        for box in boxes:
-            outside[pixels(box, moving.shape)] = False
-        inside = area - int(np.count_nonzero(outside)) / moving.size
+    def add(self, area: float, inside: float) -> None:
+        """Update with one inference: moving area and its part in boxes, shares of the image."""
         kept = 1.0 - 1.0 / INFERENCES_MEMORY
         self._area = kept * self._area + area
         self._inside = kept * self._inside + inside
@@ -64,26 +58,32 @@ class Trust:
 
 def objects(
     detections: Sequence[Detection],
+    moving: Luma,
     blobs: Sequence[Blob],
     tracked: Sequence[Box],
-    size: Size,
     score_min: float,
-) -> list[Blob]:
-    """Return the objects in a frame of a trusted detector.
+) -> tuple[list[Blob], float]:
+    """Return the objects of a trusted detector, and the moving area that they do not explain.
 
-    A box counts where something is tracked, whether it moves or not. Elsewhere it has to move, and
-    to have at least ``score_min``; then it may begin a track (ByteTrack: Y. Zhang et al., 2022).
+    A box counts where something is tracked, whether it moves or not. Elsewhere it has to move by
+    itself, and to have at least ``score_min``; then it may begin a track (ByteTrack: Y. Zhang et
+    al., 2022). What stands and only looks like a person begins none, also while others pass it.
 
-    detections, blobs, tracked: in pixels of the working image, which has ``size``.
+    moving (H, W): mask of moving pixels of the working image; boxes are in its pixels, areas in
+    shares of it.
     """
+    height, width = moving.shape
+    unexplained = moving != 0
     found = []
-    for one in detections:
-        motion = [blob.box for blob in blobs if overlap(blob.box, one.box) >= OVERLAP_MIN]
-        begins = bool(motion) and one.score >= score_min
-        if begins or any(overlap(box, one.box) >= OVERLAP_MIN for box in tracked):
-            box = _to_border(one.box, motion, size)
+    for one in sorted(detections, key=lambda one: -one.score):
+        part = unexplained[pixels(one.box, (height, width))]
+        begins = one.score >= score_min and bool(part.mean() >= OVERLAP_MIN)
+        if begins or any(iou(one.box, box) >= OVERLAP_MIN for box in tracked):
+            part[:] = False
+            motion = [blob.box for blob in blobs if overlap(blob.box, one.box) >= OVERLAP_MIN]
+            box = _to_border(one.box, motion, (width, height))
             found.append(Blob(*box, centre(box)[0], begins))
-    return found
+    return found, float(unexplained.mean())
 
 
 def _to_border(box: Box, motion: Sequence[Box], size: Size) -> Box:

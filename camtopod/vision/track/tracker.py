@@ -21,7 +21,7 @@ import numpy as np
 from scipy.optimize import linear_sum_assignment
 
 from camtopod.records import Event
-from camtopod.vision.boxes import area, box_height, centre, contains_centre, gap, overlap
+from camtopod.vision.boxes import area, box_height, centre, contains_centre, gap, in_image, overlap
 from camtopod.vision.detect import Blob
 from camtopod.vision.settings import VisionSettings
 from camtopod.vision.track.crossings import LATENESS_SECONDS_MAX, Crossings
@@ -128,16 +128,17 @@ class Tracker:
         for track in self.active:
             track.kalman.predict(dt, track.size, coasting=track.last.t < t - 1.5 * dt)
             track.frames += 1
-            track.occluded = False
 
         # Assign blobs, to groups first. They occlude others, or start tracks.
         free = self._update_groups(t, blobs)
         free = self._assign(t, free, self._costs)
         free = self._assign(t, free, self._costs_by_area)
         for track in self.active:
-            if track.last.t < t and track.confirmed:
-                box = track.box
-                track.occluded = any(contains_centre(blob.box, box) for blob in blobs)
+            hidden = track.confirmed and track.last.t < t
+            near = 0.3 * track.height
+            track.occluded = hidden and (
+                track.occluded or any(gap(blob.box, track.last.box) < near for blob in blobs)
+            )
         for blob in free:
             if blob.begins:
                 self._start_track(t, blob)
@@ -200,8 +201,15 @@ class Tracker:
             self._seen(track, Sighting(t, (x, bottom), box))
 
     def _assign(self, t: float, blobs: list[Blob], costs: Costs) -> list[Blob]:
-        """Assign one blob to each track at the least total cost (Kuhn 1955); return the others."""
-        waiting = [track for track in self.active if track.last.t < t]
+        """Assign one blob to each track at the least total cost (Kuhn 1955); return the others.
+
+        An object whose middle is expected beyond the border has left: what is seen there comes in.
+        """
+        waiting = [
+            track
+            for track in self.active
+            if track.last.t < t and in_image(track.box, self.crossings.size)
+        ]
         if not waiting or not blobs:
             return blobs
         cost = np.array([costs(track, blobs) for track in waiting])
