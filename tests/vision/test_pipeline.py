@@ -10,6 +10,7 @@ import pytest
 from rendered_scenes import FPS, HEIGHT, WIDTH, Person, Picture, Place, Scene, line
 
 from camtopod.records import Event
+from camtopod.vision.detect import MotionDetector
 from camtopod.vision.pipeline import ViewPipeline
 from camtopod.vision.settings import VisionSettings
 
@@ -209,6 +210,36 @@ def test_a_camera_that_shakes_sees_nothing_in_an_empty_scene_and_people_in_a_ful
             )
             events += pipeline.process(k / FPS, picture)
         assert passages(events + pipeline.finish()) == expected
+
+
+def test_a_camera_that_drifts_zooms_and_turns_sees_one_walker_once() -> None:
+    scene = Scene([Person(line(5.0, (-0.05, 0.7), (1.05, 0.7), 8.0), shade=20)])
+    pipeline, events = ViewPipeline("cam", VisionSettings()), []
+    for k in range(round(16 * FPS)):
+        phase = k / FPS
+        by = cv2.getRotationMatrix2D(
+            (WIDTH / 2, HEIGHT / 2), np.sin(phase), 1.1 + 0.02 * np.sin(2 * phase)
+        )
+        by[:, 2] += 3 * np.sin(phase / 2), 2 * np.sin(3 * phase)
+        events += pipeline.process(
+            k / FPS, cv2.warpAffine(scene.picture(k / FPS), by, (WIDTH, HEIGHT))
+        )
+    assert passages(events + pipeline.finish()) == [("entry", "left"), ("exit", "right")]
+
+
+def test_nothing_moves_at_the_borders_of_a_shifted_picture() -> None:
+    scene, motion = Scene([], noise=0.5), MotionDetector(VisionSettings())
+    for k in range(40):
+        shift = (0, 0) if k < 20 else (7, -5)
+        frame = motion.filter_noise(np.roll(scene.picture(0.0), shift, axis=(0, 1))[8:-8, 8:-8])
+        if k == 10:
+            motion.bootstrap([frame])
+        if k < 10:
+            continue
+        found = motion.detect(frame, 1 / FPS)
+        if k > 30:
+            assert found is not None
+            assert not found.changed.any()
 
 
 @pytest.mark.parametrize("seed", range(2))

@@ -19,9 +19,9 @@ import cv2
 import numpy as np
 
 from camtopod.vision.boxes import Box
+from camtopod.vision.detect import shake
 from camtopod.vision.detect.background import Background, Luma
-from camtopod.vision.detect.shake import shift, shifted_back
-from camtopod.vision.detect.swaying import Swaying, outside_range
+from camtopod.vision.detect.swaying import Swaying
 from camtopod.vision.detect.wiener import NOISE_TO_FILTER, temporal_noise, wiener
 from camtopod.vision.settings import Polygon, VisionSettings
 
@@ -57,10 +57,7 @@ GHOST_RATIO = 1.5
 The model then still contains the object that has left.
 """
 SHAKE_PIXELS = 0.2
-"""Mean shake (pixels) above which frames are aligned, with a tolerance of one pixel.
-
-The tolerance hides some people.
-"""
+"""Mean shake (pixels) above which frames are aligned with the scene."""
 SHAKE_PIXELS_MAX = 2.0
 """Largest shift of one frame that enters the mean shake, pixels."""
 _NOISE_RATE = 0.1
@@ -121,7 +118,21 @@ class MotionDetector:
     def bootstrap(self, frames: list[Luma]) -> None:
         """Take the median of ``frames`` (at most 24 of them) as the settled scene."""
         step = -(-len(frames) // BOOTSTRAP_FRAMES_MAX)
-        self._background = Background(frames[::step], BACKGROUND_SECONDS)
+        frames = frames[::step]
+        scene = frames[len(frames) // 2]
+        shifts = [shake.shift(frame, scene, self.watched) for frame in frames]
+        self.shake = min(sum(shifts) / len(shifts), SHAKE_PIXELS_MAX)
+        self._map = shake.IDENTITY
+        """Where the latest image shows the places of the scene, while the camera shakes."""
+        if self.shake > SHAKE_PIXELS:
+            frames = [
+                shake.warped(
+                    frame, scene, shake.aligning(frame, scene, self.watched, shake.IDENTITY)
+                )
+                for frame in frames
+            ]
+        self._background = Background(frames, BACKGROUND_SECONDS)
+        self._expected = self._background.image
         self.ready = True
         self._settled: Luma = self.watched.copy()
         self._swaying = Swaying(frames[0].shape[:2])
@@ -136,19 +147,19 @@ class MotionDetector:
         Returns None if light or another scene hides the objects. If the image has changed for good,
         the detector is not `ready` then; the caller forgets its objects and bootstraps again.
         """
-        expected = self._background.expected(frame, self._settled, self.noise)
-
-        # Difference to the expected image. If the camera shakes, the frame is aligned with the
-        # scene, and an error of one pixel is tolerated.
-        x, y = shift(frame, expected, self._settled)
-        self.shake += _NOISE_RATE * (min(abs(x) + abs(y), SHAKE_PIXELS_MAX) - self.shake)
+        # If the camera shakes, the frame is aligned with the scene in the light of the last one.
         if self.shake > SHAKE_PIXELS:
-            frame = shifted_back(frame, expected, self._settled, (x, y))
-            difference = outside_range(frame, expected, _SQUARE)
+            self._map = shake.aligning(frame, self._expected, self._settled, self._map)
+            frame = shake.warped(frame, self._expected, self._map)
+            pixels = shake.length(self._map, frame.shape)
         else:
-            difference = cv2.absdiff(frame, expected)
+            pixels = shake.shift(frame, self._expected, self._settled)
+        self.shake += _NOISE_RATE * (min(pixels, SHAKE_PIXELS_MAX) - self.shake)
+        expected = self._background.expected(frame, self._settled, self.noise)
+        self._expected = expected
 
         # Moving pixels; an image that has changed for long ends this scene.
+        difference = cv2.absdiff(frame, expected)
         noise = NOISE_FACTOR * min(self.noise, NOISE_TO_FILTER)
         least = max(DIFFERENCE_MIN / self._settings.sensitivity, noise)
         differs = cv2.threshold(difference, least, 255, cv2.THRESH_BINARY)[1]

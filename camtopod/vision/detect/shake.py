@@ -1,4 +1,9 @@
-"""Shift of an image against the scene: least-squares steps of Lucas and Kanade (IJCAI 1981)."""
+"""Alignment of an image with the scene by an affine map: shake, drift, zoom and rotation.
+
+Least-squares steps of Lucas and Kanade (IJCAI 1981) in the inverse compositional form of Baker and
+Matthews (IJCV 2004), from coarse to fine. Maps are matrices (3, 3) of coordinates that are 0 in the
+middle of the image; the ends of its longer side are at -1 and 1.
+"""
 
 from __future__ import annotations
 
@@ -10,75 +15,110 @@ import numpy.typing as npt
 
 from camtopod.vision.detect.background import Luma
 
-STEPS_MAX = 10
+Map = npt.NDArray[np.float64]
+"""Affine map from places of the scene to those of an image, (3, 3)."""
+IDENTITY: Map = np.eye(3)
+_FACTORS = (4, 2)
+"""Images are aligned at these parts of their size; the smaller they are, the farther it reaches."""
+_STEPS_MAX = 10
 """Largest number of steps to align a frame; a single one is accurate to about a pixel."""
-EXACT_PIXELS = 0.05
+_EXACT_PIXELS = 0.05
 """Length of a step (pixels) below which the alignment has converged."""
-SHIFT_PIXELS_MAX = 20.0
-"""Largest shift (pixels) that is corrected; a larger one means that the camera was turned."""
-_ROW_STEP = 4
-"""Only every fourth row is used."""
 _OUTLIER = 40
 """Difference (grey levels) above which a pixel shows an object rather than a shift of the scene."""
+_CONDITION_MIN = 1e-3
+"""Changes for which the scene has less than this share of its gradients cannot be measured."""
 
 
-def shift(frame: Luma, scene: Luma, settled: Luma) -> tuple[float, float]:
-    """Return the shift (x, y) of ``frame`` against ``scene`` in pixels, where ``settled`` is not 0.
+def shift(image: Luma, scene: Luma, settled: Luma) -> float:
+    """Return by how many pixels ``image`` (H, W) is shifted against ``scene``, to about a pixel.
 
-    A single step, so accurate to about a pixel. (0, 0) if the scene has too little texture.
+    settled (H, W): 0 where the image does not show the scene.
     """
-    rows, columns = slice(1, -1, _ROW_STEP), slice(1, -1)
-
-    # Differences of the pixels that show the settled scene.
-    middle = scene[rows, columns].astype(np.int16)
-    difference = middle - frame[rows, columns]
-    good = (settled[rows, columns] != 0) & (np.abs(difference) < _OUTLIER)
-    count = middle.shape[0]
-    below = scene[2::_ROW_STEP, columns][:count]
-    above = scene[:-2:_ROW_STEP, columns][:count]
-
-    # Gradients, doubled to keep integers.
-    dx = _flat((scene[rows, 2:].astype(np.int16) - scene[rows, :-2]) * good)
-    dy = _flat((below.astype(np.int16) - above) * good)
-    off = _flat(difference * good)
-
-    # Normal equations.
-    xx, xy, yy = float(dx @ dx) / 4, float(dx @ dy) / 4, float(dy @ dy) / 4
-    determinant = xx * yy - xy * xy
-    if determinant <= 1e-3 * max(xx, yy, 1.0) ** 2:
-        return (0.0, 0.0)
-    bx, by = float(dx @ off) / 2, float(dy @ off) / 2
-    return ((yy * bx - xy * by) / determinant, (xx * by - xy * bx) / determinant)
+    return length(_step(image, scene, settled, 2, _FACTORS[0]), scene.shape)
 
 
-def shifted_back(frame: Luma, scene: Luma, settled: Luma, first: tuple[float, float]) -> Luma:
-    """Return ``frame`` (H, W) aligned with ``scene``; the border is filled by repeating its pixels.
+def aligning(image: Luma, scene: Luma, settled: Luma, first: Map) -> Map:
+    """Return the map that takes ``scene`` (H, W) to ``image``.
 
-    settled (H, W): 0 where the frame does not show the scene.
-    first (pixels): shift of the frame as found by `shift`; further steps refine it.
+    settled (H, W): 0 where the image does not show the scene.
+    first: where to begin; the result if nothing better is found.
     """
-    x, y = first
-    aligned = _moved(frame, x, y)
-    for _ in range(STEPS_MAX):
-        dx, dy = shift(aligned, scene, settled)
-        if hypot(dx, dy) < EXACT_PIXELS:
-            break
-        x, y = x + dx, y + dy
-        aligned = _moved(frame, x, y)
-    return aligned if hypot(x, y) <= SHIFT_PIXELS_MAX else frame
+    height, width = scene.shape
+    for factor in _FACTORS:
+        size = (max(3, width // factor), max(3, height // factor))
+        small, model, known = (
+            cv2.resize(one, size, interpolation=cv2.INTER_AREA) for one in (image, scene, settled)
+        )
+        found = first
+        for _ in range(_STEPS_MAX):
+            change = _step(warped(small, model, found), model, known, 6, 1)
+            found = found @ change
+            if length(change, scene.shape) < _EXACT_PIXELS:
+                break
+        if _residual(small, model, known, found) < _residual(small, model, known, first):
+            first = found
+    return first
 
 
-def _moved(frame: Luma, x: float, y: float) -> Luma:
-    """Return ``frame`` moved by (-x, -y) pixels."""
-    height, width = frame.shape
+def warped(image: Luma, scene: Luma, by: Map) -> Luma:
+    """Return ``image`` (H, W) aligned with ``scene``; where it has nothing, that of ``scene``."""
+    height, width = scene.shape
+    half = max(height, width) / 2
+    pixels = np.array([[half, 0, (width - 1) / 2], [0, half, (height - 1) / 2], [0, 0, 1]])
     return cv2.warpAffine(
-        frame,
-        np.array([[1.0, 0.0, x], [0.0, 1.0, y]]),
+        image,
+        (pixels @ by @ np.linalg.inv(pixels))[:2],
         (width, height),
+        scene.copy(),
         flags=cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP,
-        borderMode=cv2.BORDER_REPLICATE,
+        borderMode=cv2.BORDER_TRANSPARENT,
     )
 
 
-def _flat(values: npt.NDArray[np.int16]) -> npt.NDArray[np.float32]:
-    return values.astype(np.float32).ravel()
+def length(by: Map, shape: tuple[int, ...]) -> float:
+    """Return how far (pixels) a map moves the middle of an image of ``shape``."""
+    return hypot(by[0, 2], by[1, 2]) * max(shape) / 2
+
+
+def _step(image: Luma, scene: Luma, settled: Luma, terms: int, every: int) -> Map:
+    """Return the map that takes ``scene`` to ``image`` as far as a single step finds it.
+
+    terms: 2 for a shift, 6 for an affine map. Rows are used in steps of ``every``.
+    """
+    # Differences of the pixels that show the settled scene.
+    rows, columns = slice(1, -1, every), slice(1, -1)
+    middle = scene[rows, columns].astype(np.float32)
+    difference = middle - image[rows, columns]
+    good = (settled[rows, columns] != 0) & (np.abs(difference) < _OUTLIER)
+
+    # Gradients (grey levels by half of the longer side).
+    height, width = scene.shape
+    longer = np.float32(max(height, width))
+    dx = scene[rows, 2:].astype(np.float32) - scene[rows, :-2]
+    dy = scene[2::every, columns][: len(middle)].astype(np.float32)
+    dy -= scene[:-2:every, columns][: len(middle)]
+    dx *= longer / 4
+    dy *= longer / 4
+
+    # Normal equations.
+    slopes = [dx, dy]
+    if terms > len(slopes):
+        x, y = np.arange(width, dtype=np.float32), np.arange(height, dtype=np.float32)
+        x = ((2 * x + 1 - width) / longer)[columns]
+        y = ((2 * y + 1 - height) / longer)[rows, np.newaxis]
+        slopes += [dx * x, dy * x, dx * y, dy * y]
+    table = np.stack(slopes).reshape(terms, -1)
+    weighted = table * good.ravel()
+    normal = (weighted @ table.T).astype(np.float64)
+    inverse = np.linalg.pinv(normal, rcond=_CONDITION_MIN, hermitian=True)
+
+    found = IDENTITY.copy()
+    columns_of = (2, 0, 1)[: terms // 2]
+    found[:2, columns_of] += (inverse @ (weighted @ difference.ravel())).reshape(-1, 2).T
+    return found
+
+
+def _residual(image: Luma, scene: Luma, settled: Luma, by: Map) -> float:
+    off = cv2.absdiff(warped(image, scene, by), scene)
+    return cv2.mean(np.minimum(off, np.uint8(_OUTLIER)), settled)[0]
