@@ -155,8 +155,22 @@ def quick(monkeypatch: pytest.MonkeyPatch) -> None:
         lambda t: min(t, 3.0),
         lambda t: t + 86400 * (3.0 <= t < 3.1),
         lambda t: t if t < 4.0 else t - 86400,
+        lambda t: t + 86400 * (t < 0.5),
+        lambda t: t + 86400 * (t > 0.5),
     ],
-    ids=["right", "none", "21 as 25", "1 kHz as 90", "counted", "fast", "stuck", "ahead", "behind"],
+    ids=[
+        "right",
+        "none",
+        "21-as-25",
+        "1-kHz-as-90",
+        "counted",
+        "fast",
+        "stuck",
+        "ahead",
+        "behind",
+        "falls",
+        "rises",
+    ],
 )
 def test_events_have_the_times_of_arrivals_where_stamps_lie(
     stamp: Callable[[float], float], monkeypatch: pytest.MonkeyPatch

@@ -73,11 +73,11 @@ class StampClock:
             stamp = self._last[0]
         if not 0.0 < stamp < math.inf or not self._minima:
             return None
-        newest, _ = self._minima[-1]
-        since = newest - 2.0 * self._delay_max
+        since = self._minima[-1][0] - 2.0 * self._delay_max
         lately = next(offset for at, offset in self._minima if at >= since)
-        least = self._minima[0][1]
-        return stamp + least if lately - least <= self._delay_max else None
+        captured = stamp + self._minima[0][1]
+        is_prompt = lately - self._minima[0][1] <= self._delay_max
+        return captured if is_prompt and -WINDOW_SECONDS <= captured - arrival <= 0.0 else None
 
     @property
     def outran(self) -> bool:
