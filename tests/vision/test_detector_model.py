@@ -156,9 +156,8 @@ def test_a_file_that_is_no_model_is_refused(tmp_path: Path, content: bytes, word
 @pytest.mark.parametrize(
     ("shapes", "words"),
     [
-        ([[1, 3, 4096, 4096]], "up to 2048"),
         ([[1, 1, 160, 160]], "does not take one image"),
-        ([[4, 3, 160, 160]], "takes 4 x 160 x 160 pixels"),
+        ([[4, 3, 160, 160]], "does not take one image"),
         ([[1, 3, 160, 160], [1, 3]], r"its inputs: \(1, 3, 160, 160\) and \(1, 3\)"),
     ],
 )

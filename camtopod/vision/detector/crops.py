@@ -32,19 +32,12 @@ def crop_around(regions: Sequence[Box], size: Size, input_size: Size) -> Box:
     height = min(height, max(size[1], size[0] / aspect))
     width = height * aspect
 
-    # Around the regions, moved into the image.
-    x = _placed((left + right - width) / 2, width, size[0])
-    y = _placed((top + bottom - height) / 2, height, size[1])
+    # Around the regions, moved into the image, or around it.
+    _, x, _ = sorted(((left + right - width) / 2, 0.0, size[0] - width))
+    _, y, _ = sorted(((top + bottom - height) / 2, 0.0, size[1] - height))
     return (x, y, x + width, y + height)
 
 
 def whole(size: Size, input_size: Size) -> Box:
     """Return the crop that holds the whole image of ``size`` (width, height), in its middle."""
     return crop_around([(0.0, 0.0, *size)], size, input_size)
-
-
-def _placed(start: float, length: float, whole_length: float) -> float:
-    """Return where a crop of ``length`` begins that is inside of the image, or in its middle."""
-    if length >= whole_length:
-        return (whole_length - length) / 2
-    return min(max(start, 0.0), whole_length - length)

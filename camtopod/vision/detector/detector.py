@@ -72,10 +72,12 @@ class Detector:
             return None if trusted else blobs
 
         # One inference on all that moves or is tracked.
-        interval = 1.0 / self._settings.looks_per_second_max
-        self._due = max(self._due + interval, t)
-        size = (image.shape[1], image.shape[0])
-        crop = crop_around([scaled(box, factor) for box in regions], size, self._model.size)
+        self._due = max(self._due + 1.0 / self._settings.looks_per_second_max, t)
+        crop = crop_around(
+            [scaled(box, factor) for box in regions],
+            (image.shape[1], image.shape[0]),
+            self._model.size,
+        )
         began = time.thread_time()
         found = self._model.infer(image, crop)
         self._inference_seconds += time.thread_time() - began
@@ -84,8 +86,7 @@ class Detector:
 
         # Is it trusted? Then its boxes are the objects.
         boxes, outside = objects(detections, moving, blobs, tracked, self._settings.score)
-        area = float((moving != 0).mean())
-        self._trust.add(area, area - outside)
+        self._trust.add(float((moving != 0).mean()), outside)
         self.result = DetectorResult(detections, self._trust.trusted, self._trust.share)
         return boxes if self._trust.trusted else blobs
 

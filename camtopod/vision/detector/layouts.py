@@ -20,7 +20,7 @@ G = sum of (W / s) * (H / s) over the strides s = 8, 16, 32:
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import Literal, NamedTuple, get_args
+from typing import NamedTuple, get_args
 
 import cv2
 import numpy as np
@@ -86,13 +86,13 @@ def recognise(outputs: Outputs, size: Size, asked: str) -> Form:
             return form
 
     shapes = " and ".join(str(output.shape) for output in outputs.values())
-    key: Literal["layout", "model"] = "layout" if asked else "model"
     what = f"are not of the layout {asked!r}" if asked else "do not tell their layout"
     can_be = " or ".join(f'layout = "{form.layout}"' for form in forms)
-    hint = f"known are {', '.join(LAYOUTS)}; export it in one of these"
-    if can_be:
-        hint = f"they can be {can_be}"
-    raise DetectorError(key, f"its outputs, {shapes}, {what}; {hint}")
+    known = f"known are {', '.join(LAYOUTS)}"
+    raise DetectorError(
+        "layout" if asked else "model",
+        f"its outputs, {shapes}, {what}; {f'they can be {can_be}' if can_be else known}",
+    )
 
 
 def _possible(outputs: Outputs, size: Size) -> list[Form]:

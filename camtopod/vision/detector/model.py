@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import time
 from pathlib import Path
 from typing import NamedTuple, cast
@@ -65,18 +66,15 @@ class Model:
         self.name = Path(settings.model).name
         self._header = read_header(settings.model)
         self.size = self._header.size
+
+        # Run it once: the outputs tell the layout.
+        empty = np.full((self.size[1], self.size[0], 3), PADDING, np.uint8)
         try:
             if self._header.in_order is None:
                 self._net = cv2.dnn.readNetFromONNX(settings.model)
             else:
                 self._net = cv2.dnn.readNetFromONNX(np.frombuffer(self._header.in_order, np.uint8))
             self._outputs = self._net.getUnconnectedOutLayersNames()
-        except cv2.error as error:
-            raise DetectorError("model", f"OpenCV cannot load it: {_reason(error)}") from None
-
-        # Run it once: the outputs tell the layout.
-        empty = np.full((self.size[1], self.size[0], 3), PADDING, np.uint8)
-        try:
             outputs = self._forward(cv2.dnn.blobFromImage(empty))
         except cv2.error as error:
             raise DetectorError("model", f"OpenCV cannot run it: {_reason(error)}") from None
@@ -93,8 +91,6 @@ class Model:
 
         Scores are from `KNOWN_SCORE_SHARE` of the setting `score` on.
         """
-        width, height = self.size
-        factor = width / (crop[2] - crop[0])
         filled = _cropped(image, crop, self.size)
         if self.form.layout == "yolox":
             blob = cv2.dnn.blobFromImage(filled)
@@ -106,9 +102,9 @@ class Model:
         found = layouts.decode(outputs, self.form, self.size, self._wanted, self._score_min)
 
         # From pixels of the input to pixels of the image.
-        inside = np.clip(found.boxes, 0.0, (width, height, width, height))
-        boxes = inside / factor + (crop[0], crop[1], crop[0], crop[1])
+        factor = self.size[0] / (crop[2] - crop[0])
         rows, columns = image.shape[:2]
+        boxes = found.boxes / factor + (crop[0], crop[1], crop[0], crop[1])
         boxes = np.clip(boxes, 0.0, (columns, rows, columns, rows))
         return [
             Detection(
@@ -171,28 +167,14 @@ def try_model(settings: DetectorSettings, image: Image | None = None) -> ModelRe
 def _cropped(image: Image, crop: Box, size: Size) -> Image:
     """Return a crop at ``size`` (width, height), grey where it is outside."""
     rows, columns = image.shape[:2]
-    left, top = max(0, round(crop[0])), max(0, round(crop[1]))
-    right, bottom = min(columns, round(crop[2])), min(rows, round(crop[3]))
-    factor = size[0] / (crop[2] - crop[0])
-
-    # Scale what is inside of the image.
-    inside = image[top:bottom, left:right]
-    x = min(max(0, round((left - crop[0]) * factor)), size[0] - 1)
-    y = min(max(0, round((top - crop[1]) * factor)), size[1] - 1)
-    width = max(1, min(size[0] - x, round((right - left) * factor)))
-    height = max(1, min(size[1] - y, round((bottom - top) * factor)))
-    way = cv2.INTER_AREA if factor < 0.6 else cv2.INTER_LINEAR
-    scaled = cv2.resize(inside, (width, height), interpolation=way)
-    if (width, height) == size:
-        return scaled
-    filled = np.full((size[1], size[0], 3), PADDING, np.uint8)
-    filled[y : y + height, x : x + width] = scaled
-    return filled
+    left, top, right, bottom = (round(side) for side in crop)
+    inside = image[max(0, top) : bottom, max(0, left) : right]
+    beside = (max(0, -top), max(0, bottom - rows), max(0, -left), max(0, right - columns))
+    filled = cv2.copyMakeBorder(inside, *beside, cv2.BORDER_CONSTANT, value=(PADDING,) * 3)
+    way = cv2.INTER_AREA if filled.shape[1] > size[0] else cv2.INTER_LINEAR
+    return cv2.resize(filled, size, interpolation=way)
 
 
 def _reason(error: cv2.error) -> str:
     """Return the sentence in an error of OpenCV, without its place in the source code."""
-    text = " ".join(str(error).split())
-    _, found, last = text.rpartition("error: (")
-    sentence = last.partition(") ")[2] if found else text
-    return sentence.partition(" in function ")[0]
+    return re.sub(r".*error: \([^)]*\) | in function .*", "", " ".join(str(error).split()))

@@ -17,26 +17,26 @@ from camtopod.vision.detector.errors import DetectorError
 
 SIZE_UNKNOWN = 640
 """Width and height (pixels) at which a model is used that leaves its size open."""
-SIZE_MAX = 2048
-"""Largest width and height of a model's input, pixels."""
 
-
-class Field(IntEnum):
-    """Numbers of the fields in ``onnx.proto``, by message and field."""
-
-    MODEL_GRAPH = 7
-    GRAPH_NODE = 1
-    GRAPH_INITIALIZER = 5
-    GRAPH_INPUT = 11
-    NODE_INPUT = 1
-    NODE_OUTPUT = 2
-    TENSOR_NAME = 8
-    VALUE_NAME = 1
-    VALUE_TYPE = 2
-    TYPE_TENSOR = 1
-    TENSOR_TYPE_SHAPE = 2
-    SHAPE_DIM = 1
-    DIM_VALUE = 1
+Field = IntEnum(
+    "Field",
+    {
+        "MODEL_GRAPH": 7,
+        "GRAPH_NODE": 1,
+        "GRAPH_INITIALIZER": 5,
+        "GRAPH_INPUT": 11,
+        "NODE_INPUT": 1,
+        "NODE_OUTPUT": 2,
+        "TENSOR_NAME": 8,
+        "VALUE_NAME": 1,
+        "VALUE_TYPE": 2,
+        "TYPE_TENSOR": 1,
+        "TENSOR_SHAPE": 2,
+        "SHAPE_DIM": 1,
+        "DIM_VALUE": 1,
+    },
+)
+"""Numbers of the fields in ``onnx.proto``, by message and field."""
 
 
 class Header(NamedTuple):
@@ -65,18 +65,19 @@ def read_header(path: str) -> Header:
         raise DetectorError("model", f"{path} is not an ONNX model: {what}") from None
 
     # One image, and perhaps its size.
-    images = {n: shape for n, shape in inputs.items() if len(shape) == 4 and shape[1] in (0, 3)}
+    images = {
+        n: shape
+        for n, shape in inputs.items()
+        if len(shape) == 4 and shape[0] < 2 and shape[1] in (0, 3)
+    }
     targets = [name for name, shape in inputs.items() if len(shape) == 2 and shape[1] == 2]
-    if len(images) != 1 or len(images) + len(targets) != len(inputs) or len(targets) > 1:
+    if len(images) != 1 or len(targets) > 1 or len(images) + len(targets) != len(inputs):
         shapes = " and ".join(str(tuple(shape)) for shape in inputs.values()) or "none"
         raise DetectorError(
             "model", f"{path} does not take one image (1, 3, height, width); its inputs: {shapes}"
         )
     ((image, shape),) = images.items()
     height, width = (length or SIZE_UNKNOWN for length in shape[2:])
-    if max(width, height) > SIZE_MAX or shape[0] > 1:
-        what = f"takes {shape[0] or 1} x {width} x {height} pixels"
-        raise DetectorError("model", f"{path} {what}: one image up to {SIZE_MAX} is possible")
     return Header((width, height), image, "".join(targets), in_order)
 
 
@@ -87,7 +88,7 @@ def _inputs(content: memoryview) -> dict[str, list[int]]:
         raise ValueError("it has no graph")
     # Models of old versions list their weights as inputs, too.
     weights = {*_names(graph, Field.GRAPH_INITIALIZER, Field.TENSOR_NAME)}
-    shape = (Field.VALUE_TYPE, Field.TYPE_TENSOR, Field.TENSOR_TYPE_SHAPE, Field.SHAPE_DIM)
+    shape = (Field.VALUE_TYPE, Field.TYPE_TENSOR, Field.TENSOR_SHAPE, Field.SHAPE_DIM)
     return {
         name: [
             next((_varint(number, 0)[0] for number in _at(dim, Field.DIM_VALUE)), 0)
@@ -99,12 +100,12 @@ def _inputs(content: memoryview) -> dict[str, list[int]]:
     }
 
 
-def _in_order(content: memoryview) -> bytes | None:
+def _in_order(model: memoryview) -> bytes | None:
     """Return a model with its nodes in topological order; None if they are.
 
     OpenCV reads the nodes one after the other, and knows nothing of those that come later.
     """
-    (graph,) = _at(content, Field.MODEL_GRAPH)
+    (graph,) = _at(model, Field.MODEL_GRAPH)
     nodes = [whole for number, _, whole in _fields(graph) if number == Field.GRAPH_NODE]
     made = {
         name: k
@@ -119,14 +120,15 @@ def _in_order(content: memoryview) -> bytes | None:
         return None
     parts = [nodes[k] for k in TopologicalSorter(needs).static_order()]
     parts += [whole for number, _, whole in _fields(graph) if number != Field.GRAPH_NODE]
-    sorted_graph = b"".join(parts)
-    others = [whole for number, _, whole in _fields(content) if number != Field.MODEL_GRAPH]
-    length = len(sorted_graph)
-    head = [Field.MODEL_GRAPH << 3 | 2]
-    while length > 0x7F:
-        head.append(length & 0x7F | 0x80)
-        length >>= 7
-    return b"".join([*others, bytes([*head, length]), sorted_graph])
+    in_order = memoryview(b"".join(parts))  # as long as before
+    return b"".join(
+        part
+        for number, content, whole in _fields(model)
+        for part in (
+            whole[: len(whole) - len(content)],
+            in_order if number == Field.MODEL_GRAPH else content,
+        )
+    )
 
 
 # -- Protocol Buffers ------------------------------
@@ -151,19 +153,16 @@ def _fields(message: memoryview) -> Iterator[tuple[int, memoryview, memoryview]]
         begin = at
         key, at = _varint(message, at)
         kind = key & 7
-        if kind == 0:
-            _, end = _varint(message, at)
-        elif kind == 2:
+        if kind == 2:
             length, at = _varint(message, at)
-            end = at + length
-        elif kind in (1, 5):
-            end = at + (8 if kind == 1 else 4)
+        elif kind == 0:
+            length = _varint(message, at)[1] - at
         else:
-            raise ValueError("it is not an ONNX file")
-        if end > len(message):
+            length = {1: 8, 5: 4}.get(kind, len(message))
+        if at + length > len(message):
             raise ValueError("it ends early, or is not an ONNX file")
-        yield key >> 3, message[at:end], message[begin:end]
-        at = end
+        yield key >> 3, message[at : at + length], message[begin : at + length]
+        at += length
 
 
 def _varint(message: memoryview, at: int) -> tuple[int, int]:

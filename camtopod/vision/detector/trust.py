@@ -43,11 +43,11 @@ class Trust:
         self.trusted = False
         """True if objects are the boxes, not the blobs."""
 
-    def add(self, area: float, inside: float) -> None:
-        """Update with one inference: moving area and its part in boxes, shares of the image."""
+    def add(self, area: float, outside: float) -> None:
+        """Update with an inference: moving area, its part in no box, as shares of the image."""
         kept = 1.0 - 1.0 / INFERENCES_MEMORY
         self._area = kept * self._area + area
-        self._inside = kept * self._inside + inside
+        self._inside = kept * self._inside + area - outside
         self.trusted = self.share >= (TRUSTED_DOWN_TO if self.trusted else TRUSTED_FROM)
 
     @property
