@@ -29,7 +29,7 @@ import sys
 import tempfile
 from collections import Counter, defaultdict
 from collections.abc import Iterable, Sequence
-from itertools import groupby, pairwise
+from itertools import groupby
 from pathlib import Path
 from statistics import median
 
@@ -71,11 +71,22 @@ TRANSIT_SECONDS, TRANSIT_SHARE = 1.0, 0.2
 
 
 class Passage(Struct):
-    """A person's true passage through a view."""
+    """A person's true passage through a view; one in view at the beginning has no entry."""
 
     person: str
-    entry: Event
-    exit: Event
+    camera: str
+    entry: Event | None
+    exit: Event | None
+
+    @property
+    def came(self) -> float:
+        """Time of the entry, seconds."""
+        return -np.inf if self.entry is None else self.entry.t
+
+    @property
+    def left(self) -> float:
+        """Time of the exit, seconds."""
+        return np.inf if self.exit is None else self.exit.t
 
 
 class Network(Struct):
@@ -268,14 +279,18 @@ def visits(
 
 
 def passages_of(events: Iterable[Event]) -> list[Passage]:
-    """Return one person's whole passages, by time of entry."""
+    """Return one person's passages, by time of entry."""
     result = []
     by_camera = sorted(events, key=lambda event: (event.camera, event.t))
-    for _, some in groupby(by_camera, key=lambda event: event.camera):
-        for one, following in pairwise(some):
-            if (one.kind, following.kind) == ("entry", "exit"):
-                result.append(Passage(str(one.track), one, following))
-    return sorted(result, key=lambda passage: passage.entry.t)
+    for camera, some in groupby(by_camera, key=lambda event: event.camera):
+        entry = None
+        for event in some:
+            if event.kind == "exit":
+                result.append(Passage(str(event.track), camera, entry, event))
+            entry = event if event.kind == "entry" else None
+        if entry is not None:
+            result.append(Passage(str(entry.track), camera, entry, None))
+    return sorted(result, key=lambda passage: passage.came)
 
 
 def rendered(runs: int, films: Path | None) -> list[Recording]:
@@ -287,13 +302,15 @@ def rendered(runs: int, films: Path | None) -> list[Recording]:
         with tempfile.TemporaryDirectory() as temporary:
             folder = (films or Path(temporary)) / f"stops-{seed}"
             seen = recorded(plan, walks, seconds, seed, folder)
-        walked = []
+        walked: list[Passage] = []
+        true: list[Event] = []
         for number, one in enumerate(passages(plan, walks)):
             entry = Event(one.camera, "entry", START + one.t_in, *one.at_in, number)
             left = Event(one.camera, "exit", START + one.t_out, *one.at_out, number)
             if one.t_out < seconds:
-                walked.append(Passage(str(one.walker), entry, left))
-        true = sorted((e for one in walked for e in (one.entry, one.exit)), key=lambda e: e.t)
+                walked.append(Passage(str(one.walker), one.camera, entry, left))
+                true += [entry, left]
+        true.sort(key=lambda event: event.t)
         found = 0
         for camera in {event.camera for event in true}:
             theirs, ours = ([one for one in side if one.camera == camera] for side in (true, seen))
@@ -319,23 +336,29 @@ def judged(topology: Topology, walked: Sequence[Passage]) -> Network:
     for _, some in groupby(walked, key=lambda passage: passage.person):
         visit = list(some)
         for one in visit:
-            exits[source := zone_of(topology, one.exit)] += 1
-            walks.update((source, zone_of(topology, o.entry)) for o in visit if o is not one)
-            others = [o for o in visit if o.entry.camera != one.entry.camera]
-            beside = [o for o in others if o.entry.t < one.exit.t and o.exit.t > one.entry.t]
-            until = max((o.exit.t for o in beside if o.exit.t > one.exit.t), default=np.inf)
-            following = [o for o in visit if one.exit.t <= o.entry.t < until][:1]
+            others = [o for o in visit if o.camera != one.camera]
+            beside = [o for o in others if o.came < one.left and o.left > one.came]
+            until = max((o.left for o in beside if o.left > one.left), default=np.inf)
+            following = [o for o in visit if one.left <= o.came < until][:1]
             together.update(_cameras(one, other) for other in beside)
             after.update(_cameras(one, other) for other in following)
-            for other in (*beside, *following):
-                ends = source, zone_of(topology, other.entry)
-                lags[ends].append(other.entry.t - one.exit.t)
+            if one.exit is None:
+                continue
+            exits[source := zone_of(topology, one.exit)] += 1
+            entries = [o.entry for o in visit if o is not one and o.entry is not None]
+            walks.update({(source, zone_of(topology, entry)) for entry in entries})
+            nearest = {}
+            for other in sorted((*beside, *following), key=lambda o: -abs(o.came - one.left)):
+                if other.entry is not None:
+                    nearest[source, zone_of(topology, other.entry)] = other.came - one.left
+            for ends, lag in nearest.items():
+                lags[ends].append(lag)
     links = {
         ends: some
         for ends, some in lags.items()
         if len(some) >= max(TRANSITIONS_MIN, TRANSITIONS_SHARE_MIN * exits[ends[0]])
     }
-    overlapped = {pair for pair, n in together.items() if n >= PAIR_WALKS_MIN}
+    overlapped = {pair for pair, n in together.items() if n >= 2 * PAIR_WALKS_MIN}  # from both
     pairs = overlapped | {pair for pair, n in after.items() if n >= PAIR_WALKS_MIN}
     pairs = {pair for pair in pairs if pair[0] != pair[1]}
 
@@ -382,7 +405,7 @@ def zone_of(topology: Topology, event: Event) -> str:
 
 
 def _cameras(one: Passage, other: Passage) -> tuple[str, ...]:
-    return tuple(sorted((one.entry.camera, other.entry.camera)))
+    return tuple(sorted((one.camera, other.camera)))
 
 
 if __name__ == "__main__":

@@ -2,7 +2,7 @@
 
 The folder has Cam_*.mp4, config.json (four points of the floor in each picture and in metres, and
 the lens) and gtLoc.json.gz (everybody's place on the floor in each frame). Its two people walk in a
-circle and hardly leave either view, so each view is cut in two halves, which they do leave.
+circle and hardly leave either view, so two parts of each view are taken, which they do leave.
 """
 
 from __future__ import annotations
@@ -28,8 +28,8 @@ MIDDLE_METRES = 0.65
 LATE_FRAMES = 4
 """Frames by which the pictures are behind the places."""
 FPS = 30.0
-CUTS = {"Cam_x1_0": 0.5, "Cam_x2_0": 0.35}
-"""Where each view is cut in two, as a share of its width."""
+PARTS = {"Cam_x1_0": (0.55, 0.45), "Cam_x2_0": (0.4, 0.3)}
+"""End of the left part of each view and beginning of the right one, shares of its width."""
 
 
 class _Sensor(Struct):
@@ -62,7 +62,7 @@ class _Frame(Struct):
 
 
 def scenescape_clips(folder: Path, *, colour: bool = False) -> list[Clip]:
-    """Return the halves of the views, with true events whose ``track`` is the person."""
+    """Return two parts of each view, with true events whose ``track`` is the person."""
     site = msgspec.json.decode((folder / "config.json").read_bytes(), type=_Site)
     lines = gzip.decompress((folder / "gtLoc.json.gz").read_bytes()).splitlines()
     frames = [msgspec.json.decode(line, type=_Frame) for line in lines if line]
@@ -70,27 +70,29 @@ def scenescape_clips(folder: Path, *, colour: bool = False) -> list[Clip]:
         person: np.array([frame.objects[name][0].translation for frame in frames])
         for name, person in PEOPLE.items()
     }
-    halves = []
+    clips = []
     for name, sensor in site.sensors.items():
         whole = clip_with(name, folder / f"{name}.mp4", [], colour=colour)
-        frame = slice(round(whole.seconds * FPS))
-        for side, box in (("left", (0.0, CUTS[name])), ("right", (CUTS[name], 1.0))):
-            half = part_of(whole, "", (box[0], 0.0, box[1], 1.0))
+        shown = slice(round(whole.seconds * FPS))
+        end, begin = PARTS[name]
+        for side, part in (("left", (0.0, end)), ("right", (begin, 1.0))):
+            camera = f"{name}-{side}"
             truth = [
                 event
                 for person, at in places.items()
-                for event in _crossings(f"{name}-{side}", person, sensor, at[frame], box)
+                for event in _crossings(camera, person, sensor, at[shown], part)
             ]
             truth.sort(key=lambda event: event.t)
-            halves.append(replace(half, name=f"{name}-{side}", truth=tuple(truth)))
-    return halves
+            clip = part_of(whole, "", (part[0], 0.0, part[1], 1.0))
+            clips.append(replace(clip, name=camera, truth=tuple(truth)))
+    return clips
 
 
 def _crossings(
-    camera: str, person: str, sensor: _Sensor, at: Floats, box: tuple[float, float]
+    camera: str, person: str, sensor: _Sensor, at: Floats, part: tuple[float, float]
 ) -> list[Event]:
     """Return the entries and exits of a person at places (n, 3) in a part of the view's width."""
-    left, right = box
+    left, right = part
     foot, middle = sensor.project(at), sensor.project(at + np.array((0.0, 0.0, MIDDLE_METRES)))
     within = (middle >= (left, 0.0)) & (middle < (right, 1.0))
     inside: Bools = within[:, 0] & within[:, 1]
