@@ -5,10 +5,10 @@ from __future__ import annotations
 import itertools
 from collections import Counter
 from collections.abc import Callable, Sequence
+from math import dist
 from typing import NamedTuple
 
 from camtopod.records import Event
-from camtopod.vision.boxes import Box
 from camtopod.vision.detect import Blob, Luma, MotionDetector, find_blobs, shrunk
 from camtopod.vision.detector.detector import Detector, DetectorResult
 from camtopod.vision.settings import VisionSettings
@@ -97,7 +97,6 @@ class ViewPipeline:
         self._tracker: Tracker | None = None
         self._t: float | None = None
         self.analysed = 0
-        self.ghosts = 0
 
     def process(self, t: float, frame: Luma, image: Luma | None = None) -> list[Event]:
         """Process the frame (H, W) captured at ``t`` (seconds) and return the events now certain.
@@ -135,12 +134,15 @@ class ViewPipeline:
         # Tracking begins, or goes on with new tracks.
         events = []
         if self._tracker is None or self._tracker.crossings.size != (width, height):
-            ignored = IgnoredAreas(self._motion.watched)
             crossings = Crossings(
-                self._camera, width, height, self._settings.doors, ignored, self._take
+                self._camera,
+                width,
+                height,
+                self._settings.doors,
+                IgnoredAreas(self._motion.watched),
+                self._take,
             )
             self._tracker = Tracker(self._settings, crossings, self._numbers)
-
         self._tracker.crossings.began = waiting[0][0]
         self._tracker.crossings.now = waiting[-1][0]
         self._t = None
@@ -162,20 +164,21 @@ class ViewPipeline:
             return []
 
         # Blobs, tracks, events.
-        found = find_blobs(motion, self._tracker.stature.height)
-        blobs: list[Blob] | None = found
-        trusted = False
+        blobs = find_blobs(motion, self._tracker.stature.height)
+        found: list[Blob] | None = blobs
+        self._tracker.crossings.anywhere = False
         if self._detector is not None and image is not None:
-            blobs = self._detector.step(t, image, motion.moving, found, self._tracked())
-            trusted = self._detector.result.trusted
-        self._tracker.crossings.anywhere = trusted
-        events = [] if blobs is None else self._tracker.step(t, blobs)
+            found = self._detector.step(
+                t, image, motion.moving, blobs, [track.box for track in self._tracker.active]
+            )
+            self._tracker.crossings.anywhere = self._detector.result.trusted
+        events = [] if found is None else self._tracker.step(t, found)
 
-        # Drop ghosts.
-        for track in [] if trusted else self._tracker.active:
-            if self._is_still(track, t) and self._motion.is_ghost(motion, track.last.box):
+        # Drop ghosts; a detector that is trusted knows none.
+        for track in self._tracker.active:
+            still = not self._tracker.crossings.anywhere and _is_still(track, t)
+            if still and self._motion.is_ghost(motion, track.last.box):
                 self._tracker.drop(track)
-                self.ghosts += 1
 
         # Learn the background outside of confirmed tracks.
         claimed = [
@@ -212,27 +215,6 @@ class ViewPipeline:
         self._decisions.clear()
         self._observer(self._latest)
 
-    def _tracked(self) -> list[Box]:
-        """Return the expected boxes of the tracks."""
-        assert self._tracker is not None
-        return [track.box for track in self._tracker.active]
-
-    def _is_still(self, track: Track, t: float) -> bool:
-        """Return True if the track is seen now and has stayed in place for `GHOST_SECONDS`.
-
-        Movement is judged over the sightings that are kept.
-        """
-        past = track.history[0]
-        if track.confirmed and track.reach > GHOST_REACH_HEIGHTS * track.height:
-            return False  # it has come here, so it is an object that stands
-        if track.last.t < t or len(track.history) < 8 or t - track.first.t < GHOST_SECONDS:
-            return False
-        reach = GHOST_MOVE_HEIGHTS * track.height
-        return (
-            abs(past.foot[0] - track.last.foot[0]) < reach
-            and abs(past.foot[1] - track.last.foot[1]) < reach
-        )
-
     def finish(self) -> list[Event]:
         """Return the remaining events at the end of a recording.
 
@@ -249,18 +231,32 @@ class ViewPipeline:
     def statistics(self) -> dict[str, int | float]:
         """Return counters since the start, noise (grey levels) and shake (pixels)."""
         tracker = self._tracker
-        figures: dict[str, int | float] = {
+        return {
             "entries": self._counts["entered"],
             "exits": self._counts["left"],
             "tracks_active": sum(track.confirmed for track in tracker.active) if tracker else 0,
             "tracks_broken": len(tracker.lost) if tracker else 0,
             "tracks_stitched": self._counts["continues"],
             "frames_analysed": self.analysed,
-            "ghosts": self.ghosts,
+            "ghosts": self._counts["ghost"],
             "relearned": self._motion.relearned,
             "noise_grey_levels": round(self._motion.noise, 2),
             "shake_pixels": round(self._motion.shake, 2),
+            **({} if self._detector is None else self._detector.statistics()),
         }
-        if self._detector is not None:
-            figures |= self._detector.statistics()
-        return figures
+
+
+def _is_still(track: Track, t: float) -> bool:
+    """Return True if the track is seen now and has stayed in place for `GHOST_SECONDS`.
+
+    Movement is judged over the sightings that are kept. What has come here from elsewhere is an
+    object that stands.
+    """
+    came = track.confirmed and track.reach > GHOST_REACH_HEIGHTS * track.height
+    return (
+        track.last.t == t
+        and t - track.first.t >= GHOST_SECONDS
+        and len(track.history) == track.history.maxlen
+        and not came
+        and dist(track.history[0].foot, track.last.foot) < GHOST_MOVE_HEIGHTS * track.height
+    )
