@@ -40,9 +40,9 @@ LUMA_FORMATS = frozenset({"I420", "YV12", "Y42B", "444P", "NV12", "NV21", "Y800"
 """FFmpeg's names of pixel formats that begin with a plane of 8-bit luma."""
 PATIENT_OPTIONS = "probesize;1000000000|analyzeduration;1000000000"
 """FFmpeg options of a file whose frames have no known size: its video begins late."""
-CALL_SECONDS_MAX = 5.0
+CALL_SECONDS_MAX = 4.0
 """Timeout for opening a stream, and for waiting for a frame of it."""
-PATIENCE = 4.0
+PATIENCE = 5.0
 """Factor of it for a stream that gives nothing within it.
 
 Its keyframes, frames or segments may be farther apart.
