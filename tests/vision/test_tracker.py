@@ -18,13 +18,13 @@ WIDTH, HEIGHT = 320, 240
 
 
 def tracked(frames: list[list[Box]]) -> list[Event]:
-    """Return the events of the boxes seen in each frame, and in some empty frames after them."""
+    """Return the events of the boxes seen in each frame, and in some empty frames around them."""
     ignored = IgnoredAreas(np.full((HEIGHT, WIDTH), 255, np.uint8))
     crossings = Crossings("cam", WIDTH, HEIGHT, (), ignored, lambda decision: None)
     tracker = Tracker(VisionSettings(), crossings, iter(range(1, 1000)))
     crossings.began = 0.0
     events: list[Event] = []
-    for k, boxes in enumerate([[], *frames, *[[]] * 10]):
+    for k, boxes in enumerate([*[[]] * 10, *frames, *[[]] * 10]):
         blobs = [Blob(*map(float, box), foot_x=(box[0] + box[2]) / 2) for box in boxes]
         events += tracker.step(k / FPS, blobs)
     return events
@@ -36,6 +36,19 @@ def test_what_moves_by_its_own_length_in_each_frame_is_one_passage() -> None:
         [(max(0, x - 50), 100, min(WIDTH, x), 125)] for x in range(20, WIDTH + 50, 50)
     ]
     assert [event.kind for event in tracked(frames)] == ["entry", "exit"]
+
+
+def test_who_enters_where_another_has_just_left_is_another() -> None:
+    """Two passages of people who meet at the border."""
+
+    def at(x: float, width: int, bottom: float) -> Box:
+        return (max(0.0, x - width), bottom - 2.5 * width, min(float(WIDTH), x), bottom)
+
+    frames: list[list[Box]] = [[at(x, 20, 150)] for x in range(15, WIDTH + 10, 5)]
+    frames += [[at(x, 26, 170)] for x in range(WIDTH + 10, 0, -14)]
+    events = tracked(frames)
+    assert sorted(event.kind for event in events) == ["entry", "entry", "exit", "exit"]
+    assert len({event.track for event in events}) == 2
 
 
 def halting(start: float, at: Place) -> Callable[[float], Place | None]:

@@ -17,6 +17,7 @@ from camtopod.vision.settings import Polygon
 from camtopod.vision.track.decisions import Decision, Edge, Reason
 from camtopod.vision.track.doors import Doors
 from camtopod.vision.track.ignored_areas import Beyond, IgnoredAreas
+from camtopod.vision.track.kalman import MEASUREMENT
 from camtopod.vision.track.track import Sighting, Track
 
 BORDER_SHARE = 0.025
@@ -154,6 +155,23 @@ class Crossings:
         if self._ignored.cut(at.box):  # the piece of it that is still seen may be far from the foot
             lead = max(lead, CUT_SHARE * track.height)
         return self._ignored.beyond(at.foot, (sense * dx, sense * dy), lead, self._margin)
+
+    def turns_back(self, track: Track, box: Box) -> bool:
+        """Return True if an object that leaves the view would come back in as ``box``.
+
+        It leaves if it is at a border and gone soon at its speed. Who enters there by more than two
+        sigma of the measurement is somebody else.
+        """
+        dx, dy = track.velocity
+        speeds = (-dx, -dy, dx, dy)
+        before = border_distances(track.last.box, self.size)
+        after = border_distances(box, self.size)
+        return any(
+            before[side] <= self._margin
+            and self.size[side % 2] - before[side - 2] < BORDER_SECONDS_MAX * speeds[side]
+            and before[side - 2] - after[side - 2] > 2 * MEASUREMENT * track.size
+            for side in range(4)
+        )
 
     # -- what ------------------------------
 

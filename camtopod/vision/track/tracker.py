@@ -164,7 +164,10 @@ class Tracker:
             inside = [
                 track
                 for track, x, y in waiting
-                if track.last.t < t and left <= x <= right and top <= y <= bottom
+                if track.last.t < t
+                and left <= x <= right
+                and top <= y <= bottom
+                and not self.crossings.turns_back(track, blob.box)
             ]
             wide = len(inside) > 1 and blob.width > 1.3 * max(track.width for track in inside)
             tall = len(inside) > 1 and blob.height > 1.25 * max(track.height for track in inside)
@@ -213,6 +216,9 @@ class Tracker:
         if not waiting or not blobs:
             return blobs
         cost = np.array([costs(track, blobs) for track in waiting])
+        for i, j in np.argwhere(cost < _NEVER):
+            if self.crossings.turns_back(waiting[i], blobs[j].box):
+                cost[i, j] = _NEVER
         taken = set()
         for i, j in zip(*linear_sum_assignment(cost), strict=True):
             if cost[i, j] < _NEVER:
