@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cache
 
 import cv2
@@ -21,12 +21,12 @@ AREA_PIXELS_MIN = 14
 """Smallest blob, pixels."""
 FILL_SHARE_MIN = 0.2
 """Smallest share of its box that a person fills."""
-BESIDE_HEIGHTS = 0.06
-"""Largest horizontal gap between fragments of one person (heights of the person)."""
+TALLER = 1.2
+"""Largest height of a person in heights that are expected there."""
+NEAR = 0.04
+"""Largest gap beside a small fragment of a person, in heights, and its area in heights squared."""
 BLOBS_MAX = 400
 """Fragments kept of one frame, the largest; more are noise."""
-_HEIGHT_UNKNOWN = 1.5
-"""Largest height of a person, in heights of the taller fragment, while it is unknown."""
 _CLOSE = np.ones((3, 1), np.uint8)
 
 ExpectedHeight = Callable[[float], float | None]
@@ -44,6 +44,8 @@ class Blob:
     foot_x: float
     begins: bool = True
     """It may begin a track; otherwise it only continues one."""
+    whole: bool = True
+    """False if another blob may be a part of the same object, whatever heights are expected."""
 
     @property
     def box(self) -> Box:
@@ -94,7 +96,10 @@ def find_blobs(motion: Motion, expected_height: ExpectedHeight) -> list[Blob]:
             blob = _blob(group, box, pixels, labels)
             if blob is not None:
                 blobs.append(blob)
-    return blobs
+    return [
+        replace(one, whole=not any(_belong(one.box, other.box) for other in blobs if other != one))
+        for one in blobs
+    ]
 
 
 def _fragments(mask: Luma) -> tuple[Luma, Luma]:
@@ -136,55 +141,32 @@ def _blob(group: list[int], box: Box, pixels: int, labels: Luma) -> Blob | None:
 def _merge(
     fragments: list[tuple[int, Box]], expected_height: ExpectedHeight
 ) -> list[tuple[list[int], Box]]:
-    """Group the labels that belong to one person; return the groups with their boxes.
-
-    Fragments are merged if one is above the other or they nearly touch, and the union is not too
-    tall.
-    """
+    """Group the labels that belong to one person; return the groups with their boxes."""
     groups = [([label], box) for label, box in fragments]
-    reach = BESIDE_HEIGHTS * _tallest([box for _, box in groups], expected_height)
     merged = True
     while merged:
         merged = False
         for i in range(len(groups)):
             for j in range(len(groups) - 1, i, -1):
-                a = groups[i][1]
-                b = groups[j][1]
-                if a[0] - b[2] > reach or b[0] - a[2] > reach:  # too far apart: most pairs
-                    continue
-                if _belong(a, b, expected_height):
+                if _belong(groups[i][1], groups[j][1], expected_height):
                     labels, box = groups.pop(j)
                     groups[i] = (groups[i][0] + labels, union(groups[i][1], box))
                     merged = True
     return groups
 
 
-def _tallest(boxes: list[Box], expected_height: ExpectedHeight) -> float:
-    """Return an upper bound (pixels) of the height of a person that any of the boxes is part of."""
-    if not boxes:
-        return 0.0
-    unknown = _HEIGHT_UNKNOWN * (max(box[3] for box in boxes) - min(box[1] for box in boxes))
-    return max(expected_height(box[3]) or unknown for box in boxes)
+def _belong(a: Box, b: Box, expected_height: ExpectedHeight = lambda row: None) -> bool:
+    """Return True if two boxes are parts of one person: one is above the other, or small and near.
 
-
-def _belong(a: Box, b: Box, expected_height: ExpectedHeight) -> bool:
-    """Return True if two boxes are parts of one person."""
-    overlap = min(a[2], b[2]) - max(a[0], b[0])
-    height = expected_height(max(a[3], b[3]))
-    if height is None:
-        height = _HEIGHT_UNKNOWN * max(box_height(a), box_height(b))
-    if overlap < -BESIDE_HEIGHTS * height:
+    While the height of people is not known, twice the taller box is allowed.
+    """
+    expected = expected_height(max(a[3], b[3]))
+    tallest = TALLER * expected if expected else 2 * max(box_height(a), box_height(b))
+    if box_height(union(a, b)) > tallest:
         return False
-
+    overlap = min(a[2], b[2]) - max(a[0], b[0])
+    if 2 * overlap >= min(a[2] - a[0], b[2] - b[0]):
+        return True
     gap = max(a[1], b[1]) - min(a[3], b[3])
-    together = union(a, b)
-
-    # One above the other.
-    if overlap >= 0.5 * min(a[2] - a[0], b[2] - b[0]):
-        slim = together[2] - together[0] <= 1.3 * max(a[2] - a[0], b[2] - b[0])
-        return slim and gap <= 0.35 * height and box_height(together) <= 1.2 * height
-
-    # Nearly touching, and one of them is small.
-    small = min(area(a), area(b))
-    near = gap <= 0.05 * height
-    return near and small < 0.05 * height * height and box_height(together) <= 1.2 * height
+    small = min(area(a), area(b)) < NEAR * tallest**2
+    return small and max(gap, -overlap) <= NEAR * tallest

@@ -297,7 +297,8 @@ class Tracker:
 
         # Measure the height of whole people, once per distance walked.
         step = hypot(blob.foot_x - track.measured_at[0], blob.bottom - track.measured_at[1])
-        if track.confirmed and step > STATURE_STEP_HEIGHTS * track.height and not cut:
+        walked = step > STATURE_STEP_HEIGHTS * track.height
+        if track.confirmed and walked and blob.whole and not cut:
             track.measured_at = blob.foot
             self.stature.add(track.number, blob.bottom, blob.height, blob.width)
 
