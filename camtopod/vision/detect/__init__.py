@@ -6,6 +6,10 @@ In the order of use: `shrink` (working size), `wiener` (noise filter, thesis 4.1
 """
 
 from camtopod.vision.detect.background import Luma as Luma
-from camtopod.vision.detect.blobs import Blob as Blob, find_blobs as find_blobs
+from camtopod.vision.detect.blobs import (
+    FILL_SHARE_MIN as FILL_SHARE_MIN,
+    Blob as Blob,
+    find_blobs as find_blobs,
+)
 from camtopod.vision.detect.motion import MotionDetector as MotionDetector
 from camtopod.vision.detect.shrink import shrunk as shrunk

@@ -10,7 +10,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from camtopod.vision.boxes import TOUCH_PIXELS, Box, Size, box_height, centre, iou, overlap, pixels
-from camtopod.vision.detect import Blob, Luma
+from camtopod.vision.detect import FILL_SHARE_MIN, Blob, Luma
 from camtopod.vision.detector.model import Detection
 
 TRUSTED_FROM = 0.6
@@ -24,8 +24,7 @@ PRIOR_AREA = 0.03
 INFERENCES_MEMORY = 200
 """Inferences after which a moving area counts 1/e as much."""
 OVERLAP_MIN = 0.3
-"""Least IoU of a box with the track that it continues, and its least share of moving pixels to
-begin one."""
+"""Least IoU of a box with the track that it continues; the same for the overlap with its motion."""
 BORDER_HEIGHTS = 0.15
 """Distance from the border (heights) within which a box ends there, if its motion does."""
 
@@ -65,9 +64,10 @@ def objects(
 ) -> tuple[list[Blob], float]:
     """Return the objects of a trusted detector, and the moving area that they do not explain.
 
-    A box counts where something is tracked, whether it moves or not. Elsewhere it has to move by
-    itself, and to have at least ``score_min``; then it may begin a track (ByteTrack: Y. Zhang et
-    al., 2022). What stands and only looks like a person begins none, also while others pass it.
+    A box counts where something is tracked, whether it moves or not. Elsewhere it needs motion
+    that better boxes do not explain, in as much of it as a blob has of its box, and at least
+    ``score_min``; then it may begin a track (ByteTrack: Y. Zhang et al., 2022). What stands and
+    only looks like a person begins none, also while others pass it.
 
     moving (H, W): mask of moving pixels of the working image; boxes are in its pixels, areas in
     shares of it.
@@ -77,7 +77,7 @@ def objects(
     found = []
     for one in sorted(detections, key=lambda one: -one.score):
         part = unexplained[pixels(one.box, (height, width))]
-        begins = one.score >= score_min and bool(part.mean() >= OVERLAP_MIN)
+        begins = one.score >= score_min and bool(part.sum() >= FILL_SHARE_MIN * max(part.size, 1))
         if begins or any(iou(one.box, box) >= OVERLAP_MIN for box in tracked):
             part[:] = False
             motion = [blob.box for blob in blobs if overlap(blob.box, one.box) >= OVERLAP_MIN]
