@@ -37,6 +37,7 @@ class Drawn:
     missed: share of the people that it misses, at random.
     jitter: standard deviation of a box's sides (heights).
     doubled: share of the people of whom it finds the upper half as well.
+    wrong: boxes of things that stand and only look like people.
     """
 
     size = (160, 160)
@@ -48,6 +49,7 @@ class Drawn:
         missed: float = 0.0,
         jitter: float = 0.0,
         doubled: float = 0.0,
+        wrong: Sequence[Box] = (),
         score: Callable[[float], float] = lambda t: 0.8,
     ) -> None:
         self._scene = scene
@@ -55,6 +57,7 @@ class Drawn:
         self._missed = missed
         self._jitter = jitter
         self._doubled = doubled
+        self._wrong = wrong
         self._score = score
         self._random = np.random.default_rng(7)
         self.t = 0.0
@@ -62,7 +65,7 @@ class Drawn:
 
     def infer(self, picture: Picture, crop: Box) -> list[Detection]:
         self.times.append(self.t)
-        found = []
+        found = [Detection(box, 0.5, "person") for box in self._wrong]
         image = (0.0, 0.0, float(WIDTH * FACTOR), float(HEIGHT * FACTOR))
         for box in self._scene.boxes(self.t):
             shown = common_area(box, image) / area(box)
@@ -200,6 +203,24 @@ def test_each_enters_once_and_leaves_once_whatever_the_faults(people: str, fault
     assert len({event.track for event in events}) == len(walks)
     for event in events:
         assert min(event.x, 1 - event.x) < 0.15
+
+
+def test_what_stands_and_looks_like_a_person_is_no_event_while_people_pass_it() -> None:
+    scene = ColouredScene(SCENES["crossing"])
+    wrong = [(180.0, 150.0, 200.0, 200.0), (100.0, 20.0, 120.0, 70.0)]
+    assert kinds(scene.events(20, drawn(scene, wrong=wrong))) == ["entry"] * 2 + ["exit"] * 2
+
+
+def test_who_comes_in_where_somebody_leaves_is_another() -> None:
+    scene = ColouredScene(
+        [
+            Person(line(5.0, (-0.05, 0.7), (1.1, 0.7), 8.0)),
+            Person(line(13.0, (1.05, 0.72), (-0.05, 0.72), 8.0), seed=1),
+        ]
+    )
+    events = scene.events(24, drawn(scene))
+    assert kinds(events) == ["entry", "exit", "entry", "exit"]
+    assert len({event.track for event in events}) == 2
 
 
 def test_a_door_in_mid_view_needs_no_learning_and_no_event_is_late() -> None:
