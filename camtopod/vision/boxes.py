@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from math import hypot
 
 Box = tuple[float, float, float, float]
@@ -102,3 +103,18 @@ def pixels(box: Box, shape: tuple[int, ...]) -> tuple[slice, slice]:
 def touches_border(box: Box, size: Size) -> bool:
     """Return True if the border of an image cuts the box."""
     return min(border_distances(box, size)) <= TOUCH_PIXELS
+
+
+def to_border(box: Box, others: Sequence[Box], size: Size, reach: float) -> Box:
+    """Return the box with each side moved to the border of an image that is within ``reach``
+    pixels of it, if one of the others touches the border there.
+    """
+    ends = (0.0, 0.0, float(size[0]), float(size[1]))
+    left, top, right, bottom = (
+        end
+        if abs(value - end) <= reach
+        and any(abs(other[side] - end) <= TOUCH_PIXELS for other in others)
+        else value
+        for side, (value, end) in enumerate(zip(box, ends, strict=True))
+    )
+    return (left, top, right, bottom)

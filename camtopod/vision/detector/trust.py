@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from camtopod.vision.boxes import TOUCH_PIXELS, Box, Size, box_height, centre, iou, overlap, pixels
+from camtopod.vision.boxes import Box, box_height, centre, iou, overlap, pixels, to_border
 from camtopod.vision.detect import FILL_SHARE_MIN, Blob, Luma
 from camtopod.vision.detector.model import Detection
 
@@ -81,23 +81,7 @@ def objects(
         if begins or any(iou(one.box, box) >= OVERLAP_MIN for box in tracked):
             part[:] = False
             motion = [blob.box for blob in blobs if overlap(blob.box, one.box) >= OVERLAP_MIN]
-            box = _to_border(one.box, motion, (width, height))
+            reach = BORDER_HEIGHTS * box_height(one.box)
+            box = to_border(one.box, motion, (width, height), reach)
             found.append(Blob(*box, centre(box)[0], begins))
     return found, float(unexplained.mean())
-
-
-def _to_border(box: Box, motion: Sequence[Box], size: Size) -> Box:
-    """Return a box up to the border of the image, where it is near and its motion touches it.
-
-    A detector finds less of a person whom the border cuts.
-    """
-    reach = BORDER_HEIGHTS * box_height(box)
-    ends = (0.0, 0.0, float(size[0]), float(size[1]))
-    left, top, right, bottom = (
-        end
-        if abs(value - end) <= reach
-        and any(abs(blob[side] - end) <= TOUCH_PIXELS for blob in motion)
-        else value
-        for side, (value, end) in enumerate(zip(box, ends, strict=True))
-    )
-    return (left, top, right, bottom)
