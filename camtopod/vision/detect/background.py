@@ -19,26 +19,20 @@ Luma = cv2.typing.MatLike
 
 TONE_BINS = 16
 """Bins of grey levels in which the tone curve is estimated."""
-_TONE_PIXELS_MIN = 24
-"""Sampled pixels that a bin needs to take part in the tone curve."""
+MEDIAN_SAMPLES = 24
+"""Samples that a median takes: of the tone in a bin at least, of the first frames at most."""
+LEARNING_SECONDS = 20.0
+"""Time constant with which the background follows changes of the settled scene."""
 CONTRAST_SHARE_MIN = 0.1
 """Share of the scene's contrast that is left in any light; a card of a recorder leaves less."""
-SHIFT_MIN = 1.0
-"""Tone shifts (grey levels) up to this plus `SHIFT_NOISE_FACTOR` times the noise are ignored."""
-SHIFT_NOISE_FACTOR = 0.4
-"""Factor of the noise in the tone shifts that are ignored: see `SHIFT_MIN`."""
 _LEVELS = np.arange(256, dtype=np.float32)
 
 
 class Background:
     """Model of the settled scene, (H, W) grey levels."""
 
-    def __init__(self, frames: Sequence[Luma], seconds: float) -> None:
-        """Take the median of ``frames``, at least one, as the first model.
-
-        seconds: time constant of learning.
-        """
-        self._seconds = seconds
+    def __init__(self, frames: Sequence[Luma]) -> None:
+        """Take the median of ``frames``, at least one, as the first model."""
         stack = np.sort(np.stack(frames), axis=0)
         self._model = stack[len(frames) // 2].astype(np.float32)
         self.image: Luma = stack[len(frames) // 2].copy()
@@ -52,7 +46,7 @@ class Background:
             pixels that are not learned would drift with them.
         """
         shift = self._tone_shift(frame, settled)
-        doubt = SHIFT_MIN + SHIFT_NOISE_FACTOR * noise
+        doubt = max(1.0, noise)
         if np.abs(shift).max() <= doubt:
             return self.image
         shift -= np.clip(shift, -doubt, doubt)
@@ -74,7 +68,7 @@ class Background:
         changes = np.sort(levels * 512 + change) % 512
         counts = np.bincount(levels, minlength=TONE_BINS)
 
-        filled = np.flatnonzero(counts >= _TONE_PIXELS_MIN)
+        filled = np.flatnonzero(counts >= MEDIAN_SAMPLES)
         if not len(filled):
             return np.zeros(256, np.float32)
 
@@ -93,7 +87,7 @@ class Background:
         Elsewhere the model follows the light alone (``expected``); otherwise an area that was
         covered for a while would reappear in the light of an earlier hour.
         """
-        rate = 1.0 - float(np.exp(-dt / self._seconds))
+        rate = 1.0 - float(np.exp(-dt / LEARNING_SECONDS))
         cv2.accumulateWeighted(cv2.copyTo(frame, settled, expected.copy()), self._model, rate)
         self.image = cv2.convertScaleAbs(self._model)
 

@@ -13,12 +13,8 @@ from camtopod.vision.boxes import Box, area, box_height, union
 from camtopod.vision.detect.background import Luma
 from camtopod.vision.detect.motion import Motion
 
-FRAGMENT_PIXELS_MIN = 6
-"""Smallest fragment, pixels."""
 AREA_SHARE_MIN = 0.0004
 """Smallest blob as a share of the image's area."""
-AREA_PIXELS_MIN = 14
-"""Smallest blob, pixels."""
 FILL_SHARE_MIN = 0.2
 """Smallest share of its box that a person fills."""
 TALLER = 1.2
@@ -79,16 +75,15 @@ def find_blobs(motion: Motion, expected_height: ExpectedHeight) -> list[Blob]:
         return []
     mask = cv2.morphologyEx(motion.moving, cv2.MORPH_CLOSE, _CLOSE)
 
-    # Connected fragments, the largest if there are too many.
+    # Connected fragments of half of the smallest blob, the largest if there are too many.
     labels, stats = _fragments(mask)
     areas = stats[1:, cv2.CC_STAT_AREA]
-    kept = 1 + np.flatnonzero(areas >= FRAGMENT_PIXELS_MIN)
-    if len(kept) > BLOBS_MAX:
-        kept = 1 + np.argsort(areas)[-BLOBS_MAX:]
+    area_min = AREA_SHARE_MIN * mask.size
+    kept = np.argsort(areas, kind="stable")[-BLOBS_MAX:]
+    kept = 1 + kept[areas[kept] >= area_min / 2]
 
     # Merge fragments of one person and keep blobs of a person's shape.
     groups = _merge([(int(label), _box(stats[label])) for label in kept], cache(expected_height))
-    area_min = max(AREA_PIXELS_MIN, AREA_SHARE_MIN * mask.size)
     blobs = []
     for group, box in groups:
         pixels = sum(int(areas[label - 1]) for label in group)

@@ -20,17 +20,13 @@ import numpy as np
 
 from camtopod.vision.boxes import Box
 from camtopod.vision.detect import shake
-from camtopod.vision.detect.background import Background, Luma
+from camtopod.vision.detect.background import MEDIAN_SAMPLES, Background, Luma
 from camtopod.vision.detect.swaying import Swaying
 from camtopod.vision.detect.wiener import NOISE_TO_FILTER, temporal_noise, wiener
 from camtopod.vision.settings import Polygon, VisionSettings
 
-BACKGROUND_SECONDS = 20.0
-"""Time constant with which the background follows changes of the settled scene."""
 DIFFERENCE_MIN = 15.0
 """Smallest difference (grey levels) of a moving pixel, in an image without noise."""
-NOISE_FACTOR = 4.0
-"""Smallest difference of a moving pixel in sigmas of the noise."""
 EDGE_MIN = 18.0
 """Smallest step of the logarithmic difference between neighbours that light does not cause.
 
@@ -49,17 +45,8 @@ CHANGED_SECONDS = 1.5
 """Time for which the image must have changed in one of these ways before it is learned again."""
 ADOPT_SECONDS = 6.0
 """Time after which a difference that belongs to no object becomes part of the scene."""
-BOOTSTRAP_FRAMES_MAX = 24
-"""Largest number of frames in the median of the first background."""
-GHOST_RATIO = 1.5
-"""Gradient of the model over that of the image, along the outline, above which it is a ghost.
-
-The model then still contains the object that has left.
-"""
 SHAKE_PIXELS = 0.2
 """Mean shake (pixels) above which frames are aligned with the scene."""
-SHAKE_PIXELS_MAX = 2.0
-"""Largest shift of one frame that enters the mean shake, pixels."""
 _NOISE_RATE = 0.1
 """Weight of the newest frame in the running means of noise and shake."""
 _CROSS = cv2.getStructuringElement(cv2.MORPH_CROSS, (3, 3))
@@ -116,12 +103,12 @@ class MotionDetector:
         return cv2.convertScaleAbs(wiener(frame, 3, self.noise**2))
 
     def bootstrap(self, frames: list[Luma]) -> None:
-        """Take the median of ``frames`` (at most 24 of them) as the settled scene."""
-        step = -(-len(frames) // BOOTSTRAP_FRAMES_MAX)
+        """Take the median of ``frames`` (some of them) as the settled scene."""
+        step = -(-len(frames) // MEDIAN_SAMPLES)
         frames = frames[::step]
         scene = frames[len(frames) // 2]
         shifts = [shake.shift(frame, scene, self.watched) for frame in frames]
-        self.shake = min(sum(shifts) / len(shifts), SHAKE_PIXELS_MAX)
+        self.shake = sum(shifts) / len(shifts)
         self._map = shake.IDENTITY
         """Where the latest image shows the places of the scene, while the camera shakes."""
         if self.shake > SHAKE_PIXELS:
@@ -131,7 +118,7 @@ class MotionDetector:
                 )
                 for frame in frames
             ]
-        self._background = Background(frames, BACKGROUND_SECONDS)
+        self._background = Background(frames)
         self._expected = self._background.image
         self.ready = True
         self._settled: Luma = self.watched.copy()
@@ -154,14 +141,14 @@ class MotionDetector:
             pixels = shake.length(self._map, frame.shape)
         else:
             pixels = shake.shift(frame, self._expected, self._settled)
-        self.shake += _NOISE_RATE * (min(pixels, SHAKE_PIXELS_MAX) - self.shake)
+        self.shake += _NOISE_RATE * (pixels - self.shake)
         expected = self._background.expected(frame, self._settled, self.noise)
         self._expected = expected
 
         # Moving pixels; an image that has changed for long ends this scene.
         difference = cv2.absdiff(frame, expected)
-        noise = NOISE_FACTOR * min(self.noise, NOISE_TO_FILTER)
-        least = max(DIFFERENCE_MIN / self._settings.sensitivity, noise)
+        noise = min(self.noise / NOISE_TO_FILTER, 1.0)
+        least = DIFFERENCE_MIN * max(1.0 / self._settings.sensitivity, noise)
         differs = cv2.threshold(difference, least, 255, cv2.THRESH_BINARY)[1]
         differs = cv2.bitwise_and(differs, self.watched)
         moving = self._swaying.without(differs, frame, expected, least)
@@ -262,7 +249,7 @@ class MotionDetector:
         now = cv2.morphologyEx(frame[part], cv2.MORPH_GRADIENT, _CROSS)[outline].mean()
         scene = self._background.image[part]
         model = cv2.morphologyEx(scene, cv2.MORPH_GRADIENT, _CROSS)[outline].mean()
-        if float(model) < GHOST_RATIO * max(1.0, float(now)):
+        if model < now:
             return False
 
         # Adopt the image.

@@ -20,10 +20,8 @@ Map = npt.NDArray[np.float64]
 IDENTITY: Map = np.eye(3)
 _FACTORS = (4, 2)
 """Images are aligned at these parts of their size; the smaller they are, the farther it reaches."""
-_STEPS_MAX = 10
-"""Largest number of steps to align a frame; a single one is accurate to about a pixel."""
-_EXACT_PIXELS = 0.05
-"""Length of a step (pixels) below which the alignment has converged."""
+_STEPS = 4
+"""Steps to align a frame at each size; a single one is accurate to about a pixel."""
 _OUTLIER = 40
 """Difference (grey levels) above which a pixel shows an object rather than a shift of the scene."""
 _CONDITION_MIN = 1e-3
@@ -51,11 +49,9 @@ def aligning(image: Luma, scene: Luma, settled: Luma, first: Map) -> Map:
             cv2.resize(one, size, interpolation=cv2.INTER_AREA) for one in (image, scene, settled)
         )
         found = first
-        for _ in range(_STEPS_MAX):
+        for _ in range(_STEPS):
             change = _step(warped(small, model, found), model, known, 6, 1)
             found = found @ change
-            if length(change, scene.shape) < _EXACT_PIXELS:
-                break
         if _residual(small, model, known, found) < _residual(small, model, known, first):
             first = found
     return first

@@ -11,14 +11,10 @@ from __future__ import annotations
 import cv2
 import numpy as np
 
-from camtopod.vision.detect.background import Luma
+from camtopod.vision.detect.background import LEARNING_SECONDS, Luma
 
 SWAY_SHARE = 0.15
 """Share of the frames in which a pixel alternates, above which it is dynamic background."""
-SWAY_SECONDS = 20.0
-"""Time constant with which this share is estimated."""
-SWAY_START_SECONDS = 6.0
-"""Time constant at the beginning; it grows with the elapsed time up to `SWAY_SECONDS`."""
 SWAY_PIXELS = 3
 """Radius (pixels) of the neighbourhood, the distance by which scenery may sway."""
 _NEIGHBOURS = np.ones((3, 3), np.uint8)
@@ -32,7 +28,6 @@ class Swaying:
         """Begin with a scene at rest, of ``shape`` (height, width)."""
         self._share = np.zeros(shape, np.float32)  # of the frames, times 255
         self._differed: Luma = np.zeros(shape, np.uint8)
-        self._seconds = 0.0
 
     def without(self, moving: Luma, frame: Luma, expected: Luma, difference_min: float) -> Luma:
         """Return the mask ``moving`` (H, W) without dynamic background.
@@ -53,10 +48,8 @@ class Swaying:
         differs (H, W): pixels that differ from the scene, including dynamic background.
         unclaimed (H, W): 0 under confirmed objects, where nothing is counted.
         """
-        self._seconds += dt
-        constant = min(max(self._seconds, SWAY_START_SECONDS), SWAY_SECONDS)
         changed = cv2.bitwise_xor(differs, self._differed)
-        cv2.accumulateWeighted(changed, self._share, dt / constant, unclaimed)
+        cv2.accumulateWeighted(changed, self._share, dt / LEARNING_SECONDS, unclaimed)
         self._differed = differs
 
 

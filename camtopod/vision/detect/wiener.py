@@ -8,6 +8,7 @@ windows keep the share of their deviation that is signal.
 from __future__ import annotations
 
 from math import sqrt
+from statistics import NormalDist
 from typing import Any
 
 import cv2
@@ -18,8 +19,6 @@ NOISE_TO_FILTER = 2.5
 """Noise (one sigma, grey levels) below which filtering costs more detail than it removes noise."""
 _TRIM = 0.75
 """Share of the pixels, the least changed, that the noise is measured by."""
-_TRIMMED_MEAN = 0.5147
-"""Mean of the lowest 75 % of abs(z) for standard normal z."""
 
 
 def wiener(image: npt.NDArray[Any], size: int, noise: float) -> npt.NDArray[np.floating[Any]]:
@@ -61,4 +60,6 @@ def temporal_noise(
     kept = max(1, int(change.size * _TRIM))
     at_most = np.cumsum(np.bincount(change.ravel()))  # pixels that changed by at most 0, 1, ...
     total = int(np.maximum(kept - at_most, 0).sum())
-    return total / kept / _TRIMMED_MEAN / sqrt(2.0)
+    normal = NormalDist(0.0, sqrt(2.0))
+    trimmed_mean = 2 * (normal.pdf(0) - normal.pdf(normal.inv_cdf((1 + _TRIM) / 2))) * 2 / _TRIM
+    return total / kept / trimmed_mean
