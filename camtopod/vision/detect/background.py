@@ -46,7 +46,7 @@ class Background:
             pixels that are not learned would drift with them.
         """
         shift = self._tone_shift(frame, settled)
-        doubt = max(1.0, noise)
+        doubt = max(1.0, noise / 2)
         if np.abs(shift).max() <= doubt:
             return self.image
         shift -= np.clip(shift, -doubt, doubt)
