@@ -293,6 +293,6 @@ def test_inference_runs_only_when_something_moves_and_not_too_often() -> None:
 
     scene = ColouredScene(ALONE)
     rarely = drawn(scene, rate=2.0)
-    scene.events(18, rarely)
+    assert kinds(scene.events(18, rarely)) == ["entry", "exit"]
     assert len(rarely.drawn.times) <= 24
     assert rarely.statistics()["detector_looks"] == len(rarely.drawn.times)
