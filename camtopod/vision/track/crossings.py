@@ -9,10 +9,9 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from math import hypot, inf
-from statistics import median
 
 from camtopod.records import Event, Kind
-from camtopod.vision.boxes import TOUCH_PIXELS, Box, border_distances, box_height, touches_border
+from camtopod.vision.boxes import TOUCH_PIXELS, Box, border_distances, touches_border
 from camtopod.vision.settings import Polygon
 from camtopod.vision.track.decisions import Decision, Edge, Reason
 from camtopod.vision.track.doors import Doors
@@ -28,14 +27,13 @@ CUT_SHARE = 0.7
 """Visible share of a person below which the top of the image counts as border."""
 BORDER_SECONDS_MAX = 1.5
 """Longest time between a sighting and the crossing of the border that it is moved to."""
-DATED_SECONDS_MAX = 0.7
-"""Longest time that it is dated back or forward; an exit is known no sooner after the sighting."""
+GONE_PATIENCE_SECONDS = 0.7
+"""Patience with an object that the border cut when it was last seen.
+
+An event is dated back or forward by as much at most, as an exit is known no sooner.
+"""
 LATENESS_SECONDS_MAX = 4.0
 """Longest time after an event at which it is told; the daemon does not learn from later ones."""
-FOOT_SIGHTINGS = 5
-"""Sightings whose median gives the foot row of a person cut by the side of the image."""
-WHOLE_SHARE = 0.6
-"""Least height of these sightings, as a share of the tallest one."""
 EXIT_HEIGHTS_MIN = 0.6
 """Least distance from its origin (heights) that a track must have moved for an exit.
 
@@ -253,16 +251,10 @@ class Crossings:
         """Return the event at a sighting; none if it is known too late.
 
         An event with another time than its own would mislead more than one that is missing.
-        The foot row of a person cut by the side of the image is estimated from the sightings
-        that are kept.
         """
         entry = kind == "entry"
         sense = -1.0 if entry else 1.0
-        x, y = at.foot
-        left, _, right, _ = border_distances(at.box, self.size)
-        if min(left, right) <= TOUCH_PIXELS:
-            y = _foot_row(list(track.history), latest=not entry)
-        at = self._at_border(track, at._replace(foot=(x, y)), edge, sense)
+        at = self._at_border(track, at, edge, sense)
         x, y = at.foot
 
         lateness = self.now - at.t
@@ -298,27 +290,13 @@ class Crossings:
         if not 0.0 < seconds <= BORDER_SECONDS_MAX:
             return at
         ahead = sense * seconds
-        dated = sense * min(seconds, DATED_SECONDS_MAX)
+        dated = sense * min(seconds, GONE_PATIENCE_SECONDS)
         return at._replace(t=at.t + dated, foot=(x + ahead * dx, y + ahead * dy))
 
 
 def _has_walked(track: Track) -> bool:
     """Return True if the track has moved far enough to be evidence of a door."""
     return track.reach >= WALKED_HEIGHTS_MIN * track.height
-
-
-def _foot_row(sightings: list[Sighting], latest: bool) -> float:
-    """Return the foot row of a person cut by the side of the image.
-
-    The piece of a person that is seen last need not include a foot.
-    """
-    tallest = max(box_height(sighting.box) for sighting in sightings)
-    whole = [
-        sighting for sighting in sightings if box_height(sighting.box) >= WHOLE_SHARE * tallest
-    ]
-    if latest:
-        whole.reverse()
-    return median(sighting.foot[1] for sighting in whole[:FOOT_SIGHTINGS])
 
 
 def _drift(track: Track) -> tuple[float, float]:

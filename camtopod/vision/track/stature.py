@@ -10,15 +10,11 @@ import numpy as np
 SAMPLES_MAX = 400
 """Samples kept, the newest."""
 SAMPLES_MIN = 20
-"""Samples needed for a fit."""
-SLIMNESS = 0.4
-"""Width of a person over the height, while few have been seen."""
+"""Samples needed for a fit, and new ones for the next fit."""
 OBJECTS_MIN = 2
 """Objects needed for a fit: one object does not tell the height of others."""
-_REFIT_SAMPLES_MIN = 10
-"""New samples after which the line is fitted again, at least."""
-_REFIT_SHARE = 0.1
-"""Share of new samples after which the line is fitted again."""
+OUTLIER_FACTOR = 2.5
+"""Factor of the median, of a residual or of a height, beyond which it is not believed."""
 
 
 class Stature:
@@ -27,22 +23,19 @@ class Stature:
     def __init__(self) -> None:
         self._rows: deque[float] = deque(maxlen=SAMPLES_MAX)
         self._heights: deque[float] = deque(maxlen=SAMPLES_MAX)
-        self._slimness: deque[float] = deque([SLIMNESS] * SAMPLES_MIN, maxlen=SAMPLES_MAX)
         self._objects: set[int] = set()
         self._new = 0
         self._line: tuple[float, float] | None = None
         self._middle = 0.0
 
-    def add(self, track: int, foot_y: float, height: float, width: float) -> None:
-        """Add a sighting of ``track``: feet in row ``foot_y``; height and width, pixels."""
+    def add(self, track: int, foot_y: float, height: float) -> None:
+        """Add a sighting of ``track``: feet in row ``foot_y``, height in pixels."""
         self._rows.append(foot_y)
         self._heights.append(height)
-        self._slimness.append(width / height)
         if len(self._objects) < OBJECTS_MIN:
             self._objects.add(track)
         self._new += 1
-        due = self._new >= max(_REFIT_SAMPLES_MIN, _REFIT_SHARE * len(self._rows))
-        if due and len(self._rows) >= SAMPLES_MIN and len(self._objects) >= OBJECTS_MIN:
+        if self._new >= SAMPLES_MIN and len(self._objects) >= OBJECTS_MIN:
             self._fit()
             self._new = 0
 
@@ -64,19 +57,16 @@ class Stature:
                 slope = float(from_middle @ y / (from_middle @ from_middle))
                 base = float(y.mean() - slope * x.mean())
             residual = np.abs(heights - (base + slope * rows))
-            kept = residual <= 2.5 * np.median(residual) + 1e-9
+            kept = residual <= OUTLIER_FACTOR * np.median(residual) + 1e-9
         self._line = (base, slope)
-
-    def width(self, height: float) -> float:
-        """Return the usual width in pixels of an object of some height."""
-        return height * median(self._slimness)
 
     def height(self, foot_y: float) -> float | None:
         """Return the expected height in pixels; None if unknown.
 
-        It is within a factor of 2.5 of the median.
+        It is within `OUTLIER_FACTOR` of the median.
         """
         if self._line is None:
             return None
         base, slope = self._line
-        return min(max(base + slope * foot_y, self._middle / 2.5), self._middle * 2.5)
+        low = self._middle / OUTLIER_FACTOR
+        return min(max(base + slope * foot_y, low), self._middle * OUTLIER_FACTOR)

@@ -49,8 +49,6 @@ class Track:
     """Largest distance of head or foot from where it began, pixels."""
     origin: Vector = (0.0, 0.0, 0.0, 0.0)
     """Head and foot where it began."""
-    cut_t: float = float("-inf")
-    """Time when the border last cut its box, seconds."""
     measured_at: tuple[float, float] = (0.0, 0.0)
     """Foot point where its height was last measured."""
     unmet: Unmet | None = None

@@ -15,7 +15,7 @@ area in mid-view it may continue as far away as a person walks meanwhile.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
-from math import hypot
+from math import dist, hypot
 
 import numpy as np
 from scipy.optimize import linear_sum_assignment
@@ -24,14 +24,17 @@ from camtopod.records import Event
 from camtopod.vision.boxes import area, box_height, centre, contains_centre, gap, in_image, overlap
 from camtopod.vision.detect import Blob
 from camtopod.vision.settings import VisionSettings
-from camtopod.vision.track.crossings import LATENESS_SECONDS_MAX, Crossings
+from camtopod.vision.track.crossings import GONE_PATIENCE_SECONDS, LATENESS_SECONDS_MAX, Crossings
 from camtopod.vision.track.decisions import Reason
-from camtopod.vision.track.kalman import Kalman
+from camtopod.vision.track.kalman import MEASUREMENT, Kalman
 from camtopod.vision.track.stature import Stature
 from camtopod.vision.track.track import Sighting, Track, Unmet
 
 CONFIRM_SECONDS = 0.5
-"""Minimum time something must be tracked, and move, before it counts as an object."""
+"""Minimum time something must be tracked, and move, before it counts as an object.
+
+It is also the patience with what is tentative.
+"""
 PATIENCE_SECONDS = 1.5
 """Time an object may go undetected before its track ends."""
 STITCH_SECONDS = 10.0
@@ -44,43 +47,27 @@ CONFIRM_SIGHTINGS_SHARE = 0.6
 """Least share of the frames in which a track is seen for it to be confirmed."""
 CONFIRM_HEIGHTS = 0.25
 """Distance (heights) that head or foot must move for a track to be confirmed."""
-TENTATIVE_PATIENCE_SECONDS = 0.45
-"""Patience with tentative tracks."""
-GONE_PATIENCE_SECONDS = 0.7
-"""Patience with an object that the border cut when it was last seen."""
-STITCH_HEIGHTS = 1.0
-"""Distance (heights) within which a lost track may continue, for a gap of no time."""
-STITCH_HEIGHTS_PER_SECOND = 0.4
-"""Growth of this distance with the gap, heights per second."""
-STITCH_HEIGHTS_MAX = 2.5
-"""Upper limit of this distance, heights."""
-STITCH_AT_EDGE_SECONDS = 1.5
-"""Longest gap after which a track that begins at an edge may continue a lost one."""
-STITCH_AT_EDGE_HEIGHTS = 0.5
-"""Largest distance (heights) at which a track that begins at an edge may continue a lost one."""
-BEHIND_HEIGHTS_PER_SECOND = 1.5
-"""Growth of the distance for a passage behind an ignored area in mid-view, heights per second.
+STITCH_HEIGHTS = 1.5
+"""Distance (heights) within which a lost track may continue.
 
-It is measured from where the object would be at its last velocity, and allows it to turn round.
+Behind an ignored area in mid-view it grows by as much each second, from where the object would be
+at its last velocity; that allows it to turn round.
 """
-PIECE_HEIGHT_MIN = 0.35
-"""Least height of a blob away from the border, as a share of the person it is assigned to."""
-START_HEIGHT_MIN = 0.4
-"""Least height of a new blob in mid-view, as a share of a person's."""
-STATURE_STEP_HEIGHTS = 0.15
-"""Distance (heights) after which an object's height is measured again.
-
-Standing people would otherwise outvote the others.
-"""
+PIECE_HEIGHT_MIN = 0.4
+"""Least height of a blob that no border cuts, as a share of a person's."""
 TALL_SIGHTINGS_MIN = 3
 """Sightings of the least height (setting `min_height`) that make an object.
 
 A single one may be two small animals in one blob.
 """
+GROUP_FACTOR = 1.3
+"""Least width or height of a group, as a factor of its widest or tallest member's."""
+LIKE_FACTOR = 2.0
+"""Largest factor between the areas, or heights, of one object that no border cuts."""
 _SIZE_RATE = 0.2
 """Weight of the newest sighting in the running means of height and width."""
-LIKE_AREAS = 2.0
-"""Largest factor between the areas of one object in two sightings that no border cuts."""
+NEARER_SHARE = 0.7
+"""Weight in the cost of an assignment of the one of head and foot that is nearer."""
 _NEVER = 1e9
 """Cost of an assignment that is not allowed."""
 
@@ -112,21 +99,21 @@ class Tracker:
 
         Returns the events that are certain now.
         """
-        dt = 0.0 if self._t is None else t - self._t
+        before = t if self._t is None else self._t
         self._t = t
-        self._dt = dt
+        self._dt = t - before
         self.crossings.now = max(self.crossings.now, t)
         if self._start is None:
             self._start = t
         left = []
 
         # A pause in the frames interrupts all tracks.
-        if dt > PATIENCE_SECONDS:
+        if self._dt > PATIENCE_SECONDS:
             left = self._interrupt(t)
 
         # Predict.
         for track in self.active:
-            track.kalman.predict(dt, track.size, coasting=track.last.t < t - 1.5 * dt)
+            track.kalman.predict(self._dt, track.size, coasting=track.last.t < before)
             track.frames += 1
 
         # Assign blobs, to groups first. They occlude others, or start tracks.
@@ -135,7 +122,7 @@ class Tracker:
         free = self._assign(t, free, self._costs_by_area)
         for track in self.active:
             hidden = track.confirmed and track.last.t < t
-            near = 0.3 * track.height
+            near = GATE_HEIGHTS * track.height
             track.occluded = hidden and (
                 track.occluded or any(gap(blob.box, track.last.box) < near for blob in blobs)
             )
@@ -169,8 +156,12 @@ class Tracker:
                 and top <= y <= bottom
                 and not self.crossings.turns_back(track, blob.box)
             ]
-            wide = len(inside) > 1 and blob.width > 1.3 * max(track.width for track in inside)
-            tall = len(inside) > 1 and blob.height > 1.25 * max(track.height for track in inside)
+            wide = len(inside) > 1 and blob.width > GROUP_FACTOR * max(
+                track.width for track in inside
+            )
+            tall = len(inside) > 1 and blob.height > GROUP_FACTOR * max(
+                track.height for track in inside
+            )
             if wide or tall:
                 self._update_group(t, blob, inside)
             else:
@@ -250,7 +241,8 @@ class Tracker:
             if near > gate and overlap(track.last.box, blob.box) < 0.3:
                 continue
             if blob.bottom - blob.top >= height_min or self.crossings.touches(blob.box):
-                costs[j] = (0.7 * near + 0.3 * far) / gate + (0.0 if track.confirmed else 0.5)
+                distance = NEARER_SHARE * near + (1 - NEARER_SHARE) * far
+                costs[j] = distance / gate + (not track.confirmed) / 2
         return costs
 
     def _costs_by_area(self, track: Track, blobs: list[Blob]) -> list[float]:
@@ -275,7 +267,7 @@ class Tracker:
             x, y = centre(blob.box)
             distance = min(hypot(x - a, y - b) for a, b in middles)
             ratio = area(blob.box) / area(box)
-            alike = 1 / LIKE_AREAS <= ratio <= LIKE_AREAS
+            alike = 1 / LIKE_FACTOR <= ratio <= LIKE_FACTOR
             if distance <= reach and (alike or cut or self.crossings.touches(blob.box)):
                 costs[j] = distance / reach
         return costs
@@ -297,18 +289,16 @@ class Tracker:
 
         # Measure the height of whole people, once per distance walked.
         step = hypot(blob.foot_x - track.measured_at[0], blob.bottom - track.measured_at[1])
-        walked = step > STATURE_STEP_HEIGHTS * track.height
+        walked = step > 2 * MEASUREMENT * track.height
         if track.confirmed and walked and blob.whole and not cut:
             track.measured_at = blob.foot
-            self.stature.add(track.number, blob.bottom, blob.height, blob.width)
+            self.stature.add(track.number, blob.bottom, blob.height)
 
     def _seen(self, track: Track, sighting: Sighting) -> None:
         """Record a sighting."""
         track.last = sighting
         track.history.append(sighting)
         track.sightings += 1
-        if self.crossings.touches(sighting.box):
-            track.cut_t = sighting.t
         left, top, right, bottom = sighting.box
         head_x, head_y, foot_x, foot_y = track.origin
         head = hypot((left + right) / 2 - head_x, top - head_y)
@@ -323,7 +313,7 @@ class Tracker:
             return
         expected = self.stature.height(blob.bottom)
         cut = self.crossings.touches(blob.box)
-        if expected is not None and not cut and blob.height < START_HEIGHT_MIN * expected:
+        if expected is not None and not cut and blob.height < PIECE_HEIGHT_MIN * expected:
             return
         others = [track for track in self.active if track.confirmed]
         if any(track.last.t == t and contains_centre(track.last.box, blob.box) for track in others):
@@ -331,8 +321,8 @@ class Tracker:
 
         sighting = Sighting(t, blob.foot, blob.box)
         measured = (*blob.head, *blob.foot)
-        beside = any(gap(track.box, blob.box) < 0.3 * track.height for track in others)
-        height = max(blob.height, 0.5 * (expected or 0.0))
+        beside = any(gap(track.box, blob.box) < GATE_HEIGHTS * track.height for track in others)
+        height = max(blob.height, PIECE_HEIGHT_MIN * (expected or 0.0))
         track = Track(
             number=next(self._numbers),
             first=sighting,
@@ -343,7 +333,6 @@ class Tracker:
             from_start=t == self._start,
             beside_others=beside,
             origin=measured,
-            cut_t=t if cut else float("-inf"),
         )
         track.history.append(sighting)
         self.active.append(track)
@@ -356,7 +345,7 @@ class Tracker:
                 continue
             track.unmet = self._unmet(t, track)
             track.confirmed = track.unmet is None
-            if track.confirmed and not self._stitch(t, track):
+            if track.confirmed and not self._stitch(track):
                 appeared.append(track)
         return appeared
 
@@ -379,37 +368,37 @@ class Tracker:
                 return "low", tall, needed
         return None
 
-    def _stitch(self, t: float, track: Track) -> bool:
+    def _stitch(self, track: Track) -> bool:
         """Continue the nearest track that was lost in mid-view; False if none is within reach."""
+        if self.crossings.begins_at_edge(track):
+            return False
         from_behind = self.crossings.beyond(track, track.first, -1.0) == "view"
         missing = [
-            other for other in self.active if other.confirmed and other.last.t < track.first.t
+            other
+            for other in self.active
+            if other.confirmed
+            and other.last.t < track.first.t
+            and not self.crossings.at_edge(other)
         ]
 
         # Nearest by distance over reach.
         best = None
         best_score = 1.0
+        height = box_height(track.first.box)
         for other in [*self.lost, *missing]:
-            if other is track or (other.last.t < t and self.crossings.at_edge(other)):
-                continue
             seconds = max(0.0, track.first.t - other.last.t)
             x, y = other.last.foot
-            reach = min(STITCH_HEIGHTS + STITCH_HEIGHTS_PER_SECOND * seconds, STITCH_HEIGHTS_MAX)
-            if self.crossings.begins_at_edge(track):
-                reach = STITCH_AT_EDGE_HEIGHTS * (seconds <= STITCH_AT_EDGE_SECONDS)
-            elif from_behind and self.crossings.beyond(other, other.last, 1.0) == "view":
-                reach = STITCH_HEIGHTS + BEHIND_HEIGHTS_PER_SECOND * seconds
-                dx, dy = other.velocity
-                x += seconds * dx
-                y += seconds * dy
-            height = box_height(track.first.box)
+            reach = STITCH_HEIGHTS
+            if from_behind and self.crossings.beyond(other, other.last, 1.0) == "view":
+                reach *= 1 + seconds
+                x += seconds * other.velocity[0]
+                y += seconds * other.velocity[1]
             other_height = box_height(other.last.box)
-            reach *= max(height, other_height)
-            distance = hypot(track.first.foot[0] - x, track.first.foot[1] - y)
-            ratio = height / other_height
-            if distance < reach * best_score and 0.4 < ratio < 2.5:
+            low, high = sorted((height, other_height))
+            score = dist(track.first.foot, (x, y)) / (reach * high)
+            if score < best_score and high < LIKE_FACTOR * low:
                 best = other
-                best_score = distance / reach
+                best_score = score
 
         if best is not None:
             self._absorb(track, best)
@@ -435,7 +424,7 @@ class Tracker:
 
         # Patience depends on how the object was last seen.
         for track in self.active:
-            patience = TENTATIVE_PATIENCE_SECONDS
+            patience = CONFIRM_SECONDS
             if track.confirmed:
                 patience = PATIENCE_SECONDS
             if self.crossings.touches(track.last.box) and self.crossings.at_edge(track):
@@ -508,7 +497,7 @@ class Tracker:
         self._t = self._start = None
         left = []
         for track in self.active:
-            unseen = t - track.last.t > TENTATIVE_PATIENCE_SECONDS
+            unseen = t - track.last.t > CONFIRM_SECONDS
             track.edge = self.crossings.at_edge(track) if track.confirmed and unseen else None
             if track.edge:
                 left.append(track)
