@@ -82,15 +82,14 @@ def find_blobs(motion: Motion, expected_height: ExpectedHeight) -> list[Blob]:
     kept = np.argsort(areas, kind="stable")[-BLOBS_MAX:]
     kept = 1 + kept[areas[kept] >= area_min / 2]
 
-    # Merge fragments of one person and keep blobs of a person's shape.
+    # Merge fragments of one person.
     groups = _merge([(int(label), _box(stats[label])) for label in kept], cache(expected_height))
-    blobs = []
-    for group, box in groups:
-        pixels = sum(int(areas[label - 1]) for label in group)
-        if pixels >= area_min:
-            blob = _blob(group, box, pixels, labels)
-            if blob is not None:
-                blobs.append(blob)
+    blobs = [
+        _blob(group, box, labels)
+        for group, box in groups
+        if sum(int(areas[label - 1]) for label in group)
+        >= max(area_min, FILL_SHARE_MIN * area(box))
+    ]
     return [
         replace(one, whole=not any(_belong(one.box, other.box) for other in blobs if other != one))
         for one in blobs
@@ -115,22 +114,12 @@ def _box(row: cv2.typing.MatLike) -> Box:
     return (left, top, left + width, top + height)
 
 
-def _blob(group: list[int], box: Box, pixels: int, labels: Luma) -> Blob | None:
-    """Return the blob of some fragments; None if it fills too little of its box."""
+def _blob(group: list[int], box: Box, labels: Luma) -> Blob:
+    """Return the blob of some fragments; its foot is in the middle of the lowest fifth."""
     left, top, right, bottom = map(int, box)
-    part = labels[top:bottom, left:right]
-    mask = part == group[0]
-    for label in group[1:]:
-        mask |= part == label
-
-    # Reject scattered pixels.
-    if pixels < FILL_SHARE_MIN * (right - left) * (bottom - top):
-        return None
-
-    # Foot: middle of the lowest fifth.
-    feet = np.flatnonzero(mask[-max(1, (bottom - top) // 5) :].any(axis=0))
-    foot_x = left + float(feet[0] + feet[-1] + 1) / 2
-    return Blob(left, top, right, bottom, foot_x)
+    lowest = labels[bottom - max(1, (bottom - top) // 5) : bottom, left:right]
+    feet = np.flatnonzero(np.isin(lowest, group).any(axis=0))
+    return Blob(left, top, right, bottom, left + float(feet[0] + feet[-1] + 1) / 2)
 
 
 def _merge(

@@ -39,8 +39,6 @@ SUDDEN_SHARE = 0.15
 
 A walking person who fills a third of the image needs half a second to enter it.
 """
-WHOLE_IMAGE_SHARE = 0.5
-"""Share of differing pixels above which the image counts as changed, however slowly."""
 CHANGED_SECONDS = 1.5
 """Time for which the image must have changed in one of these ways before it is learned again."""
 ADOPT_SECONDS = 6.0
@@ -162,16 +160,21 @@ class MotionDetector:
         if not cv2.countNonZero(moving):
             return Motion(frame, moving, moving, differs, expected)
 
-        # Keep moving pixels near own edges or with a strong difference.
-        edges, strong = self._own_texture(frame, expected)
-        near = cv2.dilate(edges, _SQUARE)
+        # Keep moving pixels near edges of the image's own, or that no shadow causes. A shadow
+        # or a reflection multiplies the scene by a factor that varies slowly: in logarithms a
+        # flat patch, whatever lies below.
+        ratio = cv2.absdiff(cv2.LUT(frame, _LOGARITHM), cv2.LUT(expected, _LOGARITHM))
+        steps = cv2.dilate(cv2.morphologyEx(ratio, cv2.MORPH_GRADIENT, _CROSS), _SQUARE)
+        sensitivity = self._settings.sensitivity
+        near = cv2.threshold(steps, EDGE_MIN / sensitivity, 255, cv2.THRESH_BINARY)[1]
+        strong = cv2.threshold(ratio, STRONG_MIN / sensitivity, 255, cv2.THRESH_BINARY)[1]
         solid = cv2.bitwise_and(moving, cv2.bitwise_or(near, strong))
         # Opening removes lines, such as outlines of furniture.
         solid = cv2.morphologyEx(solid, cv2.MORPH_OPEN, _CROSS)
         return Motion(frame, solid, moving, differs, expected)
 
     def _has_changed(self, moving: Luma) -> bool:
-        """Return True if most of the image differs, or of a change that came within a frame."""
+        """Return True if most of the image differs, or a large part of it since the last frame."""
         appeared = cv2.subtract(moving, self._moving)
         self._moving = moving
         large = SUDDEN_SHARE * cv2.countNonZero(self.watched)
@@ -182,19 +185,7 @@ class MotionDetector:
         new = cv2.countNonZero(appeared)
         is_sudden = new > large and 2 * new > differing
         self._sudden = appeared if is_sudden else np.zeros_like(moving)
-        return is_sudden or differing > WHOLE_IMAGE_SHARE * cv2.countNonZero(self.watched)
-
-    def _own_texture(self, frame: Luma, expected: Luma) -> tuple[Luma, Luma]:
-        """Return the image's own edges, and the pixels that differ by more than a shadow can.
-
-        A shadow or a reflection multiplies the scene by a factor that varies slowly. In logarithms
-        it adds a flat patch, whatever the texture below.
-        """
-        ratio = cv2.absdiff(cv2.LUT(frame, _LOGARITHM), cv2.LUT(expected, _LOGARITHM))
-        steps = cv2.morphologyEx(ratio, cv2.MORPH_GRADIENT, _CROSS)
-        sensitivity = self._settings.sensitivity
-        edges = cv2.threshold(steps, EDGE_MIN / sensitivity, 255, cv2.THRESH_BINARY)[1]
-        return edges, cv2.threshold(ratio, STRONG_MIN / sensitivity, 255, cv2.THRESH_BINARY)[1]
+        return is_sudden or 2 * differing > cv2.countNonZero(self.watched)
 
     def learn(self, motion: Motion, dt: float, claimed: Iterable[Box]) -> None:
         """Adapt to the scene where nothing moves.
@@ -214,21 +205,12 @@ class MotionDetector:
 
         self._swaying.learn(motion.differs, dt, free)
         self._background.learn(motion.frame, motion.expected, dt, self._settled)
-        if not cv2.countNonZero(unclaimed):
-            self._unclaimed_seconds.fill(0.0)
-            return
 
         # Adopt differences that no object has claimed for long.
         self._unclaimed_seconds = cv2.copyTo(self._unclaimed_seconds + np.float32(dt), unclaimed)
         if float(self._unclaimed_seconds.max()) > ADOPT_SECONDS:
-            self._adopt(
-                motion.frame,
-                np.where(self._unclaimed_seconds > ADOPT_SECONDS, np.uint8(255), np.uint8(0)),
-            )
-
-    def _adopt(self, frame: Luma, where: Luma) -> None:
-        self._background.adopt(frame, where)
-        self._unclaimed_seconds[where != 0] = 0.0
+            where = (self._unclaimed_seconds > ADOPT_SECONDS).astype(np.uint8)
+            self._background.adopt(motion.frame, where)
 
     def is_ghost(self, motion: Motion, box: Box) -> bool:
         """Return True if ``box`` holds a ghost: motion where an object *was*.
@@ -255,7 +237,7 @@ class MotionDetector:
         # Adopt the image.
         where = np.zeros(frame.shape, np.uint8)
         where[part] = cv2.dilate(mask, _SQUARE)
-        self._adopt(frame, where)
+        self._background.adopt(frame, where)
         return True
 
 

@@ -38,7 +38,8 @@ class Swaying:
         if cv2.norm(self._share, cv2.NORM_INF) <= 255 * SWAY_SHARE:
             return moving
         where = np.where(self._share > 255 * SWAY_SHARE, np.uint8(255), np.uint8(0))
-        outside = outside_range(frame, expected, _REACH)
+        above = cv2.subtract(frame, cv2.dilate(expected, _REACH))
+        outside = cv2.max(above, cv2.subtract(cv2.erode(expected, _REACH), frame))
         _, within = cv2.threshold(outside, difference_min, 255, cv2.THRESH_BINARY_INV)
         return cv2.subtract(moving, cv2.bitwise_and(within, cv2.dilate(where, _NEIGHBOURS)))
 
@@ -51,13 +52,3 @@ class Swaying:
         changed = cv2.bitwise_xor(differs, self._differed)
         cv2.accumulateWeighted(changed, self._share, dt / LEARNING_SECONDS, unclaimed)
         self._differed = differs
-
-
-def outside_range(frame: Luma, expected: Luma, neighbours: Luma) -> Luma:
-    """Return how far (grey levels) each pixel lies outside of the range of the scene around it.
-
-    neighbours: structuring element of the pixels around it.
-    """
-    above = cv2.subtract(frame, cv2.dilate(expected, neighbours))
-    below = cv2.subtract(cv2.erode(expected, neighbours), frame)
-    return cv2.max(above, below)
