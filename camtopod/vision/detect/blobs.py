@@ -9,7 +9,7 @@ from functools import cache
 import cv2
 import numpy as np
 
-from camtopod.vision.boxes import Box, area, box_height, union
+from camtopod.vision.boxes import Box, area, union
 from camtopod.vision.detect.background import Luma
 from camtopod.vision.detect.motion import Motion
 
@@ -118,7 +118,7 @@ def _blob(group: list[int], box: Box, labels: Luma) -> Blob:
     """Return the blob of some fragments; its foot is in the middle of the lowest fifth."""
     left, top, right, bottom = map(int, box)
     lowest = labels[bottom - max(1, (bottom - top) // 5) : bottom, left:right]
-    feet = np.flatnonzero(np.isin(lowest, group).any(axis=0))
+    feet = np.flatnonzero(np.any([lowest == label for label in group], axis=(0, 1)))
     return Blob(left, top, right, bottom, left + float(feet[0] + feet[-1] + 1) / 2)
 
 
@@ -145,8 +145,8 @@ def _belong(a: Box, b: Box, expected_height: ExpectedHeight = lambda row: None) 
     While the height of people is not known, twice the taller box is allowed.
     """
     expected = expected_height(max(a[3], b[3]))
-    tallest = TALLER * expected if expected else 2 * max(box_height(a), box_height(b))
-    if box_height(union(a, b)) > tallest:
+    tallest = TALLER * expected if expected else 2 * max(a[3] - a[1], b[3] - b[1])
+    if max(a[3], b[3]) - min(a[1], b[1]) > tallest:
         return False
     overlap = min(a[2], b[2]) - max(a[0], b[0])
     if 2 * overlap >= min(a[2] - a[0], b[2] - b[0]):

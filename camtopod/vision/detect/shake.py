@@ -33,7 +33,7 @@ def shift(image: Luma, scene: Luma, settled: Luma) -> float:
 
     settled (H, W): 0 where the image does not show the scene.
     """
-    return length(_step(image, scene, settled, 2, _FACTORS[0]), scene.shape)
+    return length(_step(image, scene, settled, 2, 2 * _FACTORS[0]), scene.shape)
 
 
 def aligning(image: Luma, scene: Luma, settled: Luma, first: Map) -> Map:
