@@ -82,9 +82,9 @@ class DetectorSettings(Struct, frozen=True, forbid_unknown_fields=True):
     score: Annotated[float, Meta(gt=0, le=1)] = 0.4
     """Least score of a detection, 0 to 1; 3/8 of it is enough where something is tracked already.
     """
-    looks_per_second_max: Annotated[float, Meta(gt=0)] = 7.0
-    """Maximum number of inferences per second and camera, on the region where something moves or is
-    tracked.
+    looks_per_second_max: Annotated[float, Meta(ge=1)] = 7.0
+    """Maximum number of inferences per second and camera, 1 or more, on the region where something
+    moves or is tracked.
     """
     layout: Annotated[
         str,
