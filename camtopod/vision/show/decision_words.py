@@ -39,7 +39,6 @@ _TENTATIVE: dict[Reason, str] = {
     "{least:g} are needed",
     "low": "no event: lower than min_height at {place}, reaches it in {value:.0f} of {least:.0f} "
     "sightings that are needed",
-    "paused": "no event: too short at {place}, the stream paused after {seen}",
 }
 """Words by the reason why a track was not an object."""
 _ENDS: dict[Reason, str] = {
@@ -51,7 +50,7 @@ _ENDS: dict[Reason, str] = {
     "lost": "no exit: lost in mid-view at {place}, not at a border or door, and not found again "
     "(if that happens there again and again, a door is learned)",
     "occluded": "no exit: lost behind others in mid-view at {place}, and not found again",
-    "interrupted": "no exit: in mid-view at {place} when the stream paused, and not found again",
+    "interrupted": "no exit: in mid-view at {place} when the stream paused",
     "ghost": "no exit: not an object, but the hole in the background where one stood at {place}; "
     "the background is corrected",
     "scene changed": "no exit: the whole image changed, and all tracks are forgotten",

@@ -15,7 +15,7 @@ from camtopod.vision.boxes import TOUCH_PIXELS, Box, border_distances, touches_b
 from camtopod.vision.settings import Polygon
 from camtopod.vision.track.decisions import Decision, Edge, Reason
 from camtopod.vision.track.doors import Doors
-from camtopod.vision.track.ignored_areas import Beyond, IgnoredAreas
+from camtopod.vision.track.ignored_areas import IgnoredAreas
 from camtopod.vision.track.kalman import MEASUREMENT
 from camtopod.vision.track.track import Sighting, Track
 
@@ -133,26 +133,21 @@ class Crossings:
         return self._edge(track, track.first, -1.0)
 
     def _edge(self, track: Track, at: Sighting, sense: float) -> Edge | None:
-        """Return the edge near a sighting; ``sense`` as for `beyond`."""
+        """Return the edge near a sighting, on the way of the track.
+
+        sense: 1.0 for the way that it goes on, -1.0 for the way that it came.
+        """
         dx, dy = _drift(track)
         border = self._border(at.box, track.height, (sense * dx, sense * dy))
         if border is not None:
             return border
-        if self.beyond(track, at, sense) == "border":
-            return "ignored area"
-        return self.doors.door_at(*at.foot, track.height)
-
-    def beyond(self, track: Track, at: Sighting, sense: float) -> Beyond | None:
-        """Return what lies behind the ignored area near a sighting, on the way of the track.
-
-        sense: 1.0 for the way that it goes on, -1.0 for the way that it came.
-        It is "view" for a track on its way behind an ignored area in mid-view, or from behind it.
-        """
-        dx, dy = track.velocity
-        lead = self._margin + REACH_SECONDS * hypot(dx, dy)
+        vx, vy = track.velocity
+        lead = self._margin + REACH_SECONDS * hypot(vx, vy)
         if self._ignored.cut(at.box):  # the piece of it that is still seen may be far from the foot
             lead = max(lead, CUT_SHARE * track.height)
-        return self._ignored.beyond(at.foot, (sense * dx, sense * dy), lead, self._margin)
+        if self._ignored.lead_out(at.foot, (sense * vx, sense * vy), lead, self._margin):
+            return "ignored area"
+        return self.doors.door_at(*at.foot, track.height)
 
     def turns_back(self, track: Track, box: Box) -> bool:
         """Return True if an object that leaves the view would come back in as ``box``.
@@ -189,9 +184,7 @@ class Crossings:
         # Tracks that vanish in mid-view may be evidence of a door, too.
         for track in vanished:
             self._forget(track)
-            if track.interrupted:
-                self.note("interrupted", track, track.last)
-            elif track.occluded:
+            if track.occluded:
                 self.note("occluded", track, track.last)
             elif self.anywhere:
                 track.edge = "mid-view"

@@ -50,7 +50,6 @@ Ending = Literal[
     "lost",
     "occluded",
     "interrupted",
-    "paused",
     "ghost",
     "scene changed",
     "in view",
@@ -63,8 +62,7 @@ stayed: out of sight at an edge, but it had moved by `value` heights only, of `l
 lost: out of sight in mid-view and not found again; if that happens again and again at a place, a
     door is learned.
 occluded: the same, but last seen occluded by others, which says nothing of a door.
-interrupted: the same, but the frames had paused.
-paused: tentative when the frames paused.
+interrupted: in mid-view when the frames paused.
 ghost: not an object, but the hole that one has left in the background model.
 scene changed: the whole image has changed, and all tracks are forgotten.
 in view: still there at the end of the recording.

@@ -2,23 +2,18 @@
 
 Whether it has left the view depends on its way. If the area reaches to the border of the image
 straight on, as a street along the top or a clock in a corner does, the area's edge is an edge of
-the view. If the area ends within the view, as a tree does, the object is expected on the other
-side, as behind a lamp post.
+the view. If the area ends within the view, as a tree does, the object is lost in mid-view.
 """
 
 from __future__ import annotations
 
 from math import hypot
-from typing import Literal
 
 import cv2
 import numpy as np
 
 from camtopod.vision.boxes import TOUCH_PIXELS, Box
 from camtopod.vision.detect import Luma
-
-Beyond = Literal["border", "view"]
-"""What lies behind an ignored area: the border of the image, or more of the view."""
 
 
 class IgnoredAreas:
@@ -39,12 +34,12 @@ class IgnoredAreas:
         sums = self._sums
         return bool(sums[bottom, right] - sums[top, right] > sums[bottom, left] - sums[top, left])
 
-    def beyond(
+    def lead_out(
         self, foot: tuple[float, float], heading: tuple[float, float], lead: float, margin: float
-    ) -> Beyond | None:
-        """Return what lies behind the ignored area straight on from a foot point.
+    ) -> bool:
+        """Return True if straight on from a foot point an ignored area reaches to the border.
 
-        None if there is no area within ``lead`` pixels.
+        False if there is no area within ``lead`` pixels.
 
         heading: direction of the way (x, y), of any length.
         margin: pixels that may be left between an area and the border of the image.
@@ -52,7 +47,7 @@ class IgnoredAreas:
         height, width = self._ignored.shape
         length = hypot(*heading)
         if length == 0.0 or not self._sums[-1, -1]:
-            return None
+            return False
 
         # Pixels along the way, up to the border of the image.
         steps = np.arange(width + height)
@@ -65,8 +60,6 @@ class IgnoredAreas:
         # Where the area begins and ends on it.
         begins = int(way.argmax())
         if not way[begins] or begins > lead:
-            return None
+            return False
         rest = way[begins:]
-        if rest.all() or len(rest) - int(rest.argmin()) <= margin:
-            return "border"
-        return "view"
+        return bool(rest.all()) or len(rest) - int(rest.argmin()) <= margin

@@ -43,8 +43,6 @@ class Track:
     """Occluded by others in the latest frame."""
     began_in_view: bool = False
     """Began in mid-view without explanation, and has not walked far enough yet to be evidence."""
-    interrupted: bool = False
-    """Lost while there were no frames."""
     reach: float = 0.0
     """Largest distance of head or foot from where it began, pixels."""
     origin: Vector = (0.0, 0.0, 0.0, 0.0)

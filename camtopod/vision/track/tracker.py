@@ -8,8 +8,8 @@ area and distance of the middles.
 
 A confirmed track that is not detected for longer than the patience has *ended* if it was at an edge
 of the view. In mid-view it is *lost*: it is kept for some seconds, and a track confirmed nearby
-continues it. A passage that is lost behind a lamp post thus stays one passage. Behind an ignored
-area in mid-view it may continue as far away as a person walks meanwhile.
+or where it would be by now continues it. A passage that is lost behind a lamp post or a tree thus
+stays one passage.
 """
 
 from __future__ import annotations
@@ -48,11 +48,8 @@ CONFIRM_SIGHTINGS_SHARE = 0.6
 CONFIRM_HEIGHTS = 0.25
 """Distance (heights) that head or foot must move for a track to be confirmed."""
 STITCH_HEIGHTS = 1.5
-"""Distance (heights) within which a lost track may continue.
-
-Behind an ignored area in mid-view it grows by as much each second, from where the object would be
-at its last velocity; that allows it to turn round.
-"""
+"""Distance (heights) within which a lost track may continue: where it was last seen, or where it
+would be by now at its last velocity."""
 PIECE_HEIGHT_MIN = 0.4
 """Least height of a blob that no border cuts, as a share of a person's."""
 TALL_SIGHTINGS_MIN = 3
@@ -103,13 +100,13 @@ class Tracker:
         self._t = t
         self._dt = t - before
         self.crossings.now = max(self.crossings.now, t)
+
+        # A pause in the frames ends all tracks.
+        events = []
+        if self._dt > PATIENCE_SECONDS:
+            events = self.finish("interrupted")
         if self._start is None:
             self._start = t
-        left = []
-
-        # A pause in the frames interrupts all tracks.
-        if self._dt > PATIENCE_SECONDS:
-            left = self._interrupt(t)
 
         # Predict.
         for track in self.active:
@@ -132,8 +129,8 @@ class Tracker:
 
         # Confirm, split and end tracks.
         appeared = self._confirm(t)
-        vanished = self._retire(t, left)
-        return self.crossings.report(appeared, left, vanished, self.active)
+        left, vanished = self._retire(t)
+        return events + self.crossings.report(appeared, left, vanished, self.active)
 
     # -- sightings ------------------------------
 
@@ -372,7 +369,6 @@ class Tracker:
         """Continue the nearest track that was lost in mid-view; False if none is within reach."""
         if self.crossings.begins_at_edge(track):
             return False
-        from_behind = self.crossings.beyond(track, track.first, -1.0) == "view"
         missing = [
             other
             for other in self.active
@@ -388,14 +384,10 @@ class Tracker:
         for other in [*self.lost, *missing]:
             seconds = max(0.0, track.first.t - other.last.t)
             x, y = other.last.foot
-            reach = STITCH_HEIGHTS
-            if from_behind and self.crossings.beyond(other, other.last, 1.0) == "view":
-                reach *= 1 + seconds
-                x += seconds * other.velocity[0]
-                y += seconds * other.velocity[1]
-            other_height = box_height(other.last.box)
-            low, high = sorted((height, other_height))
-            score = dist(track.first.foot, (x, y)) / (reach * high)
+            walked = (x + seconds * other.velocity[0], y + seconds * other.velocity[1])
+            distance = min(dist(track.first.foot, (x, y)), dist(track.first.foot, walked))
+            low, high = sorted((height, box_height(other.last.box)))
+            score = distance / (STITCH_HEIGHTS * high)
             if score < best_score and high < LIKE_FACTOR * low:
                 best = other
                 best_score = score
@@ -415,26 +407,30 @@ class Tracker:
         self.lost = [other for other in self.lost if other is not earlier]
         self.active = [other for other in self.active if other is not earlier]
 
-    def _retire(self, t: float, left: list[Track]) -> list[Track]:
+    def _retire(self, t: float) -> tuple[list[Track], list[Track]]:
         """End tracks that were not detected for longer than the patience.
 
-        Adds those that were at an edge to ``left``; returns those that are lost for good.
+        Returns those that were at an edge, and those that are lost for good.
         """
         kept = []
+        left = []
 
         # Patience depends on how the object was last seen.
         for track in self.active:
+            track.edge = self.crossings.at_edge(track)
             patience = CONFIRM_SECONDS
             if track.confirmed:
                 patience = PATIENCE_SECONDS
-            if self.crossings.touches(track.last.box) and self.crossings.at_edge(track):
-                patience = min(patience, GONE_PATIENCE_SECONDS)
+                if track.edge is not None and self.crossings.touches(track.last.box):
+                    patience = GONE_PATIENCE_SECONDS
             if t - track.last.t <= patience:
                 kept.append(track)
             elif not track.confirmed:
                 self._note_unmet(track)
+            elif track.edge is not None:
+                left.append(track)
             else:
-                self._end(track, left)
+                self.lost.append(track)
         self.active = kept
 
         # Lost tracks that were not continued have vanished.
@@ -444,15 +440,7 @@ class Tracker:
         deadline = t - patience
         vanished = [track for track in self.lost if track.last.t < deadline]
         self.lost = [track for track in self.lost if track.last.t >= deadline]
-        return vanished
-
-    def _end(self, track: Track, left: list[Track]) -> None:
-        """Add an object that is not seen any more to those that left at an edge, or are lost."""
-        track.edge = self.crossings.at_edge(track)
-        if track.edge is not None:
-            left.append(track)
-        else:
-            self.lost.append(track)
+        return left, vanished
 
     def _note_unmet(self, track: Track) -> None:
         """Record why a tentative track that has ended was not an object."""
@@ -465,26 +453,6 @@ class Tracker:
         self._note("ghost", track, track.last)
         self.active = [other for other in self.active if other is not track]
 
-    def _interrupt(self, t: float) -> list[Track]:
-        """End or lose all tracks after a pause in the frames; return those that were at an edge.
-
-        Objects that are in view now count as having been there all along.
-        """
-        self._start = t
-        tracks = self.active
-        self.active = []
-        for track in [*tracks, *self.lost]:
-            track.interrupted = True
-
-        # Split them by where they were seen last.
-        left: list[Track] = []
-        for track in tracks:
-            if not track.confirmed:
-                self._note("paused", track, track.last)
-            else:
-                self._end(track, left)
-        return left
-
     def finish(self, reason: Reason) -> list[Event]:
         """Forget all tracks, at the end of a recording or of a scene; return the last events.
 
@@ -494,7 +462,7 @@ class Tracker:
         reason: what is recorded of the others.
         """
         t = self._t or 0.0
-        self._t = self._start = None
+        self._start = None
         left = []
         for track in self.active:
             unseen = t - track.last.t > CONFIRM_SECONDS
