@@ -10,7 +10,7 @@ import numpy as np
 SAMPLES_MAX = 400
 """Samples kept, the newest."""
 SAMPLES_MIN = 20
-"""Samples needed for a fit, and new ones for the next fit."""
+"""Samples needed for a fit."""
 OBJECTS_MIN = 2
 """Objects needed for a fit: one object does not tell the height of others."""
 OUTLIER_FACTOR = 2.5
@@ -24,7 +24,6 @@ class Stature:
         self._rows: deque[float] = deque(maxlen=SAMPLES_MAX)
         self._heights: deque[float] = deque(maxlen=SAMPLES_MAX)
         self._objects: set[int] = set()
-        self._new = 0
         self._line: tuple[float, float] | None = None
         self._middle = 0.0
 
@@ -34,10 +33,8 @@ class Stature:
         self._heights.append(height)
         if len(self._objects) < OBJECTS_MIN:
             self._objects.add(track)
-        self._new += 1
-        if self._new >= SAMPLES_MIN and len(self._objects) >= OBJECTS_MIN:
+        if len(self._rows) >= SAMPLES_MIN and len(self._objects) >= OBJECTS_MIN:
             self._fit()
-            self._new = 0
 
     def _fit(self) -> None:
         """Fit the line in three rounds, each without the outliers of the one before.
