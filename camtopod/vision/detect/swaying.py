@@ -28,7 +28,7 @@ class Swaying:
         """Begin with a scene at rest, of ``shape`` (height, width)."""
         self._share = np.zeros(shape, np.float32)  # of the frames, times 255
         self._differed: Luma = np.zeros(shape, np.uint8)
-        self._seconds = LEARNING_SECONDS / 3  # a shorter time constant at the beginning
+        self._seconds = 0.0  # since the beginning
 
     def without(self, moving: Luma, frame: Luma, expected: Luma, difference_min: float) -> Luma:
         """Return the mask ``moving`` (H, W) without dynamic background.
@@ -50,7 +50,8 @@ class Swaying:
         differs (H, W): pixels that differ from the scene, including dynamic background.
         unclaimed (H, W): 0 under confirmed objects, where nothing is counted.
         """
-        self._seconds = min(self._seconds + dt, LEARNING_SECONDS)
+        self._seconds += dt
+        constant = min(max(self._seconds, LEARNING_SECONDS / 3), LEARNING_SECONDS)
         changed = cv2.bitwise_xor(differs, self._differed)
-        cv2.accumulateWeighted(changed, self._share, dt / self._seconds, unclaimed)
+        cv2.accumulateWeighted(changed, self._share, dt / constant, unclaimed)
         self._differed = differs
