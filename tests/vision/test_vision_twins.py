@@ -20,7 +20,7 @@ def test_kalman_is_the_textbook_s() -> None:
     push = np.array([dt * dt / 2, dt]) * kalman.ACCELERATION * height
     for _ in range(20):
         measured = rng.uniform(0, 100, 4)
-        quick.predict(dt, height, coasting=False)
+        quick.predict(dt, height)
         state, covariance = state @ step.T, step @ covariance @ step.T + np.outer(push, push)
         np.testing.assert_allclose(quick.position, state[:, 0], rtol=1e-9)
         quick.update(tuple(measured.tolist()), height)

@@ -45,8 +45,6 @@ _ENDS: dict[Reason, str] = {
     "left": "exit by {edge} at {place}",
     "left late": "no exit: went out by {edge} at {place}, which was known {value:.1f} s later, at "
     "most {least:g} s are allowed",
-    "stayed": "no exit: gone at {edge} at {place}, but had only swayed or stood there, moved by "
-    "{value:.2f} of its height, at least {least:g} are needed",
     "lost": "no exit: lost in mid-view at {place}, not at a border or door, and not found again "
     "(if that happens there again and again, a door is learned)",
     "occluded": "no exit: lost behind others in mid-view at {place}, and not found again",

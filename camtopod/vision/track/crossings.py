@@ -11,20 +11,18 @@ from collections.abc import Callable, Sequence
 from math import hypot, inf
 
 from camtopod.records import Event, Kind
-from camtopod.vision.boxes import TOUCH_PIXELS, Box, border_distances, touches_border
+from camtopod.vision.boxes import Box, border_distances, touches_border
 from camtopod.vision.settings import Polygon
 from camtopod.vision.track.decisions import Decision, Edge, Reason
 from camtopod.vision.track.doors import Doors
 from camtopod.vision.track.ignored_areas import IgnoredAreas
-from camtopod.vision.track.kalman import MEASUREMENT
+from camtopod.vision.track.kalman import MEASUREMENT, SIGMAS
 from camtopod.vision.track.track import Sighting, Track
 
 BORDER_SHARE = 0.025
 """Distance from the border within which a box is at it (share of the image's diagonal)."""
 REACH_SECONDS = 0.6
 """Time within which a box that reaches the border at its speed counts as being at it."""
-CUT_SHARE = 0.7
-"""Visible share of a person below which the top of the image counts as border."""
 BORDER_SECONDS_MAX = 1.5
 """Longest time between a sighting and the crossing of the border that it is moved to."""
 GONE_PATIENCE_SECONDS = 0.7
@@ -34,11 +32,6 @@ An event is dated back or forward by as much at most, as an exit is known no soo
 """
 LATENESS_SECONDS_MAX = 4.0
 """Longest time after an event at which it is told; the daemon does not learn from later ones."""
-EXIT_HEIGHTS_MIN = 0.6
-"""Least distance from its origin (heights) that a track must have moved for an exit.
-
-Tracks that moved less are false detections.
-"""
 WALKED_HEIGHTS_MIN = 1.5
 """Least distance from its origin (heights) that a track must have moved to be evidence of a door.
 
@@ -102,22 +95,20 @@ class Crossings:
         """Return True if the border of the image or an ignored area cuts the box."""
         return touches_border(box, self.size) or self._ignored.cut(box)
 
-    def _border(self, box: Box, height: float, drift: tuple[float, float]) -> Edge | None:
+    def _border(self, box: Box, drift: tuple[float, float]) -> Edge | None:
         """Return the border that a person's box is near to, or across when moved by ``drift``.
 
         At the top the foot decides, because heads are cut off far inside the view.
         """
-        left, top, right, bottom = box
-        margin = top_margin = self._margin
-        if top <= TOUCH_PIXELS:
-            top_margin = max(margin, CUT_SHARE * height)
+        left, _, right, bottom = box
+        margin = self._margin
         dx, dy = drift
 
         # Distance to each border, the distance within which it is near, and the way towards it.
         borders: tuple[tuple[float, float, float, Edge], ...] = (
             (left, margin, -dx, "left border"),
             (self.size[0] - right, margin, dx, "right border"),
-            (bottom, top_margin, -dy, "top border"),
+            (bottom, margin, -dy, "top border"),
             (self.size[1] - bottom, margin, dy, "bottom border"),
         )
         near = [(distance, border) for distance, near, _, border in borders if distance <= near]
@@ -138,13 +129,11 @@ class Crossings:
         sense: 1.0 for the way that it goes on, -1.0 for the way that it came.
         """
         dx, dy = _drift(track)
-        border = self._border(at.box, track.height, (sense * dx, sense * dy))
+        border = self._border(at.box, (sense * dx, sense * dy))
         if border is not None:
             return border
         vx, vy = track.velocity
         lead = self._margin + REACH_SECONDS * hypot(vx, vy)
-        if self._ignored.cut(at.box):  # the piece of it that is still seen may be far from the foot
-            lead = max(lead, CUT_SHARE * track.height)
         if self._ignored.lead_out(at.foot, (sense * vx, sense * vy), lead, self._margin):
             return "ignored area"
         return self.doors.door_at(*at.foot, track.height)
@@ -162,7 +151,7 @@ class Crossings:
         return any(
             before[side] <= self._margin
             and self.size[side % 2] - before[side - 2] < BORDER_SECONDS_MAX * speeds[side]
-            and before[side - 2] - after[side - 2] > 2 * MEASUREMENT * track.size
+            and before[side - 2] - after[side - 2] > SIGMAS * MEASUREMENT * track.size
             for side in range(4)
         )
 
@@ -223,14 +212,9 @@ class Crossings:
         return []
 
     def report_exits(self, left: Sequence[Track]) -> list[Event]:
-        """Return the exits of tracks that have ended at an edge, if they had moved enough."""
+        """Return the exits of tracks that have ended at an edge."""
         events = []
         for track in left:
-            if track.reach < EXIT_HEIGHTS_MIN * track.height:
-                moved = track.reach / track.height
-                self.note("stayed", track, track.last, track.edge, moved, EXIT_HEIGHTS_MIN)
-                self._walks.pop(track.number, None)
-                continue
             self._forget(track)
             events += self._told("exit", track, track.last, track.edge)
         return events

@@ -46,7 +46,6 @@ continues: it continues the track `other`, which was lost `value` seconds before
 Ending = Literal[
     "left",
     "left late",
-    "stayed",
     "lost",
     "occluded",
     "interrupted",
@@ -58,7 +57,6 @@ Ending = Literal[
 
 left: an exit, by `edge`.
 left late: the same, but known only after `value` seconds, of `least` at most: no exit.
-stayed: out of sight at an edge, but it had moved by `value` heights only, of `least`: no exit.
 lost: out of sight in mid-view and not found again; if that happens again and again at a place, a
     door is learned.
 occluded: the same, but last seen occluded by others, which says nothing of a door.

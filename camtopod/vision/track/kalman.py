@@ -7,7 +7,7 @@ in heights of the person, so that near and far people move alike.
 
 from __future__ import annotations
 
-from math import exp, sqrt
+from math import sqrt
 
 Vector = tuple[float, float, float, float]
 """Head x, y, foot x, y. A tuple, which is faster than an array for so few numbers."""
@@ -18,8 +18,8 @@ MEASUREMENT = 0.08
 """Measurement noise: one sigma of a head or foot position, heights."""
 SPEED_SIGMA = 1.0
 """Initial uncertainty of the velocity: one sigma, heights per second."""
-COASTING_SECONDS = 1.0
-"""Time constant with which an object is expected to slow down while out of sight."""
+SIGMAS = 2
+"""Standard deviations within which a position is taken for the expected or the same one."""
 
 
 class Kalman:
@@ -33,15 +33,8 @@ class Kalman:
         self._pv = 0.0
         self._vv = (SPEED_SIGMA * height) ** 2
 
-    def predict(self, dt: float, height: float, coasting: bool) -> None:
-        """Advance by ``dt`` seconds; ``coasting`` if the object is out of sight."""
-        if coasting:  # head and foot keep their distance
-            head_x, head_y, foot_x, foot_y = self.velocity
-            slower = exp(-dt / COASTING_SECONDS)
-            x, y = (head_x + foot_x) / 2 * slower, (head_y + foot_y) / 2 * slower
-            self.velocity = (x, y, x, y)
-
-        # State and covariance of the constant-velocity model.
+    def predict(self, dt: float, height: float) -> None:
+        """Advance by ``dt`` seconds, with the covariance of the constant-velocity model."""
         self.position = _moved(self.position, dt, self.velocity)
         noise = (ACCELERATION * height) ** 2
         self._pp += dt * (2 * self._pv + dt * self._vv) + noise * dt**4 / 4

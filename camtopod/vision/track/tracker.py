@@ -14,19 +14,28 @@ stays one passage.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
-from math import dist, hypot
-
-import numpy as np
-from scipy.optimize import linear_sum_assignment
+from collections.abc import Iterator, Sequence
+from functools import partial
+from math import hypot
 
 from camtopod.records import Event
-from camtopod.vision.boxes import area, box_height, centre, contains_centre, gap, in_image, overlap
+from camtopod.vision.boxes import box_height, contains_centre, gap, in_image
 from camtopod.vision.detect import Blob
 from camtopod.vision.settings import VisionSettings
+from camtopod.vision.track.assignment import (
+    GATE_HEIGHTS,
+    PIECE_HEIGHT_MIN,
+    Costs,
+    best_pairs,
+    boxes_in_group,
+    costs_by_area,
+    costs_by_points,
+    group_in,
+)
 from camtopod.vision.track.crossings import GONE_PATIENCE_SECONDS, LATENESS_SECONDS_MAX, Crossings
 from camtopod.vision.track.decisions import Reason
-from camtopod.vision.track.kalman import MEASUREMENT, Kalman
+from camtopod.vision.track.kalman import MEASUREMENT, SIGMAS, Kalman
+from camtopod.vision.track.lost import STITCH_SECONDS, absorb, earlier_part
 from camtopod.vision.track.stature import Stature
 from camtopod.vision.track.track import Sighting, Track, Unmet
 
@@ -37,40 +46,19 @@ It is also the patience with what is tentative.
 """
 PATIENCE_SECONDS = 1.5
 """Time an object may go undetected before its track ends."""
-STITCH_SECONDS = 10.0
-"""Time within which a track lost in mid-view may be found again and continue its passage."""
 TRACKS_MAX = 200
 """Maximum number of tracks at a time; further objects are not tracked."""
-GATE_HEIGHTS = 0.35
-"""Gate: largest distance (heights, plus two sigma) of head or foot from the expected position."""
 CONFIRM_SIGHTINGS_SHARE = 0.6
 """Least share of the frames in which a track is seen for it to be confirmed."""
 CONFIRM_HEIGHTS = 0.25
 """Distance (heights) that head or foot must move for a track to be confirmed."""
-STITCH_HEIGHTS = 1.5
-"""Distance (heights) within which a lost track may continue: where it was last seen, or where it
-would be by now at its last velocity."""
-PIECE_HEIGHT_MIN = 0.4
-"""Least height of a blob that no border cuts, as a share of a person's."""
 TALL_SIGHTINGS_MIN = 3
 """Sightings of the least height (setting `min_height`) that make an object.
 
 A single one may be two small animals in one blob.
 """
-GROUP_FACTOR = 1.3
-"""Least width or height of a group, as a factor of its widest or tallest member's."""
-LIKE_FACTOR = 2.0
-"""Largest factor between the areas, or heights, of one object that no border cuts."""
 _SIZE_RATE = 0.2
 """Weight of the newest sighting in the running means of height and width."""
-NEARER_SHARE = 0.7
-"""Weight in the cost of an assignment of the one of head and foot that is nearer."""
-_NEVER = 1e9
-"""Cost of an assignment that is not allowed."""
-
-
-Costs = Callable[[Track, list[Blob]], list[float]]
-"""Cost of each blob for a track; `_NEVER` where it is not allowed."""
 
 
 class Tracker:
@@ -110,13 +98,15 @@ class Tracker:
 
         # Predict.
         for track in self.active:
-            track.kalman.predict(self._dt, track.size, coasting=track.last.t < before)
+            track.kalman.predict(self._dt, track.size)
             track.frames += 1
 
-        # Assign blobs, to groups first. They occlude others, or start tracks.
+        # Assign blobs: to groups, by head and foot, by area. They occlude others, or start tracks.
         free = self._update_groups(t, blobs)
-        free = self._assign(t, free, self._costs)
-        free = self._assign(t, free, self._costs_by_area)
+        free = self._assign(t, free, self._waiting(t), self._costs)
+        recent = self._waiting(t, GONE_PATIENCE_SECONDS)
+        by_area = partial(costs_by_area, dt=self._dt, crossings=self.crossings)
+        free = self._assign(t, free, recent, by_area)
         for track in self.active:
             hidden = track.confirmed and track.last.t < t
             near = GATE_HEIGHTS * track.height
@@ -134,140 +124,43 @@ class Tracker:
 
     # -- sightings ------------------------------
 
-    def _update_groups(self, t: float, blobs: list[Blob]) -> list[Blob]:
-        """Update tracks by blobs that cover several confirmed people; return the other blobs."""
-        free = []
-        waiting = [
-            (track, *centre(track.box))
-            for track in self.active
-            if track.confirmed and track.last.t < t
-        ]
-
-        for blob in blobs:
-            left, top, right, bottom = blob.box
-            inside = [
-                track
-                for track, x, y in waiting
-                if track.last.t < t
-                and left <= x <= right
-                and top <= y <= bottom
-                and not self.crossings.turns_back(track, blob.box)
-            ]
-            wide = len(inside) > 1 and blob.width > GROUP_FACTOR * max(
-                track.width for track in inside
-            )
-            tall = len(inside) > 1 and blob.height > GROUP_FACTOR * max(
-                track.height for track in inside
-            )
-            if wide or tall:
-                self._update_group(t, blob, inside)
-            else:
-                free.append(blob)
-        return free
-
-    def _update_group(self, t: float, blob: Blob, inside: list[Track]) -> None:
-        """Update the tracks inside a group's blob.
-
-        The outermost people touch its outline; the others are taken to be where they were expected.
-        """
-        leftmost = min(inside, key=lambda track: track.box[0])
-        rightmost = max(inside, key=lambda track: track.box[2])
-        lowest = max(inside, key=lambda track: track.box[3])
-        highest = min(inside, key=lambda track: track.box[1])
-
-        for track in inside:
-            left, _, right, bottom = track.box
-            x = min(max((left + right) / 2, blob.left), blob.right)
-            if track is leftmost:
-                x = blob.left + track.width / 2
-            elif track is rightmost:
-                x = blob.right - track.width / 2
-            bottom = min(max(bottom, blob.top), blob.bottom)
-            if track is lowest:
-                bottom = blob.bottom
-            elif track is highest:
-                bottom = min(blob.top + track.height, blob.bottom)
-            box = (x - track.width / 2, bottom - track.height, x + track.width / 2, bottom)
-            track.kalman.update((x, bottom - track.height, x, bottom), track.height)
-            self._seen(track, Sighting(t, (x, bottom), box))
-
-    def _assign(self, t: float, blobs: list[Blob], costs: Costs) -> list[Blob]:
-        """Assign one blob to each track at the least total cost (Kuhn 1955); return the others.
+    def _waiting(self, t: float, patience: float = PATIENCE_SECONDS) -> list[Track]:
+        """Return the tracks without a sighting at ``t``, of those seen within the patience.
 
         An object whose middle is expected beyond the border has left: what is seen there comes in.
         """
-        waiting = [
+        return [
             track
             for track in self.active
-            if track.last.t < t and in_image(track.box, self.crossings.size)
+            if 0.0 < t - track.last.t <= patience and in_image(track.box, self.crossings.size)
         ]
-        if not waiting or not blobs:
-            return blobs
-        cost = np.array([costs(track, blobs) for track in waiting])
-        for i, j in np.argwhere(cost < _NEVER):
-            if self.crossings.turns_back(waiting[i], blobs[j].box):
-                cost[i, j] = _NEVER
-        taken = set()
-        for i, j in zip(*linear_sum_assignment(cost), strict=True):
-            if cost[i, j] < _NEVER:
-                taken.add(int(j))
-                self._update_single(t, waiting[i], blobs[j])
-        return [blob for j, blob in enumerate(blobs) if j not in taken]
 
-    def _costs(self, track: Track, blobs: list[Blob]) -> list[float]:
-        """Return for each blob the distance of head and foot in gates.
-
-        Tentative tracks have a higher cost, so that they yield to confirmed ones.
-        """
-        head_x, head_y, foot_x, foot_y = track.kalman.position
-        scale = max(track.size, self.stature.height(foot_y) or 0.0)
-        gate = GATE_HEIGHTS * scale + 2 * track.kalman.uncertainty
-        height_min = PIECE_HEIGHT_MIN * track.height if track.confirmed else 0.0
-        leftmost = min(head_x, foot_x, track.last.box[0]) - gate
-        rightmost = max(head_x, foot_x, track.last.box[2]) + gate
-
-        costs = [_NEVER] * len(blobs)
-        for j, blob in enumerate(blobs):
-            # Most blobs are neither near nor overlapping.
-            if blob.right < leftmost or rightmost < blob.left:
+    def _update_groups(self, t: float, blobs: list[Blob]) -> list[Blob]:
+        """Update tracks by blobs that cover several confirmed people; return the other blobs."""
+        free = []
+        for blob in blobs:
+            confirmed = [track for track in self.active if track.confirmed and track.last.t < t]
+            group = group_in(blob, confirmed, self.crossings)
+            if not group:
+                free.append(blob)
                 continue
-            head = hypot((blob.left + blob.right) / 2 - head_x, blob.top - head_y)
-            foot = hypot(blob.foot_x - foot_x, blob.bottom - foot_y)
-            near = min(head, foot)
-            far = max(head, foot)
-            if near > gate and overlap(track.last.box, blob.box) < 0.3:
-                continue
-            if blob.bottom - blob.top >= height_min or self.crossings.touches(blob.box):
-                distance = NEARER_SHARE * near + (1 - NEARER_SHARE) * far
-                costs[j] = distance / gate + (not track.confirmed) / 2
-        return costs
+            for track, box in boxes_in_group(blob, group):
+                foot = ((box[0] + box[2]) / 2, box[3])
+                track.kalman.update((foot[0], box[1], *foot), track.height)
+                self._seen(track, Sighting(t, foot, box))
+        return free
 
-    def _costs_by_area(self, track: Track, blobs: list[Blob]) -> list[float]:
-        """Return for each blob of like area the distance of its middle, as a share of the reach.
+    def _assign(self, t: float, blobs: list[Blob], tracks: list[Track], costs: Costs) -> list[Blob]:
+        """Assign one blob to each track at the least total cost; return the others."""
+        pairs = best_pairs(tracks, blobs, costs, self.crossings)
+        for track, blob in pairs:
+            self._update_single(t, track, blob)
+        return [blob for blob in blobs if all(blob is not taken for _, taken in pairs)]
 
-        For what the first pass leaves: objects that move by more than a gate from frame to frame,
-        or whose head and foot jump because the border cuts them or fragments come and go.
-        """
-        assert self._t is not None
-        costs = [_NEVER] * len(blobs)
-        box = track.last.box
-        if self._t - track.last.t > GONE_PATIENCE_SECONDS:
-            return costs
-
-        # One step at its speed, or what its outline may jump.
-        head_x, head_y, foot_x, foot_y = track.kalman.velocity
-        step = self._dt * hypot(head_x + foot_x, head_y + foot_y) / 2
-        cut = self.crossings.touches(box)
-        reach = max(step, box[2] - box[0], box_height(box) / (1 if cut else 2))
-        middles = [centre(box), centre(track.box)]
-        for j, blob in enumerate(blobs):
-            x, y = centre(blob.box)
-            distance = min(hypot(x - a, y - b) for a, b in middles)
-            ratio = area(blob.box) / area(box)
-            alike = 1 / LIKE_FACTOR <= ratio <= LIKE_FACTOR
-            if distance <= reach and (alike or cut or self.crossings.touches(blob.box)):
-                costs[j] = distance / reach
-        return costs
+    def _costs(self, track: Track, blobs: Sequence[Blob]) -> list[float]:
+        """Return the costs of the first pass."""
+        expected = self.stature.height(track.kalman.position[3]) or 0.0
+        return costs_by_points(track, blobs, expected, self.crossings)
 
     def _update_single(self, t: float, track: Track, blob: Blob) -> None:
         """Update a track by the blob assigned to it."""
@@ -286,7 +179,7 @@ class Tracker:
 
         # Measure the height of whole people, once per distance walked.
         step = hypot(blob.foot_x - track.measured_at[0], blob.bottom - track.measured_at[1])
-        walked = step > 2 * MEASUREMENT * track.height
+        walked = step > SIGMAS * MEASUREMENT * track.height
         if track.confirmed and walked and blob.whole and not cut:
             track.measured_at = blob.foot
             self.stature.add(track.number, blob.bottom, blob.height)
@@ -342,8 +235,20 @@ class Tracker:
                 continue
             track.unmet = self._unmet(t, track)
             track.confirmed = track.unmet is None
-            if track.confirmed and not self._stitch(track):
+            if not track.confirmed:
+                continue
+
+            # It continues a track that was lost, or is a new object.
+            others = [other for other in self.active if other.confirmed]
+            earlier = earlier_part(track, [*self.lost, *others], self.crossings)
+            if earlier is None:
                 appeared.append(track)
+                continue
+            seconds = track.first.t - earlier.last.t
+            self._note("continues", track, track.first, value=seconds, other=earlier.number)
+            absorb(track, earlier)
+            self.lost = [other for other in self.lost if other is not earlier]
+            self.active = [other for other in self.active if other is not earlier]
         return appeared
 
     def _unmet(self, t: float, track: Track) -> Unmet | None:
@@ -364,48 +269,6 @@ class Tracker:
             if tall < needed:
                 return "low", tall, needed
         return None
-
-    def _stitch(self, track: Track) -> bool:
-        """Continue the nearest track that was lost in mid-view; False if none is within reach."""
-        if self.crossings.begins_at_edge(track):
-            return False
-        missing = [
-            other
-            for other in self.active
-            if other.confirmed
-            and other.last.t < track.first.t
-            and not self.crossings.at_edge(other)
-        ]
-
-        # Nearest by distance over reach.
-        best = None
-        best_score = 1.0
-        height = box_height(track.first.box)
-        for other in [*self.lost, *missing]:
-            seconds = max(0.0, track.first.t - other.last.t)
-            x, y = other.last.foot
-            walked = (x + seconds * other.velocity[0], y + seconds * other.velocity[1])
-            distance = min(dist(track.first.foot, (x, y)), dist(track.first.foot, walked))
-            low, high = sorted((height, box_height(other.last.box)))
-            score = distance / (STITCH_HEIGHTS * high)
-            if score < best_score and high < LIKE_FACTOR * low:
-                best = other
-                best_score = score
-
-        if best is not None:
-            self._absorb(track, best)
-        return best is not None
-
-    def _absorb(self, track: Track, earlier: Track) -> None:
-        """Make ``track`` continue the passage ``earlier``, with its number and beginning."""
-        seconds = max(0.0, track.first.t - earlier.last.t)
-        self._note("continues", track, track.first, value=seconds, other=earlier.number)
-        track.number = earlier.number
-        track.first = earlier.first
-        track.from_start = earlier.from_start
-        track.beside_others = earlier.beside_others
-        self.lost = [other for other in self.lost if other is not earlier]
-        self.active = [other for other in self.active if other is not earlier]
 
     def _retire(self, t: float) -> tuple[list[Track], list[Track]]:
         """End tracks that were not detected for longer than the patience.

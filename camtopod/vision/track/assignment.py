@@ -1,0 +1,141 @@
+"""Assignment of the blobs of a frame to the tracks of an object each, or to those of a group."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from math import hypot
+
+import numpy as np
+from scipy.optimize import linear_sum_assignment
+
+from camtopod.vision.boxes import Box, area, box_height, centre, contains_centre, overlap
+from camtopod.vision.detect import Blob
+from camtopod.vision.track.crossings import Crossings
+from camtopod.vision.track.kalman import SIGMAS
+from camtopod.vision.track.track import Track
+
+GATE_HEIGHTS = 0.35
+"""Gate: largest distance (heights, plus two sigma) of head or foot from the expected position."""
+PIECE_HEIGHT_MIN = 0.4
+"""Least height of a blob that no border cuts, as a share of a person's."""
+GROUP_FACTOR = 1.3
+"""Least width or height of a group, as a factor of its widest or tallest member's."""
+LIKE_FACTOR = 2.0
+"""Largest factor between the areas, or heights, of one object that no border cuts."""
+NEARER_SHARE = 0.7
+"""Weight in the cost of an assignment of the one of head and foot that is nearer."""
+_NEVER = 1e9
+"""Cost of an assignment that is not allowed."""
+
+Costs = Callable[[Track, Sequence[Blob]], list[float]]
+"""Cost of each blob for a track; `_NEVER` where it is not allowed."""
+
+
+def group_in(blob: Blob, tracks: Sequence[Track], crossings: Crossings) -> list[Track]:
+    """Return the tracks whose people the blob covers, none unless it is larger than each of them.
+
+    tracks: those that it may cover.
+    """
+    inside = [
+        track
+        for track in tracks
+        if contains_centre(blob.box, track.box) and not crossings.turns_back(track, blob.box)
+    ]
+    if len(inside) > 1 and (
+        blob.width > GROUP_FACTOR * max(track.width for track in inside)
+        or blob.height > GROUP_FACTOR * max(track.height for track in inside)
+    ):
+        return inside
+    return []
+
+
+def boxes_in_group(blob: Blob, group: Sequence[Track]) -> Iterator[tuple[Track, Box]]:
+    """Yield the box of each track in a group's blob.
+
+    The outermost people touch its outline; the others are taken to be where they were expected.
+    """
+    leftmost = min(group, key=lambda track: track.box[0])
+    rightmost = max(group, key=lambda track: track.box[2])
+    lowest = max(group, key=lambda track: track.box[3])
+    highest = min(group, key=lambda track: track.box[1])
+
+    for track in group:
+        left, _, right, bottom = track.box
+        x = min(max((left + right) / 2, blob.left), blob.right)
+        if track is leftmost:
+            x = blob.left + track.width / 2
+        elif track is rightmost:
+            x = blob.right - track.width / 2
+        bottom = min(max(bottom, blob.top), blob.bottom)
+        if track is lowest:
+            bottom = blob.bottom
+        elif track is highest:
+            bottom = min(blob.top + track.height, blob.bottom)
+        yield track, (x - track.width / 2, bottom - track.height, x + track.width / 2, bottom)
+
+
+def best_pairs(
+    tracks: Sequence[Track], blobs: Sequence[Blob], costs: Costs, crossings: Crossings
+) -> list[tuple[Track, Blob]]:
+    """Return the pairs of track and blob with the least total cost (Kuhn 1955)."""
+    if not tracks or not blobs:
+        return []
+    cost = np.array([costs(track, blobs) for track in tracks])
+    for i, j in np.argwhere(cost < _NEVER):
+        if crossings.turns_back(tracks[i], blobs[j].box):
+            cost[i, j] = _NEVER
+    best = zip(*linear_sum_assignment(cost), strict=True)
+    return [(tracks[i], blobs[j]) for i, j in best if cost[i, j] < _NEVER]
+
+
+def costs_by_points(
+    track: Track, blobs: Sequence[Blob], expected: float, crossings: Crossings
+) -> list[float]:
+    """Return for each blob the distance of head and foot in gates.
+
+    Tentative tracks have a higher cost, so that they yield to confirmed ones.
+    expected: height of a person where the track is, pixels; 0 if unknown.
+    """
+    head_x, head_y, foot_x, foot_y = track.kalman.position
+    gate = GATE_HEIGHTS * max(track.size, expected) + SIGMAS * track.kalman.uncertainty
+    height_min = PIECE_HEIGHT_MIN * track.height if track.confirmed else 0.0
+
+    costs = [_NEVER] * len(blobs)
+    for j, blob in enumerate(blobs):
+        head = hypot((blob.left + blob.right) / 2 - head_x, blob.top - head_y)
+        foot = hypot(blob.foot_x - foot_x, blob.bottom - foot_y)
+        near = min(head, foot)
+        far = max(head, foot)
+        if near > gate and overlap(track.last.box, blob.box) < 0.3:
+            continue
+        if blob.height >= height_min or crossings.touches(blob.box):
+            distance = NEARER_SHARE * near + (1 - NEARER_SHARE) * far
+            costs[j] = distance / gate + (not track.confirmed) / 2
+    return costs
+
+
+def costs_by_area(
+    track: Track, blobs: Sequence[Blob], dt: float, crossings: Crossings
+) -> list[float]:
+    """Return for each blob of like area the distance of its middle, as a share of the reach.
+
+    For what the first pass leaves: objects that move by more than a gate in ``dt`` seconds from
+    frame to frame, or whose head and foot jump because the border cuts them or fragments come and
+    go.
+    """
+    costs = [_NEVER] * len(blobs)
+    box = track.last.box
+
+    # One step at its speed, or what its outline may jump.
+    head_x, head_y, foot_x, foot_y = track.kalman.velocity
+    step = dt * hypot(head_x + foot_x, head_y + foot_y) / 2
+    cut = crossings.touches(box)
+    reach = max(step, box[2] - box[0], box_height(box) / (1 if cut else 2))
+    middles = [centre(box), centre(track.box)]
+    for j, blob in enumerate(blobs):
+        x, y = centre(blob.box)
+        distance = min(hypot(x - a, y - b) for a, b in middles)
+        low, high = sorted((area(blob.box), area(box)))
+        if distance <= reach and (high <= LIKE_FACTOR * low or cut or crossings.touches(blob.box)):
+            costs[j] = distance / reach
+    return costs
