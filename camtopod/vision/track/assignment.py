@@ -19,7 +19,7 @@ GATE_HEIGHTS = 0.35
 PIECE_HEIGHT_MIN = 0.4
 """Least height of a blob that no border cuts, as a share of a person's."""
 GROUP_FACTOR = 1.3
-"""Least width or height of a group, as a factor of its widest or tallest member's."""
+"""Least area of a group's blob, as a factor of its largest member's."""
 LIKE_FACTOR = 2.0
 """Largest factor between the areas, or heights, of one object that no border cuts."""
 NEARER_SHARE = 0.7
@@ -41,10 +41,8 @@ def group_in(blob: Blob, tracks: Sequence[Track], crossings: Crossings) -> list[
         for track in tracks
         if contains_centre(blob.box, track.box) and not crossings.turns_back(track, blob.box)
     ]
-    if len(inside) > 1 and (
-        blob.width > GROUP_FACTOR * max(track.width for track in inside)
-        or blob.height > GROUP_FACTOR * max(track.height for track in inside)
-    ):
+    largest = max((track.width * track.height for track in inside), default=0.0)
+    if len(inside) > 1 and area(blob.box) > GROUP_FACTOR * largest:
         return inside
     return []
 

@@ -81,13 +81,25 @@ class Crossings:
         other: int = 0,
     ) -> None:
         """Record what the beginning or end of ``track`` at a sighting was taken for."""
-        x = min(max(at.foot[0] / self.size[0], 0.0), 1.0)
-        y = min(max(at.foot[1] / self.size[1], 0.0), 1.0)
-        began = track.first.t
-        seen = track.sightings
         self._take(
-            Decision(reason, track.number, at.t, (x, y), began, edge, value, least, seen, other)
+            Decision(
+                reason,
+                track.number,
+                at.t,
+                self._place(at),
+                track.first.t,
+                edge,
+                value,
+                least,
+                track.sightings,
+                other,
+            )
         )
+
+    def _place(self, at: Sighting) -> tuple[float, float]:
+        """Return the foot point of a sighting as fractions of the image."""
+        x, y = (foot / side for foot, side in zip(at.foot, self.size, strict=True))
+        return min(max(x, 0.0), 1.0), min(max(y, 0.0), 1.0)
 
     # -- where ------------------------------
 
@@ -101,19 +113,21 @@ class Crossings:
         At the top the foot decides, because heads are cut off far inside the view.
         """
         left, _, right, bottom = box
-        margin = self._margin
         dx, dy = drift
 
-        # Distance to each border, the distance within which it is near, and the way towards it.
-        borders: tuple[tuple[float, float, float, Edge], ...] = (
-            (left, margin, -dx, "left border"),
-            (self.size[0] - right, margin, dx, "right border"),
-            (bottom, margin, -dy, "top border"),
-            (self.size[1] - bottom, margin, dy, "bottom border"),
+        # Distance to each border, and the way towards it.
+        borders: tuple[tuple[float, float, Edge], ...] = (
+            (left, -dx, "left border"),
+            (self.size[0] - right, dx, "right border"),
+            (bottom, -dy, "top border"),
+            (self.size[1] - bottom, dy, "bottom border"),
         )
-        near = [(distance, border) for distance, near, _, border in borders if distance <= near]
-        reached = [(distance, border) for distance, _, way, border in borders if distance <= way]
-        return min(near or reached, default=(0.0, None))[1]
+        reached = [
+            (distance, border)
+            for distance, way, border in borders
+            if distance <= max(self._margin, way)
+        ]
+        return min(reached, default=(0.0, None))[1]
 
     def at_edge(self, track: Track) -> Edge | None:
         """Return the edge at which the track was last seen, if objects leave there."""
@@ -128,13 +142,12 @@ class Crossings:
 
         sense: 1.0 for the way that it goes on, -1.0 for the way that it came.
         """
-        dx, dy = _drift(track)
-        border = self._border(at.box, (sense * dx, sense * dy))
+        dx, dy = (sense * REACH_SECONDS * speed for speed in track.velocity)
+        border = self._border(at.box, (dx, dy))
         if border is not None:
             return border
-        vx, vy = track.velocity
-        lead = self._margin + REACH_SECONDS * hypot(vx, vy)
-        if self._ignored.lead_out(at.foot, (sense * vx, sense * vy), lead, self._margin):
+        lead = self._margin + hypot(dx, dy)
+        if self._ignored.lead_out(at.foot, (dx, dy), lead, self._margin):
             return "ignored area"
         return self.doors.door_at(*at.foot, track.height)
 
@@ -232,19 +245,14 @@ class Crossings:
         entry = kind == "entry"
         sense = -1.0 if entry else 1.0
         at = self._at_border(track, at, edge, sense)
-        x, y = at.foot
-
         lateness = self.now - at.t
         if lateness > LATENESS_SECONDS_MAX:
             reason: Reason = "entered late" if entry else "left late"
             self.note(reason, track, at, edge, lateness, LATENESS_SECONDS_MAX)
             return []
         self.note("entered" if entry else "left", track, at, edge)
-        x = min(max(x / self.size[0], 0.0), 1.0)
-        y = min(max(y / self.size[1], 0.0), 1.0)
-        return [
-            Event(self._camera, kind, round(at.t, 6), round(x, 4), round(y, 4), str(track.number))
-        ]
+        x, y = (round(share, 4) for share in self._place(at))
+        return [Event(self._camera, kind, round(at.t, 6), x, y, str(track.number))]
 
     def _at_border(self, track: Track, at: Sighting, edge: Edge | None, sense: float) -> Sighting:
         """Return a sighting moved along the way of the track to where it crosses the border.
@@ -274,14 +282,3 @@ class Crossings:
 def _has_walked(track: Track) -> bool:
     """Return True if the track has moved far enough to be evidence of a door."""
     return track.reach >= WALKED_HEIGHTS_MIN * track.height
-
-
-def _drift(track: Track) -> tuple[float, float]:
-    """Return the movement in `REACH_SECONDS`, pixels, judged by the latest sightings."""
-    first = track.history[0]
-    last = track.history[-1]
-    dt = last.t - first.t
-    if dt <= 0:
-        return (0.0, 0.0)
-    factor = REACH_SECONDS / dt
-    return (factor * (last.foot[0] - first.foot[0]), factor * (last.foot[1] - first.foot[1]))

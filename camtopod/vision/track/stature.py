@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections import deque
-from statistics import median
 
 import numpy as np
 
@@ -21,19 +20,15 @@ class Stature:
     """Line height = a + b * foot row, fitted robustly to whole, confirmed, single objects."""
 
     def __init__(self) -> None:
-        self._rows: deque[float] = deque(maxlen=SAMPLES_MAX)
-        self._heights: deque[float] = deque(maxlen=SAMPLES_MAX)
-        self._objects: set[int] = set()
+        self._samples: deque[tuple[int, float, float]] = deque(maxlen=SAMPLES_MAX)
         self._line: tuple[float, float] | None = None
         self._middle = 0.0
 
     def add(self, track: int, foot_y: float, height: float) -> None:
         """Add a sighting of ``track``: feet in row ``foot_y``, height in pixels."""
-        self._rows.append(foot_y)
-        self._heights.append(height)
-        if len(self._objects) < OBJECTS_MIN:
-            self._objects.add(track)
-        if len(self._rows) >= SAMPLES_MIN and len(self._objects) >= OBJECTS_MIN:
+        self._samples.append((track, foot_y, height))
+        objects = {number for number, _, _ in self._samples}
+        if len(self._samples) >= SAMPLES_MIN and len(objects) >= OBJECTS_MIN:
             self._fit()
 
     def _fit(self) -> None:
@@ -41,9 +36,8 @@ class Stature:
 
         The slope is 0 unless the rows span more than a person's height.
         """
-        rows = np.array(self._rows)
-        heights = np.array(self._heights)
-        self._middle = median(self._heights)
+        _, rows, heights = np.array(self._samples).T
+        self._middle = float(np.median(heights))
         kept = np.ones(len(rows), bool)
         slope = 0.0
         base = self._middle

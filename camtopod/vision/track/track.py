@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 from collections import deque
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import NamedTuple
 
-from camtopod.vision.boxes import Box
+from camtopod.vision.boxes import Box, centre
 from camtopod.vision.track.decisions import Edge, Shortfall
 from camtopod.vision.track.kalman import Kalman, Vector
 
@@ -34,7 +34,8 @@ class Track:
     """In view when tracking began, so without an entry."""
     beside_others: bool
     """Began next to another object: more likely half of a group than a new person."""
-    history: deque[Sighting] = field(default_factory=lambda: deque(maxlen=HISTORY_SIGHTINGS))
+    history: deque[Sighting]
+    """The newest `HISTORY_SIGHTINGS`."""
     sightings: int = 1
     frames: int = 1
     """Frames since the first sighting."""
@@ -45,8 +46,6 @@ class Track:
     """Began in mid-view without explanation, and has not walked far enough yet to be evidence."""
     reach: float = 0.0
     """Largest distance of head or foot from where it began, pixels."""
-    origin: Vector = (0.0, 0.0, 0.0, 0.0)
-    """Head and foot where it began."""
     measured_at: tuple[float, float] = (0.0, 0.0)
     """Foot point where its height was last measured."""
     unmet: Unmet | None = None
@@ -78,10 +77,9 @@ class Track:
         dt = last.t - first.t
         if dt <= 0:
             return (0.0, 0.0)
-        (left, top, right, bottom), (left_2, top_2, right_2, bottom_2) = first.box, last.box
-        across = left_2 + right_2 - left - right
-        down = top_2 + bottom_2 - top - bottom
-        return (across / 2 / dt, down / 2 / dt)
+        x, y = centre(first.box)
+        x_2, y_2 = centre(last.box)
+        return ((x_2 - x) / dt, (y_2 - y) / dt)
 
 
 class Sighting(NamedTuple):
@@ -90,3 +88,9 @@ class Sighting(NamedTuple):
     t: float
     foot: tuple[float, float]
     box: Box
+
+    @property
+    def points(self) -> Vector:
+        """Head, the middle of the upper side, and foot."""
+        left, top, right, _ = self.box
+        return ((left + right) / 2, top, *self.foot)

@@ -14,9 +14,10 @@ stays one passage.
 
 from __future__ import annotations
 
+from collections import deque
 from collections.abc import Iterator, Sequence
 from functools import partial
-from math import hypot
+from math import dist
 
 from camtopod.records import Event
 from camtopod.vision.boxes import box_height, contains_centre, gap, in_image
@@ -37,7 +38,7 @@ from camtopod.vision.track.decisions import Reason
 from camtopod.vision.track.kalman import MEASUREMENT, SIGMAS, Kalman
 from camtopod.vision.track.lost import STITCH_SECONDS, absorb, earlier_part
 from camtopod.vision.track.stature import Stature
-from camtopod.vision.track.track import Sighting, Track, Unmet
+from camtopod.vision.track.track import HISTORY_SIGHTINGS, Sighting, Track, Unmet
 
 CONFIRM_SECONDS = 0.5
 """Minimum time something must be tracked, and move, before it counts as an object.
@@ -145,9 +146,7 @@ class Tracker:
                 free.append(blob)
                 continue
             for track, box in boxes_in_group(blob, group):
-                foot = ((box[0] + box[2]) / 2, box[3])
-                track.kalman.update((foot[0], box[1], *foot), track.height)
-                self._seen(track, Sighting(t, foot, box))
+                self._seen(track, Sighting(t, ((box[0] + box[2]) / 2, box[3]), box))
         return free
 
     def _assign(self, t: float, blobs: list[Blob], tracks: list[Track], costs: Costs) -> list[Blob]:
@@ -164,7 +163,6 @@ class Tracker:
 
     def _update_single(self, t: float, track: Track, blob: Blob) -> None:
         """Update a track by the blob assigned to it."""
-        measured = (*blob.head, *blob.foot)
         cut = self.crossings.touches(blob.box)
         if cut or self.crossings.touches(track.last.box) or not track.confirmed:
             # Entering or leaving the view: its size may only grow.
@@ -174,25 +172,22 @@ class Tracker:
             track.height += _SIZE_RATE * (blob.height - track.height)
             track.width += _SIZE_RATE * (blob.width - track.width)
 
-        track.kalman.update(measured, track.height)
         self._seen(track, Sighting(t, blob.foot, blob.box))
 
         # Measure the height of whole people, once per distance walked.
-        step = hypot(blob.foot_x - track.measured_at[0], blob.bottom - track.measured_at[1])
-        walked = step > SIGMAS * MEASUREMENT * track.height
+        walked = dist(blob.foot, track.measured_at) > SIGMAS * MEASUREMENT * track.height
         if track.confirmed and walked and blob.whole and not cut:
             track.measured_at = blob.foot
             self.stature.add(track.number, blob.bottom, blob.height)
 
     def _seen(self, track: Track, sighting: Sighting) -> None:
         """Record a sighting."""
+        track.kalman.update(sighting.points, track.height)
         track.last = sighting
         track.history.append(sighting)
         track.sightings += 1
-        left, top, right, bottom = sighting.box
-        head_x, head_y, foot_x, foot_y = track.origin
-        head = hypot((left + right) / 2 - head_x, top - head_y)
-        foot = hypot(sighting.foot[0] - foot_x, bottom - foot_y)
+        head = dist(sighting.points[:2], track.first.points[:2])
+        foot = dist(sighting.foot, track.first.foot)
         track.reach = max(track.reach, head, foot)
 
     # -- initiation and end ------------------------------
@@ -210,21 +205,19 @@ class Tracker:
             return  # a fragment of an object that is seen already
 
         sighting = Sighting(t, blob.foot, blob.box)
-        measured = (*blob.head, *blob.foot)
         beside = any(gap(track.box, blob.box) < GATE_HEIGHTS * track.height for track in others)
         height = max(blob.height, PIECE_HEIGHT_MIN * (expected or 0.0))
         track = Track(
             number=next(self._numbers),
             first=sighting,
             last=sighting,
-            kalman=Kalman(measured, height),
+            kalman=Kalman(sighting.points, height),
             height=height,
             width=blob.width,
             from_start=t == self._start,
             beside_others=beside,
-            origin=measured,
+            history=deque([sighting], HISTORY_SIGHTINGS),
         )
-        track.history.append(sighting)
         self.active.append(track)
 
     def _confirm(self, t: float) -> list[Track]:
