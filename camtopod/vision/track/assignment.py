@@ -8,7 +8,7 @@ from math import hypot
 import numpy as np
 from scipy.optimize import linear_sum_assignment
 
-from camtopod.vision.boxes import Box, area, box_height, centre, contains_centre, overlap
+from camtopod.vision.boxes import Box, area, box_height, centre, contains_centre
 from camtopod.vision.detect import Blob
 from camtopod.vision.track.crossings import Crossings
 from camtopod.vision.track.kalman import SIGMAS
@@ -103,11 +103,8 @@ def costs_by_points(
         head = hypot((blob.left + blob.right) / 2 - head_x, blob.top - head_y)
         foot = hypot(blob.foot_x - foot_x, blob.bottom - foot_y)
         near = min(head, foot)
-        far = max(head, foot)
-        if near > gate and overlap(track.last.box, blob.box) < 0.3:
-            continue
-        if blob.height >= height_min or crossings.touches(blob.box):
-            distance = NEARER_SHARE * near + (1 - NEARER_SHARE) * far
+        if near <= gate and (blob.height >= height_min or crossings.touches(blob.box)):
+            distance = NEARER_SHARE * near + (1 - NEARER_SHARE) * max(head, foot)
             costs[j] = distance / gate + (not track.confirmed) / 2
     return costs
 
