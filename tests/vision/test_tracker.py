@@ -24,7 +24,7 @@ def tracked(frames: list[list[Box]]) -> list[Event]:
     tracker = Tracker(VisionSettings(), crossings, iter(range(1, 1000)))
     crossings.began = 0.0
     events: list[Event] = []
-    for k, boxes in enumerate([*[[]] * 10, *frames, *[[]] * 10]):
+    for k, boxes in enumerate([*[[]] * 10, *frames, *[[]] * 20]):
         blobs = [Blob(*map(float, box), foot_x=(box[0] + box[2]) / 2) for box in boxes]
         events += tracker.step(k / FPS, blobs)
     return events

@@ -22,13 +22,15 @@ from camtopod.vision.track.track import Sighting, Track
 BORDER_SHARE = 0.025
 """Distance from the border within which a box is at it (share of the image's diagonal)."""
 REACH_SECONDS = 0.6
-"""Time within which a box that reaches the border at its speed counts as being at it."""
-BORDER_SECONDS_MAX = 1.5
-"""Longest time between a sighting and the crossing of the border that it is moved to."""
-GONE_PATIENCE_SECONDS = 0.7
-"""Patience with an object that the border cut when it was last seen.
+"""Time for which the velocity of an object out of sight is relied on.
 
-An event is dated back or forward by as much at most, as an exit is known no sooner.
+A box that reaches the border within it is at the border; an event is dated back or forward by as
+much at most; what jumps is assigned by its area if it was seen within it.
+"""
+PATIENCE_SECONDS = 1.5
+"""Time an object may go undetected before its track ends.
+
+A sighting is moved to the crossing of the border if it takes no longer.
 """
 LATENESS_SECONDS_MAX = 4.0
 """Longest time after an event at which it is told; the daemon does not learn from later ones."""
@@ -61,7 +63,7 @@ class Crossings:
         self.size = (width, height)
         self._margin = BORDER_SHARE * (width**2 + height**2) ** 0.5
         self._ignored = ignored
-        self.doors = Doors(width, height, doors)
+        self.doors = Doors(width, height, self._margin, doors)
         self._walks: dict[int, set[tuple[int, int]]] = {}
         self.anywhere = False
         """Objects may enter and leave in mid-view, where a detector is trusted."""
@@ -107,28 +109,6 @@ class Crossings:
         """Return True if the border of the image or an ignored area cuts the box."""
         return touches_border(box, self.size) or self._ignored.cut(box)
 
-    def _border(self, box: Box, drift: tuple[float, float]) -> Edge | None:
-        """Return the border that a person's box is near to, or across when moved by ``drift``.
-
-        At the top the foot decides, because heads are cut off far inside the view.
-        """
-        left, _, right, bottom = box
-        dx, dy = drift
-
-        # Distance to each border, and the way towards it.
-        borders: tuple[tuple[float, float, Edge], ...] = (
-            (left, -dx, "left border"),
-            (self.size[0] - right, dx, "right border"),
-            (bottom, -dy, "top border"),
-            (self.size[1] - bottom, dy, "bottom border"),
-        )
-        reached = [
-            (distance, border)
-            for distance, way, border in borders
-            if distance <= max(self._margin, way)
-        ]
-        return min(reached, default=(0.0, None))[1]
-
     def at_edge(self, track: Track) -> Edge | None:
         """Return the edge at which the track was last seen, if objects leave there."""
         return self._edge(track, track.last, 1.0)
@@ -143,11 +123,26 @@ class Crossings:
         sense: 1.0 for the way that it goes on, -1.0 for the way that it came.
         """
         dx, dy = (sense * REACH_SECONDS * speed for speed in track.velocity)
-        border = self._border(at.box, (dx, dy))
-        if border is not None:
-            return border
-        lead = self._margin + hypot(dx, dy)
-        if self._ignored.lead_out(at.foot, (dx, dy), lead, self._margin):
+        left, _, right, bottom = at.box
+
+        # Distance to each border, and the way towards it. At the top the foot decides, because
+        # heads are cut off far inside the view.
+        borders: tuple[tuple[float, float, Edge], ...] = (
+            (left, -dx, "left border"),
+            (self.size[0] - right, dx, "right border"),
+            (bottom, -dy, "top border"),
+            (self.size[1] - bottom, dy, "bottom border"),
+        )
+        reached = [
+            (distance, border)
+            for distance, way, border in borders
+            if distance <= max(self._margin, way)
+        ]
+        if reached:
+            return min(reached)[1]
+
+        # Another edge is an ignored area on its way, or a door.
+        if self._ignored.lead_out(at.foot, (dx, dy), self._margin + hypot(dx, dy), self._margin):
             return "ignored area"
         return self.doors.door_at(*at.foot, track.height)
 
@@ -163,7 +158,7 @@ class Crossings:
         after = border_distances(box, self.size)
         return any(
             before[side] <= self._margin
-            and self.size[side % 2] - before[side - 2] < BORDER_SECONDS_MAX * speeds[side]
+            and self.size[side % 2] - before[side - 2] < PATIENCE_SECONDS * speeds[side]
             and before[side - 2] - after[side - 2] > SIGMAS * MEASUREMENT * track.size
             for side in range(4)
         )
@@ -209,19 +204,16 @@ class Crossings:
     def _entry(self, track: Track) -> list[Event]:
         """Return the entry of a track that became an object, if it is one."""
         edge = self.begins_at_edge(track)
+        if edge is None and self.anywhere and not track.beside_others:
+            edge = "mid-view"
         entered_at = self._at_border(track, track.first, edge, -1.0).t
         if track.from_start or (edge is not None and entered_at < self.began):
             self.note("from start", track, track.first)
             return []
         if edge is not None:
             return self._told("entry", track, track.first, edge)
-        if track.beside_others:
-            self.note("beside others", track, track.first)
-        elif self.anywhere:
-            return self._told("entry", track, track.first, "mid-view")
-        else:
-            self.note("in mid-view", track, track.first)
-            track.began_in_view = True
+        track.began_in_view = not track.beside_others
+        self.note("in mid-view" if track.began_in_view else "beside others", track, track.first)
         return []
 
     def report_exits(self, left: Sequence[Track]) -> list[Event]:
@@ -272,10 +264,10 @@ class Crossings:
         if sense * speed <= 0.0:
             return at
         seconds = distance / (sense * speed)
-        if not 0.0 < seconds <= BORDER_SECONDS_MAX:
+        if not 0.0 < seconds <= PATIENCE_SECONDS:
             return at
         ahead = sense * seconds
-        dated = sense * min(seconds, GONE_PATIENCE_SECONDS)
+        dated = sense * min(seconds, REACH_SECONDS)
         return at._replace(t=at.t + dated, foot=(x + ahead * dx, y + ahead * dy))
 
 

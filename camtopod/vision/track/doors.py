@@ -13,7 +13,7 @@ from __future__ import annotations
 
 from collections import deque
 from collections.abc import Callable, Sequence
-from math import hypot
+from math import dist
 from typing import Literal
 
 import cv2
@@ -29,8 +29,6 @@ DOOR_EVENTS_MIN = 2
 """Unexplained beginnings and ends of tracks that make a door."""
 DOOR_HEIGHTS = 0.6
 """Radius around a foot point in which they count (heights of the person)."""
-DOOR_SHARE_MIN = 0.04
-"""Least radius of a learned door, as a share of the image's diagonal, for objects far away."""
 REMEMBERED_MAX = 200
 """Unexplained beginnings and ends that are kept, the newest."""
 GRID = (24, 32)
@@ -40,11 +38,15 @@ GRID = (24, 32)
 class Doors:
     """Doors of one view, named and learned; positions in pixels of the working image.
 
+    radius_min: least radius of a learned door, for objects far away.
     named: doors of the settings, in fractions of the image.
     """
 
-    def __init__(self, width: int, height: int, named: Sequence[Polygon] = ()) -> None:
+    def __init__(
+        self, width: int, height: int, radius_min: float, named: Sequence[Polygon] = ()
+    ) -> None:
         self._size = (width, height)
+        self._radius_min = radius_min
         self._named = [
             np.array([(x * width, y * height) for x, y in polygon], np.float32) for polygon in named
         ]
@@ -73,8 +75,8 @@ class Doors:
         if any(_is_at(place, x, y, radius) for place in self._named):
             return "named door"
 
-        radius = max(radius, DOOR_SHARE_MIN * hypot(*self._size))
-        near = sum(1 for a, b in self.unexplained if (a - x) ** 2 + (b - y) ** 2 <= radius * radius)
+        radius = max(radius, self._radius_min)
+        near = sum(dist(place, (x, y)) <= radius for place in self.unexplained)
         if near >= DOOR_EVENTS_MIN and near > int(self._passed[self.cell(x, y)]):
             return "learned door"
         return None

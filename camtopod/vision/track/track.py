@@ -34,12 +34,13 @@ class Track:
     """In view when tracking began, so without an entry."""
     beside_others: bool
     """Began next to another object: more likely half of a group than a new person."""
+    unmet: Unmet | None
+    """Condition that a tentative track did not meet in the latest frame that showed it."""
     history: deque[Sighting]
     """The newest `HISTORY_SIGHTINGS`."""
     sightings: int = 1
     frames: int = 1
     """Frames since the first sighting."""
-    confirmed: bool = False
     occluded: bool = False
     """Occluded by others in the latest frame."""
     began_in_view: bool = False
@@ -48,10 +49,13 @@ class Track:
     """Largest distance of head or foot from where it began, pixels."""
     measured_at: tuple[float, float] = (0.0, 0.0)
     """Foot point where its height was last measured."""
-    unmet: Unmet | None = None
-    """Condition that a tentative track did not meet in the latest frame that showed it."""
     edge: Edge | None = None
     """Edge by which it left; None while it has not."""
+
+    @property
+    def confirmed(self) -> bool:
+        """It meets the conditions of an object, or has met them once."""
+        return self.unmet is None
 
     @property
     def size(self) -> float:

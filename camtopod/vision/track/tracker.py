@@ -4,12 +4,12 @@ A track is *tentative* until it has been followed for half a second and its head
 then it is *confirmed*. In each frame, blobs that cover several confirmed tracks update these as a
 group (people crossing or walking side by side). The other blobs are assigned one to one (Kalman
 prediction, Hungarian method, gate in heights of the person), and what is left in a second pass by
-area and distance of the middles.
+area and distance of the middles (`assignment`).
 
 A confirmed track that is not detected for longer than the patience has *ended* if it was at an edge
-of the view. In mid-view it is *lost*: it is kept for some seconds, and a track confirmed nearby
-or where it would be by now continues it. A passage that is lost behind a lamp post or a tree thus
-stays one passage.
+of the view. In mid-view it is *lost*: it is kept for some seconds, and a track confirmed near
+to where it was, or would be by now, continues it (`lost`). A passage that is lost behind a lamp
+post or a tree thus stays one passage.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from __future__ import annotations
 from collections import deque
 from collections.abc import Iterator, Sequence
 from functools import partial
-from math import dist
+from math import dist, inf
 
 from camtopod.records import Event
 from camtopod.vision.boxes import box_height, contains_centre, gap, in_image
@@ -33,7 +33,12 @@ from camtopod.vision.track.assignment import (
     costs_by_points,
     group_in,
 )
-from camtopod.vision.track.crossings import GONE_PATIENCE_SECONDS, LATENESS_SECONDS_MAX, Crossings
+from camtopod.vision.track.crossings import (
+    LATENESS_SECONDS_MAX,
+    PATIENCE_SECONDS,
+    REACH_SECONDS,
+    Crossings,
+)
 from camtopod.vision.track.decisions import Reason
 from camtopod.vision.track.kalman import MEASUREMENT, SIGMAS, Kalman
 from camtopod.vision.track.lost import STITCH_SECONDS, absorb, earlier_part
@@ -45,8 +50,6 @@ CONFIRM_SECONDS = 0.5
 
 It is also the patience with what is tentative.
 """
-PATIENCE_SECONDS = 1.5
-"""Time an object may go undetected before its track ends."""
 TRACKS_MAX = 200
 """Maximum number of tracks at a time; further objects are not tracked."""
 CONFIRM_SIGHTINGS_SHARE = 0.6
@@ -74,7 +77,7 @@ class Tracker:
         self.crossings = crossings
         """Tells where objects enter and leave the view."""
         self._numbers = numbers
-        self._t: float | None = None
+        self._t = -inf
         self._start: float | None = None
         self.stature = Stature()
         self.active: list[Track] = []
@@ -85,28 +88,27 @@ class Tracker:
 
         Returns the events that are certain now.
         """
-        before = t if self._t is None else self._t
+        dt = t - self._t
         self._t = t
-        self._dt = t - before
         self.crossings.now = max(self.crossings.now, t)
 
         # A pause in the frames ends all tracks.
         events = []
-        if self._dt > PATIENCE_SECONDS:
+        if dt > PATIENCE_SECONDS:
             events = self.finish("interrupted")
         if self._start is None:
             self._start = t
 
         # Predict.
         for track in self.active:
-            track.kalman.predict(self._dt, track.size)
+            track.kalman.predict(dt, track.size)
             track.frames += 1
 
         # Assign blobs: to groups, by head and foot, by area. They occlude others, or start tracks.
         free = self._update_groups(t, blobs)
         free = self._assign(t, free, self._waiting(t), self._costs)
-        recent = self._waiting(t, GONE_PATIENCE_SECONDS)
-        by_area = partial(costs_by_area, dt=self._dt, crossings=self.crossings)
+        recent = self._waiting(t, REACH_SECONDS)
+        by_area = partial(costs_by_area, dt=dt, crossings=self.crossings)
         free = self._assign(t, free, recent, by_area)
         for track in self.active:
             hidden = track.confirmed and track.last.t < t
@@ -157,7 +159,7 @@ class Tracker:
         return [blob for blob in blobs if all(blob is not taken for _, taken in pairs)]
 
     def _costs(self, track: Track, blobs: Sequence[Blob]) -> list[float]:
-        """Return the costs of the first pass."""
+        """Return for each blob the distance of head and foot, at the height expected there."""
         expected = self.stature.height(track.kalman.position[3]) or 0.0
         return costs_by_points(track, blobs, expected, self.crossings)
 
@@ -186,9 +188,11 @@ class Tracker:
         track.last = sighting
         track.history.append(sighting)
         track.sightings += 1
-        head = dist(sighting.points[:2], track.first.points[:2])
-        foot = dist(sighting.foot, track.first.foot)
-        track.reach = max(track.reach, head, foot)
+        track.reach = max(
+            track.reach,
+            dist(sighting.points[:2], track.first.points[:2]),
+            dist(sighting.foot, track.first.foot),
+        )
 
     # -- initiation and end ------------------------------
 
@@ -217,17 +221,17 @@ class Tracker:
             from_start=t == self._start,
             beside_others=beside,
             history=deque([sighting], HISTORY_SIGHTINGS),
+            unmet=("brief", 0.0, CONFIRM_SECONDS),
         )
         self.active.append(track)
 
     def _confirm(self, t: float) -> list[Track]:
         """Confirm tracks that have become objects; return those that continue no lost track."""
-        appeared = []
+        appeared: list[Track] = []
         for track in self.active:
             if track.confirmed or track.last.t < t:
                 continue
             track.unmet = self._unmet(t, track)
-            track.confirmed = track.unmet is None
             if not track.confirmed:
                 continue
 
@@ -255,12 +259,9 @@ class Tracker:
             return "still", track.reach / track.height, CONFIRM_HEIGHTS
 
         # Tall enough in several sightings.
-        if self._height_min > 0.0:
-            heights = [box_height(sighting.box) for sighting in track.history]
-            tall = sum(height >= self._height_min for height in heights)
-            needed = min(TALL_SIGHTINGS_MIN, len(heights))
-            if tall < needed:
-                return "low", tall, needed
+        tall = sum(box_height(sighting.box) >= self._height_min for sighting in track.history)
+        if tall < TALL_SIGHTINGS_MIN:
+            return "low", tall, TALL_SIGHTINGS_MIN
         return None
 
     def _retire(self, t: float) -> tuple[list[Track], list[Track]]:
@@ -270,19 +271,13 @@ class Tracker:
         """
         kept = []
         left = []
-
-        # Patience depends on how the object was last seen.
         for track in self.active:
             track.edge = self.crossings.at_edge(track)
-            patience = CONFIRM_SECONDS
-            if track.confirmed:
-                patience = PATIENCE_SECONDS
-                if track.edge is not None and self.crossings.touches(track.last.box):
-                    patience = GONE_PATIENCE_SECONDS
+            patience = PATIENCE_SECONDS if track.confirmed else CONFIRM_SECONDS
             if t - track.last.t <= patience:
                 kept.append(track)
-            elif not track.confirmed:
-                self._note_unmet(track)
+            elif track.unmet is not None:
+                self._note(track.unmet[0], track, track.last, None, *track.unmet[1:])
             elif track.edge is not None:
                 left.append(track)
             else:
@@ -298,12 +293,6 @@ class Tracker:
         self.lost = [track for track in self.lost if track.last.t >= deadline]
         return left, vanished
 
-    def _note_unmet(self, track: Track) -> None:
-        """Record why a tentative track that has ended was not an object."""
-        assert track.unmet is not None, "set in the frame in which it began"
-        reason, value, least = track.unmet
-        self._note(reason, track, track.last, None, value, least)
-
     def drop(self, track: Track) -> None:
         """Remove ``track`` without an event, because it is a ghost."""
         self._note("ghost", track, track.last)
@@ -317,18 +306,17 @@ class Tracker:
 
         reason: what is recorded of the others.
         """
-        t = self._t or 0.0
         self._start = None
         left = []
         for track in self.active:
-            unseen = t - track.last.t > CONFIRM_SECONDS
-            track.edge = self.crossings.at_edge(track) if track.confirmed and unseen else None
-            if track.edge:
+            unseen = self._t - track.last.t > CONFIRM_SECONDS
+            track.edge = self.crossings.at_edge(track)
+            if track.unmet is not None:
+                self._note(track.unmet[0], track, track.last, None, *track.unmet[1:])
+            elif track.edge is not None and unseen:
                 left.append(track)
-            elif track.confirmed:
-                self._note(reason, track, track.last)
             else:
-                self._note_unmet(track)
+                self._note(reason, track, track.last)
         for track in self.lost:
             self._note("lost", track, track.last)
         self.active = []
