@@ -64,7 +64,6 @@ class Crossings:
         self._margin = BORDER_SHARE * (width**2 + height**2) ** 0.5
         self._ignored = ignored
         self.doors = Doors(width, height, self._margin, doors)
-        self._walks: dict[int, set[tuple[int, int]]] = {}
         self.anywhere = False
         """Objects may enter and leave in mid-view, where a detector is trusted."""
         self.began = -inf
@@ -184,8 +183,7 @@ class Crossings:
             if track.occluded:
                 self.note("occluded", track, track.last)
             elif self.anywhere:
-                track.edge = "mid-view"
-                events += self.report_exits([track])
+                events += self._told("exit", track, track.last, "mid-view")
             else:
                 self.note("lost", track, track.last)
                 if _has_walked(track):
@@ -198,7 +196,7 @@ class Crossings:
                 track.began_in_view = False
                 self.doors.unexplained.append(track.first.foot)
             if track.confirmed:
-                self._walks.setdefault(track.number, set()).add(self.doors.cell(*track.last.foot))
+                track.cells.add(self.doors.cell(*track.last.foot))
         return events
 
     def _entry(self, track: Track) -> list[Event]:
@@ -227,7 +225,7 @@ class Crossings:
     def _forget(self, track: Track) -> None:
         """Count the cells that the track walked through, except where it began and ended."""
         ends = {self.doors.cell(*track.first.foot), self.doors.cell(*track.last.foot)}
-        self.doors.record_walk(self._walks.pop(track.number, set()) - ends)
+        self.doors.record_walk(track.cells - ends)
 
     def _told(self, kind: Kind, track: Track, at: Sighting, edge: Edge | None) -> list[Event]:
         """Return the event at a sighting; none if it is known too late.

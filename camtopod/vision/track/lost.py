@@ -48,4 +48,5 @@ def absorb(track: Track, earlier: Track) -> None:
     track.number = earlier.number
     track.first = earlier.first
     track.from_start = earlier.from_start
+    track.cells |= earlier.cells
     track.beside_others = earlier.beside_others

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import deque
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import NamedTuple
 
 from camtopod.vision.boxes import Box, centre
@@ -43,6 +43,8 @@ class Track:
     """Frames since the first sighting."""
     occluded: bool = False
     """Occluded by others in the latest frame."""
+    cells: set[tuple[int, int]] = field(default_factory=set)
+    """Grid cells (row, column) of the image in which its foot was."""
     began_in_view: bool = False
     """Began in mid-view without explanation, and has not walked far enough yet to be evidence."""
     reach: float = 0.0
