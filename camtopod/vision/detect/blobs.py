@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cache
 
 import cv2
@@ -84,15 +84,16 @@ def find_blobs(motion: Motion, expected_height: ExpectedHeight) -> list[Blob]:
 
     # Merge fragments of one person.
     groups = _merge([(int(label), _box(stats[label])) for label in kept], cache(expected_height))
-    blobs = [
-        _blob(group, box, labels)
+    groups = [
+        (group, box)
         for group, box in groups
         if sum(int(areas[label - 1]) for label in group)
         >= max(area_min, FILL_SHARE_MIN * area(box))
     ]
+    boxes = [box for _, box in groups]
     return [
-        replace(one, whole=not any(_belong(one.box, other.box) for other in blobs if other != one))
-        for one in blobs
+        _blob(group, box, labels, not any(_belong(box, one) for one in boxes if one is not box))
+        for group, box in groups
     ]
 
 
@@ -114,12 +115,13 @@ def _box(row: cv2.typing.MatLike) -> Box:
     return (left, top, left + width, top + height)
 
 
-def _blob(group: list[int], box: Box, labels: Luma) -> Blob:
+def _blob(group: list[int], box: Box, labels: Luma, whole: bool) -> Blob:
     """Return the blob of some fragments; its foot is in the middle of the lowest fifth."""
     left, top, right, bottom = map(int, box)
     lowest = labels[bottom - max(1, (bottom - top) // 5) : bottom, left:right]
     feet = np.flatnonzero(np.any([lowest == label for label in group], axis=(0, 1)))
-    return Blob(left, top, right, bottom, left + float(feet[0] + feet[-1] + 1) / 2)
+    foot_x = left + float(feet[0] + feet[-1] + 1) / 2
+    return Blob(left, top, right, bottom, foot_x, whole=whole)
 
 
 def _merge(

@@ -20,12 +20,12 @@ Map = npt.NDArray[np.float64]
 IDENTITY: Map = np.eye(3)
 _FACTORS = (4, 2)
 """Images are aligned at these parts of their size; the smaller they are, the farther it reaches."""
-_STEPS = 4
-"""Steps to align a frame at each size; a single one is accurate to about a pixel."""
+_STEPS_MAX = 10
+"""Steps to align a frame at each size at most; a single one is accurate to about a pixel."""
 _OUTLIER = 40
 """Difference (grey levels) above which a pixel shows an object rather than a shift of the scene."""
-_CONDITION_MIN = 1e-3
-"""Changes for which the scene has less than this share of its gradients cannot be measured."""
+_DAMPING = 1e-3
+"""Changes for which the scene has less than this share of its gradients are hardly made."""
 
 
 def shift(image: Luma, scene: Luma, settled: Luma) -> float:
@@ -33,7 +33,8 @@ def shift(image: Luma, scene: Luma, settled: Luma) -> float:
 
     settled (H, W): 0 where the image does not show the scene.
     """
-    return length(_step(image, scene, settled, 2, 2 * _FACTORS[0]), scene.shape)
+    every = 2 * _FACTORS[0]
+    return length(_step(image, scene, settled, _slopes(scene, 2, every), every), scene.shape)
 
 
 def aligning(image: Luma, scene: Luma, settled: Luma, first: Map) -> Map:
@@ -48,12 +49,16 @@ def aligning(image: Luma, scene: Luma, settled: Luma, first: Map) -> Map:
         small, model, known = (
             cv2.resize(one, size, interpolation=cv2.INTER_AREA) for one in (image, scene, settled)
         )
-        found = first
-        for _ in range(_STEPS):
-            change = _step(warped(small, model, found), model, known, 6, 1)
-            found = found @ change
-        if _residual(small, model, known, found) < _residual(small, model, known, first):
-            first = found
+        table = _slopes(model, 6, 1)
+        found, least = first, float("inf")
+        for _ in range(_STEPS_MAX):
+            aligned = warped(small, model, found)
+            off = np.minimum(cv2.absdiff(aligned, model), np.uint8(_OUTLIER))
+            residual = cv2.mean(off, known)[0]
+            if residual >= least:
+                break
+            first, least = found, residual
+            found = found @ _step(aligned, model, known, table, 1)
     return first
 
 
@@ -77,44 +82,45 @@ def length(by: Map, shape: tuple[int, ...]) -> float:
     return hypot(by[0, 2], by[1, 2]) * max(shape) / 2
 
 
-def _step(image: Luma, scene: Luma, settled: Luma, terms: int, every: int) -> Map:
-    """Return the map that takes ``scene`` to ``image`` as far as a single step finds it.
+def _slopes(scene: Luma, terms: int, every: int) -> npt.NDArray[np.float32]:
+    """Return how each pixel of ``scene`` changes with each term of a map, (terms, pixels).
 
     terms: 2 for a shift, 6 for an affine map. Rows are used in steps of ``every``.
     """
-    # Differences of the pixels that show the settled scene.
     rows, columns = slice(1, -1, every), slice(1, -1)
-    middle = scene[rows, columns].astype(np.float32)
-    difference = middle - image[rows, columns]
-    good = (settled[rows, columns] != 0) & (np.abs(difference) < _OUTLIER)
-
-    # Gradients (grey levels by half of the longer side).
     height, width = scene.shape
     longer = np.float32(max(height, width))
     dx = scene[rows, 2:].astype(np.float32) - scene[rows, :-2]
-    dy = scene[2::every, columns][: len(middle)].astype(np.float32)
-    dy -= scene[:-2:every, columns][: len(middle)]
-    dx *= longer / 4
-    dy *= longer / 4
-
-    # Normal equations.
+    dy = scene[2::every, columns][: len(dx)].astype(np.float32)
+    dy -= scene[:-2:every, columns][: len(dx)]
     slopes = [dx, dy]
     if terms > len(slopes):
         x, y = np.arange(width, dtype=np.float32), np.arange(height, dtype=np.float32)
         x = ((2 * x + 1 - width) / longer)[columns]
         y = ((2 * y + 1 - height) / longer)[rows, np.newaxis]
         slopes += [dx * x, dy * x, dx * y, dy * y]
-    table = np.stack(slopes).reshape(terms, -1)
+    return np.stack(slopes).reshape(terms, -1) * (longer / 4)
+
+
+def _step(
+    image: Luma, scene: Luma, settled: Luma, table: npt.NDArray[np.float32], every: int
+) -> Map:
+    """Return the map that takes ``scene`` to ``image`` as far as a single step finds it.
+
+    table: from `_slopes`, with the same ``every``.
+    """
+    # Differences of the pixels that show the settled scene.
+    rows, columns = slice(1, -1, every), slice(1, -1)
+    difference = scene[rows, columns].astype(np.float32) - image[rows, columns]
+    good = (settled[rows, columns] != 0) & (np.abs(difference) < _OUTLIER)
+
+    # Normal equations, damped where the scene has hardly any gradients.
     weighted = table * good.ravel()
     normal = (weighted @ table.T).astype(np.float64)
-    inverse = np.linalg.pinv(normal, rcond=_CONDITION_MIN, hermitian=True)
+    normal += _DAMPING * np.trace(normal) / len(table) * np.eye(len(table))
+    side = (weighted @ difference.reshape(-1, 1)).astype(np.float64)
+    change = cv2.solve(normal, side, flags=cv2.DECOMP_SVD)[1]
 
     found = IDENTITY.copy()
-    columns_of = (2, 0, 1)[: terms // 2]
-    found[:2, columns_of] += (inverse @ (weighted @ difference.ravel())).reshape(-1, 2).T
+    found[:2, (2, 0, 1)[: len(table) // 2]] += change.reshape(-1, 2).T
     return found
-
-
-def _residual(image: Luma, scene: Luma, settled: Luma, by: Map) -> float:
-    off = cv2.absdiff(warped(image, scene, by), scene)
-    return cv2.mean(np.minimum(off, np.uint8(_OUTLIER)), settled)[0]
