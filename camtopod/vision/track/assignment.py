@@ -31,15 +31,17 @@ Costs = Callable[[Track, Sequence[Blob]], list[float]]
 """Cost of each blob for a track; `_NEVER` where it is not allowed."""
 
 
-def group_in(blob: Blob, tracks: Sequence[Track], crossings: Crossings) -> list[Track]:
+def group_in(
+    blob: Blob, expected: Sequence[tuple[Track, Box]], crossings: Crossings
+) -> list[Track]:
     """Return the tracks whose people the blob covers, none unless it is larger than each of them.
 
-    tracks: those that it may cover.
+    expected: tracks that it may cover, with their expected boxes.
     """
     inside = [
         track
-        for track in tracks
-        if contains_centre(blob.box, track.box) and not crossings.turns_back(track, blob.box)
+        for track, box in expected
+        if contains_centre(blob.box, box) and not crossings.turns_back(track, blob.box)
     ]
     largest = max((track.width * track.height for track in inside), default=0.0)
     if len(inside) > 1 and area(blob.box) > GROUP_FACTOR * largest:

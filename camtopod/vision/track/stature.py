@@ -20,6 +20,7 @@ class Stature:
     """Line height = a + b * foot row, fitted robustly to whole, confirmed, single objects."""
 
     def __init__(self) -> None:
+        self._new = False
         self._samples: deque[tuple[int, float, float]] = deque(maxlen=SAMPLES_MAX)
         self._line: tuple[float, float] | None = None
         self._middle = 0.0
@@ -27,15 +28,17 @@ class Stature:
     def add(self, track: int, foot_y: float, height: float) -> None:
         """Add a sighting of ``track``: feet in row ``foot_y``, height in pixels."""
         self._samples.append((track, foot_y, height))
-        objects = {number for number, _, _ in self._samples}
-        if len(self._samples) >= SAMPLES_MIN and len(objects) >= OBJECTS_MIN:
-            self._fit()
+        self._new = True
 
     def _fit(self) -> None:
         """Fit the line in three rounds, each without the outliers of the one before.
 
         The slope is 0 unless the rows span more than a person's height.
         """
+        self._new = False
+        objects = {number for number, _, _ in self._samples}
+        if len(self._samples) < SAMPLES_MIN or len(objects) < OBJECTS_MIN:
+            return
         _, rows, heights = np.array(self._samples).T
         self._middle = float(np.median(heights))
         kept = np.ones(len(rows), bool)
@@ -56,8 +59,10 @@ class Stature:
 
         It is within `OUTLIER_FACTOR` of the median.
         """
+        if self._new:
+            self._fit()
         if self._line is None:
             return None
         base, slope = self._line
-        low = self._middle / OUTLIER_FACTOR
-        return min(max(base + slope * foot_y, low), self._middle * OUTLIER_FACTOR)
+        lowest = self._middle / OUTLIER_FACTOR
+        return min(max(base + slope * foot_y, lowest), self._middle * OUTLIER_FACTOR)

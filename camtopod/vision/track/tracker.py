@@ -111,9 +111,8 @@ class Tracker:
         by_area = partial(costs_by_area, dt=dt, crossings=self.crossings)
         free = self._assign(t, free, recent, by_area)
         for track in self.active:
-            hidden = track.confirmed and track.last.t < t
             near = GATE_HEIGHTS * track.height
-            track.occluded = hidden and (
+            track.occluded = (track.confirmed and track.last.t < t) and (
                 track.occluded or any(gap(blob.box, track.last.box) < near for blob in blobs)
             )
         for blob in free:
@@ -141,12 +140,13 @@ class Tracker:
     def _update_groups(self, t: float, blobs: list[Blob]) -> list[Blob]:
         """Update tracks by blobs that cover several confirmed people; return the other blobs."""
         free = []
+        waiting = [(track, track.box) for track in self.active if track.confirmed]
         for blob in blobs:
-            confirmed = [track for track in self.active if track.confirmed and track.last.t < t]
-            group = group_in(blob, confirmed, self.crossings)
+            group = group_in(blob, waiting, self.crossings)
             if not group:
                 free.append(blob)
                 continue
+            waiting = [(track, box) for track, box in waiting if track not in group]
             for track, box in boxes_in_group(blob, group):
                 self._seen(track, Sighting(t, ((box[0] + box[2]) / 2, box[3]), box))
         return free
@@ -200,9 +200,8 @@ class Tracker:
         """Start a tentative track, unless the blob is too small or a fragment of an object."""
         if len(self.active) >= TRACKS_MAX:
             return
-        expected = self.stature.height(blob.bottom)
-        cut = self.crossings.touches(blob.box)
-        if expected is not None and not cut and blob.height < PIECE_HEIGHT_MIN * expected:
+        height_min = PIECE_HEIGHT_MIN * (self.stature.height(blob.bottom) or 0.0)
+        if blob.height < height_min and not self.crossings.touches(blob.box):
             return
         others = [track for track in self.active if track.confirmed]
         if any(track.last.t == t and contains_centre(track.last.box, blob.box) for track in others):
@@ -210,7 +209,7 @@ class Tracker:
 
         sighting = Sighting(t, blob.foot, blob.box)
         beside = any(gap(track.box, blob.box) < GATE_HEIGHTS * track.height for track in others)
-        height = max(blob.height, PIECE_HEIGHT_MIN * (expected or 0.0))
+        height = max(blob.height, height_min)
         track = Track(
             number=next(self._numbers),
             first=sighting,
