@@ -125,9 +125,12 @@ def costs_by_area(
 
     # One step at its speed, or what its outline may jump.
     head_x, head_y, foot_x, foot_y = track.kalman.velocity
-    step = dt * hypot(head_x + foot_x, head_y + foot_y) / 2
     cut = crossings.touches(box)
-    reach = max(step, box[2] - box[0], box_height(box) / (1 if cut else 2))
+    reach = max(
+        dt * hypot(head_x + foot_x, head_y + foot_y) / 2,
+        box[2] - box[0],
+        box_height(box) / (1 if cut else 2),
+    )
     middles = [centre(box), centre(track.box)]
     for j, blob in enumerate(blobs):
         x, y = centre(blob.box)

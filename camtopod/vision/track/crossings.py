@@ -237,8 +237,14 @@ class Crossings:
         at = self._at_border(track, at, edge, sense)
         lateness = self.now - at.t
         if lateness > LATENESS_SECONDS_MAX:
-            reason: Reason = "entered late" if entry else "left late"
-            self.note(reason, track, at, edge, lateness, LATENESS_SECONDS_MAX)
+            self.note(
+                "entered late" if entry else "left late",
+                track,
+                at,
+                edge,
+                lateness,
+                LATENESS_SECONDS_MAX,
+            )
             return []
         self.note("entered" if entry else "left", track, at, edge)
         x, y = (round(share, 4) for share in self._place(at))

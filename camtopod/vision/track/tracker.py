@@ -72,7 +72,6 @@ class Tracker:
         self, settings: VisionSettings, crossings: Crossings, numbers: Iterator[int]
     ) -> None:
         """Begin without tracks; ``numbers`` are those of the next ones."""
-        self._note = crossings.note
         self._height_min = settings.min_height * crossings.size[1]
         self.crossings = crossings
         """Tells where objects enter and leave the view."""
@@ -241,7 +240,9 @@ class Tracker:
                 appeared.append(track)
                 continue
             seconds = track.first.t - earlier.last.t
-            self._note("continues", track, track.first, value=seconds, other=earlier.number)
+            self.crossings.note(
+                "continues", track, track.first, value=seconds, other=earlier.number
+            )
             absorb(track, earlier)
             self.lost = [other for other in self.lost if other is not earlier]
             self.active = [other for other in self.active if other is not earlier]
@@ -276,7 +277,7 @@ class Tracker:
             if t - track.last.t <= patience:
                 kept.append(track)
             elif track.unmet is not None:
-                self._note(track.unmet[0], track, track.last, None, *track.unmet[1:])
+                self.crossings.note(track.unmet[0], track, track.last, None, *track.unmet[1:])
             elif track.edge is not None:
                 left.append(track)
             else:
@@ -284,17 +285,16 @@ class Tracker:
         self.active = kept
 
         # Lost tracks that were not continued have vanished.
-        patience = STITCH_SECONDS
+        deadline = t - STITCH_SECONDS
         if self.crossings.anywhere:  # an exit is told in time
-            patience = LATENESS_SECONDS_MAX - CONFIRM_SECONDS
-        deadline = t - patience
+            deadline = t - (LATENESS_SECONDS_MAX - CONFIRM_SECONDS)
         vanished = [track for track in self.lost if track.last.t < deadline]
         self.lost = [track for track in self.lost if track.last.t >= deadline]
         return left, vanished
 
     def drop(self, track: Track) -> None:
         """Remove ``track`` without an event, because it is a ghost."""
-        self._note("ghost", track, track.last)
+        self.crossings.note("ghost", track, track.last)
         self.active = [other for other in self.active if other is not track]
 
     def finish(self, reason: Reason) -> list[Event]:
@@ -311,13 +311,13 @@ class Tracker:
             unseen = self._t - track.last.t > CONFIRM_SECONDS
             track.edge = self.crossings.at_edge(track)
             if track.unmet is not None:
-                self._note(track.unmet[0], track, track.last, None, *track.unmet[1:])
+                self.crossings.note(track.unmet[0], track, track.last, None, *track.unmet[1:])
             elif track.edge is not None and unseen:
                 left.append(track)
             else:
-                self._note(reason, track, track.last)
+                self.crossings.note(reason, track, track.last)
         for track in self.lost:
-            self._note("lost", track, track.last)
+            self.crossings.note("lost", track, track.last)
         self.active = []
         self.lost = []
         return self.crossings.report_exits(left)
