@@ -59,11 +59,6 @@ class Blob:
         return self.bottom - self.top
 
     @property
-    def head(self) -> tuple[float, float]:
-        """Head point: top centre."""
-        return ((self.left + self.right) / 2, self.top)
-
-    @property
     def foot(self) -> tuple[float, float]:
         """Foot point: middle column of the lowest fifth, in the bottom row."""
         return (self.foot_x, self.bottom)
@@ -120,8 +115,7 @@ def _blob(group: list[int], box: Box, labels: Luma, whole: bool) -> Blob:
     left, top, right, bottom = map(int, box)
     lowest = labels[bottom - max(1, (bottom - top) // 5) : bottom, left:right]
     feet = np.flatnonzero(np.any([lowest == label for label in group], axis=(0, 1)))
-    foot_x = left + float(feet[0] + feet[-1] + 1) / 2
-    return Blob(left, top, right, bottom, foot_x, whole=whole)
+    return Blob(left, top, right, bottom, left + float(feet[0] + feet[-1] + 1) / 2, whole=whole)
 
 
 def _merge(

@@ -83,7 +83,6 @@ class MotionDetector:
         """One-sigma temporal noise of the working image, grey levels."""
         self.shake = 0.0
         """Running mean of the shift between images and scene, pixels."""
-        self._changed_seconds = 0.0
         self.relearned = 0
 
     def filter_noise(self, frame: Luma) -> Luma:
@@ -141,13 +140,12 @@ class MotionDetector:
             pixels = shake.shift(frame, self._expected, self._settled)
         self.shake += _NOISE_RATE * (pixels - self.shake)
         expected = self._background.expected(frame, self._settled, self.noise)
-        self._expected = expected
+        self._expected = expected  # for the next frame
 
         # Moving pixels; an image that has changed for long ends this scene.
-        difference = cv2.absdiff(frame, expected)
-        noise = min(self.noise / NOISE_TO_FILTER, 1.0)
-        least = DIFFERENCE_MIN * max(1.0 / self._settings.sensitivity, noise)
-        differs = cv2.threshold(difference, least, 255, cv2.THRESH_BINARY)[1]
+        sensitivity = self._settings.sensitivity
+        least = DIFFERENCE_MIN * max(1.0 / sensitivity, min(self.noise / NOISE_TO_FILTER, 1.0))
+        differs = cv2.threshold(cv2.absdiff(frame, expected), least, 255, cv2.THRESH_BINARY)[1]
         differs = cv2.bitwise_and(differs, self.watched)
         moving = self._swaying.without(differs, frame, expected, least)
         if self._has_changed(moving):
@@ -165,13 +163,13 @@ class MotionDetector:
         # flat patch, whatever lies below.
         ratio = cv2.absdiff(cv2.LUT(frame, _LOGARITHM), cv2.LUT(expected, _LOGARITHM))
         steps = cv2.dilate(cv2.morphologyEx(ratio, cv2.MORPH_GRADIENT, _CROSS), _SQUARE)
-        sensitivity = self._settings.sensitivity
         near = cv2.threshold(steps, EDGE_MIN / sensitivity, 255, cv2.THRESH_BINARY)[1]
         strong = cv2.threshold(ratio, STRONG_MIN / sensitivity, 255, cv2.THRESH_BINARY)[1]
         solid = cv2.bitwise_and(moving, cv2.bitwise_or(near, strong))
         # Opening removes lines, such as outlines of furniture.
-        solid = cv2.morphologyEx(solid, cv2.MORPH_OPEN, _CROSS)
-        return Motion(frame, solid, moving, differs, expected)
+        return Motion(
+            frame, cv2.morphologyEx(solid, cv2.MORPH_OPEN, _CROSS), moving, differs, expected
+        )
 
     def _has_changed(self, moving: Luma) -> bool:
         """Return True if most of the image differs, or a large part of it since the last frame."""
@@ -196,21 +194,27 @@ class MotionDetector:
         free = np.full(motion.changed.shape, 255, np.uint8)
         for left, top, right, bottom in claimed:
             margin = max(2.0, 0.1 * (bottom - top))
-            rows = slice(max(0, int(top - margin)), max(0, int(bottom + margin) + 1))
-            columns = slice(max(0, int(left - margin)), max(0, int(right + margin) + 1))
-            free[rows, columns] = 0
+            cv2.rectangle(
+                free,
+                (int(left - margin), int(top - margin)),
+                (int(right + margin), int(bottom + margin)),
+                (0.0,),
+                cv2.FILLED,
+            )
         settled = cv2.subtract(free, cv2.dilate(motion.changed, _SQUARE))
         self._settled = cv2.bitwise_and(settled, self.watched)
-        unclaimed = cv2.bitwise_and(motion.changed, free)
 
         self._swaying.learn(motion.differs, dt, free)
         self._background.learn(motion.frame, motion.expected, dt, self._settled)
 
         # Adopt differences that no object has claimed for long.
-        self._unclaimed_seconds = cv2.copyTo(self._unclaimed_seconds + np.float32(dt), unclaimed)
+        self._unclaimed_seconds = cv2.copyTo(
+            self._unclaimed_seconds + np.float32(dt), cv2.bitwise_and(motion.changed, free)
+        )
         if float(self._unclaimed_seconds.max()) > ADOPT_SECONDS:
-            where = (self._unclaimed_seconds > ADOPT_SECONDS).astype(np.uint8)
-            self._background.adopt(motion.frame, where)
+            self._background.adopt(
+                motion.frame, (self._unclaimed_seconds > ADOPT_SECONDS).astype(np.uint8)
+            )
 
     def is_ghost(self, motion: Motion, box: Box) -> bool:
         """Return True if ``box`` holds a ghost: motion where an object *was*.
@@ -227,17 +231,17 @@ class MotionDetector:
             return False
 
         # Compare the gradients along the outline.
-        frame = motion.frame
-        now = cv2.morphologyEx(frame[part], cv2.MORPH_GRADIENT, _CROSS)[outline].mean()
-        scene = self._background.image[part]
-        model = cv2.morphologyEx(scene, cv2.MORPH_GRADIENT, _CROSS)[outline].mean()
+        now, model = (
+            cv2.morphologyEx(image[part], cv2.MORPH_GRADIENT, _CROSS)[outline].mean()
+            for image in (motion.frame, self._background.image)
+        )
         if model < now:
             return False
 
         # Adopt the image.
-        where = np.zeros(frame.shape, np.uint8)
+        where = np.zeros(motion.frame.shape, np.uint8)
         where[part] = cv2.dilate(mask, _SQUARE)
-        self._background.adopt(frame, where)
+        self._background.adopt(motion.frame, where)
         return True
 
 

@@ -53,8 +53,8 @@ def aligning(image: Luma, scene: Luma, settled: Luma, first: Map) -> Map:
         found, least = first, float("inf")
         for _ in range(_STEPS_MAX):
             aligned = warped(small, model, found)
-            off = np.minimum(cv2.absdiff(aligned, model), np.uint8(_OUTLIER))
-            residual = cv2.mean(off, known)[0]
+            off = cv2.absdiff(aligned, model)
+            residual = cv2.mean(np.minimum(off, np.uint8(_OUTLIER)), known)[0]
             if residual >= least:
                 break
             first, least = found, residual

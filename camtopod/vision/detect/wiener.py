@@ -35,11 +35,12 @@ def wiener(image: npt.NDArray[Any], size: int, noise: float) -> npt.NDArray[np.f
 
     # Local mean and variance.
     mean = cv2.boxFilter(image, depth, window, borderType=cv2.BORDER_CONSTANT)
-    variance = cv2.sqrBoxFilter(image, depth, window, borderType=cv2.BORDER_CONSTANT)
-    variance = variance - mean * mean
+    squares = cv2.sqrBoxFilter(image, depth, window, borderType=cv2.BORDER_CONSTANT)
 
     # Where the variance does not exceed the noise, the weight is 0 and the mean remains.
-    weight = 1.0 - noise / np.maximum(variance, max(noise, float(np.finfo(dtype).tiny)))
+    weight = 1.0 - noise / np.maximum(
+        squares - mean * mean, max(noise, float(np.finfo(dtype).tiny))
+    )
     return np.asarray(mean + weight * (image - mean), dtype=dtype)
 
 
