@@ -85,7 +85,7 @@ class Background:
         """Adapt to ``frame``, ``dt`` seconds after the last, where ``settled`` (H, W) is not 0.
 
         Elsewhere the model follows the light alone (``expected``); otherwise an area that was
-        covered for a while would reappear in the light of an earlier hour.
+        occluded for a while would reappear in the light of an earlier hour.
         """
         rate = 1.0 - float(np.exp(-dt / LEARNING_SECONDS))
         cv2.accumulateWeighted(cv2.copyTo(frame, settled, expected.copy()), self._model, rate)
