@@ -127,7 +127,7 @@ def _event(decoder: Any, raw: bytes) -> Event:
 
 
 def in_words(error: msgspec.ValidationError) -> str:
-    """Return what is wrong; of a camera's id in words."""
+    """Return the mistake; of a camera's id in words."""
     name = "a camera id: 1 to 64 of the characters A-Z a-z 0-9 _ . -, and not `daemon`"
     return str(error).replace(f"`str` matching regex {CAMERA_PATTERN!r}", name)
 

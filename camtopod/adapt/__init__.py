@@ -1,7 +1,7 @@
 """Convert the output of other programs into entry and exit events. Pure: no I/O, clock or threads.
 
 Read `formats` first, the table of all formats, and `adapter`, the interface that they implement;
-`framing` finds the messages in what comes.
+`framing` splits the input into messages.
 `tracks.TrackEvents` turns the tracks of any tracker into events; it is public, through
 `camtopod.client`. `mot` is the shortest format, then `frigate`; `axis`, `onvif`, `deepstream` and
 `scenescape` (with `box_linking`) share `camera_streams`. `kinds` decides what counts,

@@ -4,9 +4,9 @@ A message is a JSON object, from ``{`` to its ``}``: on one line, over several, 
 line, or an element of an array. A topic may be in front of it on its line. Of XML it is a document,
 to the end of ``MetadataStream``. Anything else is a line, however it ends.
 
-What was cut off does not swallow what follows: no string of JSON holds the end of a line, and a
-line that begins with a member of an object begins a message. Each byte is looked at a few times, so
-time grows with the length of the stream alone.
+A message that was cut off does not swallow the next: no string of JSON holds the end of a line, and
+a line that begins with a member of an object begins a message. Each byte is looked at a few times,
+so time grows with the length of the stream alone.
 """
 
 from __future__ import annotations

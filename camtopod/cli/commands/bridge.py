@@ -81,7 +81,7 @@ class HomeAssistantState:
         alive = bool(self._daemons)
         messages = homeassistant.discovery(topics, cameras)
         messages |= homeassistant.site_state(topics, alive, site, topology)
-        # After a start of the daemon, what is known of a camera comes with the statuses.
+        # After a start of the daemon, cameras become known by their statuses.
         known = dict.fromkeys(grabbers, CameraFigures(alive=True)) | site.cameras
         for camera in cameras:
             if (counted := known.get(camera)) is not None:

@@ -152,7 +152,7 @@ class LineReader:
 
 
 def pieces(path: str, file: BinaryIO) -> Iterator[bytes]:
-    """Yield what a file holds as soon as it has come.
+    """Yield the content of a file as soon as it arrives.
 
     Raises `InputError` for a file that is no text in UTF-8 or ASCII.
     """

@@ -44,7 +44,7 @@ def execute(
             known.update(camera.id for camera in topology.cameras)
         names, received, effect = intake.names.prepare(command, known)
 
-        # Store it behind what was received before.
+        # Store it after the events received before.
         deadline = time.monotonic() + STORED_SECONDS_MAX
         while intake.queue.waiting:
             if intake.writer.reason or time.monotonic() > deadline:

@@ -279,7 +279,7 @@ class Intake:
             self.queue.put([command_received(self._rewind_to(wall), {})])
 
     def note_stored(self, ready: Sequence[Received]) -> None:
-        """Count what is stored, for status and answers, and hand it to the learner."""
+        """Count the stored events, for status and answers, and pass them to the learner."""
         for received in ready:
             late = self.event_clock.note_stored(received)
             self.counts["stored"] += received.event is not None

@@ -91,7 +91,7 @@ class _Server(ThreadingHTTPServer):
         super().shutdown_request(request)
 
     def handle_error(self, request: Any, client_address: Any) -> None:
-        """Log what has ended a connection: a fault of a page is an error."""
+        """Log why a connection ended: a fault of a page is an error."""
         level = logging.DEBUG if isinstance(sys.exception(), OSError) else logging.ERROR
         log.log(level, "the connection from %s has ended", client_address, exc_info=True)
 

@@ -118,7 +118,7 @@ class Tracker:
             if blob.begins:
                 self._start_track(t, blob)
 
-        # Confirm, split and end tracks.
+        # Confirm and end tracks.
         appeared = self._confirm(t)
         left, vanished = self._retire(t)
         return events + self.crossings.report(appeared, left, vanished, self.active)
@@ -260,8 +260,9 @@ class Tracker:
 
         # Tall enough in several sightings.
         tall = sum(box_height(sighting.box) >= self._height_min for sighting in track.history)
-        if tall < TALL_SIGHTINGS_MIN:
-            return "low", tall, TALL_SIGHTINGS_MIN
+        least = min(TALL_SIGHTINGS_MIN, len(track.history))
+        if tall < least:
+            return "low", tall, least
         return None
 
     def _retire(self, t: float) -> tuple[list[Track], list[Track]]:
@@ -272,13 +273,13 @@ class Tracker:
         kept = []
         left = []
         for track in self.active:
-            track.edge = self.crossings.at_edge(track)
             patience = PATIENCE_SECONDS if track.confirmed else CONFIRM_SECONDS
             if t - track.last.t <= patience:
                 kept.append(track)
             elif track.unmet is not None:
                 self.crossings.note(track.unmet[0], track, track.last, None, *track.unmet[1:])
-            elif track.edge is not None:
+            elif edge := self.crossings.at_edge(track):
+                track.edge = edge
                 left.append(track)
             else:
                 self.lost.append(track)
@@ -309,10 +310,10 @@ class Tracker:
         left = []
         for track in self.active:
             unseen = self._t - track.last.t > CONFIRM_SECONDS
-            track.edge = self.crossings.at_edge(track)
             if track.unmet is not None:
                 self.crossings.note(track.unmet[0], track, track.last, None, *track.unmet[1:])
-            elif track.edge is not None and unseen:
+            elif unseen and (edge := self.crossings.at_edge(track)):
+                track.edge = edge
                 left.append(track)
             else:
                 self.crossings.note(reason, track, track.last)
