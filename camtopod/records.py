@@ -235,8 +235,8 @@ class CameraModel(Struct, frozen=True):
 class Outcome(Struct, frozen=True):
     """One zone where departing objects may appear next.
 
-    share: share of the departures that are expected to arrive there; with few events, the estimate
-        may be above 1.
+    share: share of the departures that are expected to arrive there; earlier versions of the
+        program wrote estimates above 1, too.
     hazard: for each lag bin, the probability to arrive in it of a departure that is exposed to it.
     doubt: share of this that may be spurious; objects of spurious transitions are not seen again.
     """

@@ -161,9 +161,17 @@ def _onward(ids: list[str], posterior: Posterior, now: Floats, bins: LagBins) ->
 
     ids: public id of each zone.
     now (P,): factor on the share of each pair of zones (`_presently`).
+
+    Where shares and leaving make more than 1, as the messages of the fit and changed shares may,
+    all of them are scaled to make 1, which leaves their odds as they are.
     """
+    # Shares of each zone, with that of leaving, and the hazards likewise, make 1 at most.
     c = posterior.fit.candidates
+    total = posterior.leave + np.bincount(c.source, posterior.share * now, minlength=len(ids))
+    leave = posterior.leave / np.maximum(total, 1.0)
+    now = now / np.maximum(total, 1.0)[c.source]
     share = posterior.share * now
+
     rows = []
     likely = np.flatnonzero(share > SHARE_MIN)
     for zone, members in enumerate(rows_by_group(c.source[likely], len(ids))):
@@ -179,7 +187,7 @@ def _onward(ids: list[str], posterior: Posterior, now: Floats, bins: LagBins) ->
             )
             for k, lags in zip(pairs.tolist(), mass, strict=True)
         ]
-        rows.append(Onward(ids[zone], round_significant(float(posterior.leave[zone])), outcomes))
+        rows.append(Onward(ids[zone], round_significant(float(leave[zone])), outcomes))
     return sorted(rows, key=lambda row: row.zone)
 
 
