@@ -8,10 +8,10 @@ version is made: the zones are learned again, `refit` estimates links and the pr
 order in which they were received (within the lateness), nor on when or how fast the program runs.
 
 From a recording, often only the last version is wanted. With ``only_last``, no version is made
-before `Learner.flush`; only the zones are learned again at each tick where one would be due. The
-single version has number 1. It differs from the last version of a usual run: on a large site, all
-zones are screened for links at once instead of a part in each fit, and scores of past predictions
-and alarms of changed clocks are missing, as both come from earlier versions.
+before `Learner.flush`; only the zones, which tell turned cameras, are learned again now and then.
+The single version has number 1. It differs from the last version of a usual run: on a large site,
+all zones are screened for links at once instead of a part in each fit, and scores of past
+predictions and alarms of changed clocks are missing, as both come from earlier versions.
 """
 
 from __future__ import annotations
@@ -36,7 +36,7 @@ from camtopod.learn.camera_zones import (
     find_moved_cameras,
     refresh_camera_zones,
 )
-from camtopod.learn.changes import AlarmLog, News
+from camtopod.learn.changes import BEFORE_MIN, AlarmLog, News
 from camtopod.learn.clocks import ClockTracker
 from camtopod.learn.links import zone_pairs_of
 from camtopod.learn.refit import Known, Refit, dwell_bins, lag_bins, refit
@@ -362,16 +362,20 @@ class Learner:
         self.state.followed = renumber_followed(self.state.followed, number)
 
     def _is_version_due(self, tick_us: int) -> bool:
-        """Return True if a new version is due at a tick.
+        """Return True if a new version is due at a tick; with ``only_last``, if the zones are.
 
-        It is with the first events; with enough new events; with a camera that was turned or has
-        two publishers; or, given any new event, ``refit_hours`` after the last version.
+        A version is due with the first events; with enough new events; with a camera that was
+        turned or has two publishers; or, given any new event, ``refit_hours`` after the last
+        version. The zones are due when there are twice as many events.
         """
+        if self.only_last:
+            enough = max(BEFORE_MIN * len(self._window.cameras), len(self._window) // 2)
+            return self.state.since_fit >= enough
         if self.state.since_fit == 0:
             return False
         if self.state.fitted_us is None or self.state.since_fit >= self._events_for_version():
             return True
-        if (self.state.moved or self.state.doubled) and not self.only_last:
+        if self.state.moved or self.state.doubled:
             return True
         return tick_us - self.state.fitted_us >= microseconds(self.settings.refit_hours * 3600.0)
 

@@ -13,7 +13,11 @@ from camtopod.learn.changes.alarms import (
     AlarmState as AlarmState,
     News as News,
 )
-from camtopod.learn.changes.camera_moved import Move as Move, find_move as find_move
+from camtopod.learn.changes.camera_moved import (
+    BEFORE_MIN as BEFORE_MIN,
+    Move as Move,
+    find_move as find_move,
+)
 from camtopod.learn.changes.change_points import (
     Change as Change,
     find_changes as find_changes,

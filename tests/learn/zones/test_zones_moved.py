@@ -119,3 +119,16 @@ def test_learner_starts_a_turned_camera_anew_and_says_so() -> None:
     assert any(link.from_ in zones["a"] and link.to.startswith("b/") for link in after.links)
     moved = [alarm for alarm in after.alarms or [] if alarm.kind == "camera_moved"]
     assert [alarm.subject for alarm in moved] == ["a"]
+
+
+def test_a_turned_camera_is_told_in_the_one_version_of_a_recording() -> None:
+    learner = Learner(Settings(), only_last=True)
+    events = walks(0, 0.0, 300, BEFORE)
+    for event in [*events, *walks(1, events[-1].t, 300, AFTER)]:
+        learner.receive(event)
+    learner.flush()
+    assert learner.topology is not None
+    moved = [one.subject for one in learner.topology.alarms or [] if one.kind == "camera_moved"]
+    assert moved == ["a"]
+    zones = np.array([(zone.x, zone.y) for zone in learner.topology.zones if zone.camera == "a"])
+    assert (np.abs(zones[:, None] - np.array(AFTER)).max(axis=2).min(axis=1) < 0.02).all()
