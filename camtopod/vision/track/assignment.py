@@ -36,6 +36,8 @@ def group_in(
 ) -> list[Track]:
     """Return the tracks whose people the blob covers, none unless it is larger than each of them.
 
+    One of them at least is confirmed: those of fragments of one who enters are tentative.
+
     expected: tracks that it may cover, with their expected boxes.
     """
     inside = [
@@ -44,9 +46,8 @@ def group_in(
         if contains_centre(blob.box, box) and not crossings.turns_back(track, blob.box)
     ]
     largest = max((track.width * track.height for track in inside), default=0.0)
-    if len(inside) > 1 and area(blob.box) > GROUP_FACTOR * largest:
-        return inside
-    return []
+    several = len(inside) > 1 and any(track.confirmed for track in inside)
+    return inside if several and area(blob.box) > GROUP_FACTOR * largest else []
 
 
 def boxes_in_group(blob: Blob, group: Sequence[Track]) -> Iterator[tuple[Track, Box]]:

@@ -1,10 +1,10 @@
 """Tracker: follow the objects of one view from frame to frame.
 
 A track is *tentative* until it has been followed for half a second and its head or foot has moved;
-then it is *confirmed*. In each frame, blobs that cover several confirmed tracks update these as a
-group (people crossing or walking side by side). The other blobs are assigned one to one (Kalman
-prediction, Hungarian method, gate in heights of the person), and what is left in a second pass by
-area and distance of the middles (`assignment`).
+then it is *confirmed*. In each frame, blobs that cover several tracks, one of them confirmed,
+update these as a group (people crossing or walking side by side). The other blobs are assigned one
+to one (Kalman prediction, Hungarian method, gate in heights of the person), and what is left in a
+second pass by area and distance of the middles (`assignment`).
 
 A confirmed track that is not detected for longer than the patience has *ended* if it was at an edge
 of the view. In mid-view it is *lost*: it is kept for some seconds, and a track confirmed near
@@ -137,9 +137,9 @@ class Tracker:
         ]
 
     def _update_groups(self, t: float, blobs: list[Blob]) -> list[Blob]:
-        """Update tracks by blobs that cover several confirmed people; return the other blobs."""
+        """Update tracks by blobs that cover several people; return the other blobs."""
         free = []
-        waiting = [(track, track.box) for track in self.active if track.confirmed]
+        waiting = [(track, track.box) for track in self.active]
         for blob in blobs:
             group = group_in(blob, waiting, self.crossings)
             if not group:
