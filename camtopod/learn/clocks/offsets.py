@@ -38,15 +38,14 @@ SPAN_MIN_SECONDS = 1800.0
 """Least duration of the window; in a shorter one, the null model is too uncertain to find peaks."""
 CAMERAS_MAX = 250
 """Limit of the cameras whose clocks are estimated; of more, those with the most events count."""
-ASYMMETRIES = (0.01, 0.02, 0.04, 0.08, 0.16)
+ASYMMETRIES = (0.32, 0.16, 0.08, 0.04, 0.02, 0.01)
 """Values that are tried for the asymmetry of the paths of a site; the likeliest is used. Asymmetry
 is half the difference of the transit times in both directions, as a share of the transit time, on
 average over paths.
 """
-ASYMMETRY_PRIOR = 0.04
-"""Prior asymmetry, which decides if there are too few paths for an estimate."""
-SD_MIN_SECONDS = 0.05
-"""Least standard deviation of a difference of two clocks."""
+SD_MIN_SECONDS = 0.25
+"""Least standard deviation of a difference of two clocks: cameras do not tell events equally late.
+"""
 TURNING_SHARE = 0.2
 """Share of a zone's exits, by objects that entered at the same zone, above which objects are taken
 to turn around there.
@@ -57,6 +56,8 @@ several paths, which need not be used equally in both directions.
 """
 SHORT_SECONDS = 2.0
 """Least transit time in seconds that `SPREAD_SHARE_MAX` refers to; shorter ones count as this long.
+So do negative ones, which overlapping views have: a negative lag that varies is a stay in both
+views, and nobody needs to stay as long on the way back.
 """
 RIGHT_WEIGHT = 0.01
 """Cost of a second of clock offset in the first estimate (`_least_disagreement`), in standard
@@ -245,7 +246,7 @@ def find_differences(
 
         # Their two-way paths.
         for k, path in find_two_way_paths(pair_counts.between(u, v), pair_counts.between(v, u)):
-            if path.spread > SPREAD_SHARE_MAX * max(abs(path.transit), SHORT_SECONDS / BIN_SECONDS):
+            if path.spread > SPREAD_SHARE_MAX * max(path.transit, SHORT_SECONDS / BIN_SECONDS):
                 continue
             # If objects turn around at both zones, one walk from u to v also looks like one from v
             # to u with a negative transit time.
@@ -343,6 +344,7 @@ def _with_asymmetry(found: list[Difference], trust: Floats) -> Floats:
     trust (cameras,): as in `_least_disagreement`.
 
     Of `ASYMMETRIES`, the likeliest is used, given how well the differences agree with each other.
+    Without a redundant difference all are equally likely, and the first and largest is used.
     """
     a = np.array([d.a for d in found])
     b = np.array([d.b for d in found])
@@ -354,7 +356,7 @@ def _with_asymmetry(found: list[Difference], trust: Floats) -> Floats:
     cameras = np.unique(np.concatenate((a, b)))
     more = max(len(found) - len(cameras) + 1, 0) / len(found)
 
-    # Find the asymmetry with the largest posterior.
+    # Find the likeliest asymmetry.
     best = own_sd
     best_score = -np.inf
     for asymmetry in ASYMMETRIES:
@@ -363,10 +365,9 @@ def _with_asymmetry(found: list[Difference], trust: Floats) -> Floats:
         squared = ((ahead - offset[b] + offset[a]) / sd) ** 2
         # Student's t with OUTLIER_SD degrees of freedom: a path that differs from the path back is
         # an outlier.
-        likelihood = more * float(
+        score = more * float(
             np.sum(-np.log(sd)) - 2.0 * np.sum(np.log1p(squared / max(more, 1e-9) / OUTLIER_SD))
         )
-        score = likelihood - 0.5 * np.log(asymmetry / ASYMMETRY_PRIOR) ** 2
         if score > best_score:
             best = sd
             best_score = score

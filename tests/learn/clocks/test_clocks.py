@@ -135,11 +135,18 @@ class Walks:
             self.doors.append((camera, number))
         return self.doors.index((camera, number))
 
-    def way(self, a: tuple[int, int], b: tuple[int, int], seconds: float, walks: int = 150) -> None:
+    def way(
+        self,
+        a: tuple[int, int],
+        b: tuple[int, int],
+        seconds: float,
+        walks: int = 150,
+        spread: float = 0.25,
+    ) -> None:
         """Add people who leave at door ``a`` and enter at ``b``."""
         start = self.rng.uniform(0.0, HOURS_2, walks)
         u, v = self.door(*a), self.door(*b)
-        later = seconds * np.exp(0.25 * self.rng.standard_normal(walks))
+        later = seconds * np.exp(spread * self.rng.standard_normal(walks))
         self.events += [(t + self.ahead[a[0]], u, EXIT) for t in start]
         self.events += [(t + self.ahead[b[0]], v, ENTRY) for t in start + later]
 
@@ -218,6 +225,36 @@ def test_one_door_for_all_on_a_one_way_road_is_no_way_back() -> None:
         came = start + 14.0 * camera * np.exp(0.05 * walks.rng.standard_normal(300))
         walks.events += [(t, door, ENTRY) for t in came] + [(t + 4.0, door, EXIT) for t in came]
     assert (walks.clocks().offset == 0).all()
+
+
+def two_cameras(ahead: float = 0.0) -> Walks:
+    """Return two cameras, each with a second door through which others come and go."""
+    walks = Walks([0.0, ahead])
+    for camera in range(2):
+        walks.way((camera, 2), (camera, 2), 600.0, walks=50)
+    return walks
+
+
+def test_stays_in_overlapping_views_tell_nothing_about_clocks() -> None:
+    """People are in both views for 35 s on one way and for 12 s on the other."""
+    walks = two_cameras()
+    walks.way((0, 1), (1, 1), -35.0, spread=0.1)
+    walks.way((1, 1), (0, 1), -12.0, spread=0.1)
+    assert (walks.clocks().offset == 0).all()
+
+
+def test_one_path_that_takes_longer_back_is_no_wrong_clock() -> None:
+    walks = two_cameras()
+    walks.both((0, 1), (1, 1), 17.0, back=8.0)
+    assert (walks.clocks().offset == 0).all()
+
+
+@pytest.mark.parametrize("ahead", [4.0, -30.0])
+def test_borders_crossed_at_once_show_a_wrong_clock(ahead: float) -> None:
+    walks = two_cameras(ahead)
+    walks.both((0, 1), (1, 1), -1.0)
+    found = walks.clocks().offset
+    assert found[1] - found[0] == pytest.approx(ahead, abs=0.2)
 
 
 # --- bringing differences together ---
