@@ -64,8 +64,11 @@ def find_moved_cameras(state: LearnerState, window: Window) -> None:
             rows_of_camera = window.rows_of_cameras()
 
 
-def refresh_camera_zones(state: LearnerState, window: Window) -> None:
-    """Learn the zones of new cameras, and again those of cameras with enough new events."""
+def refresh_camera_zones(state: LearnerState, window: Window, anew: bool = False) -> None:
+    """Learn the zones of new cameras, and again those of cameras with enough new events.
+
+    anew: True to learn the zones of all cameras from nothing; they keep their numbers.
+    """
     placed = window.has_position()
     px, py = (window.column(name).astype(np.int64) for name in ("px", "py"))
     for camera, rows_of_camera in enumerate(window.rows_of_cameras()):
@@ -82,9 +85,14 @@ def refresh_camera_zones(state: LearnerState, window: Window) -> None:
 
         # A known camera.
         known = state.cameras[camera]
-        if events - known.zoned_at >= ZONES_REFRESH_SHARE * len(rows):
+        if anew or events - known.zoned_at >= ZONES_REFRESH_SHARE * len(rows):
             before = known.zones.zones + known.vanished
-            known.zones = refresh_zones(cell_sums(px[rows], py[rows]), known.zones, known.vanished)
+            sums = cell_sums(px[rows], py[rows])
+            known.zones = (
+                find_zones(sums, before, known.zones.next_number)
+                if anew
+                else refresh_zones(sums, known.zones, known.vanished)
+            )
             known.zoned_at = events
             known.vanished = _vanished(before, known.zones)
 

@@ -392,7 +392,7 @@ class Learner:
             self._note_version(tick_us)
             return
         self.on_step("zones")
-        refresh_camera_zones(self.state, self._window)
+        refresh_camera_zones(self.state, self._window, anew=self.only_last)
         self.on_step("clocks")
         scene = self._corrected(label_events(self._window, self._maps()))
 
