@@ -52,8 +52,6 @@ class Analysis(NamedTuple):
     """Mask (H, W) of the foreground; None while most of the image differs from the background."""
     tracks: Sequence[Track]
     """Tracks that are followed, tentative ones included."""
-    lost: Sequence[Track]
-    """Tracks lost in mid-view that may still be found again."""
     learned_doors: Sequence[tuple[float, float]]
     """Foot points of learned doors, pixels."""
     events: Sequence[Event]
@@ -206,7 +204,6 @@ class ViewPipeline:
             frame,
             moving,
             self._tracker.active,
-            self._tracker.lost,
             self._tracker.crossings.doors.learned(self._tracker.stature.height),
             events,
             self._decisions.copy(),
@@ -235,8 +232,6 @@ class ViewPipeline:
             "entries": self._counts["entered"],
             "exits": self._counts["left"],
             "tracks_active": sum(track.confirmed for track in tracker.active) if tracker else 0,
-            "tracks_broken": len(tracker.lost) if tracker else 0,
-            "tracks_stitched": self._counts["continues"],
             "frames_analysed": self.analysed,
             "ghosts": self._counts["ghost"],
             "relearned": self._motion.relearned,

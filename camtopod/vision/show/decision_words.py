@@ -26,8 +26,6 @@ _BEGINNINGS: dict[Reason, str] = {
     "of a group than a new person",
     "in mid-view": "no entry: appeared in mid-view at {place}, not at a border or door "
     "(if that happens there again and again, a door is learned)",
-    "continues": "no entry: it is track {other} again, which was lost {value:.1f} s before; from "
-    "here on it is called track {other}",
 }
 """Words by the reason of a beginning."""
 _TENTATIVE: dict[Reason, str] = {
@@ -45,9 +43,9 @@ _ENDS: dict[Reason, str] = {
     "left": "exit by {edge} at {place}",
     "left late": "no exit: went out by {edge} at {place}, which was known {value:.1f} s later, at "
     "most {least:g} s are allowed",
-    "lost": "no exit: lost in mid-view at {place}, not at a border or door, and not found again "
-    "(if that happens there again and again, a door is learned)",
-    "occluded": "no exit: lost behind others in mid-view at {place}, and not found again",
+    "lost": "no exit: lost in mid-view at {place}, not at a border or door (if that happens there "
+    "again and again, a door is learned)",
+    "occluded": "no exit: lost behind others in mid-view at {place}",
     "interrupted": "no exit: in mid-view at {place} when the stream paused",
     "ghost": "no exit: not an object, but the hole in the background where one stood at {place}; "
     "the background is corrected",
@@ -68,7 +66,6 @@ def words_of(decision: Decision) -> str:
         seen=seen,
         value=decision.value,
         least=decision.least,
-        other=decision.other,
     )
 
 

@@ -141,7 +141,7 @@ class Preview:
             state += f"agreement {analysis.detector.agreement:.2f}"
             for one in analysis.detector.detections:
                 _draw_box(image, factor, one.box, f"{one.label} {one.score:.2f}", _DETECTION)
-        for track in (*analysis.lost, *analysis.tracks):
+        for track in analysis.tracks:
             self._draw_track(image, track, factor, analysis.t)
         for _, event in self._events:
             _draw_event(image, event)

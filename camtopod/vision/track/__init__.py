@@ -1,8 +1,8 @@
 """Tracking: blobs -> tracks -> entry and exit events of one view.
 
 `tracker` is the centre and explains the method. It uses `track` (state of an object), `kalman`
-(prediction of positions), `stature` (expected height of a person), `assignment` (of blobs to
-tracks) and `lost` (passages found again). `crossings` turns track changes into events, with `doors`
+(prediction of positions), `stature` (expected height of a person) and `assignment` (of blobs to
+tracks). `crossings` turns track changes into events, with `doors`
 for entrances away from the border and `ignored_areas` for objects that walk into one.
 `decisions` has the reasons why a track became an event or not.
 """

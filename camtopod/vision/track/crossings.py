@@ -79,7 +79,6 @@ class Crossings:
         edge: Edge | None = None,
         value: float = 0.0,
         least: float = 0.0,
-        other: int = 0,
     ) -> None:
         """Record what the beginning or end of ``track`` at a sighting was taken for."""
         self._take(
@@ -93,7 +92,6 @@ class Crossings:
                 value,
                 least,
                 track.sightings,
-                other,
             )
         )
 
@@ -165,20 +163,20 @@ class Crossings:
     # -- what ------------------------------
 
     def report(
-        self, appeared: list[Track], left: list[Track], vanished: list[Track], active: list[Track]
+        self, appeared: list[Track], left: list[Track], lost: list[Track], active: list[Track]
     ) -> list[Event]:
         """Return the events of one frame.
 
         appeared: tracks that became objects.
         left: objects that left at an edge of the view.
-        vanished: objects lost in mid-view that were not found again.
+        lost: objects that are not seen any more in mid-view.
         active: all tracks, to learn where people walk.
         """
         events = [event for track in appeared for event in self._entry(track)]
         events += self.report_exits(left)
 
-        # Tracks that vanish in mid-view may be evidence of a door, too.
-        for track in vanished:
+        # Tracks that are lost in mid-view may be evidence of a door, too.
+        for track in lost:
             self._forget(track)
             if track.occluded:
                 self.note("occluded", track, track.last)

@@ -30,9 +30,7 @@ still: moved by `value` heights.
 low: as tall as the setting `min_height` in `value` sightings.
 """
 
-Beginning = Literal[
-    "entered", "entered late", "from start", "beside others", "in mid-view", "continues"
-]
+Beginning = Literal["entered", "entered late", "from start", "beside others", "in mid-view"]
 """What the beginning of an object was taken for.
 
 entered: an entry, by `edge`.
@@ -40,7 +38,6 @@ entered late: the same, but known only after `value` seconds, of `least` at most
 from start: in view when watching began, so no entry.
 beside others: began next to another object, so rather half of a group than a new one.
 in mid-view: began away from every edge; if that happens again and again, a door is learned.
-continues: it continues the track `other`, which was lost `value` seconds before.
 """
 
 Ending = Literal[
@@ -57,8 +54,7 @@ Ending = Literal[
 
 left: an exit, by `edge`.
 left late: the same, but known only after `value` seconds, of `least` at most: no exit.
-lost: out of sight in mid-view and not found again; if that happens again and again at a place, a
-    door is learned.
+lost: out of sight in mid-view; if that happens again and again at a place, a door is learned.
 occluded: the same, but last seen occluded by others, which says nothing of a door.
 interrupted: in mid-view when the frames paused.
 ghost: not an object, but the hole that one has left in the background model.
@@ -87,5 +83,3 @@ class Decision(NamedTuple):
     """What it has to be at least."""
     sightings: int = 1
     """In how many frames the track was seen."""
-    other: int = 0
-    """Number of another track that takes part; 0 if none does."""

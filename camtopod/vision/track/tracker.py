@@ -6,10 +6,9 @@ update these as a group (people crossing or walking side by side). The other blo
 to one (Kalman prediction, Hungarian method, gate in heights of the person), and what is left in a
 second pass by area and distance of the middles (`assignment`).
 
-A confirmed track that is not detected for longer than the patience has *ended* if it was at an edge
-of the view. In mid-view it is *lost*: it is kept for some seconds, and a track confirmed near
-to where it was, or would be by now, continues it (`lost`). A passage that is lost behind a lamp
-post or a tree thus stays one passage.
+A confirmed track that is not detected for longer than the patience has *ended*: it has left if it
+was at an edge of the view, and is *lost* in mid-view. What appears there later is another track,
+which has no entry.
 """
 
 from __future__ import annotations
@@ -33,15 +32,9 @@ from camtopod.vision.track.assignment import (
     costs_by_points,
     group_in,
 )
-from camtopod.vision.track.crossings import (
-    LATENESS_SECONDS_MAX,
-    PATIENCE_SECONDS,
-    REACH_SECONDS,
-    Crossings,
-)
+from camtopod.vision.track.crossings import PATIENCE_SECONDS, REACH_SECONDS, Crossings
 from camtopod.vision.track.decisions import Reason
 from camtopod.vision.track.kalman import MEASUREMENT, SIGMAS, Kalman
-from camtopod.vision.track.lost import STITCH_SECONDS, absorb, earlier_part
 from camtopod.vision.track.stature import Stature
 from camtopod.vision.track.track import HISTORY_SIGHTINGS, Sighting, Track, Unmet
 
@@ -80,7 +73,6 @@ class Tracker:
         self._start: float | None = None
         self.stature = Stature()
         self.active: list[Track] = []
-        self.lost: list[Track] = []
 
     def step(self, t: float, blobs: list[Blob]) -> list[Event]:
         """Process the blobs of the frame captured at ``t`` seconds, later than the last.
@@ -120,8 +112,8 @@ class Tracker:
 
         # Confirm and end tracks.
         appeared = self._confirm(t)
-        left, vanished = self._retire(t)
-        return events + self.crossings.report(appeared, left, vanished, self.active)
+        left, lost = self._retire(t)
+        return events + self.crossings.report(appeared, left, lost, self.active)
 
     # -- sightings ------------------------------
 
@@ -224,28 +216,13 @@ class Tracker:
         self.active.append(track)
 
     def _confirm(self, t: float) -> list[Track]:
-        """Confirm tracks that have become objects; return those that continue no lost track."""
-        appeared: list[Track] = []
+        """Return the tracks that have become objects."""
+        appeared = []
         for track in self.active:
-            if track.confirmed or track.last.t < t:
-                continue
-            track.unmet = self._unmet(t, track)
-            if not track.confirmed:
-                continue
-
-            # It continues a track that was lost, or is a new object.
-            others = [other for other in self.active if other.confirmed]
-            earlier = earlier_part(track, [*self.lost, *others], self.crossings)
-            if earlier is None:
-                appeared.append(track)
-                continue
-            seconds = track.first.t - earlier.last.t
-            self.crossings.note(
-                "continues", track, track.first, value=seconds, other=earlier.number
-            )
-            absorb(track, earlier)
-            self.lost = [other for other in self.lost if other is not earlier]
-            self.active = [other for other in self.active if other is not earlier]
+            if not track.confirmed and track.last.t == t:
+                track.unmet = self._unmet(t, track)
+                if track.confirmed:
+                    appeared.append(track)
         return appeared
 
     def _unmet(self, t: float, track: Track) -> Unmet | None:
@@ -268,10 +245,11 @@ class Tracker:
     def _retire(self, t: float) -> tuple[list[Track], list[Track]]:
         """End tracks that were not detected for longer than the patience.
 
-        Returns those that were at an edge, and those that are lost for good.
+        Returns those that were at an edge, and those that are lost in mid-view.
         """
         kept = []
         left = []
+        lost = []
         for track in self.active:
             patience = PATIENCE_SECONDS if track.confirmed else CONFIRM_SECONDS
             if t - track.last.t <= patience:
@@ -282,16 +260,9 @@ class Tracker:
                 track.edge = edge
                 left.append(track)
             else:
-                self.lost.append(track)
+                lost.append(track)
         self.active = kept
-
-        # Lost tracks that were not continued have vanished.
-        deadline = t - STITCH_SECONDS
-        if self.crossings.anywhere:  # an exit is told in time
-            deadline = t - (LATENESS_SECONDS_MAX - CONFIRM_SECONDS)
-        vanished = [track for track in self.lost if track.last.t < deadline]
-        self.lost = [track for track in self.lost if track.last.t >= deadline]
-        return left, vanished
+        return left, lost
 
     def drop(self, track: Track) -> None:
         """Remove ``track`` without an event, because it is a ghost."""
@@ -317,8 +288,5 @@ class Tracker:
                 left.append(track)
             else:
                 self.crossings.note(reason, track, track.last)
-        for track in self.lost:
-            self.crossings.note("lost", track, track.last)
         self.active = []
-        self.lost = []
         return self.crossings.report_exits(left)
