@@ -110,10 +110,6 @@ class Crossings:
         """Return the edge at which the track was last seen, if objects leave there."""
         return self._edge(track, track.last, 1.0)
 
-    def begins_at_edge(self, track: Track) -> Edge | None:
-        """Return the edge at which the track, still short, began, if objects enter there."""
-        return self._edge(track, track.first, -1.0)
-
     def _edge(self, track: Track, at: Sighting, sense: float) -> Edge | None:
         """Return the edge near a sighting, on the way of the track.
 
@@ -162,30 +158,12 @@ class Crossings:
 
     # -- what ------------------------------
 
-    def report(
-        self, appeared: list[Track], left: list[Track], lost: list[Track], active: list[Track]
-    ) -> list[Event]:
-        """Return the events of one frame.
+    def entries(self, appeared: Sequence[Track], active: Sequence[Track]) -> list[Event]:
+        """Return the entries of tracks that became objects, and learn where people walk.
 
-        appeared: tracks that became objects.
-        left: objects that left at an edge of the view.
-        lost: objects that are not seen any more in mid-view.
-        active: all tracks, to learn where people walk.
+        active: all tracks.
         """
         events = [event for track in appeared for event in self._entry(track)]
-        events += self.report_exits(left)
-
-        # Tracks that are lost in mid-view may be evidence of a door, too.
-        for track in lost:
-            self._forget(track)
-            if track.occluded:
-                self.note("occluded", track, track.last)
-            elif self.anywhere:
-                events += self._told("exit", track, track.last, "mid-view")
-            else:
-                self.note("lost", track, track.last)
-                if _has_walked(track):
-                    self.doors.unexplained.append(track.last.foot)
 
         # A track that began in mid-view is evidence of a door once it has moved far enough. Cells
         # that people walk through are evidence against doors.
@@ -199,7 +177,7 @@ class Crossings:
 
     def _entry(self, track: Track) -> list[Event]:
         """Return the entry of a track that became an object, if it is one."""
-        edge = self.begins_at_edge(track)
+        edge = self._edge(track, track.first, -1.0)
         if edge is None and self.anywhere and not track.beside_others:
             edge = "mid-view"
         entered_at = self._at_border(track, track.first, edge, -1.0).t
@@ -212,18 +190,27 @@ class Crossings:
         self.note("in mid-view" if track.began_in_view else "beside others", track, track.first)
         return []
 
-    def report_exits(self, left: Sequence[Track]) -> list[Event]:
-        """Return the exits of tracks that have ended at an edge."""
-        events = []
-        for track in left:
-            self._forget(track)
-            events += self._told("exit", track, track.last, track.edge)
-        return events
+    def exit_of(self, track: Track) -> list[Event]:
+        """Return the exit of an object whose track ends, if it has left."""
+        if track.unmet is not None:
+            self.note(track.unmet[0], track, track.last, None, *track.unmet[1:])
+            return []
 
-    def _forget(self, track: Track) -> None:
-        """Count the cells that the track walked through, except where it began and ended."""
+        # It has walked through the cells except where it began and ended.
         ends = {self.doors.cell(*track.first.foot), self.doors.cell(*track.last.foot)}
         self.doors.record_walk(track.cells - ends)
+
+        edge = self.at_edge(track)
+        if edge is None and self.anywhere and not track.occluded:
+            edge = "mid-view"
+        if edge is not None:
+            return self._told("exit", track, track.last, edge)
+
+        # What is lost in mid-view may be evidence of a door, too.
+        self.note("occluded" if track.occluded else "lost", track, track.last)
+        if _has_walked(track) and not track.occluded:
+            self.doors.unexplained.append(track.last.foot)
+        return []
 
     def _told(self, kind: Kind, track: Track, at: Sighting, edge: Edge | None) -> list[Event]:
         """Return the event at a sighting; none if it is known too late.

@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 from typing import NamedTuple
 
 from camtopod.vision.boxes import Box, centre
-from camtopod.vision.track.decisions import Edge, Shortfall
+from camtopod.vision.track.decisions import Shortfall
 from camtopod.vision.track.kalman import Kalman, Vector
 
 HISTORY_SIGHTINGS = 16
@@ -51,8 +51,6 @@ class Track:
     """Largest distance of head or foot from where it began, pixels."""
     measured_at: tuple[float, float] = (0.0, 0.0)
     """Foot point where its height was last measured."""
-    edge: Edge | None = None
-    """Edge by which it left; None while it has not."""
 
     @property
     def confirmed(self) -> bool:

@@ -112,8 +112,8 @@ class Tracker:
 
         # Confirm and end tracks.
         appeared = self._confirm(t)
-        left, lost = self._retire(t)
-        return events + self.crossings.report(appeared, left, lost, self.active)
+        exits = self._retire(t)
+        return events + self.crossings.entries(appeared, self.active) + exits
 
     # -- sightings ------------------------------
 
@@ -242,27 +242,18 @@ class Tracker:
             return "low", tall, least
         return None
 
-    def _retire(self, t: float) -> tuple[list[Track], list[Track]]:
-        """End tracks that were not detected for longer than the patience.
-
-        Returns those that were at an edge, and those that are lost in mid-view.
-        """
+    def _retire(self, t: float) -> list[Event]:
+        """End tracks that were not detected for longer than the patience; return their exits."""
         kept = []
-        left = []
-        lost = []
+        exits = []
         for track in self.active:
             patience = PATIENCE_SECONDS if track.confirmed else CONFIRM_SECONDS
             if t - track.last.t <= patience:
                 kept.append(track)
-            elif track.unmet is not None:
-                self.crossings.note(track.unmet[0], track, track.last, None, *track.unmet[1:])
-            elif edge := self.crossings.at_edge(track):
-                track.edge = edge
-                left.append(track)
             else:
-                lost.append(track)
+                exits += self.crossings.exit_of(track)
         self.active = kept
-        return left, lost
+        return exits
 
     def drop(self, track: Track) -> None:
         """Remove ``track`` without an event, because it is a ghost."""
@@ -278,15 +269,12 @@ class Tracker:
         reason: what is recorded of the others.
         """
         self._start = None
-        left = []
+        events = []
         for track in self.active:
-            unseen = self._t - track.last.t > CONFIRM_SECONDS
-            if track.unmet is not None:
-                self.crossings.note(track.unmet[0], track, track.last, None, *track.unmet[1:])
-            elif unseen and (edge := self.crossings.at_edge(track)):
-                track.edge = edge
-                left.append(track)
-            else:
+            seen = self._t - track.last.t <= CONFIRM_SECONDS
+            if track.confirmed and (seen or not self.crossings.at_edge(track)):
                 self.crossings.note(reason, track, track.last)
+            else:
+                events += self.crossings.exit_of(track)
         self.active = []
-        return self.crossings.report_exits(left)
+        return events
