@@ -10,6 +10,8 @@ Box = tuple[float, float, float, float]
 Size = tuple[int, int]
 """Width and height of an image, pixels."""
 
+OBJECTS_MAX = 300
+"""Largest number of blobs, boxes or tracks at a time; of more, the weakest are left out."""
 TOUCH_PIXELS = 1.5
 """Distance (pixels) within which the border of the image, or an ignored area, cuts a box."""
 
@@ -27,13 +29,6 @@ def area(box: Box) -> float:
 def centre(box: Box) -> tuple[float, float]:
     """Return the centre (x, y)."""
     return (box[0] + box[2]) / 2, (box[1] + box[3]) / 2
-
-
-def grid_cell(x: float, y: float, size: Size, grid: tuple[int, int]) -> tuple[int, int]:
-    """Return the cell (row, column) of a point, of a grid of (rows, columns) over an image."""
-    row = int(y / size[1] * grid[0])
-    column = int(x / size[0] * grid[1])
-    return min(max(row, 0), grid[0] - 1), min(max(column, 0), grid[1] - 1)
 
 
 def scaled(box: Box, factor: float) -> Box:

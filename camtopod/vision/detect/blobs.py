@@ -9,7 +9,7 @@ from functools import cache
 import cv2
 import numpy as np
 
-from camtopod.vision.boxes import Box, area, union
+from camtopod.vision.boxes import OBJECTS_MAX, Box, area, union
 from camtopod.vision.detect.background import Luma
 from camtopod.vision.detect.motion import Motion
 
@@ -21,8 +21,6 @@ TALLER = 1.2
 """Largest height of a person in heights that are expected there."""
 NEAR = 0.04
 """Largest gap beside a small fragment of a person, in heights, and its area in heights squared."""
-BLOBS_MAX = 400
-"""Fragments kept of one frame, the largest; more are noise."""
 _CLOSE = np.ones((3, 1), np.uint8)
 
 ExpectedHeight = Callable[[float], float | None]
@@ -74,7 +72,7 @@ def find_blobs(motion: Motion, expected_height: ExpectedHeight) -> list[Blob]:
     labels, stats = _fragments(mask)
     areas = stats[1:, cv2.CC_STAT_AREA]
     area_min = AREA_SHARE_MIN * mask.size
-    kept = np.argsort(areas, kind="stable")[-BLOBS_MAX:]
+    kept = np.argsort(areas, kind="stable")[-OBJECTS_MAX:]
     kept = 1 + kept[areas[kept] >= area_min / 2]
 
     # Merge fragments of one person.

@@ -26,7 +26,7 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
-from camtopod.vision.boxes import Size
+from camtopod.vision.boxes import OBJECTS_MAX, Size
 from camtopod.vision.detector.errors import DetectorError
 from camtopod.vision.settings import Layout
 
@@ -40,8 +40,6 @@ STRIDES = (8, 16, 32)
 """Pixels of the input a cell of each of the three grids."""
 IOU_MAX = 0.5
 """Largest IoU of two boxes of a class."""
-CANDIDATES_MAX = 300
-"""Boxes that take part in NMS, those of the highest scores."""
 
 
 class Form(NamedTuple):
@@ -166,7 +164,7 @@ def decode(
 
     kept = np.isin(found.classes, wanted) & (found.scores >= score_min)
     indices = np.flatnonzero(kept & np.isfinite(found.boxes).all(axis=1))
-    indices = indices[np.argsort(-found.scores[indices], kind="stable")][:CANDIDATES_MAX]
+    indices = indices[np.argsort(-found.scores[indices], kind="stable")][:OBJECTS_MAX]
     found = _taken(found, indices)
     return nms(found) if form.layout in ("yolox", "yolov8") else found
 

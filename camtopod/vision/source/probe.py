@@ -19,6 +19,7 @@ import msgspec
 import numpy as np
 
 from camtopod.vision.detect import Luma
+from camtopod.vision.detect.motion import DIFFERENCE_MIN
 from camtopod.vision.detector.model import ModelReport, try_model
 from camtopod.vision.settings import DetectorSettings, VisionSettings
 from camtopod.vision.source.capture import CALL_SECONDS_MAX, PATIENCE, Frame, narrowed
@@ -39,8 +40,6 @@ SETTLE_SECONDS_MAX = 30.0
 """Time after which the best picture is taken, settled or not."""
 SPACING_SECONDS = 1.0
 """Time between two frames that are kept, which take at most 3 MB each."""
-SAME_GREY_LEVELS = 15
-"""Largest difference of pixels that look the same, grey levels."""
 UNSETTLED_SHARE_MAX = 0.002
 """Share of pixels that may be unsettled in a settled scene."""
 
@@ -107,7 +106,7 @@ class SettledPicture:
             lumas = np.stack([one.luma for one in self._frames])
             half = len(lumas) // 2
             change = cv2.absdiff(_median(lumas[:half]), _median(lumas[half:]))
-            self.settled = bool(np.mean(change > SAME_GREY_LEVELS) <= UNSETTLED_SHARE_MAX)
+            self.settled = bool(np.mean(change > DIFFERENCE_MIN) <= UNSETTLED_SHARE_MAX)
 
     def picture(self) -> Luma:
         """Return the median of the images (H, W, 3)."""

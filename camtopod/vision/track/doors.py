@@ -19,8 +19,8 @@ from typing import Literal
 import cv2
 import numpy as np
 
-from camtopod.vision.boxes import grid_cell
 from camtopod.vision.settings import Polygon
+from camtopod.vision.track.stature import SAMPLES_MAX
 
 Door = Literal["named door", "learned door"]
 """How a place is known to be a door."""
@@ -29,8 +29,6 @@ DOOR_EVENTS_MIN = 2
 """Unexplained beginnings and ends of tracks that make a door."""
 DOOR_HEIGHTS = 0.6
 """Radius around a foot point in which they count (heights of the person)."""
-REMEMBERED_MAX = 200
-"""Unexplained beginnings and ends that are kept, the newest."""
 GRID = (24, 32)
 """Rows and columns of the cells of the image in which passing objects are counted."""
 
@@ -50,13 +48,14 @@ class Doors:
         self._named = [
             np.array([(x * width, y * height) for x, y in polygon], np.float32) for polygon in named
         ]
-        self.unexplained: deque[tuple[float, float]] = deque(maxlen=REMEMBERED_MAX)
+        self.unexplained: deque[tuple[float, float]] = deque(maxlen=SAMPLES_MAX)
         """Foot points where tracks began or ended in mid-view without explanation."""
         self._passed = np.zeros(GRID, np.int32)
 
     def cell(self, x: float, y: float) -> tuple[int, int]:
         """Return the grid cell (row, column) of a foot point."""
-        return grid_cell(x, y, self._size, GRID)
+        row, column = int(y / self._size[1] * GRID[0]), int(x / self._size[0] * GRID[1])
+        return min(max(row, 0), GRID[0] - 1), min(max(column, 0), GRID[1] - 1)
 
     def record_walk(self, feet: set[tuple[int, int]]) -> None:
         """Record that an object crossed these cells without beginning or ending there.

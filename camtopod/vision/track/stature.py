@@ -7,7 +7,7 @@ from collections import deque
 import numpy as np
 
 SAMPLES_MAX = 400
-"""Samples kept, the newest."""
+"""Samples kept, the newest: of heights, and of unexplained beginnings and ends (`doors`)."""
 SAMPLES_MIN = 20
 """Samples needed for a fit."""
 OBJECTS_MIN = 2

@@ -19,7 +19,7 @@ from functools import partial
 from math import dist, inf
 
 from camtopod.records import Event
-from camtopod.vision.boxes import box_height, contains_centre, gap, in_image
+from camtopod.vision.boxes import OBJECTS_MAX, box_height, contains_centre, gap, in_image
 from camtopod.vision.detect import Blob
 from camtopod.vision.settings import VisionSettings
 from camtopod.vision.track.assignment import (
@@ -43,8 +43,6 @@ CONFIRM_SECONDS = 0.5
 
 It is also the patience with what is tentative.
 """
-TRACKS_MAX = 200
-"""Maximum number of tracks at a time; further objects are not tracked."""
 CONFIRM_SIGHTINGS_SHARE = 0.6
 """Least share of the frames in which a track is seen for it to be confirmed."""
 CONFIRM_HEIGHTS = 0.25
@@ -189,7 +187,7 @@ class Tracker:
 
     def _start_track(self, t: float, blob: Blob) -> None:
         """Start a tentative track, unless the blob is too small or a fragment of an object."""
-        if len(self.active) >= TRACKS_MAX:
+        if len(self.active) >= OBJECTS_MAX:
             return
         height_min = PIECE_HEIGHT_MIN * (self.stature.height(blob.bottom) or 0.0)
         if blob.height < height_min and not self.crossings.touches(blob.box):
