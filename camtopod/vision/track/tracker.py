@@ -215,7 +215,7 @@ class Tracker:
 
     def _confirm(self, t: float) -> list[Track]:
         """Return the tracks that have become objects."""
-        appeared = []
+        appeared: list[Track] = []
         for track in self.active:
             if not track.confirmed and track.last.t == t:
                 track.unmet = self._unmet(t, track)
