@@ -11,5 +11,8 @@ from camtopod.vision.detect.blobs import (
     Blob as Blob,
     find_blobs as find_blobs,
 )
-from camtopod.vision.detect.motion import MotionDetector as MotionDetector
+from camtopod.vision.detect.motion import (
+    DIFFERENCE_MIN as DIFFERENCE_MIN,
+    MotionDetector as MotionDetector,
+)
 from camtopod.vision.detect.shrink import shrunk as shrunk

@@ -18,8 +18,7 @@ import cv2
 import msgspec
 import numpy as np
 
-from camtopod.vision.detect import Luma
-from camtopod.vision.detect.motion import DIFFERENCE_MIN
+from camtopod.vision.detect import DIFFERENCE_MIN, Luma
 from camtopod.vision.detector.model import ModelReport, try_model
 from camtopod.vision.settings import DetectorSettings, VisionSettings
 from camtopod.vision.source.capture import CALL_SECONDS_MAX, PATIENCE, Frame, narrowed
