@@ -35,6 +35,8 @@ _TENTATIVE: dict[Reason, str] = {
     "{least:.0%} are needed",
     "still": "no event: sways or stands at {place}, moved by {value:.2f} of its height, at least "
     "{least:g} are needed",
+    "fragment": "no event: a fragment at {place}, {value:.0f} pixels high, people there have at "
+    "least {least:.0f}",
     "low": "no event: lower than min_height at {place}, reaches it in {value:.0f} of {least:.0f} "
     "sightings that are needed",
 }

@@ -21,12 +21,13 @@ Edge = Literal[
 """Where objects enter and leave the view. An ignored area is one if it reaches to the border;
 mid-view is one where a detector is trusted."""
 
-Shortfall = Literal["brief", "patchy", "still", "low"]
+Shortfall = Literal["brief", "patchy", "still", "fragment", "low"]
 """What a tentative track lacks to be an object; `Decision.value` is compared with `least`.
 
 brief: followed for `value` seconds.
 patchy: seen in the share `value` of the frames.
 still: moved by `value` heights.
+fragment: `value` pixels high, where a person is higher.
 low: as tall as the setting `min_height` in `value` sightings.
 """
 

@@ -19,7 +19,7 @@ from functools import partial
 from math import dist, inf
 
 from camtopod.records import Event
-from camtopod.vision.boxes import OBJECTS_MAX, box_height, contains_centre, gap, in_image
+from camtopod.vision.boxes import OBJECTS_MAX, Box, box_height, contains_centre, gap, in_image
 from camtopod.vision.detect import Blob
 from camtopod.vision.settings import VisionSettings
 from camtopod.vision.track.assignment import (
@@ -189,8 +189,7 @@ class Tracker:
         """Start a tentative track, unless the blob is too small or a fragment of an object."""
         if len(self.active) >= OBJECTS_MAX:
             return
-        height_min = PIECE_HEIGHT_MIN * (self.stature.height(blob.bottom) or 0.0)
-        if blob.height < height_min and not self.crossings.touches(blob.box):
+        if blob.height < self._fragment_height(blob.box):
             return
         others = [track for track in self.active if track.confirmed]
         if any(track.last.t == t and contains_centre(track.last.box, blob.box) for track in others):
@@ -198,13 +197,12 @@ class Tracker:
 
         sighting = Sighting(t, blob.foot, blob.box)
         beside = any(gap(track.box, blob.box) < GATE_HEIGHTS * track.height for track in others)
-        height = max(blob.height, height_min)
         track = Track(
             number=next(self._numbers),
             first=sighting,
             last=sighting,
-            kalman=Kalman(sighting.points, height),
-            height=height,
+            kalman=Kalman(sighting.points, blob.height),
+            height=blob.height,
             width=blob.width,
             from_start=t == self._start,
             beside_others=beside,
@@ -218,27 +216,28 @@ class Tracker:
         appeared: list[Track] = []
         for track in self.active:
             if not track.confirmed and track.last.t == t:
-                track.unmet = self._unmet(t, track)
+                track.unmet = self._unmet(track)
                 if track.confirmed:
                     appeared.append(track)
         return appeared
 
-    def _unmet(self, t: float, track: Track) -> Unmet | None:
-        """Return what a track that is seen at ``t`` lacks to be an object; None if nothing."""
-        seconds = t - track.first.t
-        if seconds < CONFIRM_SECONDS:
-            return "brief", seconds, CONFIRM_SECONDS
-        if track.sightings < CONFIRM_SIGHTINGS_SHARE * track.frames:
-            return "patchy", track.sightings / track.frames, CONFIRM_SIGHTINGS_SHARE
-        if track.reach < CONFIRM_HEIGHTS * track.height:
-            return "still", track.reach / track.height, CONFIRM_HEIGHTS
-
-        # Tall enough in several sightings.
+    def _unmet(self, track: Track) -> Unmet | None:
+        """Return what a track that is seen now lacks to be an object; None if nothing."""
+        box = track.last.box
         tall = sum(box_height(sighting.box) >= self._height_min for sighting in track.history)
-        least = min(TALL_SIGHTINGS_MIN, len(track.history))
-        if tall < least:
-            return "low", tall, least
-        return None
+        conditions: tuple[Unmet, ...] = (
+            ("brief", track.last.t - track.first.t, CONFIRM_SECONDS),
+            ("patchy", track.sightings / track.frames, CONFIRM_SIGHTINGS_SHARE),
+            ("still", track.reach / track.height, CONFIRM_HEIGHTS),
+            ("fragment", box_height(box), self._fragment_height(box)),
+            ("low", tall, min(TALL_SIGHTINGS_MIN, len(track.history))),
+        )
+        return next((unmet for unmet in conditions if unmet[1] < unmet[2]), None)
+
+    def _fragment_height(self, box: Box) -> float:
+        """Return the height (pixels) below which a box that no border cuts is but a fragment."""
+        cut = self.crossings.touches(box)
+        return 0.0 if cut else PIECE_HEIGHT_MIN * (self.stature.height(box[3]) or 0.0)
 
     def _retire(self, t: float) -> list[Event]:
         """End tracks that were not detected for longer than the patience; return their exits."""
