@@ -68,6 +68,44 @@ def test_who_enters_and_merges_with_another_at_once_has_entered() -> None:
     assert sorted(event.kind for event in events) == ["entry", "entry", "exit", "exit"]
 
 
+def test_who_comes_in_before_another_is_not_the_one_inside() -> None:
+    """Both are in one blob, from the newcomer's first sighting until the one inside has passed."""
+
+    def inside(k: int) -> Box:
+        return (max(0, 4 * k - 20), 60, min(WIDTH, 4 * k), 110)
+
+    def newcomer(k: int) -> Box:
+        return (max(0, 595 - 8 * k), 230 - 2 * k, 635 - 8 * k, HEIGHT - 2 * max(0, k - 56))
+
+    frames = [[inside(k)] for k in range(2, 50)]
+    frames += [[union(inside(k), newcomer(k))] for k in range(50, 56)]
+    frames += [[inside(k), newcomer(k)] for k in range(56, 79)]
+    frames += [[inside(k)] for k in range(79, 84)]
+    events = tracked(frames)
+    assert [event.kind for event in events] == ["entry", "entry", "exit", "exit"]
+    first, second, *_ = events
+    assert 0.9 < second.y <= 1.0
+    assert abs(second.t - (10 + 48) / FPS) < 0.3
+    assert {(event.track, event.x > 0.9) for event in events[2:]} == {
+        (first.track, True),
+        (second.track, False),
+    }
+
+
+def test_a_head_without_a_body_is_no_person() -> None:
+    """A coat of the colour of the wall behind it leaves the head and the legs."""
+
+    def walk(seen: Callable[[int], list[Box]]) -> list[list[Box]]:
+        return [seen(x) for x in range(WIDTH - 8, 40, -6)]
+
+    frames = walk(lambda x: [(x, 80, min(WIDTH, x + 20), 130)])
+    frames += [[]] * 15 + walk(lambda x: [(x, 90, min(WIDTH, x + 20), 140)])
+    frames += [[]] * 15 + walk(
+        lambda x: [(x, 105, min(WIDTH, x + 20), 130), (x + 6, 80, min(WIDTH, x + 14), 88)]
+    )
+    assert sum(event.kind == "entry" for event in tracked(frames)) == 3
+
+
 def halting(start: float, at: Place) -> Callable[[float], Place | None]:
     """Return a walk that begins at the border, stands at ``at`` for six seconds, and goes on."""
     on = line(start + 6.0, at, (1.05, 0.9), 5.0)

@@ -43,7 +43,7 @@ def group_in(
     inside = [
         track
         for track, box in expected
-        if contains_centre(blob.box, box) and not crossings.turns_back(track, blob.box)
+        if contains_centre(blob.box, box) and not crossings.comes_in(track, blob.box)
     ]
     largest = max((track.width * track.height for track in inside), default=0.0)
     several = len(inside) > 1 and any(track.confirmed for track in inside)
@@ -83,7 +83,7 @@ def best_pairs(
         return []
     cost = np.array([costs(track, blobs) for track in tracks])
     for i, j in np.argwhere(cost < _NEVER):
-        if crossings.turns_back(tracks[i], blobs[j].box):
+        if crossings.comes_in(tracks[i], blobs[j].box):
             cost[i, j] = _NEVER
     best = zip(*linear_sum_assignment(cost), strict=True)
     return [(tracks[i], blobs[j]) for i, j in best if cost[i, j] < _NEVER]

@@ -11,7 +11,7 @@ from collections.abc import Callable, Sequence
 from math import hypot, inf
 
 from camtopod.records import Event, Kind
-from camtopod.vision.boxes import Box, border_distances, touches_border
+from camtopod.vision.boxes import TOUCH_PIXELS, Box, border_distances, touches_border
 from camtopod.vision.settings import Polygon
 from camtopod.vision.track.decisions import Decision, Edge, Reason
 from camtopod.vision.track.doors import Doors
@@ -139,20 +139,29 @@ class Crossings:
             return "ignored area"
         return self.doors.door_at(*at.foot, track.height)
 
-    def turns_back(self, track: Track, box: Box) -> bool:
-        """Return True if an object that leaves the view would come back in as ``box``.
+    def comes_in(self, track: Track, box: Box) -> bool:
+        """Return True if ``box`` is not the object of ``track``, but another one that comes in.
 
-        It leaves if it is at a border and gone soon at its speed. Who enters there by more than two
-        sigma of the measurement is somebody else.
+        Either a border cuts it that the object, whole so far, does not reach yet, or it moves away
+        from a border where the object is and leaves soon at its speed, by more than two sigma of
+        the measurement.
         """
         dx, dy = track.velocity
         speeds = (-dx, -dy, dx, dy)
         before = border_distances(track.last.box, self.size)
         after = border_distances(box, self.size)
+        whole = min(before) > TOUCH_PIXELS
         return any(
-            before[side] <= self._margin
-            and self.size[side % 2] - before[side - 2] < PATIENCE_SECONDS * speeds[side]
-            and before[side - 2] - after[side - 2] > SIGMAS * MEASUREMENT * track.size
+            (
+                before[side] <= self._margin
+                and self.size[side % 2] - before[side - 2] < PATIENCE_SECONDS * speeds[side]
+                and before[side - 2] - after[side - 2] > SIGMAS * MEASUREMENT * track.size
+            )
+            or (
+                whole
+                and after[side] <= TOUCH_PIXELS
+                and before[side] > max(self._margin, REACH_SECONDS * speeds[side])
+            )
             for side in range(4)
         )
 
