@@ -18,7 +18,7 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 
-from camtopod.vision.boxes import Box
+from camtopod.vision.boxes import Box, pixels
 from camtopod.vision.detect import shake
 from camtopod.vision.detect.background import MEDIAN_SAMPLES, Background, Luma
 from camtopod.vision.detect.swaying import Swaying
@@ -135,10 +135,10 @@ class MotionDetector:
         if self.shake > SHAKE_PIXELS:
             self._map = shake.aligning(frame, self._expected, self._settled, self._map)
             frame = shake.warped(frame, self._expected, self._map)
-            pixels = shake.length(self._map, frame.shape)
+            shift = shake.length(self._map, frame.shape)
         else:
-            pixels = shake.shift(frame, self._expected, self._settled)
-        self.shake += _NOISE_RATE * (pixels - self.shake)
+            shift = shake.shift(frame, self._expected, self._settled)
+        self.shake += _NOISE_RATE * (shift - self.shake)
         expected = self._background.expected(frame, self._settled, self.noise)
         self._expected = expected  # for the next frame
 
@@ -155,21 +155,21 @@ class MotionDetector:
                 self.relearned += 1
             return None
         self._changed_seconds = 0.0
-        if not cv2.countNonZero(moving):
-            return Motion(frame, moving, moving, differs, expected)
 
         # Keep moving pixels near edges of the image's own, or that no shadow causes. A shadow
         # or a reflection multiplies the scene by a factor that varies slowly: in logarithms a
-        # flat patch, whatever lies below.
-        ratio = cv2.absdiff(cv2.LUT(frame, _LOGARITHM), cv2.LUT(expected, _LOGARITHM))
+        # flat patch, whatever lies below. Edges are looked for two pixels around them.
+        left, top, width, height = cv2.boundingRect(moving)
+        part = pixels((left - 2, top - 2, left + width + 2, top + height + 2), moving.shape)
+        ratio = cv2.absdiff(cv2.LUT(frame[part], _LOGARITHM), cv2.LUT(expected[part], _LOGARITHM))
         steps = cv2.dilate(cv2.morphologyEx(ratio, cv2.MORPH_GRADIENT, _CROSS), _SQUARE)
         near = cv2.threshold(steps, EDGE_MIN / sensitivity, 255, cv2.THRESH_BINARY)[1]
         strong = cv2.threshold(ratio, STRONG_MIN / sensitivity, 255, cv2.THRESH_BINARY)[1]
-        solid = cv2.bitwise_and(moving, cv2.bitwise_or(near, strong))
+        solid = np.zeros_like(moving)
+        solid[part] = cv2.bitwise_and(moving[part], cv2.bitwise_or(near, strong))
         # Opening removes lines, such as outlines of furniture.
-        return Motion(
-            frame, cv2.morphologyEx(solid, cv2.MORPH_OPEN, _CROSS), moving, differs, expected
-        )
+        solid[part] = cv2.morphologyEx(solid[part], cv2.MORPH_OPEN, _CROSS)
+        return Motion(frame, solid, moving, differs, expected)
 
     def _has_changed(self, moving: Luma) -> bool:
         """Return True if most of the image differs, or a large part of it since the last frame."""

@@ -23,7 +23,7 @@ _FACTORS = (4, 2)
 _STEPS_MAX = 10
 """Steps to align a frame at each size at most; a single one is accurate to about a pixel."""
 _OUTLIER = 40
-"""Difference (grey levels) above which a pixel shows an object rather than a shift of the scene."""
+"""Largest difference (grey levels) that counts; a larger one shows an object, no shift."""
 _DAMPING = 1e-3
 """Changes for which the scene has less than this share of its gradients are hardly made."""
 
@@ -34,7 +34,9 @@ def shift(image: Luma, scene: Luma, settled: Luma) -> float:
     settled (H, W): 0 where the image does not show the scene.
     """
     every = 2 * _FACTORS[0]
-    return length(_step(image, scene, settled, _slopes(scene, 2, every), every), scene.shape)
+    return length(
+        _step(image, scene, *_least_squares(scene, settled, 2, every), every), scene.shape
+    )
 
 
 def aligning(image: Luma, scene: Luma, settled: Luma, first: Map) -> Map:
@@ -49,7 +51,7 @@ def aligning(image: Luma, scene: Luma, settled: Luma, first: Map) -> Map:
         small, model, known = (
             cv2.resize(one, size, interpolation=cv2.INTER_AREA) for one in (image, scene, settled)
         )
-        table = _slopes(model, 6, 1)
+        equations = _least_squares(model, known, 6, 1)
         found, least = first, float("inf")
         for _ in range(_STEPS_MAX):
             aligned = warped(small, model, found)
@@ -58,18 +60,19 @@ def aligning(image: Luma, scene: Luma, settled: Luma, first: Map) -> Map:
             if residual >= least:
                 break
             first, least = found, residual
-            found = found @ _step(aligned, model, known, table, 1)
+            found = found @ _step(aligned, model, *equations, 1)
     return first
 
 
 def warped(image: Luma, scene: Luma, by: Map) -> Luma:
     """Return ``image`` (H, W) aligned with ``scene``; where it has nothing, that of ``scene``."""
     height, width = scene.shape
-    half = max(height, width) / 2
-    pixels = np.array([[half, 0, (width - 1) / 2], [0, half, (height - 1) / 2], [0, 0, 1]])
+    middle = np.array([width - 1, height - 1]) / 2
+    matrix = by[:2].copy()
+    matrix[:, 2] = by[:2, 2] * max(height, width) / 2 + middle - by[:2, :2] @ middle
     return cv2.warpAffine(
         image,
-        (pixels @ by @ np.linalg.inv(pixels))[:2],
+        matrix,
         (width, height),
         scene.copy(),
         flags=cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP,
@@ -82,45 +85,48 @@ def length(by: Map, shape: tuple[int, ...]) -> float:
     return hypot(by[0, 2], by[1, 2]) * max(shape) / 2
 
 
-def _slopes(scene: Luma, terms: int, every: int) -> npt.NDArray[np.float32]:
-    """Return how each pixel of ``scene`` changes with each term of a map, (terms, pixels).
+def _least_squares(
+    scene: Luma, settled: Luma, terms: int, every: int
+) -> tuple[npt.NDArray[np.float32], cv2.typing.MatLike]:
+    """Return how each pixel of ``scene`` changes with each term of a map, (terms, pixels), and the
+    inverse of the normal equations.
 
     terms: 2 for a shift, 6 for an affine map. Rows are used in steps of ``every``.
     """
+    # How each pixel changes with each term; not at all where the scene is not settled.
     rows, columns = slice(1, -1, every), slice(1, -1)
     height, width = scene.shape
     longer = np.float32(max(height, width))
+    known = (settled[rows, columns] != 0) * (longer / 4)
     dx = scene[rows, 2:].astype(np.float32) - scene[rows, :-2]
-    dy = scene[2::every, columns][: len(dx)].astype(np.float32)
-    dy -= scene[:-2:every, columns][: len(dx)]
-    slopes = [dx, dy]
+    above, below = (scene[row::every, columns][: len(dx)] for row in (0, 2))
+    slopes = [dx * known, (below.astype(np.float32) - above) * known]
     if terms > len(slopes):
-        x, y = np.arange(width, dtype=np.float32), np.arange(height, dtype=np.float32)
-        x = ((2 * x + 1 - width) / longer)[columns]
-        y = ((2 * y + 1 - height) / longer)[rows, np.newaxis]
-        slopes += [dx * x, dy * x, dx * y, dy * y]
-    return np.stack(slopes).reshape(terms, -1) * (longer / 4)
+        x = (np.arange(1 - width, width, 2, dtype=np.float32) / longer)[columns]
+        y = (np.arange(1 - height, height, 2, dtype=np.float32) / longer)[rows, np.newaxis]
+        slopes += [slope * place for place in (x, y) for slope in slopes]
+    table = np.stack(slopes).reshape(terms, -1)
+
+    # Damped where the scene has hardly any gradients.
+    normal = (table @ table.T).astype(np.float64)
+    normal += _DAMPING * np.trace(normal) / terms * np.eye(terms)
+    return table, cv2.invert(normal, flags=cv2.DECOMP_SVD)[1]
 
 
 def _step(
-    image: Luma, scene: Luma, settled: Luma, table: npt.NDArray[np.float32], every: int
+    image: Luma,
+    scene: Luma,
+    table: npt.NDArray[np.float32],
+    inverse: cv2.typing.MatLike,
+    every: int,
 ) -> Map:
     """Return the map that takes ``scene`` to ``image`` as far as a single step finds it.
 
-    table: from `_slopes`, with the same ``every``.
+    table, inverse: from `_least_squares`, with the same ``every``.
     """
-    # Differences of the pixels that show the settled scene.
     rows, columns = slice(1, -1, every), slice(1, -1)
     difference = scene[rows, columns].astype(np.float32) - image[rows, columns]
-    good = (settled[rows, columns] != 0) & (np.abs(difference) < _OUTLIER)
-
-    # Normal equations, damped where the scene has hardly any gradients.
-    weighted = table * good.ravel()
-    normal = (weighted @ table.T).astype(np.float64)
-    normal += _DAMPING * np.trace(normal) / len(table) * np.eye(len(table))
-    side = (weighted @ difference.reshape(-1, 1)).astype(np.float64)
-    change = cv2.solve(normal, side, flags=cv2.DECOMP_SVD)[1]
-
+    change = inverse @ (table @ np.clip(difference, -_OUTLIER, _OUTLIER).ravel())
     found = IDENTITY.copy()
-    found[:2, (2, 0, 1)[: len(table) // 2]] += change.reshape(-1, 2).T
+    found[:2, (2, 0, 1)[: len(change) // 2]] += change.reshape(-1, 2).T
     return found
