@@ -23,7 +23,7 @@ _FACTORS = (4, 2)
 _STEPS_MAX = 10
 """Steps to align a frame at each size at most; a single one is accurate to about a pixel."""
 _OUTLIER = 40
-"""Largest difference (grey levels) that counts; a larger one shows an object, no shift."""
+"""Difference (grey levels) above which a pixel shows an object rather than a shift of the scene."""
 _DAMPING = 1e-3
 """Changes for which the scene has less than this share of its gradients are hardly made."""
 
@@ -126,7 +126,8 @@ def _step(
     """
     rows, columns = slice(1, -1, every), slice(1, -1)
     difference = scene[rows, columns].astype(np.float32) - image[rows, columns]
-    change = inverse @ (table @ np.clip(difference, -_OUTLIER, _OUTLIER).ravel())
+    difference[np.abs(difference) >= _OUTLIER] = 0
+    change = inverse @ (table @ difference.ravel())
     found = IDENTITY.copy()
     found[:2, (2, 0, 1)[: len(change) // 2]] += change.reshape(-1, 2).T
     return found
