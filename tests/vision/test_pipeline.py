@@ -149,6 +149,22 @@ def infrared(picture: Picture) -> Picture:
     return (0.27 * picture + 12 + 110 * spot).clip(0, 255).astype(np.uint8)
 
 
+def test_in_the_dark_a_walker_is_one_passage_and_noise_is_none() -> None:
+    walker = Person(line(6.0, (-0.05, 0.7), (1.05, 0.6), 8.0), texture=60, shade=20)
+    for people, expected in (([], []), ([walker], [("entry", "left"), ("exit", "right")])):
+        scene, pipeline, events = (
+            Scene(people, noise=0.0),
+            ViewPipeline("cam", VisionSettings()),
+            [],
+        )
+        rng = np.random.default_rng(8)
+        for k in range(round(18 * FPS)):
+            picture = scene.picture(k / FPS)
+            dark = 0.2 * picture + 5 + rng.normal(0.0, 0.8, picture.shape)
+            events += pipeline.process(k / FPS, dark.clip(0, 255).astype(np.uint8))
+        assert passages(events + pipeline.finish()) == expected
+
+
 def card(picture: Picture) -> Picture:
     """What a recorder shows of a camera that is gone."""
     shown = np.full_like(picture, 8)

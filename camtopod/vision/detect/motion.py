@@ -26,7 +26,10 @@ from camtopod.vision.detect.wiener import NOISE_TO_FILTER, temporal_noise, wiene
 from camtopod.vision.settings import Polygon, VisionSettings
 
 DIFFERENCE_MIN = 15.0
-"""Smallest difference (grey levels) of a moving pixel, in an image without noise."""
+"""Smallest difference (grey levels) of a moving pixel, in an image of medium grey without noise.
+
+In a darker image all contrasts are less in proportion.
+"""
 EDGE_MIN = 18.0
 """Smallest step of the logarithmic difference between neighbours that light does not cause.
 
@@ -144,7 +147,8 @@ class MotionDetector:
 
         # Moving pixels; an image that has changed for long ends this scene.
         sensitivity = self._settings.sensitivity
-        least = DIFFERENCE_MIN * max(1.0 / sensitivity, min(self.noise / NOISE_TO_FILTER, 1.0))
+        light = min((cv2.mean(expected, self.watched)[0] + _DARK) / (255 / 2 + _DARK), 1.0)
+        least = DIFFERENCE_MIN * max(light / sensitivity, min(self.noise / NOISE_TO_FILTER, 1.0))
         differs = cv2.threshold(cv2.absdiff(frame, expected), least, 255, cv2.THRESH_BINARY)[1]
         differs = cv2.bitwise_and(differs, self.watched)
         moving = self._swaying.without(differs, frame, expected, least)

@@ -45,9 +45,8 @@ def aligning(image: Luma, scene: Luma, settled: Luma, first: Map) -> Map:
     settled (H, W): 0 where the image does not show the scene.
     first: where to begin; the result if nothing better is found.
     """
-    height, width = scene.shape
     for factor in _FACTORS:
-        size = (max(3, width // factor), max(3, height // factor))
+        size = [max(3, side // factor) for side in reversed(scene.shape)]
         small, model, known = (
             cv2.resize(one, size, interpolation=cv2.INTER_AREA) for one in (image, scene, settled)
         )
@@ -126,8 +125,7 @@ def _step(
     """
     rows, columns = slice(1, -1, every), slice(1, -1)
     difference = scene[rows, columns].astype(np.float32) - image[rows, columns]
-    difference[np.abs(difference) >= _OUTLIER] = 0
-    change = inverse @ (table @ difference.ravel())
+    change = inverse @ (table @ (difference * (np.abs(difference) < _OUTLIER)).ravel())
     found = IDENTITY.copy()
     found[:2, (2, 0, 1)[: len(change) // 2]] += change.reshape(-1, 2).T
     return found
