@@ -189,8 +189,9 @@ class Crossings:
         edge = self._edge(track, track.first, -1.0)
         if edge is None and self.anywhere and not track.beside_others:
             edge = "mid-view"
-        entered_at = self._at_border(track, track.first, edge, -1.0).t
-        if track.from_start or (edge is not None and entered_at < self.began):
+        if track.from_start or (
+            edge is not None and self._at_border(track, track.first, edge, -1.0).t < self.began
+        ):
             self.note("from start", track, track.first)
             return []
         if edge is not None:
@@ -227,8 +228,7 @@ class Crossings:
         An event with another time than its own would mislead more than one that is missing.
         """
         entry = kind == "entry"
-        sense = -1.0 if entry else 1.0
-        at = self._at_border(track, at, edge, sense)
+        at = self._at_border(track, at, edge, -1.0 if entry else 1.0)
         lateness = self.now - at.t
         if lateness > LATENESS_SECONDS_MAX:
             self.note(
@@ -259,14 +259,13 @@ class Crossings:
             "top border": (y, -dy),
             "bottom border": (self.size[1] - at.box[1] - track.height / 2, dy),
         }.get(edge or "", (0.0, 0.0))
-        if sense * speed <= 0.0:
-            return at
-        seconds = distance / (sense * speed)
+        seconds = distance / (max(sense * speed, 0.0) or inf)
         if not 0.0 < seconds <= PATIENCE_SECONDS:
             return at
         ahead = sense * seconds
-        dated = sense * min(seconds, REACH_SECONDS)
-        return at._replace(t=at.t + dated, foot=(x + ahead * dx, y + ahead * dy))
+        return at._replace(
+            t=at.t + sense * min(seconds, REACH_SECONDS), foot=(x + ahead * dx, y + ahead * dy)
+        )
 
 
 def _has_walked(track: Track) -> bool:
