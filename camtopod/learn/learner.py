@@ -37,7 +37,6 @@ from camtopod.learn.camera_zones import (
     refresh_camera_zones,
 )
 from camtopod.learn.changes import BEFORE_MIN, AlarmLog, News
-from camtopod.learn.clocks import ClockTracker
 from camtopod.learn.links import zone_pairs_of
 from camtopod.learn.refit import Known, Refit, dwell_bins, lag_bins, refit
 from camtopod.learn.retired_cameras import (
@@ -106,7 +105,6 @@ class Learner:
             settings.window_events_max,
             state.window,
         )
-        self._clock_tracker = ClockTracker(state.clocks)
         self._alarms = AlarmLog(state.alarms)
         self._scorer = Scorer(state.scorer, state.topology)
         self._tick_us = microseconds(settings.version_seconds)
@@ -343,7 +341,7 @@ class Learner:
         kept = number != FORGOTTEN
         self._intake.forget(names)
         self._scorer.forget(names)
-        self._clock_tracker.keep_cameras(kept)
+        self.state.clocks.keep_cameras(kept)
 
         # Renumber the other cameras.
         others = np.flatnonzero(kept[: len(self.state.cameras)])
@@ -526,6 +524,6 @@ class Learner:
 
     def _corrected(self, scene: Scene) -> Scene:
         """Estimate the clock offsets, and return the scene with its times corrected by them."""
-        self._clock_tracker.update(scene, len(self._window.cameras), self.state.learned)
+        self.state.clocks.update(scene, len(self._window.cameras), self.state.learned)
         offset = self.state.clocks.clocks.offset
         return label_events(self._window, self._maps(), offset) if offset.any() else scene

@@ -19,5 +19,4 @@ from camtopod.learn.clocks.correlogram import (
 from camtopod.learn.clocks.offsets import (
     Clocks as Clocks,
     ClockState as ClockState,
-    ClockTracker as ClockTracker,
 )

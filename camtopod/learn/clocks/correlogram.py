@@ -29,22 +29,21 @@ BLOCK = 2048
 block after it.
 """
 SPECTRA_MAX = 4096
-"""Limit of the blocks of all labels together; beyond, only the newest stretch of time counts."""
-SPECTRA_KEPT = 2048
-"""Transforms of blocks kept in memory, departures and arrivals together (16 MB a thousand).
+"""Limit of the blocks of all labels together; beyond, only the newest stretch of time counts.
 
+Half as many transforms are kept in memory, departures and arrivals together (16 MB a thousand).
 Others are computed again when they are needed.
 """
 ROWS_AT_ONCE = 256
 """Number of correlograms that callers ask for at a time."""
-CHANCE_BINS = (301, 101)
-"""Widths, in bins, of the two moving averages that make the null model of a correlogram. The
-averages are local, so that a rhythm common to all zones is part of the null model.
+CHANCE_BINS = 301
+"""Width, in bins, of the moving average that makes the null model of a correlogram. The average is
+local, so that a rhythm common to all zones is part of the null model.
 """
 CHANCE_MIN = 0.02
 """Least count per bin under the null model."""
-SCALES_BINS = (1.5, 4.0, 10.0)
-"""Standard deviations, in bins, of the peaks to look for: transit times vary little or much."""
+PEAK_BINS = 3.0
+"""Standard deviation, in bins, of the smoothing of correlograms in which peaks are looked for."""
 NOISE_SD = 2.5
 """Standard deviations of the null model subtracted from every peak; lower peaks count as none."""
 HIGHEST_LAGS = 400
@@ -83,7 +82,7 @@ class Correlograms:
             kept = slice(int(np.searchsorted(t, first)), None)
             bins = ((t[kept] - first) / bin_seconds).astype(np.int64)
             self._bins.append([bins[rows] for rows in rows_by_group(label[kept], labels)])
-        self.at_once = max(SPECTRA_KEPT // (2 * self._blocks), 2)
+        self.at_once = max(SPECTRA_MAX // (4 * self._blocks), 2)
         """Number of labels whose transforms are kept."""
         self._spectra: dict[tuple[int, int], Spectra] = {}
         """Transforms by (side, label), those used last at the end."""
@@ -144,11 +143,9 @@ def cache_friendly_order(a: Ints, b: Ints, at_once: int) -> NDArray[np.intp]:
 def null_expectation(counts: Counts) -> Counts:
     """Return the expectation of correlograms under the null model, (P, lags).
 
-    counts (P, lags): the correlograms, from which the null model is computed by moving averages.
+    counts (P, lags): the correlograms, from which the null model is computed by a moving average.
     """
-    smooth = counts
-    for width in CHANCE_BINS:
-        smooth = uniform_filter1d(smooth, width, axis=1, mode="nearest")
+    smooth = uniform_filter1d(counts, CHANCE_BINS, axis=1, mode="nearest")
     result: Counts = np.maximum(smooth, np.float32(CHANCE_MIN))
     return result
 
@@ -158,17 +155,15 @@ def significant_peaks(counts: Counts, usual: Counts) -> Counts:
 
     counts, usual (P, lags): correlograms, and their expectations (`null_expectation`).
 
-    Heights are in standard deviations of the null model. Correlograms are smoothed at each of
-    `SCALES_BINS`, of which the highest counts; lags longer than `NEAR_BINS` weigh less.
+    Heights are in standard deviations of the null model, of which `NOISE_SD` are subtracted. Lags
+    longer than `NEAR_BINS` weigh less.
     """
     above = (counts - usual) / np.sqrt(usual)
-    best: Counts = np.zeros_like(above)
-    for sd_bins in SCALES_BINS:
-        spread = gaussian_filter1d(above, sd_bins, axis=1, mode="constant", truncate=3.0)
-        np.maximum(best, spread - NOISE_SD / np.sqrt(2.0 * np.sqrt(np.pi) * sd_bins), out=best)
+    smooth = gaussian_filter1d(above, PEAK_BINS, axis=1, mode="constant", truncate=3.0)
+    noise = NOISE_SD / np.sqrt(2.0 * np.sqrt(np.pi) * PEAK_BINS)
     near = 1.0 / np.sqrt(1.0 + (np.arange(-LAGS, LAGS + 1) / NEAR_BINS) ** 2)
-    best *= near.astype(np.float32)
-    return best
+    peaks: Counts = np.maximum(smooth - noise, 0.0) * near.astype(np.float32)
+    return peaks
 
 
 def highest_peaks(counts: Counts) -> Floats:

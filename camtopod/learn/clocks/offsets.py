@@ -3,7 +3,7 @@
 Every path that objects take in both directions shows the difference of two clocks
 (`two_way_paths`). The offsets are a robust fit to all differences of the site (`solve_offsets`),
 under two assumptions: a path takes about as long in both directions, and most clocks are right. A
-clock counts as wrong on clear evidence only. `ClockTracker` keeps the estimate from version to
+clock counts as wrong on clear evidence only. `ClockState` keeps the estimate from version to
 version. If all traffic between two cameras goes in one direction, or a camera has no positions, a
 wrong clock cannot be told from a long path: the clock counts as right and unidentified.
 """
@@ -16,7 +16,7 @@ import numpy as np
 from msgspec import Struct, field
 from numpy.typing import NDArray
 from scipy.optimize import linprog
-from scipy.sparse import block_array, coo_array, eye_array
+from scipy.sparse import block_array, csr_array, diags_array, eye_array
 
 from camtopod.arrays import Bools, Floats, Ints
 from camtopod.learn.clocks.correlogram import (
@@ -34,8 +34,6 @@ SCREENING_BIN_SECONDS = 4.0
 """Width of the bins of the correlograms of camera pairs, by which large networks are screened."""
 ZONE_PAIRS_MAX = 6_000
 """Limit of the ordered zone pairs tested; of more, those of the most promising camera pairs."""
-SPAN_MIN_SECONDS = 1800.0
-"""Least duration of the window; in a shorter one, the null model is too uncertain to find peaks."""
 CAMERAS_MAX = 250
 """Limit of the cameras whose clocks are estimated; of more, those with the most events count."""
 ASYMMETRIES = (0.32, 0.16, 0.08, 0.04, 0.02, 0.01)
@@ -45,10 +43,6 @@ average over paths.
 """
 SD_MIN_SECONDS = 0.25
 """Least standard deviation of a difference of two clocks: cameras do not tell events equally late.
-"""
-TURNING_SHARE = 0.2
-"""Share of a zone's exits, by objects that entered at the same zone, above which objects are taken
-to turn around there.
 """
 SPREAD_SHARE_MAX = 0.75
 """Largest standard deviation of transit times, as a share of the transit time. Beyond, there are
@@ -63,24 +57,14 @@ RIGHT_WEIGHT = 0.01
 """Cost of a second of clock offset in the first estimate (`_least_disagreement`), in standard
 deviations of disagreement between the offsets and one measured difference.
 """
-RIGHT_BEFORE_TRUST = 0.5
-"""Additional trust, a factor on the cost of an offset, in a clock that was right before."""
 OUTLIER_SD = 3.0
 """Disagreement, in standard deviations, at which a difference has half its usual weight; also the
-degrees of freedom of Student's t in `_with_asymmetry`.
+degrees of freedom of Student's t in `solve_offsets`.
 """
 ROUNDS = 20
 """Iterations of the robust least squares."""
 CLEAR_SD = 4.0
-OFFSET_MIN_SECONDS = 0.25
-"""Least offset of a wrong clock: in standard deviations of the offset, and in seconds."""
-MOVE_SD = 2.0
-MOVE_MIN_SECONDS = 0.1
-"""Least difference of a new estimate that replaces a known offset: in standard deviations, and in
-seconds.
-"""
-RELEARN_SECONDS = 0.5
-"""Change of an offset beyond which `ClockTracker.update` returns True."""
+"""Least offset of a wrong clock, in standard deviations of the offset."""
 REFRESH_SHARE = 0.2
 """Share of the window's events that must be new for a new estimate of the clocks."""
 DECIMALS = 3
@@ -123,50 +107,38 @@ def right_clocks(cameras: int) -> Clocks:
 
 
 class ClockState(Struct):
-    """The state of a `ClockTracker`."""
+    """The estimate of the clocks, which is renewed when enough events are new."""
 
     clocks: Clocks = field(default_factory=lambda: right_clocks(0))
     """The newest estimate."""
     learned: int = 0
     """Number of events learned at the last estimate."""
 
-
-class ClockTracker:
-    """Keeps the estimate of the clocks, and renews it when enough events are new."""
-
-    def __init__(self, state: ClockState) -> None:
-        self.state = state
-
     def keep_cameras(self, kept: Bools) -> None:
         """Keep only the cameras of the mask ``kept`` (cameras,), and renumber them."""
         # Cameras added since the last estimate are not in ``clocks`` yet.
-        known = kept[: len(self.state.clocks.offset)]
-        offset, sd, identified = self.state.clocks
-        self.state.clocks = Clocks(offset[known], sd[known], identified[known])
+        known = kept[: len(self.clocks.offset)]
+        offset, sd, identified = self.clocks
+        self.clocks = Clocks(offset[known], sd[known], identified[known])
 
-    def update(self, scene: Scene, cameras: int, learned: int) -> bool:
+    def update(self, scene: Scene, cameras: int, learned: int) -> None:
         """Estimate the clocks again if there are new cameras or enough new events.
 
         scene: the labelled events, with uncorrected times.
         cameras: number of cameras.
         learned: number of events learned so far.
-
-        Return True if an offset changes by more than `RELEARN_SECONDS`.
         """
         # New cameras have right clocks so far.
-        known = self.state.clocks
+        known = self.clocks
         if cameras > len(known.offset):
             more = right_clocks(cameras - len(known.offset))
             known = Clocks(*(np.concatenate(columns) for columns in zip(known, more, strict=True)))
-        elif learned - self.state.learned < REFRESH_SHARE * (
+        elif learned - self.learned < REFRESH_SHARE * (
             len(scene.departures.t) + len(scene.arrivals.t)
         ):
-            return False
-
-        # Change only what clearly differs.
-        self.state.clocks = keep_unless_clear(known, estimate_clocks(scene, cameras, known))
-        self.state.learned = learned
-        return bool((np.abs(self.state.clocks.offset - known.offset) > RELEARN_SECONDS).any())
+            return
+        self.clocks = estimate_clocks(scene, cameras, known)
+        self.learned = learned
 
 
 def estimate_clocks(scene: Scene, cameras: int, known: Clocks) -> Clocks:
@@ -178,11 +150,7 @@ def estimate_clocks(scene: Scene, cameras: int, known: Clocks) -> Clocks:
     """
     departures = scene.departures
     arrivals = scene.arrivals
-    if (
-        len(departures.t) == 0
-        or len(arrivals.t) == 0
-        or scene.last - scene.first < SPAN_MIN_SECONDS
-    ):
+    if len(departures.t) == 0 or len(arrivals.t) == 0:
         return right_clocks(cameras)
 
     # Solve for the offsets from the differences of pairs of clocks.
@@ -190,35 +158,18 @@ def estimate_clocks(scene: Scene, cameras: int, known: Clocks) -> Clocks:
         arrivals.camera, minlength=cameras
     )
     camera_of = np.array([zone.camera for zone in scene.zones], np.int32)
-    return solve_offsets(
-        find_differences(departures, arrivals, camera_of, turning(scene), weight), weight, known
-    )
-
-
-def turning(scene: Scene) -> Bools:
-    """Return a mask (zones,) of zones at which objects commonly turn around.
-
-    A zone is one if it is the only zone of its camera, or if tracks show it (`TURNING_SHARE`).
-    """
-    camera_of = np.array([zone.camera for zone in scene.zones], np.int64)
-    zones = len(scene.zones)
-    p = scene.passages
-    back = np.bincount(p.target[p.source == p.target], minlength=zones)
-    only: Bools = np.bincount(camera_of)[camera_of] == 1
-    return only | (back > TURNING_SHARE * np.maximum(np.bincount(p.target, minlength=zones), 1))
+    return solve_offsets(find_differences(departures, arrivals, camera_of, weight), weight, known)
 
 
 def find_differences(
     departures: Departures,
     arrivals: Arrivals,
     camera_of: Ints,
-    turning: Bools,
     weight: NDArray[np.int64],
 ) -> list[Difference]:
     """Find all two-way paths of the site, and return the difference of two clocks that each shows.
 
     camera_of (zones,): camera of each zone.
-    turning (zones,): True where objects commonly turn around.
     weight (cameras,): number of events of each camera.
     """
     # The pairs of the busiest cameras; if too many, the pairs with the highest peaks.
@@ -239,18 +190,18 @@ def find_differences(
     a_of, b_of = np.array(pairs, np.int32).T
     cameras_at_once = pair_counts.at_once * len(zones_of) // len(camera_of)
     for a, b in (pairs[k] for k in cache_friendly_order(a_of, b_of, cameras_at_once)):
+        # If both cameras have one zone only, a walk from u to v also looks like one back with a
+        # negative transit time.
+        if len(zones_of[a]) == len(zones_of[b]) == 1:
+            continue
         u, v = (
             ends.ravel().astype(np.int32)
             for ends in np.meshgrid(zones_of[a], zones_of[b], indexing="ij")
         )
 
         # Their two-way paths.
-        for k, path in find_two_way_paths(pair_counts.between(u, v), pair_counts.between(v, u)):
+        for path in find_two_way_paths(pair_counts.between(u, v), pair_counts.between(v, u)):
             if path.spread > SPREAD_SHARE_MAX * max(path.transit, SHORT_SECONDS / BIN_SECONDS):
-                continue
-            # If objects turn around at both zones, one walk from u to v also looks like one from v
-            # to u with a negative transit time.
-            if turning[u[k]] and turning[v[k]]:
                 continue
             sd = max(path.sd * BIN_SECONDS, SD_MIN_SECONDS)
             found.append(Difference(a, b, path.ahead * BIN_SECONDS, sd, path.transit * BIN_SECONDS))
@@ -307,111 +258,82 @@ def solve_offsets(found: list[Difference], weight: NDArray[np.int64], known: Clo
     if not found:
         return clocks
 
-    # A robust first estimate, in which most offsets are zero.
-    a = np.array([d.a for d in found])
-    b = np.array([d.b for d in found])
-    ahead = np.array([d.ahead for d in found])
-    trust = (
-        1.0
-        + weight / max(int(weight.sum()), 1)
-        + RIGHT_BEFORE_TRUST * (known.identified & (known.offset == 0))
+    # The differences as a matrix (differences, cameras): -1 for the first camera, 1 for the second.
+    a = np.array([one.a for one in found])
+    b = np.array([one.b for one in found])
+    ahead, own_sd, transit = np.array([one[2:] for one in found]).T
+    each = np.arange(len(found))
+    signs = np.repeat((-1.0, 1.0), len(found))
+    apart = csr_array(
+        (signs, (np.tile(each, 2), np.concatenate((a, b)))), shape=(len(found), cameras)
     )
-    sd = _with_asymmetry(found, trust)
     clocks.identified[a] = clocks.identified[b] = True
-    offset = _least_disagreement(a, b, ahead, sd, trust)
+
+    # A robust first estimate, in which most offsets are zero, with the likeliest asymmetry. The
+    # likelihood is that of Student's t with OUTLIER_SD degrees of freedom, as a path that differs
+    # from the path back is an outlier; it counts as far as differences are redundant.
+    trust = 1.0 + weight / max(int(weight.sum()), 1) + (known.identified & (known.offset == 0))
+    redundant = max(len(found) - int(clocks.identified.sum()) + 1, 0) / len(found)
+    best = -np.inf
+    for asymmetry in ASYMMETRIES:
+        spread = np.hypot(own_sd, asymmetry * transit)
+        first = _least_disagreement(apart, ahead, spread, trust)
+        squared = ((ahead - apart @ first) / spread) ** 2
+        score = redundant * float(
+            np.sum(-np.log(spread))
+            - 2.0 * np.sum(np.log1p(squared / max(redundant, 1e-9) / OUTLIER_SD))
+        )
+        if score > best:
+            best = score
+            sd = spread
+            offset = first
 
     # Least squares over the clocks that seem wrong. While any of them is not clearly wrong, count
     # the least clear one as right and repeat.
-    wrong = clocks.identified & (np.abs(offset) > 1e-6)
+    wrong = np.abs(offset) > 1e-6
     while True:
-        offset, error = _least_squares(a, b, ahead, sd, wrong, offset)
-        excess = np.where(
-            wrong, np.abs(offset) / np.maximum(CLEAR_SD * error, OFFSET_MIN_SECONDS), np.inf
-        )
-        least = int(np.argmin(excess))
-        if excess[least] > 1.0:
+        offset, error = _least_squares(apart, ahead, sd, wrong, offset)
+        clear = np.where(wrong, np.abs(offset) / error, np.inf)
+        least = int(np.argmin(clear))
+        if clear[least] > CLEAR_SD:
             break
         wrong[least] = False
-    clocks.offset[:] = offset
-    clocks.sd[:] = error
-    return clocks
+    return Clocks(offset.round(DECIMALS), error, clocks.identified)
 
 
-def _with_asymmetry(found: list[Difference], trust: Floats) -> Floats:
-    """Return the standard deviation (differences,) of each difference, asymmetry of paths included.
-
-    found: the differences.
-    trust (cameras,): as in `_least_disagreement`.
-
-    Of `ASYMMETRIES`, the likeliest is used, given how well the differences agree with each other.
-    Without a redundant difference all are equally likely, and the first and largest is used.
-    """
-    a = np.array([d.a for d in found])
-    b = np.array([d.b for d in found])
-    ahead, own_sd, transit = (
-        np.array([getattr(d, name) for d in found]) for name in ("ahead", "sd", "transit")
-    )
-
-    # Degrees of freedom that remain after the offsets are estimated, as a share of the differences.
-    cameras = np.unique(np.concatenate((a, b)))
-    more = max(len(found) - len(cameras) + 1, 0) / len(found)
-
-    # Find the likeliest asymmetry.
-    best = own_sd
-    best_score = -np.inf
-    for asymmetry in ASYMMETRIES:
-        sd = np.hypot(own_sd, asymmetry * transit)
-        offset = _least_disagreement(a, b, ahead, sd, trust)
-        squared = ((ahead - offset[b] + offset[a]) / sd) ** 2
-        # Student's t with OUTLIER_SD degrees of freedom: a path that differs from the path back is
-        # an outlier.
-        score = more * float(
-            np.sum(-np.log(sd)) - 2.0 * np.sum(np.log1p(squared / max(more, 1e-9) / OUTLIER_SD))
-        )
-        if score > best_score:
-            best = sd
-            best_score = score
-    return best
-
-
-def _least_disagreement(
-    a: NDArray[np.intp], b: NDArray[np.intp], ahead: Floats, sd: Floats, trust: Floats
-) -> Floats:
+def _least_disagreement(apart: csr_array, ahead: Floats, sd: Floats, trust: Floats) -> Floats:
     """Return the offsets (cameras, seconds) with the least sum of absolute disagreements.
 
     The disagreement of a difference is that between its ``ahead`` and the offsets of its cameras,
     in standard deviations. Absolute offsets cost a little, too (`RIGHT_WEIGHT`), so that most are
     zero.
 
-    a, b, ahead, sd (differences,): as in `Difference`.
+    apart (differences, cameras): matrix that takes the offsets to the differences.
+    ahead, sd (differences,): as in `Difference`.
     trust (cameras,): factor on the cost of an offset of each clock.
     """
-    n = len(a)
-    cameras = len(trust)
-
     # A linear programme. Variables: the offsets, their absolute values, and the disagreement of
-    # each difference in standard deviations.
-    cost = np.concatenate((np.zeros(cameras), RIGHT_WEIGHT * trust, np.ones(n)))
-
-    # Constraints: disagreements and absolute values are at least either sign of their argument.
-    at = (np.tile(np.arange(n), 2), np.concatenate((b, a)))
-    apart = coo_array((np.concatenate((1.0 / sd, -1.0 / sd)), at), shape=(n, cameras))
-    each = eye_array(n)
+    # each difference in standard deviations; the latter two are at least either sign of their
+    # argument.
+    n, cameras = apart.shape
+    scaled = diags_array(1.0 / sd) @ apart
     clock = eye_array(cameras)
     matrix = block_array(
         [
-            [apart, None, -each],
-            [-apart, None, -each],
+            [scaled, None, -eye_array(n)],
+            [-scaled, None, -eye_array(n)],
             [clock, -clock, None],
             [-clock, -clock, None],
         ],
         format="csr",
     )
-    limit = np.concatenate((ahead / sd, -ahead / sd, np.zeros(2 * cameras)))
-
-    # Solve.
-    bounds = [(None, None)] * cameras + [(0, None)] * (cameras + n)
-    result = linprog(cost, A_ub=matrix, b_ub=limit, bounds=bounds, method="highs-ds")
+    result = linprog(
+        np.concatenate((np.zeros(cameras), RIGHT_WEIGHT * trust, np.ones(n))),
+        A_ub=matrix,
+        b_ub=np.concatenate((ahead / sd, -ahead / sd, np.zeros(2 * cameras))),
+        bounds=[(None, None)] * cameras + [(0, None)] * (cameras + n),
+        method="highs-ds",
+    )
     if not result.success:
         raise ArithmeticError(f"cannot estimate the clock offsets: {result.message}")
     offset: Floats = result.x[:cameras]
@@ -419,16 +341,11 @@ def _least_disagreement(
 
 
 def _least_squares(
-    a: NDArray[np.intp],
-    b: NDArray[np.intp],
-    ahead: Floats,
-    sd: Floats,
-    wrong: Bools,
-    offset: Floats,
+    apart: csr_array, ahead: Floats, sd: Floats, wrong: Bools, offset: Floats
 ) -> tuple[Floats, Floats]:
     """Estimate the offsets of the wrong clocks by robust least squares; the others are 0.
 
-    a, b, ahead, sd (differences,): as in `Difference`.
+    apart, ahead, sd: as in `_least_disagreement`.
     wrong (cameras,): True for clocks that may have an offset.
     offset (cameras, seconds): first estimate.
 
@@ -436,42 +353,19 @@ def _least_squares(
     disagree with the others have little weight (`OUTLIER_SD`).
     """
     # Iteratively reweighted least squares.
-    cameras = len(wrong)
     offset = np.where(wrong, offset, 0.0)
     free = np.flatnonzero(wrong)
     for _ in range(ROUNDS):
-        disagreement = (ahead - offset[b] + offset[a]) / sd
-        weight = 1.0 / sd**2 / (1.0 + (disagreement / OUTLIER_SD) ** 2)
-        normal = np.zeros((cameras, cameras))
-        pull = np.zeros(cameras)
-        for i, j, sign in ((a, a, 1.0), (b, b, 1.0), (a, b, -1.0), (b, a, -1.0)):
-            np.add.at(normal, (i, j), sign * weight)
-        np.add.at(pull, b, weight * ahead)
-        np.add.at(pull, a, -weight * ahead)
-        if len(free) == 0:
-            break
-        offset[free] = np.linalg.lstsq(normal[np.ix_(free, free)], pull[free])[0]
+        disagreement = (ahead - apart @ offset) / sd
+        weighted = apart.T @ diags_array(1.0 / sd**2 / (1.0 + (disagreement / OUTLIER_SD) ** 2))
+        normal = (weighted @ apart).toarray()
+        inverse = np.linalg.pinv(normal[np.ix_(free, free)], hermitian=True)
+        offset[free] = inverse @ (weighted @ ahead)[free]
 
     # Standard deviations: of each right clock from its differences alone, of the wrong clocks from
     # the inverse of the normal matrix.
-    error = np.full(cameras, np.inf)
-    measured = np.diag(normal) > 0
-    error[measured] = 1.0 / np.sqrt(np.diag(normal)[measured])
-    if len(free):
-        error[free] = np.sqrt(
-            np.maximum(np.diag(np.linalg.pinv(normal[np.ix_(free, free)], hermitian=True)), 0.0)
-        )
+    precision = np.diag(normal)
+    error = np.full(len(wrong), np.inf)
+    error[precision > 0] = 1.0 / np.sqrt(precision[precision > 0])
+    error[free] = np.sqrt(np.maximum(np.diag(inverse), 0.0))
     return offset, error
-
-
-def keep_unless_clear(known: Clocks, found: Clocks) -> Clocks:
-    """Return the ``known`` clocks with those offsets replaced that clearly differ in ``found``.
-
-    known: the estimate so far.
-    found: a new estimate. A clock that is not identified in it counts as right again.
-    """
-    away = np.abs(found.offset - known.offset)
-    moves = ~found.identified | (away > np.maximum(MOVE_SD * found.sd, MOVE_MIN_SECONDS))
-    offset: Floats = np.where(moves, found.offset, known.offset)
-    sd: Floats = np.where(moves, found.sd, np.hypot(found.sd, away))
-    return found._replace(offset=offset.round(DECIMALS), sd=sd)

@@ -20,12 +20,14 @@ import scipy.fft
 from scipy.ndimage import gaussian_filter1d
 
 from camtopod.arrays import Floats
-from camtopod.learn.clocks.correlogram import LAGS, Counts, null_expectation, significant_peaks
+from camtopod.learn.clocks.correlogram import (
+    LAGS,
+    PEAK_BINS,
+    Counts,
+    null_expectation,
+    significant_peaks,
+)
 
-SHIFT_SMOOTHING_BINS = 3.0
-"""Standard deviation of the smoothing over shifts, bins."""
-TRANSFORM = 4 * 1024
-"""Length of the Fourier transforms in bins, enough for shifts of up to 2 `LAGS`."""
 PEAK_MIN = 3.0
 """Least match, as defined at `best_shift`, that the best shift must have."""
 PEAK_WIDTH_BINS = 60
@@ -36,13 +38,8 @@ SHARE_MIN = 0.02
 """Least match of a pair of zones at the best shift, as a share of the best match."""
 WIDTHS_BINS = (3.0, 60.0)
 """Limits of the width (standard deviation, bins) of the window around a peak."""
-FIRST_WIDTH_BINS = 10.0
-"""Width (standard deviation, bins) of the first window around a peak."""
 ROUNDS = 12
 """Iterations of the mean shift."""
-WIDE = 2.0
-WIDE_ROUNDS = 4
-"""Factor by which a wider window checks the result, and the iterations of mean shift in it."""
 PEAK_VARIANCE_MIN = 0.3
 """Least variance of a peak, bins squared: a little more than that of counting in bins."""
 EVENTS_MIN = 8.0
@@ -77,12 +74,11 @@ def best_shift(forth: Counts, back: Counts) -> tuple[int, float]:
     of every other shift.
     """
     # Match of every shift, summed over the pairs of zones.
-    product = (scipy.fft.rfft(forth, TRANSFORM) * np.conj(scipy.fft.rfft(back, TRANSFORM))).sum(
-        axis=0
-    )
-    match = scipy.fft.irfft(product, TRANSFORM).astype(np.float64)
+    length = scipy.fft.next_fast_len(4 * LAGS + 1, real=True)
+    product = scipy.fft.rfft(forth, length) * np.conj(scipy.fft.rfft(back, length))
+    match = scipy.fft.irfft(product.sum(axis=0), length).astype(np.float64)
     match = gaussian_filter1d(
-        np.concatenate((match[-2 * LAGS :], match[: 2 * LAGS + 1])), SHIFT_SMOOTHING_BINS
+        np.concatenate((match[-2 * LAGS :], match[: 2 * LAGS + 1])), PEAK_BINS
     )
 
     # The best shift must be clearly better than those outside its peak.
@@ -93,8 +89,8 @@ def best_shift(forth: Counts, back: Counts) -> tuple[int, float]:
     return at - 2 * LAGS, peak if clear else 0.0
 
 
-def find_two_way_paths(forth: Counts, back: Counts) -> list[tuple[int, TwoWayPath]]:
-    """Find the two-way paths between two cameras; return them as (number of zone pair, path).
+def find_two_way_paths(forth: Counts, back: Counts) -> list[TwoWayPath]:
+    """Find the two-way paths between two cameras.
 
     forth, back (K, lags): correlograms of K pairs of zones, from the first camera to the second and
         back.
@@ -112,93 +108,55 @@ def find_two_way_paths(forth: Counts, back: Counts) -> list[tuple[int, TwoWayPat
     aligned[:, max(-shift, 0) : size - max(shift, 0)] = clear[0][
         :, max(shift, 0) : size - max(-shift, 0)
     ]
-    together = gaussian_filter1d(aligned * clear[1], SHIFT_SMOOTHING_BINS, axis=1, mode="constant")
+    together = gaussian_filter1d(aligned * clear[1], PEAK_BINS, axis=1, mode="constant")
 
     # Refine those of each pair of zones that are high enough.
-    found = []
-    for k in np.flatnonzero(together.max(axis=1) >= SHARE_MIN * peak):
-        back_lag = int(np.argmax(together[k])) - LAGS
-        path = _refine(
-            (forth[k], back[k]),
-            (usual[0][k], usual[1][k]),
-            float(back_lag + shift),
-            float(back_lag),
+    found = [
+        _refine(
+            np.stack((forth[k], back[k])),
+            np.stack((usual[0][k], usual[1][k])),
+            np.argmax(together[k]) - LAGS + np.array((shift, 0.0)),
         )
-        if path is not None:
-            found.append((int(k), path))
-    return found
+        for k in np.flatnonzero(together.max(axis=1) >= SHARE_MIN * peak)
+    ]
+    return [path for path in found if path is not None]
 
 
-def _refine(
-    counts: tuple[Counts, Counts], usual: tuple[Counts, Counts], forth: float, back: float
-) -> TwoWayPath | None:
+def _refine(counts: Counts, usual: Counts, lags: Floats) -> TwoWayPath | None:
     """Return the two-way path with peaks near given lags in both directions; None if there is none.
 
-    counts: correlogram (lags,) of one pair of zones in each direction.
-    usual: expected correlogram of each direction under the null model.
-    forth, back: lags of the two peaks, bins.
+    counts, usual (2, lags): correlogram of one pair of zones in each direction, and its expectation
+        under the null model.
+    lags (2,): lags of the two peaks, bins.
 
     The centres of the peaks are found by mean shift in a normal window 1.5 times as wide as the
     peaks.
     """
-    # Mean shift, adapting the width of the window to that of the peaks.
-    centres = np.array([forth, back])
-    width = FIRST_WIDTH_BINS
-    within = 0.0
-    error = 0.0
-    spread = 0.0
+    lag = np.arange(-LAGS, LAGS + 1)
+    centres = lags
+    width = PEAK_BINS
     for _ in range(ROUNDS):
-        step = _step(counts, usual, centres, width)
-        if step is None or np.abs(step[0] - (forth, back)).max() > LAGS:
+        # Number and variance of the events above the null model, and the standard error of the
+        # difference of the new centres.
+        squared = (lag - centres[:, None]) ** 2
+        window = np.exp(-0.5 * squared / width**2)
+        above = window * (counts - usual)
+        number = above.sum(axis=1)
+        if number.min() < EVENTS_MIN:
             return None
-        centres, within, error = step
+        centres = above @ lag / number
+        if np.abs(centres - lags).max() > LAGS:
+            return None
+        error = np.sqrt(np.sum(np.sum(window**2 * counts * squared, axis=1) / number**2))
+        within = float(np.sum(above * squared) / number.sum())
         within = min(max(within, PEAK_VARIANCE_MIN), 0.9 * width**2)
+
         # The width of a normal peak that the window has made narrower.
-        spread = float(1.0 / np.sqrt(1.0 / within - 1.0 / width**2))
-        last = width
+        narrowing = 1.0 - within / width**2
+        spread = float(np.sqrt(within / narrowing))
         width = float(np.clip(1.5 * spread, *WIDTHS_BINS))
 
     # Half the difference of the two lags is the offset.
-    ahead = 0.5 * float(centres[0] - centres[1])
-    sd = 0.5 * error / (1.0 - within / last**2)
-
-    # A crowd of two speeds has two peaks, and the two directions may have settled on different
-    # peaks. A wider window then gives another result; the difference is added to the standard
-    # deviation.
-    wide = centres
-    for _ in range(WIDE_ROUNDS):
-        step = _step(counts, usual, wide, WIDE * width)
-        wide = centres if step is None else step[0]
-    other = abs(0.5 * float(wide[0] - wide[1]) - ahead)
-    sd = float(np.hypot(sd, other)) if other > WIDE * sd else sd
-    return TwoWayPath(ahead, sd, 0.5 * float(centres[0] + centres[1]), spread)
-
-
-def _step(
-    counts: tuple[Counts, Counts], usual: tuple[Counts, Counts], centres: Floats, width: float
-) -> tuple[Floats, float, float] | None:
-    """Do one step of the mean shift in both directions.
-
-    counts, usual: as for `_refine`.
-    centres (2,): centre of the window in each direction, bins.
-    width: standard deviation of the windows, bins.
-
-    Return the new centres (2,), the variance of the events in the windows around the old centres,
-    and the standard error of the difference of the new centres; None if there are too few events.
-    """
-    lag = np.arange(-LAGS, LAGS + 1)
-    number = np.zeros(2)
-    moment = np.zeros(2)
-    centre = np.zeros(2)
-    error = 0.0
-    for k in range(2):
-        squared = (lag - centres[k]) ** 2
-        window = np.exp(-0.5 * squared / width**2)
-        above = window * (counts[k] - usual[k])
-        number[k] = above.sum()
-        if number[k] < EVENTS_MIN:
-            return None
-        moment[k] = above @ squared
-        centre[k] = above @ lag / number[k]
-        error += float((window**2 * counts[k]) @ squared) / number[k] ** 2
-    return centre, float(moment.sum() / number.sum()), float(np.sqrt(error))
+    forth, back = centres.tolist()
+    sd = 0.5 * float(error) / narrowing
+    return TwoWayPath(0.5 * (forth - back), sd, 0.5 * (forth + back), spread)
