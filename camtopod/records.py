@@ -252,11 +252,13 @@ class Onward(Struct, frozen=True):
 
     leave: share of the objects that leave the site, so are not seen again.
     next_: the zones where the others appear next.
+    unknown: share of ``leave`` and of what is spurious that may appear again, nobody knows where.
     """
 
     zone: str
     leave: Share
     next_: list[Outcome]
+    unknown: Share = 0.0
 
 
 class EntryKernel(Struct, frozen=True):

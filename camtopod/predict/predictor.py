@@ -21,6 +21,7 @@ import numpy as np
 from msgspec import Struct
 
 from camtopod.arrays import Floats, Rows
+from camtopod.predict.anywhere import anywhere
 from camtopod.predict.contexts import ContextMultipliers
 from camtopod.predict.hand_over import HandOver, cameras_to_watch
 from camtopod.predict.hazards import Hazards
@@ -191,7 +192,8 @@ class Predictor:
         here = self.zones[zone]
         table = self.site.table(zone)
         if table is None:
-            return self._prediction(here, t, track, 1.0, [], passage)
+            leave, next_ = anywhere(self.site, zone, 1.0, [], t, now)
+            return self._prediction(here, t, track, leave, next_, passage)
 
         # Odds at the exit.
         corrected = t - self.site.clock_offset[here.camera]
@@ -233,9 +235,8 @@ class Predictor:
             NextCamera(table.targets[k].camera, table.targets[k].id, probability, *window)
             for k, probability, window in zip(order.tolist(), probabilities, windows, strict=True)
         ]
-        return self._prediction(
-            here, t, track, leave / total, next_, passage if now is None else None
-        )
+        leave, next_ = anywhere(self.site, zone, leave / total, next_, t, now)
+        return self._prediction(here, t, track, leave, next_, passage if now is None else None)
 
     def _prediction(
         self,

@@ -13,6 +13,7 @@ appear next at the second, and the hazard (rate of appearing by lag). In the ord
 * `contexts`: the zone of entry, the place of exit and the previous camera of a departure
 * `sampling`: Monte Carlo samples of which departure caused which arrival, against overconfidence
 * `spurious`: the share of each pair's transitions that may be made by chance
+* `unknown`: the share of the departures without explanation that may appear again
 """
 
 from __future__ import annotations
@@ -29,3 +30,4 @@ from camtopod.learn.next_camera.overlapping_views import (
     overlap_table as overlap_table,
     views_of as views_of,
 )
+from camtopod.learn.next_camera.unknown import unknown_shares as unknown_shares

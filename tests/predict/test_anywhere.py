@@ -1,0 +1,51 @@
+"""A part of those said to leave may appear again, at cameras with arrivals that nothing explains."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from msgspec.structs import replace
+from test_predictor import EXIT, any_topology, chances, sound
+
+from camtopod.predict.predictor import Predictor
+from camtopod.records import Prediction, Topology
+
+
+def topology_with(unknown: float, seed: int = 3) -> Topology:
+    """Return any topology, with the given part of all that leave unknown."""
+    topology = any_topology(np.random.default_rng(seed))
+    model = topology.model
+    assert model is not None
+    onward = [replace(row, unknown=unknown) for row in model.onward or []]
+    zones = [replace(zone, arrival_rate=0.01 * (1 + k)) for k, zone in enumerate(model.zones)]
+    return replace(topology, model=replace(model, onward=onward, zones=zones))
+
+
+def asked(unknown: float, seed: int = 3, after: float | None = None) -> Prediction:
+    """Predict an exit at a/1."""
+    now = None if after is None else EXIT.t + after
+    prediction = Predictor(topology_with(unknown, seed)).predict(EXIT, now)
+    sound(prediction)
+    return prediction
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_the_unknown_part_is_shared_by_unexplained_arrivals_elsewhere(seed: int) -> None:
+    sure, half = asked(0.0, seed), asked(0.5, seed)
+
+    assert half.leave == pytest.approx(0.5 * sure.leave, abs=1e-3)
+    more = {zone: p - chances(sure).get(zone, 0.0) for zone, p in chances(half).items()}
+    assert more["c/1"] / more["b/1"] == pytest.approx(4 / 3, rel=0.01)
+    assert all(abs(p) < 1e-6 for zone, p in more.items() if zone[0] == "a")
+    assert [row.probability for row in half.next_] == sorted(chances(half).values(), reverse=True)
+
+
+def test_who_has_not_come_for_long_has_left() -> None:
+    lag_max = 60.0
+    late = [asked(0.5, after=share * lag_max) for share in (0.1, 0.5, 0.9, 2.0)]
+
+    ratio = [
+        one.leave / asked(0.0, after=k * lag_max).leave
+        for one, k in zip(late, (0.1, 0.5, 0.9, 2.0), strict=True)
+    ]
+    assert ratio == pytest.approx([0.55, 0.75, 0.95, 1.0], abs=2e-3)
