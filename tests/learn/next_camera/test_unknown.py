@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import numpy as np
-import pytest
 
 from camtopod.learn.next_camera import unknown_shares
 
