@@ -22,8 +22,6 @@ WEIGHED_AT_ONCE = 8_000_000
 """Event pairs of one zone of arrival that screening weighs together, at 50 bytes each."""
 JUDGED_MAX = 6_000_000
 """Event pairs from which cross-validation estimates the evidence for links in one fit."""
-FOLLOWED_MAX = 5_000_000
-"""Event pairs that the fit for prediction uses as candidates (`next_camera.fit`)."""
 ZONES_PER_CAMERA_MAX = 32
 """Zones of one camera; of more, those with the most events count."""
 ZONE_PAIRS_MAX = 20_000

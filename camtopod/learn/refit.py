@@ -33,10 +33,8 @@ from camtopod.event_time import MICROSECONDS
 from camtopod.learn.association import (
     Candidates,
     CandidateScreen,
-    Fit,
     FollowedSources,
     Problem,
-    candidates_of_pairs,
     fit_jointly,
     place,
 )
@@ -50,7 +48,6 @@ from camtopod.learn.changes import (
 )
 from camtopod.learn.clocks import Clocks
 from camtopod.learn.links import (
-    TRANSITIONS_MIN,
     WEAK_TRANSITIONS_MIN,
     LinkShortfall,
     LinkTable,
@@ -294,7 +291,7 @@ def associate(
 
     # 4. to 6. Joint fit, evidence, changes.
     between, changes, evidence = find_evidence(
-        problem, delayed, candidates, bool(screen.followed), silences, len(scene.zones), on_step
+        problem, delayed, candidates, silences, len(scene.zones), on_step
     )
 
     overlap = delayed.overlapping(overlap_table(overlapping, cameras))
@@ -308,7 +305,6 @@ def find_evidence(
     problem: Problem,
     delayed: Delayed,
     candidates: Candidates,
-    screened: bool,
     silences: list[CameraSilences],
     zones: int,
     on_step: Callable[[str], None],
@@ -316,7 +312,6 @@ def find_evidence(
     """Do steps 4 to 6; return the table of pairs of zones, the changes, the evidence (pairs, nats).
 
     candidates: candidates of the problem.
-    screened: whether unlikely candidates have been left out.
     zones: number of real zones.
 
     Table and changes have the real zones. The evidence is that of the pairs of zones of the joint
@@ -329,8 +324,7 @@ def find_evidence(
     # 5. Evidence: each part of the window is judged by a fit of other parts.
     on_step("evidence")
     first = float(min(problem.departures.t[0], problem.arrivals.t[0]))
-    full_fit = with_unlikely(problem, fit) if screened else fit
-    evidence = cross_evidence(problem, full_fit, first)
+    evidence = cross_evidence(problem, fit, first)
     between = tabulate(
         transitions_of(fit),
         exposed_departures(problem),
@@ -345,15 +339,6 @@ def find_evidence(
     on_step("changes")
     changes = find_changes(problem, fit, [silence.intervals for silence in silences])
     return between, delayed.changes_back(changes), evidence
-
-
-def with_unlikely(problem: Problem, fit: Fit) -> Fit:
-    """Return a fit of screened candidates with all candidates of the pairs that may be links.
-
-    Screening has left out unlikely candidates; evidence from the rest alone would be biased.
-    """
-    pairs = np.flatnonzero(fit.counts.sum(axis=1) >= TRANSITIONS_MIN)
-    return fit._replace(candidates=candidates_of_pairs(problem, fit.candidates, pairs))
 
 
 def predict_next(

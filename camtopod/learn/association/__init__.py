@@ -18,7 +18,6 @@ from camtopod.learn.association.candidates import (
     find_candidates as find_candidates,
     initial_hazards as initial_hazards,
     newest_within_limit as newest_within_limit,
-    slices_by_arrival as slices_by_arrival,
 )
 from camtopod.learn.association.em import (
     NOTHING as NOTHING,

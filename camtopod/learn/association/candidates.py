@@ -1,9 +1,8 @@
 """Candidates: every departure and arrival that may be of one object, within the range of lags.
 
 `find_candidates` lists them in a `Candidates` table, ordered by arrival: M candidates, each of a
-*pair* of zones (zone of departure, zone of arrival), of which there are P. This module also groups
-candidates by arrival for the fits (`slices_by_arrival`), and computes the first hazards
-of a fit from the histogram of lags of each pair (`initial_hazards`).
+*pair* of zones (zone of departure, zone of arrival), of which there are P. This module also
+computes the first hazards of a fit from the histogram of lags of each pair (`initial_hazards`).
 """
 
 from __future__ import annotations
@@ -175,23 +174,6 @@ def find_candidates(problem: Problem) -> Candidates:
     return Candidates(departure, arrival, pair, lag.astype(np.float32), source, target)
 
 
-def slices_by_arrival(arrival: Indices) -> list[slice]:
-    """Cut the candidates into slices of about `CANDIDATES_AT_ONCE`, and return the slices.
-
-    arrival (M,): arrival of each candidate, ascending.
-
-    All candidates of one arrival are in the same slice.
-    """
-    parts = []
-    first = 0
-    while first < len(arrival):
-        last = arrival[min(first + CANDIDATES_AT_ONCE, len(arrival)) - 1]
-        stop = int(np.searchsorted(arrival, last, side="right"))
-        parts.append(slice(first, stop))
-        first = stop
-    return parts
-
-
 def excess_over_null(observed: Floats, expected: Floats, bins: LagBins, noise_sd: float) -> Floats:
     """Return by how many counts smoothed lag histograms exceed the null model and its noise.
 
@@ -252,7 +234,8 @@ def number_pairs(departure_zone: Ints, arrival_zone: Ints, zones: int) -> tuple[
     occur, (P,) each.
     """
     key = departure_zone.astype(np.int64) * zones + arrival_zone
-    present, number = np.unique(key, return_inverse=True)
+    present = np.unique(key)
+    number = np.searchsorted(present, key)
     source, target = (ends.astype(np.int32) for ends in np.divmod(present, max(zones, 1)))
     return number.astype(np.int32), source, target
 

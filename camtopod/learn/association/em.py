@@ -15,9 +15,6 @@ hazard that the other candidates make (leave one out). The outer loop is `joint_
 
 A departure and its *delayed copies* (`long_paths`; ``Departures.of`` gives the original) together
 cause at most one arrival, so the E step sums over them (`Em.over_copies`).
-
-There may be millions of candidates: intermediate results of the E step exist for one part of them
-at a time (`slices_by_arrival`).
 """
 
 from __future__ import annotations
@@ -27,13 +24,8 @@ from typing import Any, NamedTuple, Protocol
 
 import numpy as np
 
-from camtopod.arrays import Bools, Floats, Indices, Ints, Longs, Singles, row_slices
-from camtopod.learn.association.candidates import (
-    CANDIDATES_AT_ONCE,
-    Candidates,
-    initial_hazards,
-    slices_by_arrival,
-)
+from camtopod.arrays import Bools, Floats, Indices, Longs, Rows, Singles, row_slices
+from camtopod.learn.association.candidates import Candidates, initial_hazards
 from camtopod.learn.association.exposure import exposures
 from camtopod.learn.association.problem import Problem
 from camtopod.learn.association.speed_adjustment import Adjusted, adjust
@@ -66,6 +58,12 @@ STRIDE_RATIO_MAX = 4.0
 """Largest ratio of new to old hazards that over-relaxation extrapolates."""
 SETTLING_ITERATIONS = 3
 """Iterations of plain EM at the end of a run."""
+DEAD_SHARE = 0.003
+"""Share of all expected transitions that the unlikeliest candidates may have for them to be left
+out of the rest of a fit. These are most candidates.
+"""
+FEW = 200_000
+"""Number of candidates up to which none are left out."""
 NOTHING = 1e-30
 """Lower bound on a divisor; small, but not 0 in single precision."""
 
@@ -82,11 +80,10 @@ class Term(Protocol):
     share: Any
     """(m,) share of each of these candidates' rate that the term contributes."""
 
-    def rates(self, here: slice, responsibility: Singles) -> Any:
-        """Return the rates (k,), 1/s, that the term gives to some of its candidates.
+    def rates(self, responsibility: Singles) -> Any:
+        """Return the rates (m,), 1/s, that the term gives to its candidates.
 
-        here: slice of `rows` with k candidates.
-        responsibility (k,): of these candidates; the rate of each candidate must not depend on its
+        responsibility (m,): of these candidates; the rate of each candidate must not depend on its
             own responsibility (leave one out).
         """
 
@@ -166,7 +163,6 @@ class Em:
         departures, arrivals, bins, zones, _ = problem
         self.problem = problem
         self.model = model
-        self.candidates = candidates
 
         # Figures of zones.
         self.exposure = exposures(problem) if exposure is None else exposure
@@ -188,6 +184,7 @@ class Em:
 
         # Figures of candidates. Messages are those of the sum-product algorithm, from arrivals to
         # candidates.
+        self._use(candidates)
         self._message = np.ones(len(candidates.lag), np.float32)
         self.responsibility: Singles = np.zeros(len(candidates.lag), np.float32)
         """(M,) probability that the candidate is of one object."""
@@ -198,6 +195,17 @@ class Em:
         the hazard of its bin.
         """
         self._adjusted = adjusted or adjust(problem, candidates, NO_PERSISTENCE)
+
+    def _use(self, candidates: Candidates) -> None:
+        """Index the candidates: by arrival (those that have any), and by departure."""
+        self.candidates = candidates
+        arrival = candidates.arrival
+        self._first = np.flatnonzero(np.diff(arrival, prepend=-1))
+        self._arrived = arrival[self._first]
+        self._times = np.diff(self._first, append=len(arrival))
+        self._departure = candidates.departure.astype(np.intp)
+        if self.problem.departures.of is not None:  # a copy stands for its original
+            self._departure = self.problem.departures.of.take(self._departure)
 
     @property
     def pairs(self) -> int:
@@ -210,7 +218,7 @@ class Em:
         return self._adjusted.persistence
 
     @property
-    def cell(self) -> Ints:
+    def cell(self) -> Rows:
         """(M,) index of each candidate, at usual speed, in a flattened table (P, bins)."""
         return self._adjusted.cell
 
@@ -223,6 +231,20 @@ class Em:
     def believe(self, responsibility: Singles) -> None:
         """Replace the responsibilities (M,)."""
         self.responsibility = responsibility
+
+    def live(self) -> Bools:
+        """Return a mask (M,) of the likeliest candidates, with all but `DEAD_SHARE` of the mass.
+
+        Without the others, the share of their arrivals that they explain counts as background. Of
+        few candidates, all are returned: with little data, many unlikely ones are right.
+        """
+        if len(self.responsibility) <= FEW:
+            return np.ones(len(self.responsibility), np.bool_)
+        ascending = np.sort(self.responsibility)
+        mass = np.cumsum(ascending, dtype=float)
+        dead = int(np.searchsorted(mass, DEAD_SHARE * mass[-1]))
+        live: Bools = self.responsibility >= ascending[dead]
+        return live
 
     # --- The loop ---------------------------------------------------------------------------------
 
@@ -271,30 +293,23 @@ class Em:
         contributed to the hazards, which is left out (`_rates`). So are the messages of the E step
         before, which are replaced as well (``_message``), as is the `share` of each term.
         """
-        result = self.responsibility
-        arrivals = self.problem.arrivals
-        arrival = self.candidates.arrival
-        background = np.maximum(self.outside[arrivals.zone] * arrivals.rate, BACKGROUND_MIN)
-        parts = slices_by_arrival(arrival)
-
         # Per departure, the probability mass of all its candidates and of leaving the site.
-        taken = np.zeros(len(self.problem.departures.t))
-        for part in parts:
-            result[part] = weight = self._rates(hazard, part)
-            np.add.at(taken, self._departure(part), (weight * self._message[part]).astype(float))
-        taken += self._leaving(hazard)
+        weight = self._rates(hazard)
+        asked = weight * self._message
+        departures = len(self.problem.departures.t)
+        taken = np.bincount(self._departure, asked, minlength=departures) + self._leaving(hazard)
 
         # A candidate's offer to its arrival is its rate, given that the departure has caused no
         # other arrival. The responsibility is the offer's share among all offers and the
         # background; the message back is the reciprocal of the competing offers and background.
-        for part in parts:
-            weight = result[part]
-            offers = weight / (taken[self._departure(part)] - weight * self._message[part])
-            first = np.flatnonzero(np.diff(arrival[part], prepend=-1))
-            demand = background[arrival[part][first]] + np.add.reduceat(offers, first)
-            demand = np.repeat(demand, np.diff(first, append=len(offers)))
-            result[part] = offers / demand
-            self._message[part] = 1.0 / np.maximum(demand - offers, BACKGROUND_MIN)
+        # In double precision, as differences of nearly equal numbers matter.
+        offer = weight / (taken.take(self._departure) - asked)
+        zone = self.problem.arrivals.zone[self._arrived]
+        rate = self.problem.arrivals.rate[self._arrived]
+        background = np.maximum(self.outside[zone] * rate, BACKGROUND_MIN)
+        demand = np.repeat(background + self._by_arrival(offer), self._times)
+        self.responsibility = (offer / demand).astype(np.float32)
+        self._message = (1.0 / np.maximum(demand - offer, BACKGROUND_MIN)).astype(np.float32)
 
     def maximise(self) -> Singles:
         """Do the M step: return the hazards (P, bins) by the responsibilities; update the terms."""
@@ -328,14 +343,18 @@ class Em:
         self._adjusted = adjust(self.problem, c, found)
         return self.hazards(self._count(before))
 
-    def keep_pairs(self, alive: Bools) -> None:
-        """Drop all pairs of zones but those of the mask ``alive`` (P,), and their candidates."""
-        kept = alive[self.candidates.pair]
-        self.candidates = self.candidates.take(kept)
+    def keep(self, kept: Bools) -> Bools:
+        """Drop all candidates but those of the mask ``kept`` (M,), and pairs of zones without any.
+
+        Return a mask (P,) of the pairs that are left. Terms must not be in use.
+        """
+        left = np.bincount(self.candidates.pair[kept], minlength=self.pairs) > 0
+        self._use(self.candidates.take(kept))
         self._message = self._message[kept]
         self.responsibility = self.responsibility[kept]
-        self.own = self.own[alive]
+        self.own = self.own[left]
         self._adjusted = adjust(self.problem, self.candidates, self.persistence)
+        return left
 
     def responsibilities_under(self, hazard: Singles, outside: Floats, sweeps: int) -> Floats:
         """Return the responsibilities (M,) under hazards estimated from other events.
@@ -359,7 +378,7 @@ class Em:
 
         index (M,): group of each candidate, such as its pair of zones, from 0 to ``size`` - 1.
         """
-        return _sums(index, self.responsibility, size)
+        return np.bincount(index, self.responsibility, minlength=size).astype(float, copy=False)
 
     def transitions(self) -> Floats:
         """Return the expected transitions by pair and lag (P, bins), without those of the terms."""
@@ -375,43 +394,41 @@ class Em:
         at_exit: Singles = self.responsibility * np.maximum(1.0 - of_terms, 0.0)
         return at_exit
 
-    def _departure(self, part: slice) -> Indices:
-        """Return the row of each candidate's departure in a part; for a copy, its original."""
-        of = self.problem.departures.of
-        row = self.candidates.departure[part].astype(np.intp)
-        return row if of is None else of.take(row)
+    def _by_arrival(self, each: Floats | Singles) -> Floats:
+        """Return the sums of ``each`` (M,) over the candidates of each arrival that has any."""
+        if len(each) == 0:
+            return np.zeros(0)
+        sums: Floats = np.add.reduceat(each, self._first, dtype=float)
+        return sums
 
     # --- Rates ------------------------------------------------------------------------------------
 
-    def _rates(self, hazard: Singles, part: slice) -> Singles:
-        """Return the rate of each candidate of a part, 1/s, as the other candidates make it.
+    def _rates(self, hazard: Singles) -> Singles:
+        """Return the rate of each candidate, 1/s, as the other candidates make it, (M,).
 
         hazard (P, bins): the hazards.
         """
         # The hazard, without the candidate's own contribution to it (leave one out): otherwise a
         # lone arrival would be its own evidence, and all clutter would find a departure.
-        cell = self.cell[part].astype(np.intp)
-        others = np.maximum(1.0 - self.own.take(cell) * self.responsibility[part], 0.0)
-        weight: Singles = hazard.take(cell) * others
+        others = np.maximum(1.0 - self.own.take(self.cell) * self.responsibility, 0.0)
+        weight: Singles = hazard.take(self.cell) * others
         agreement = self._adjusted.agreement
         if agreement is not None:
-            weight *= agreement[part]
+            weight *= agreement
 
         # The rates of the terms, and the shares of the terms in the sum.
         added = []
         for term in self.model.terms:
-            here = within(term.rows, part)
-            rows = term.rows[here].astype(np.intp)
-            rates = term.rates(here, self.responsibility.take(rows))
+            rates = term.rates(self.responsibility.take(term.rows))
             if agreement is not None:
-                rates *= agreement.take(rows)
-            weight[rows - part.start] += rates
-            added.append((term, here, rows, rates))
-        for term, here, rows, rates in added:
-            term.share[here] = rates / np.maximum(weight.take(rows - part.start), NOTHING)
+                rates *= agreement.take(term.rows)
+            weight[term.rows] += rates
+            added.append((term, rates))
+        for term, rates in added:
+            term.share = rates / np.maximum(weight.take(term.rows), NOTHING)
 
         if self.model.multiplier is not None:
-            weight *= self.model.multiplier[part]
+            weight *= self.model.multiplier
         return weight
 
     def _leaving(self, hazard: Singles) -> Floats:
@@ -460,14 +477,15 @@ class Em:
         """Estimate the share of each zone's arrivals that no departure explains (`outside`)."""
         arrivals = self.problem.arrivals
         zones = self.problem.zones
-        explained = self.summed(self.candidates.arrival, len(arrivals.t))
-        of_zone = np.bincount(arrivals.zone, explained, minlength=zones)
+        explained = self._by_arrival(self.responsibility)
+        of_zone = np.bincount(arrivals.zone[self._arrived], explained, minlength=zones)
         self.outside = np.clip(1.0 - of_zone / self.arrivals_of_zone, OUTSIDE_FLOOR, 1.0)
 
     def _count(self, shares: Singles) -> Floats:
         """Return the sum of shares (M,) of candidates by pair of zones and lag bin, (P, bins)."""
         size = self.problem.bins.size
-        return _sums(self.cell, shares, self.pairs * size).reshape(self.pairs, size)
+        counts = np.bincount(self.cell, shares, minlength=self.pairs * size)
+        return counts.astype(float, copy=False).reshape(self.pairs, size)
 
     def hazards(self, counts: Floats) -> Singles:
         """Return the hazards (P, bins) that follow from counted transitions.
@@ -546,21 +564,3 @@ class Em:
             total = np.maximum(seconds.sum(axis=1), 1e-9)
             even[rows] = (hazard[rows] * seconds).sum(axis=1) / total
         return even
-
-
-def _sums(group: Indices, share: Singles, size: int) -> Floats:
-    """Return the sum of the shares (M,) of each group, (size,)."""
-    total = np.zeros(size)
-    for k in range(0, len(share), CANDIDATES_AT_ONCE):
-        part = slice(k, k + CANDIDATES_AT_ONCE)
-        np.add.at(total, group[part].astype(np.intp), share[part].astype(float))
-    return total
-
-
-def within(some: Indices, part: slice) -> slice:
-    """Return the slice of ``some`` whose values lie in the range ``part``.
-
-    some (n,): numbers, ascending, such as rows of candidates.
-    """
-    ends = np.array((part.start, part.stop), some.dtype)  # another type would copy all of them
-    return slice(*np.searchsorted(some, ends).tolist())

@@ -58,8 +58,9 @@ def fit_jointly(problem: Problem, candidates: Candidates) -> Fit:
     """
     em = Em(problem, candidates)
 
-    # First without, then with the sparse prior, and without pairs of zones without transitions.
-    hazard = em.run(em.learn_speed(em.run(em.start())))
+    # First without, then with the sparse prior, and without what has hardly any transitions.
+    hazard, _ = prune(em, em.learn_speed(em.run(em.start())))
+    hazard = em.run(hazard)
     em.assume(EmModel(sparsity=SPARSITY))
     hazard, counts = prune(em, em.run(hazard))
 
@@ -75,7 +76,7 @@ def fit_jointly(problem: Problem, candidates: Candidates) -> Fit:
 
 
 def prune(em: Em, hazard: Singles) -> tuple[Singles, Floats]:
-    """Drop pairs of zones with hardly any transitions from a fit in progress.
+    """Drop pairs of zones with hardly any transitions, and unlikely candidates, from a fit.
 
     hazard (P, bins): hazards of the pairs before.
 
@@ -83,8 +84,8 @@ def prune(em: Em, hazard: Singles) -> tuple[Singles, Floats]:
     """
     counts = em.transitions()
     alive = counts.sum(axis=1) > FOLLOWED_TRANSITIONS_MIN
-    em.keep_pairs(alive)
-    return hazard[alive], counts[alive]
+    left = em.keep(alive[em.candidates.pair] & em.live())
+    return hazard[left], em.transitions()
 
 
 def result(em: Em, hazard: Singles, counts: Floats) -> Fit:

@@ -29,7 +29,6 @@ from camtopod.learn.association.candidates import (
     find_candidates,
     listed,
     number_pairs,
-    possible,
 )
 from camtopod.learn.association.em import START_FLOOR
 from camtopod.learn.association.exposure import exposures
@@ -59,6 +58,12 @@ SEEN_MIN = 3
 """Least number of candidates, in a look, of a pair of zones that is followed."""
 STANDS_OUT_SD = 2.0
 """Least excess over the null model, in standard deviations, of a pair of zones that is followed."""
+WIDE_BINS = 4
+"""Lag bins that are taken together for a first look, which tells which zones of departure to look
+at more closely.
+"""
+CLOSER_LOOKS = 4
+"""Zones of departure that are looked at closely for each that may be followed."""
 LOOKS_PER_EVENT = 400
 """Budget of a fit for looks, per event of the window. The unit is a candidate counted or a cell of
 a histogram. `ZONE_SCREEN_PAIRS_PER_EVENT_MAX` limits a single look.
@@ -105,6 +110,8 @@ class ScreenInput(NamedTuple):
     """(zones,) rows of the arrivals at each zone."""
     exposure: Floats
     """(zones, bins) exposed departures."""
+    exposed_wide: Floats
+    """(zones, wide bins) exposed departures times seconds, in wide bins (`WIDE_BINS`)."""
     chance: NullRates
     """Rates of arrivals under the null model."""
 
@@ -329,12 +336,15 @@ def place(camera: int, number: int) -> int:
 
 def screen_input(problem: Problem) -> ScreenInput:
     """Prepare a problem for looks and weighing."""
-    departures, arrivals, _, zones, _ = problem
+    departures, arrivals, bins, zones, _ = problem
+    exposure = exposures(problem)
+    wide = np.arange(0, bins.size, WIDE_BINS)
     return ScreenInput(
         problem,
         rows_by_group(departures.zone, zones),
         rows_by_group(arrivals.zone, zones),
-        exposures(problem),
+        exposure,
+        np.add.reduceat(exposure * bins.widths, wide, axis=1),
         NullRates(departures.t, departures.zone, arrivals.t, arrivals.zone, zones),
     )
 
@@ -362,30 +372,63 @@ def excess_by_source(ends: ScreenInput, zone: int) -> Floats:
     with the largest excess; -inf where there are fewer than `SEEN_MIN` candidates.
     """
     departures, arrivals, bins, zones, _ = ends.problem
-    counts_flat = np.zeros(zones * bins.size)
     arrival_rows = ends.coming[zone]
     low, high = departures_in_reach(departures.t, arrivals.t[arrival_rows], bins)
 
     # Beyond the limit, count the candidates of every second arrival only, or every third, and so
     # on.
     most = ZONE_SCREEN_PAIRS_PER_EVENT_MAX * (len(departures.t) + len(arrivals.t))
-    thinned = arrival_rows[:: -(-int((high - low).sum()) // most) or 1]
+    thinned = slice(None, None, -(-int((high - low).sum()) // most) or 1)
+    counts = _lag_histograms(ends, arrival_rows[thinned])
 
-    # Histograms of the lags, by zone of departure.
-    for departure, _, lag in possible(ends.problem, thinned):
-        cell = departures.zone[departure].astype(np.int64) * bins.size + bins.index(lag)
-        np.add.at(counts_flat, cell, 1.0)
-
-    # Compare those with enough candidates with the null model, thinned like the arrivals.
-    counts = counts_flat.reshape(zones, bins.size)
+    # Expected candidates under the null model, thinned like the arrivals.
     enough = np.flatnonzero(counts.sum(axis=1) >= SEEN_MIN)
-    rate = ends.chance.rates_of(enough, np.full(len(enough), zone)) * (
-        len(thinned) / max(len(arrival_rows), 1)
-    )
-    usual = rate[:, None] * ends.exposure[enough] * bins.widths
+    share = len(arrival_rows[thinned]) / max(len(arrival_rows), 1)
+    rate = share * ends.chance.rates_of(enough, np.full(len(enough), zone))[:, None]
+
+    # Compare the histograms in wide bins first; those that exceed the null model most, in lag bins.
+    wide = np.arange(0, bins.size, WIDE_BINS)
+    observed = np.add.reduceat(counts[enough], wide, axis=1)
+    expected = rate * ends.exposed_wide[enough]
+    roughly = ((observed - expected) / np.sqrt(np.maximum(expected, 0.5))).max(axis=1, initial=0.0)
+    best = np.argsort(-roughly, kind="stable")[: CLOSER_LOOKS * SOURCES_PER_ZONE_MAX]
+    closer = enough[best]
     result = np.full(zones, -np.inf)
-    result[enough] = _above(counts[enough], usual, bins)
+    usual = rate[best] * ends.exposure[closer] * bins.widths
+    result[closer] = _above(counts[closer], usual, bins)
     return result
+
+
+def _lag_histograms(ends: ScreenInput, arrival_rows: Rows) -> Floats:
+    """Return the lag histograms (zones, bins) of the candidates of arrivals, by zone of departure.
+
+    arrival_rows: rows of arrivals at one zone.
+
+    The departures with lags of one bin are a range of rows, so hardly any lag is computed.
+    """
+    departures, arrivals, bins, zones, _ = ends.problem
+    first_cell = departures.zone.astype(np.intp) * bins.size
+    arrived = arrivals.t[arrival_rows]
+    low, high = departures_in_reach(departures.t, arrived, bins)
+
+    # Lags after the exit: the departures of each bin, from the longest lag to the shortest.
+    after = np.flatnonzero(bins.edges[:-1] >= 0)[::-1]
+    ends_at = np.searchsorted(departures.t, arrived[:, None] - bins.edges[after], side="right")
+    ends_at[:, -1] = left = np.searchsorted(departures.t, arrived, side="left")
+    times = np.diff(ends_at, axis=1, prepend=low[:, None])
+    cells = [np.repeat(np.tile(after, len(arrived)), times.ravel())]
+    cells[0] += np.concatenate(
+        [first_cell[:0], *(first_cell[a:b] for a, b in zip(low, left, strict=True))]
+    )
+
+    # Lags before the exit: only passages that had begun in the view of another camera.
+    camera = arrivals.camera[arrival_rows]
+    for here, t, a, b in zip(camera, arrived, left, high, strict=True):
+        begun = (departures.since[a:b] <= t) & (departures.camera[a:b] != here)
+        in_view = a + np.flatnonzero(begun)
+        cells.append(first_cell[in_view] + bins.index(t - departures.t[in_view]))
+    counts = np.bincount(np.concatenate(cells), minlength=zones * bins.size)
+    return counts.reshape(zones, bins.size).astype(float)
 
 
 def _above(observed: Floats, expected: Floats, bins: LagBins) -> Floats:

@@ -11,8 +11,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from camtopod.arrays import Indices, Ints, Singles
-from camtopod.learn.association.candidates import Candidates, slices_by_arrival
+from camtopod.arrays import Indices, Rows, Singles
+from camtopod.learn.association.candidates import CANDIDATES_AT_ONCE, Candidates
 from camtopod.learn.association.problem import Problem
 from camtopod.learn.traffic import (
     NO_PERSISTENCE,
@@ -34,7 +34,7 @@ class Adjusted(NamedTuple):
     """
 
     persistence: Persistence
-    cell: Ints
+    cell: Rows
     agreement: Singles | None
 
     def take(self, kept: Indices) -> Adjusted:
@@ -50,10 +50,11 @@ def adjust(problem: Problem, candidates: Candidates, found: Persistence) -> Adju
     """
     c = candidates
     bins = problem.bins
-    cell = np.empty(len(c.lag), np.int32)
+    cell = np.empty(len(c.lag), np.intp)
     agreements = np.empty(len(c.lag), np.float32) if found.correlation > 0 else None
 
-    for part in slices_by_arrival(c.arrival):
+    for first in range(0, len(c.lag), CANDIDATES_AT_ONCE):
+        part = slice(first, first + CANDIDATES_AT_ONCE)
         lag = np.clip(c.lag[part].astype(float), bins.lag_min, bins.lag_max)
         if found != NO_PERSISTENCE:
             slow_before = problem.departures.slow.take(c.departure[part])

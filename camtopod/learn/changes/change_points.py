@@ -27,7 +27,7 @@ from scipy.special import chdtri
 
 from camtopod.arrays import Floats, Longs, rows_by_group
 from camtopod.learn.association import Fit, Problem
-from camtopod.learn.links import LinkTable, log_likelihood_ratio
+from camtopod.learn.links import TRANSITIONS_MIN, LinkTable, log_likelihood_ratio
 from camtopod.learn.traffic import Departures
 
 FALSE_ALARM = 5e-3
@@ -53,8 +53,6 @@ RESPONSIBILITY_MAX = 0.99
 """Upper bound on the responsibility of an arrival, so that a single arrival does not prove that a
 path is open.
 """
-TRANSITIONS_MIN = 2.0
-"""Least expected number of transitions of a pair that is tested."""
 
 
 Silence = tuple[float, float]

@@ -18,7 +18,16 @@ from __future__ import annotations
 import numpy as np
 
 from camtopod.arrays import Floats, Longs, Singles
-from camtopod.learn.association import Candidates, Em, EmModel, Fit, Problem, adjust
+from camtopod.learn.association import (
+    Candidates,
+    Em,
+    EmModel,
+    Fit,
+    Problem,
+    adjust,
+    candidates_of_pairs,
+)
+from camtopod.learn.links.link_table import TRANSITIONS_MIN
 from camtopod.learn.links.significance import FLAT_MAX
 
 PARTS = 8
@@ -53,11 +62,13 @@ def cross_evidence(problem: Problem, fit: Fit, first: float) -> Floats:
     (the smaller ratio): the zones are unrelated; or arrivals at one zone follow departures from the
     other at no particular lag, as when both zones follow a rhythm.
 
-    fit: the joint fit of the whole window, for its candidates and pairs of zones; its hazards are
-        not used.
+    fit: the joint fit of the whole window, for its pairs of zones; its hazards are not used. Of the
+        pairs that may be links, all candidates count, as the likely ones alone are biased.
     first (seconds): beginning of the window.
     """
-    parts = WindowParts(problem, fit, first)
+    pairs = np.flatnonzero(fit.counts.sum(axis=1) >= TRANSITIONS_MIN)
+    every = candidates_of_pairs(problem, fit.candidates, pairs)
+    parts = WindowParts(problem, fit._replace(candidates=every), first)
     numbers = np.arange(PARTS)
     products = [*_products(parts, numbers), *_products(parts, numbers[::-1])]
     mean: Floats = np.logaddexp.reduce(products) - np.log(len(products))
@@ -164,7 +175,10 @@ def _fitted(fitter: Em) -> Singles:
     """Return hazards (P, bins) fitted from scratch, with the sparse prior in the last run only."""
     hazard = fitter.run(fitter.start())
     fitter.assume(fitter.model._replace(sparsity=BET_SPARSITY))
-    return fitter.run(hazard)
+    result = np.zeros_like(hazard)
+    left = fitter.keep(fitter.live())
+    result[left] = fitter.run(hazard[left])
+    return result
 
 
 def _evidence(fitter: Em, hazard: Singles, outside: Floats) -> tuple[Floats, Floats]:

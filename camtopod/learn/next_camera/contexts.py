@@ -20,7 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from camtopod.arrays import Floats, Longs, Singles
-from camtopod.learn.association import Candidates, Problem, slices_by_arrival
+from camtopod.learn.association import NOTHING, Candidates, Problem
 from camtopod.learn.limits import CONTEXT_CELLS_MAX, CONTEXT_CELLS_PER_CAMERA_MAX
 from camtopod.topology import BACK_OFF_DEPARTURES, MULTIPLIER_MAX
 
@@ -172,12 +172,11 @@ class Contexts:
             )
 
         # Transitions of each context.
-        for part in slices_by_arrival(c.arrival):
-            departure = c.departure[part].astype(np.intp)
-            target = column.take(c.pair[part])
-            for level in levels:
-                cell, own_weight = level.cells_of(departure, target, responsibility[part])
-                np.add.at(level.moved.ravel(), cell, own_weight)
+        departure = c.departure.astype(np.intp)
+        target = column.take(c.pair)
+        for level in levels:
+            cell, own_weight = level.cells_of(departure, target, responsibility)
+            np.add.at(level.moved.ravel(), cell, own_weight)
         return levels, leave
 
     def judged(
@@ -194,20 +193,13 @@ class Contexts:
         levels: counts of each level (`count`).
         """
         c = candidates
-        column = self._columns(candidates)[0]
-        after = np.empty(len(c.lag), np.float32)
-        without = share.astype(np.float32)
-        for part in slices_by_arrival(c.arrival):
-            departure = c.departure[part].astype(np.intp)
-            pair = c.pair[part].astype(np.intp)
-            target = column.take(pair)
-            probability = without.take(pair)
-            for level in levels:
-                probability = level.judged(
-                    departure, *level.cells_of(departure, target, responsibility[part]), probability
-                )
-            after[part] = probability
-        return after
+        departure = c.departure.astype(np.intp)
+        target = self._columns(c)[0].take(c.pair)
+        probability = share.astype(np.float32).take(c.pair)
+        for level in levels:
+            cell, own = level.cells_of(departure, target, responsibility)
+            probability = level.judged(departure, cell, own, probability)
+        return probability
 
     def published_levels(
         self, candidates: Candidates, levels: list[ContextCounts]
@@ -290,24 +282,20 @@ class Contexts:
 
         It is the mean responsibility of a transition, the candidates weighted by responsibility.
         """
-        squares = np.zeros(self.zones)
-        all_of = np.zeros(self.zones)
-        for part in slices_by_arrival(candidates.arrival):
-            zone = self._zone.take(candidates.departure[part])
-            r = responsibility[part].astype(float)
-            np.add.at(squares, zone, r * r)
-            np.add.at(all_of, zone, r)
+        zone = self._zone.take(candidates.departure)
+        squares = np.bincount(zone, responsibility * responsibility, minlength=self.zones)
+        all_of = np.bincount(zone, responsibility, minlength=self.zones)
         sure: Floats = squares / np.maximum(all_of, 1e-300)
         return sure
 
 
-def multipliers(before: Floats, after: Floats) -> Floats:
+def multipliers(before: Singles, after: Singles) -> Singles:
     """Return the factors (n,) by which a context changes probabilities, within `MULTIPLIER_MAX`.
 
     before, after (n,): probabilities without and with the context.
     """
-    ratio: Floats = np.clip(
-        after / np.maximum(before, 1e-300), 1.0 / MULTIPLIER_MAX, MULTIPLIER_MAX
+    ratio: Singles = np.clip(
+        after / np.maximum(before, NOTHING), 1.0 / MULTIPLIER_MAX, MULTIPLIER_MAX
     )
     return ratio
 

@@ -114,13 +114,13 @@ class EntryKernels:
             )
             self.hazard[members] = first.take(self.cell[members] - rows.start * self._bins.size)
 
-    def rates(self, here: slice, responsibility: Singles) -> Floats:
-        """Return the values of the kernels at a slice of `rows`, each as the others make it.
+    def rates(self, responsibility: Singles) -> Floats:
+        """Return the values (m,) of the kernels at the candidates, each as the others make it.
 
-        responsibility: of these candidates.
+        responsibility (m,): of these candidates.
         """
-        others: Floats = np.maximum(1.0 - responsibility * self.own[here], 0.0)
-        return self.hazard[here] * others
+        others: Floats = np.maximum(1.0 - responsibility * self.own, 0.0)
+        return self.hazard * others
 
     def after_exit(self, hazard: Singles, rows: slice) -> Singles:
         """Return the hazards unchanged, as entry kernels do not count from the exit."""

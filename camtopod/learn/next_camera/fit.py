@@ -28,14 +28,12 @@ from camtopod.learn.association import (
     Problem,
     negative_without_overlap,
     result,
-    slices_by_arrival,
 )
-from camtopod.learn.limits import FOLLOWED_MAX
 from camtopod.learn.next_camera.contexts import ContextCounts, ContextLevel, Contexts, multipliers
 from camtopod.learn.next_camera.entry_kernels import EntryKernels
 from camtopod.learn.next_camera.prior import Prior
 from camtopod.learn.next_camera.sampling import Sources, add_prior_transitions
-from camtopod.learn.next_camera.skip_rate import SkippedCameras
+from camtopod.learn.next_camera.skip_rate import ODDS_FIRST, SkippedCameras
 from camtopod.learn.next_camera.skipped_cameras import (
     Legs,
     legs_of,
@@ -51,7 +49,9 @@ FIRST_NOISE_SD = 3.0
 """
 FIRST_ROUNDS = 3
 FIRST_ITERATIONS = 5
-"""Rounds without contexts, and EM iterations of each; speed is estimated after each round."""
+"""Rounds without contexts, and EM iterations of each; after each round, unlikely candidates are
+left out and speed is estimated.
+"""
 SCOUT_ITERATIONS = 5
 """EM iterations of `followed_of`, after which candidates are selected."""
 NEGLIGIBLE = 1e-4
@@ -151,11 +151,19 @@ class PosteriorFitter:
         # Contexts, and the additional terms and the prior of the EM model.
         cameras = int(em.camera.max(initial=0)) + 1
         self.contexts = Contexts(problem, cameras)
-        entry = self.contexts.entry
-        self._through = view_paths(departures, entry, em.camera)
-        self.entering = EntryKernels(problem, candidates, entry)
-        self.skipping = SkippedCameras(bins, self._departures_of[candidates.source])
-        prior = Prior(candidates, em.camera, em.exposure, em.arrivals_of_zone)
+        self._through = view_paths(departures, self.contexts.entry, em.camera)
+        self._extend(ODDS_FIRST)
+
+    def _extend(self, odds: float) -> None:
+        """Give the EM model its additional terms, and the prior, for the present candidates.
+
+        odds: odds of a missed passage.
+        """
+        em = self.em
+        self.entering = EntryKernels(self.problem, em.candidates, self.contexts.entry)
+        left = self._departures_of[em.candidates.source]
+        self.skipping = SkippedCameras(self.problem.bins, left, odds)
+        prior = Prior(em.candidates, em.camera, em.exposure, em.arrivals_of_zone)
         em.assume(EmModel(terms=(self.entering, self.skipping), prior=prior))
 
     def scout(self) -> None:
@@ -171,26 +179,33 @@ class PosteriorFitter:
         """Return a mask (M,) of the candidates that are neither negligible nor impossible.
 
         overlapping (cameras, cameras): True where two views are known to overlap.
-
-        Of more than `FOLLOWED_MAX` candidates, the likeliest are returned.
         """
-        c = self.em.candidates
-        responsibility = self.em.responsibility
-        impossible = negative_without_overlap(self.problem, c, responsibility, overlapping)
-        kept = (responsibility > NEGLIGIBLE) & ~impossible
-        rows = np.flatnonzero(kept)
-        if len(rows) > FOLLOWED_MAX:
-            kept[rows[np.argsort(-responsibility[rows], kind="stable")[FOLLOWED_MAX:]]] = False
-        return kept
+        em = self.em
+        likely = (em.responsibility > NEGLIGIBLE) & em.live()
+        return likely & ~negative_without_overlap(
+            self.problem, em.candidates, em.responsibility, overlapping
+        )
 
     def learn(self) -> None:
         """Run the fit: rounds without contexts, then iterations with contexts."""
         self._start()
         for _ in range(FIRST_ROUNDS):
             self._iterate(FIRST_ITERATIONS, contexts=False)
+            self._keep_live()
             self.hazard = self.em.learn_speed(self.hazard)
             self._find_skips(self.hazard)
         self._iterate(ITERATIONS, contexts=True)
+
+    def _keep_live(self) -> None:
+        """Leave out unlikely candidates from here on."""
+        em = self.em
+        live = em.live()
+        share = np.zeros(len(live))
+        share[self.entering.rows] = self.entering.share
+        self.hazard = self.hazard[em.keep(live)]
+        self._extend(self.skipping.odds)
+        self.entering.share = share[live][self.entering.rows]
+        self.entering.learn(em.responsibility)
 
     def sample(self) -> None:
         """Average the fit with samples of which departure caused which arrival (`sampling`).
@@ -350,12 +365,9 @@ class PosteriorFitter:
         """Estimate the factor on each candidate's rate by the context of its departure."""
         em = self.em
         counted = self._count_contexts()
-        multiplier = self.contexts.judged(em.candidates, em.responsibility, self.share, counted)
-        for part in slices_by_arrival(em.candidates.arrival):
-            multiplier[part] = multipliers(
-                self.share.take(em.candidates.pair[part]), multiplier[part].astype(float)
-            )
-        em.assume(em.model._replace(multiplier=multiplier))
+        after = self.contexts.judged(em.candidates, em.responsibility, self.share, counted)
+        before = self.share.astype(np.float32).take(em.candidates.pair)
+        em.assume(em.model._replace(multiplier=multipliers(before, after)))
 
     def _count_contexts(self) -> list[ContextCounts]:
         """Estimate `share` and `leave`, and return departures and transitions by context."""

@@ -12,7 +12,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from camtopod.arrays import Floats, Indices, Ints, Longs, Singles
+from camtopod.arrays import Floats, Indices, Longs, Rows, Singles
 from camtopod.learn.association import Candidates
 from camtopod.topology import LagBins
 
@@ -26,7 +26,7 @@ ODDS_PASSAGES = 20.0
 class SkippedCameras:
     """The s candidates and K pairs of zones that may have skipped a camera, and their hazards."""
 
-    def __init__(self, bins: LagBins, left: Floats) -> None:
+    def __init__(self, bins: LagBins, left: Floats, odds: float = ODDS_FIRST) -> None:
         """Begin without any path over a skipped camera.
 
         bins: bins of the lags.
@@ -34,7 +34,7 @@ class SkippedCameras:
         """
         self._bins = bins
         self._left = left
-        self.odds = ODDS_FIRST
+        self.odds = odds
         """Missed passages for each recorded one, the same for all cameras."""
         self.pair: Longs = np.zeros(0, np.int64)
         """(K,) pairs of zones that a path over a skipped camera joins, ascending."""
@@ -43,11 +43,11 @@ class SkippedCameras:
         self.rows: Indices = np.zeros(0, np.int32)
         """(s,) rows of the candidates that may have skipped a camera, ascending."""
         # (s,) index of each of these candidates in the flattened table (K, bins).
-        self._cell: Ints = np.zeros(0, np.int32)
+        self._cell: Rows = np.zeros(0, np.intp)
         self.share: Singles = np.zeros(0, np.float32)
         """(s,) share of each candidate's rate that skipped cameras contribute."""
 
-    def use(self, pair: Longs, unit: Floats, candidates: Candidates, cell: Ints) -> None:
+    def use(self, pair: Longs, unit: Floats, candidates: Candidates, cell: Rows) -> None:
         """Replace the hazards of skipped cameras, and select the candidates that they apply to.
 
         pair (K,): pairs of zones that paths over skipped cameras join, ascending.
@@ -73,15 +73,15 @@ class SkippedCameras:
         """Set the final candidates (s,), and the share (s,) that skipped cameras have in each."""
         self.rows = rows
         self.share = share
-        self._cell = np.zeros(0, np.int32)
+        self._cell = np.zeros(0, np.intp)
 
-    def rates(self, here: slice, responsibility: Singles) -> Singles:
-        """Return the rates of a slice of `rows` at the present odds of a missed passage.
+    def rates(self, responsibility: Singles) -> Singles:
+        """Return the rates (s,) of the candidates at the present odds of a missed passage.
 
         The hazards come from other pairs of zones, so no candidate contributes to its own rate, and
         the responsibilities are not needed.
         """
-        rates: Singles = self.odds * self._unit.take(self._cell[here])
+        rates: Singles = self.odds * self._unit.take(self._cell)
         return rates
 
     def after_exit(self, hazard: Singles, rows: slice) -> Singles:
