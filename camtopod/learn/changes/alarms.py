@@ -14,8 +14,15 @@ from msgspec import Struct
 
 from camtopod.arrays import rows_by_group
 from camtopod.event_time import utc_text
-from camtopod.learn.changes.change_points import Change, Trials, latest_change, threshold_nats
+from camtopod.learn.changes.change_points import (
+    RESPONSIBILITY_MAX,
+    Change,
+    Trials,
+    latest_change,
+    threshold_nats,
+)
 from camtopod.learn.changes.silence import CameraSilences
+from camtopod.learn.clocks import CLEAR_SD
 from camtopod.learn.traffic import Scene
 from camtopod.records import Alarm, Camera
 from camtopod.topology import ALARMS_KEPT_MAX, mentions
@@ -35,15 +42,9 @@ from the camera before it straight to the camera after it.
 """
 CLOCK_CHANGE_SECONDS_MIN = 0.5
 """Least change of a clock offset that is reported, seconds."""
-CLOCK_CHANGE_SD = 4.0
-"""Least change of a clock offset that is reported, in standard deviations."""
 GONE_RATIO = 0.05
 """Largest ratio, for a zone to be reported as new or gone, of its share of the camera's events
 before a change and its share after, the smaller over the larger.
-"""
-ZONE_SHARE_MAX = 0.99
-"""Responsibility given to each event of a zone in the test for changes. It is below 1, so that the
-evidence of a single event is limited.
 """
 
 
@@ -239,7 +240,7 @@ class AlarmLog:
             if sd is None:
                 continue
             before, before_sd = self.state.clock.get(camera.id, (now, np.inf))
-            least = max(CLOCK_CHANGE_SECONDS_MIN, CLOCK_CHANGE_SD * np.hypot(sd, before_sd))
+            least = max(CLOCK_CHANGE_SECONDS_MIN, CLEAR_SD * np.hypot(sd, before_sd))
             is_clear = abs(now - before) >= least
             if is_clear:
                 detail = f"ahead by {before:.2f} s before, by {now:.2f} s now"
@@ -291,7 +292,7 @@ def zone_changes(scene: Scene) -> dict[int, tuple[float, float, float]]:
                 camera_times,
                 np.ones(len(camera_times)),
                 zone_times,
-                np.full(len(zone_times), ZONE_SHARE_MAX),
+                np.full(len(zone_times), RESPONSIBILITY_MAX),
             ),
             threshold,
         )

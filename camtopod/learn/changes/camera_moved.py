@@ -17,11 +17,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from camtopod.arrays import Floats
-from camtopod.learn.zones import kernel_1d
+from camtopod.learn.zones import CONTRAST_MIN, kernel_1d
 from camtopod.topology import GRID_COLUMNS, GRID_ROWS
 
 FALSE_ALARM = 1e-9
-"""Probability of a false move in one test of one camera, if the zones were known exactly."""
+"""Probability of a false move or a false repetition in one test of one camera."""
 LENGTHS = (60, 90, 135, 200, 300)
 """Numbers of newest events that are tested."""
 BEFORE_MIN = 100
@@ -30,15 +30,6 @@ LEFT_MAX = 0.35
 """Largest share of their traffic that the known zones of a turned camera may have kept. Two
 standard deviations are added to the estimate of the share before it is compared. Cells whose
 traffic has increased count as unchanged.
-"""
-LEFT_SURE = 0.5
-"""Share of their traffic that zones have kept in the shortest test above which the longer tests are
-skipped.
-"""
-KNOWN_CONTRAST = 2.5
-"""Least ratio of the density of events in a known zone to that in the cells outside all zones. Only
-the events before the newest ones count. A zone of the map with a lower ratio does not count as
-known: it may be made of the newest events only.
 """
 _WIDTH = 1.0
 """Standard deviation of the kernels, grid steps."""
@@ -83,9 +74,7 @@ def find_move(cell: NDArray[np.int64], zones: NDArray[np.int16]) -> Move | None:
             continue
         kept = _left(cell[:-length], cell[-length:], part)
         if kept + 2 * np.sqrt(kept / length) > LEFT_MAX:
-            if length == LENGTHS[0] and kept > LEFT_SURE:
-                return None
-            continue
+            break
 
         # Condition 2: other places explain the events better.
         move = _moved(cell[:-length], cell[-length:], part, kept)
@@ -142,14 +131,15 @@ def _known_zones(count: NDArray[np.int64], zones: NDArray[np.int16]) -> NDArray[
     count (cells,): number of earlier events in each cell.
     zones (cells,): zone of each cell in the map; -1 outside all zones.
 
-    A zone is known if it was clearly denser (`KNOWN_CONTRAST`) than the cells outside all zones.
+    A zone is known if before the newest events, which may have made a zone of the map, it was as
+    much denser than the cells outside all zones as a zone has to be (`CONTRAST_MIN`).
     The known zones are numbered anew, without gaps: their numbers are not those of the map.
     """
     part = zones.astype(np.int64) + 1
     had = np.bincount(part, count, part.max() + 1)
     size = np.bincount(part, minlength=part.max() + 1)
     rest = (had[0] + 1) / max(int(size[0]), 1)
-    kept = had > KNOWN_CONTRAST * rest * size
+    kept = had > CONTRAST_MIN * rest * size
     kept[0] = False
     number = np.cumsum(kept) * kept
     return np.asarray(number[part])

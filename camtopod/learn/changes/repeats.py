@@ -26,11 +26,10 @@ from numpy.typing import NDArray
 
 from camtopod.arrays import Bools, Floats, Indices, Rows
 from camtopod.event_time import MICROSECONDS
+from camtopod.learn.changes.camera_moved import FALSE_ALARM
 from camtopod.learn.window import Window
 from camtopod.topology import POSITION_ONE
 
-FALSE_ALARM = 1e-6
-"""Largest expected number of false alarms of one camera in a year."""
 KNOWN_MAX = 1_000
 """Newest events of a camera in which earlier plays are looked for: three plays must fit in."""
 JUDGED_MAX = 100
@@ -45,7 +44,6 @@ TOGETHER_SECONDS = 2.0
 """Events within this time of each other count as one: a group, a lamp, a short passage."""
 MATCHED = 0.9
 """Probability that an event of a recording has a match in an earlier play."""
-_YEAR_SECONDS = 365.25 * 86_400.0
 _CHANCE_NATS = math.log(KNOWN_MAX * JUDGED_MAX)
 """Evidence that chance reaches about once among all stretches and lags of a camera."""
 _WHOLE_SECONDS = 1e-3
@@ -101,8 +99,7 @@ def repeats_of(t: Floats, entry: Bools, px: Indices, py: Indices) -> str:
 
     # Together they must be clear, each at the price of the choice of its lag.
     evidence = sum(one.evidence - math.log(len(t)) for one in found)
-    a_year = _YEAR_SECONDS * len(t) / max(t[-1] - t[0], 1.0)
-    if evidence < math.log(a_year / FALSE_ALARM):
+    if evidence < math.log(len(t) / FALSE_ALARM):
         return ""
 
     # Number of earlier plays of each event, and the lag of the nearest one of its stretch.

@@ -17,6 +17,7 @@ from camtopod.learn.clocks.correlogram import (
     null_expectation as null_expectation,
 )
 from camtopod.learn.clocks.offsets import (
+    CLEAR_SD as CLEAR_SD,
     Clocks as Clocks,
     ClockState as ClockState,
 )

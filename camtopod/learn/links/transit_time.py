@@ -9,10 +9,12 @@ that of the lags that objects of usual speed would have had, which is often more
 
 from __future__ import annotations
 
+import math
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.special import ndtri
 
 from camtopod.arrays import Floats
 from camtopod.topology import LagBins
@@ -25,9 +27,9 @@ WEIGHT_MIN = 1e-3
 """Responsibility up to which a transition does not count for quantiles, if its pair of zones has
 others.
 """
-NORMAL_QUARTILES = 1.349
+NORMAL_QUARTILES = float(np.diff(ndtri((0.25, 0.75)))[0])
 """Distance between the quartiles of a normal distribution, in standard deviations."""
-MEDIAN_ERROR = 1.2533
+MEDIAN_ERROR = math.sqrt(math.pi / 2.0)
 """Ratio of the standard error of the median of n normal values to sd / sqrt(n)."""
 FAR_SD = 4.5
 """Largest distance from the median, in standard deviations, of lags that count for mean and sd.
@@ -35,17 +37,10 @@ Lags further away are spurious.
 """
 SPREAD_MIN_SECONDS = 0.2
 """Lower bound on the spread of lags, seconds; entries and exits are not detected more exactly."""
-LAG_ERROR = 0.01
-"""Relative error of the median of the lags that does not shrink with the number of lags. It comes
-from spurious transitions. The value was found on simulated networks, like `PACE_ERROR` and
-`MEAN_ERROR`.
+SYSTEMATIC_ERROR = 0.015
+"""Relative error of a median or mean that does not shrink with the number of lags. It comes from
+spurious transitions. The value was found on simulated networks.
 """
-PACE_ERROR = 0.02
-"""Relative error of the median of the lags at usual speed that does not shrink with their number.
-It comes from spurious transitions, and from objects that do not quite keep their speed.
-"""
-MEAN_ERROR = 0.015
-"""Relative error of the mean that does not shrink with the number of lags."""
 ERRORS_CORRELATION = 0.7
 """Correlation of the errors of the two estimates of the median, as both use the same transitions.
 """
@@ -112,9 +107,9 @@ def transit_figures(
         sure = np.bincount(pair, inner * weight, minlength=pairs)
         few = np.sqrt(number / np.maximum(number - 1.0, 0.5))
         mean_error = np.hypot(
-            np.maximum(sd, SPREAD_MIN_SECONDS) * few / np.sqrt(sure), MEAN_ERROR * mean
+            np.maximum(sd, SPREAD_MIN_SECONDS) * few / np.sqrt(sure), SYSTEMATIC_ERROR * mean
         )
-        error = np.hypot(error, LAG_ERROR * median)
+        error = np.hypot(error, SYSTEMATIC_ERROR * median)
 
         # The second estimate of the median, at usual speed; the quantiles move with the median.
         if slow is not None and slow_error is not None:
@@ -125,7 +120,7 @@ def transit_figures(
                 pair[usual], at_usual, weight[usual], pairs, QUARTILES
             )
             other, other_error, _ = _median(at_quartiles, known)
-            other_error = np.hypot(other_error, np.hypot(slow_error, PACE_ERROR) * other)
+            other_error = np.hypot(other_error, np.hypot(slow_error, SYSTEMATIC_ERROR) * other)
             both, error = _weighed(median, error, other, other_error)
             quantiles = quantiles + (both - median)[:, None]
     return TransitFigures(total, peak(density, bins), mean, sd, quantiles, ahead, error, mean_error)
