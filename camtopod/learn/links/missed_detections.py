@@ -15,18 +15,10 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from camtopod.arrays import Floats, Rows, find_rows, row_slices
+from camtopod.arrays import Floats, Rows, find_rows
 from camtopod.learn.links.link_table import TRANSITIONS_MIN, LinkTable
 from camtopod.learn.settings import Settings
-from camtopod.topology import LagBins
 
-WINDOW_SD = 2.0
-"""Half the width of the range of lags of a path, around its median, in sums of the standard
-deviations of its link, passage and link. Standard deviations are added up, as a slow object is slow
-on all three.
-"""
-WINDOW_SECONDS = 1.0
-"""Seconds added to half the width of the range of lags of a path."""
 TELLING_TRANSITIONS_MIN = 5.0
 """Least expected transitions, at odds of 1, of a pair of zones from which odds are estimated."""
 TELLING_SHARE_MIN = 0.8
@@ -58,10 +50,6 @@ class SkippedPaths(NamedTuple):
     """Index of the skipped camera."""
     expected: Floats
     """Expected transitions at odds of 1, that is if the camera misses every second passage."""
-    median: Floats
-    """Median of the lag over the whole path, seconds."""
-    spread: Floats
-    """Sum of the standard deviations of its link, passage and link, seconds."""
 
 
 def without_missed_detections(
@@ -97,23 +85,21 @@ def unexplained(
     Arguments are as for `without_missed_detections`.
     """
     # Find the paths over skipped cameras.
-    bins = LagBins(-settings.overlap_max_seconds, settings.transit_max_seconds)
     paths = find_skipped_paths(between, through, np.flatnonzero(found), camera)
     own_transitions = between.transit.total.astype(float)
     if len(paths.pair) == 0:
         return own_transitions
 
-    # Transitions of the pairs that the paths join, at the lags of the paths.
+    # Transitions of the pairs that the paths join.
     pairs, at = np.unique(paths.pair, return_inverse=True)
     row, known = find_rows(between.source.astype(np.intp) * len(camera) + between.target, pairs)
-    in_range = _inside(paths, at, between.delay[row], bins)
-    at_lags = np.where(known, (in_range * between.counts[row]).sum(axis=1), 0.0)
+    seen = np.where(known, own_transitions[row], 0.0)
 
     # Take off what missed passages explain.
-    odds = MissedOdds(paths, at, at_lags, settings.missed_share_max)
+    odds = MissedOdds(paths, at, seen, settings.missed_share_max)
     for pair in np.flatnonzero(known & found[row]).tolist():
         explained = UNCERTAINTY * odds.expected(pair)
-        own_transitions[row[pair]] -= min(explained, at_lags[pair])
+        own_transitions[row[pair]] -= min(explained, seen[pair])
     return own_transitions
 
 
@@ -156,8 +142,6 @@ def find_skipped_paths(
         between.source[k].astype(np.intp) * zones + between.target[m],
         camera[between.target[k]],
         expected,
-        median(between)[k] + median(through)[j] + median(between)[m],
-        between.transit.sd[k] + through.transit.sd[j] + between.transit.sd[m],
     )
 
 
@@ -171,7 +155,7 @@ class MissedOdds:
 
         paths: all paths over skipped cameras.
         at (W,): index in ``seen`` of the pair of zones that each path joins.
-        seen (pairs,): expected transitions of each pair by the fit, at the lags of its paths.
+        seen (pairs,): expected transitions of each pair by the fit.
         missed_share_max: largest share of missed passages of any camera.
         """
         # Expected transitions at odds of 1, by pair and camera.
@@ -215,28 +199,6 @@ class MissedOdds:
         )
         ratio = self._ratio[np.searchsorted(reach, ODDS_QUANTILE * reach[-1])]
         return float(np.clip(ratio, self._least, self._most))
-
-
-def median(table: LinkTable) -> Floats:
-    """Return the median transit time of each pair of zones in a table, (P, seconds)."""
-    return table.transit.quantiles[:, 1]
-
-
-def _inside(paths: SkippedPaths, at: Rows, delay: Floats, bins: LagBins) -> NDArray[np.bool_]:
-    """Return a mask (pairs, bins) of the lag bins that any path of a pair of zones can take.
-
-    at (W,): index of the pair that each path joins.
-    delay (pairs, seconds): to be added to the lags of the bins.
-    """
-    reach = WINDOW_SD * paths.spread + WINDOW_SECONDS
-    inside = np.zeros((len(delay), bins.size), bool)
-    for rows in row_slices(len(at)):
-        near = (
-            np.abs(bins.centres + (delay[at[rows]] - paths.median[rows])[:, None])
-            <= reach[rows, None]
-        )
-        np.logical_or.at(inside, at[rows], near)
-    return inside
 
 
 def match_rows(

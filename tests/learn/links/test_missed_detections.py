@@ -79,10 +79,9 @@ def test_several_missed_in_a_row() -> None:
 
 
 def test_a_link_of_its_own_beside_a_way_stays() -> None:
-    """It has many more transitions than elsewhere at the same lag, or another lag."""
+    """It has many more transitions than elsewhere."""
     others = ((2, 5, 25.0, 33), (4, 7, 25.0, 33))
     assert kept(*CHAIN, *others, (0, 3, 25.0, 150)) == {*LINKS, (0, 3)}
-    assert kept(*CHAIN, *others, (0, 3, 60.0, 33)) == {*LINKS, (0, 3)}
     assert kept(*CHAIN, *others, (0, 3, 26.0, 33)) == LINKS
 
 
@@ -128,15 +127,10 @@ def test_ways_equal_three_loops(seed: int, links: int, passages: int) -> None:
                     total, stays = between.transit.total, through.transit.total
                     share = stays[j] / stays[through.source == through.source[j]].sum()
                     share /= stays[through.target == through.target[j]].sum()
-                    median = (
-                        between.transit.quantiles[[k, m], 1].sum() + through.transit.quantiles[j, 1]
-                    )
                     pair = between.source[k] * 9 + between.target[m]
-                    expected.append(
-                        (pair, CAMERA[between.target[k]], total[k] * share * total[m], median)
-                    )
+                    expected.append((pair, CAMERA[between.target[k]], total[k] * share * total[m]))
     ways = find_skipped_paths(between, through, found, CAMERA)
-    actual = list(zip(*ways[:4], strict=True))
+    actual = list(zip(*ways, strict=True))
     assert len(actual) == len(expected)
     if expected:
         # to nine digits, as sums in another order may put equal ways in another one
