@@ -171,6 +171,14 @@ def lag_bin(lag, lag_min, lag_max, scale, step):
     return k - first
 
 
+def own_past(t, zone, seconds):
+    """Compute `camtopod.learn.traffic.rhythm._own_past`, comparing all arrivals."""
+    return [
+        sum(np.exp(-(t[k] - t[j]) / seconds) / seconds for j in range(k) if zone[j] == zone[k])
+        for k in range(len(t))
+    ]
+
+
 def local_rates(t, zone, half_window, prior):
     """Compute `camtopod.learn.traffic.background_rate.local_rates`, comparing all arrivals."""
     rates = []

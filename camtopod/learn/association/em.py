@@ -257,7 +257,7 @@ class Em:
         departures, arrivals, bins, zones, _ = self.problem
         if len(c.lag) == 0:
             return np.zeros((self.pairs, bins.size), np.float32)
-        histograms = self._count(np.ones(len(c.lag), np.float32))
+        histograms = self._count(arrivals.weights(c.arrival))
         near = self.model.near
         null_model = NullRates(
             departures.t[near], departures.zone[near], arrivals.t, arrivals.zone, zones

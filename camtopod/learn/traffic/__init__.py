@@ -6,7 +6,8 @@ zone an *arrival*, and an entry and an exit of one track in one view a *passage*
 Reading order: `events` defines the tables of departures and arrivals. `labelled_events` fills them
 from the window and the zone maps (`Scene`). `speed` measures how slow each object is, and estimates
 how far slowness persists from view to view. `background_rate` has the rates of arrivals under the
-null model, in which arrivals have nothing to do with departures.
+null model, in which arrivals have nothing to do with departures; `rhythm` adds the rhythm of each
+zone's own arrivals to it.
 """
 
 from __future__ import annotations

@@ -11,7 +11,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from camtopod.arrays import Floats, Indices, Ints
+from camtopod.arrays import Floats, Indices, Ints, Singles
 
 
 class Departures(NamedTuple):
@@ -64,8 +64,11 @@ class Arrivals(NamedTuple):
 
     t: time of the entry in seconds.
     zone, camera: index of the zone and of the camera.
-    rate: rate of other arrivals at the zone around this time, 1/s (`background_rate.local_rates`).
+    rate: rate of arrivals at the zone at this time under the null model, 1/s (`background_rate`,
+        `rhythm`).
     slow: slowness of the passage that begins with this arrival (`speed`); nan if unknown.
+    weight: rate without rhythm over ``rate``; None if there is no rhythm. A platoon of arrivals
+        counts as much as one arrival at any time.
     """
 
     t: Floats
@@ -73,8 +76,18 @@ class Arrivals(NamedTuple):
     camera: Ints
     rate: Floats
     slow: Floats
+    weight: Floats | None = None
 
     def take(self, kept: NDArray[Any]) -> Arrivals:
         """Return the arrivals ``kept``, given as a mask or as rows."""
-        columns: list[Any] = [column[kept] for column in self]
+        columns: list[Any] = [None if column is None else column[kept] for column in self]
         return Arrivals(*columns)
+
+    def weights(self, rows: Indices) -> Singles:
+        """Return the weights (k,) of some arrivals in the excess over the null model.
+
+        rows (k,): the arrivals.
+        """
+        if self.weight is None:
+            return np.ones(len(rows), np.float32)
+        return self.weight.astype(np.float32).take(rows)

@@ -15,6 +15,7 @@ from camtopod.arrays import Floats, Ints
 from camtopod.event_time import MICROSECONDS
 from camtopod.learn.traffic.background_rate import local_rates
 from camtopod.learn.traffic.events import Arrivals, Departures
+from camtopod.learn.traffic.rhythm import rhythm_rates
 from camtopod.learn.traffic.speed import slowness
 from camtopod.learn.window import Window
 from camtopod.learn.zones import ZoneMap, ZoneShape, cells_of
@@ -146,8 +147,11 @@ def label_events(window: Window, maps: list[ZoneMap], ahead: Floats | None = Non
     )
 
     # Arrivals and passages.
-    rate = local_rates(t[entry_rows], zone[entry_rows], n)
-    arrivals = Arrivals(t[entry_rows], zone[entry_rows], camera[entry_rows], rate, slow[entry_rows])
+    came = t[entry_rows]
+    entered = zone[entry_rows]
+    even = local_rates(came, entered, n)
+    rate = rhythm_rates(came, entered, even, n)
+    arrivals = Arrivals(came, entered, camera[entry_rows], rate, slow[entry_rows], even / rate)
     passages = Passages(zone[tied_entries], zone[tied_rows], t[tied_entries], t[tied_rows])
 
     # Exits, and those that tracks tie to an entry, by camera.

@@ -1,0 +1,119 @@
+"""The rhythm of the arrivals at one zone, which the null model has to know.
+
+Signals, trains, doors and groups make arrivals come in platoons. Under a rate that is even over
+minutes, the departures of any zone in step with a platoon would look as if they had caused it. So
+the null model of a zone is a sum of three parts: the even rate, the even rate in the zone's
+strongest cycle, and the zone's own past arrivals, each of which raises the rate for a while (a
+self-exciting process). Their shares are fitted to the arrivals by expectation maximisation. A
+platoon then explains itself, but for its beginning.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from camtopod.arrays import Floats, Ints, rows_by_group
+
+CYCLE_SECONDS = (40.0, 150.0)
+"""Shortest and longest cycle, those of traffic signals."""
+HARMONICS = 2
+"""Harmonics that describe the course of a cycle."""
+STEP_SECONDS = 5.0
+"""Width of the time bins in which a cycle is searched."""
+PAST_SECONDS = 40.0
+"""Time constant with which the effect of an arrival on the rate decays."""
+GAIN_NATS = 8.0
+"""Least gain in log likelihood for which a zone has a rhythm, or a cycle among all frequencies."""
+ITERATIONS = 50
+"""Iterations of EM for the shares of the three parts."""
+LEAST_SHARE = 0.1
+"""Lower bound on the rate in a cycle, relative to the even rate."""
+GAMMA_MEDIAN = 1.678
+"""Median of the power of noise summed over two harmonics, if the mean of each is 1."""
+
+
+def rhythm_rates(t: Floats, zone: Ints, even: Floats, zones: int) -> Floats:
+    """Return the rate (n, 1/s) at each arrival under the null model, rhythm included.
+
+    t (n,): times of arrivals in seconds, ascending.
+    zone (n,): their zones, from 0 to ``zones`` - 1.
+    even (n, 1/s): rate at each arrival without rhythm (`background_rate.local_rates`).
+
+    Where a rhythm gains little, the rate is the even one.
+    """
+    parts = np.stack((even, even * _cycles(t, zone, zones), _own_past(t, zone)))
+    number = np.maximum(np.bincount(zone, minlength=zones), 1.0)
+    share = np.full((len(parts), zones), 1.0 / len(parts))
+    for _ in range(ITERATIONS):
+        made = share[:, zone] * parts
+        made /= made.sum(axis=0)
+        share = np.stack([np.bincount(zone, part, zones) for part in made]) / number
+
+    rate: Floats = (share[:, zone] * parts).sum(axis=0)
+    gain = np.bincount(zone, np.log(rate / even), zones)
+    return np.where((gain > GAIN_NATS)[zone], rate, even)
+
+
+def _cycles(t: Floats, zone: Ints, zones: int) -> Floats:
+    """Return the relative rate (n,) in the strongest cycle of each arrival's zone; 1 without one.
+
+    An arrival is left out of the course of the cycle at its own time.
+    """
+    relative = np.ones(len(t))
+    if len(t) == 0:
+        return relative
+    since = t - t[0]
+    bins = int(since[-1] / STEP_SECONDS) + 1
+    size = 4 * bins
+    shortest, longest = CYCLE_SECONDS
+    band = np.arange(-(-size * STEP_SECONDS // longest), size * STEP_SECONDS // shortest + 1)
+    band = band[band > 0].astype(np.intp)
+    orders = np.arange(1, HARMONICS + 1)
+    needed = GAIN_NATS + np.log(max(len(band), 1))
+
+    for rows in rows_by_group(zone, zones):
+        # With fewer arrivals, no cycle can reach this power.
+        if len(rows) * HARMONICS <= needed or not len(band):
+            continue
+
+        # Power over the harmonics of each frequency, in units of the noise: that of other
+        # frequencies, as clumps of arrivals have more than Poisson noise.
+        counts = np.bincount((since[rows] / STEP_SECONDS).astype(np.intp), minlength=bins)
+        power = np.abs(np.fft.rfft(counts, size)) ** 2
+        power = power[np.minimum(np.outer(orders, band), size // 2)].sum(axis=0)
+        power *= GAMMA_MEDIAN / max(float(np.median(power)), 1e-9)
+        best = int(power.argmax())
+        if power[best] - np.log1p(power[best]) < needed:
+            continue
+
+        # The course of the cycle, by the other arrivals.
+        angle = 2.0 * np.pi * band[best] / (size * STEP_SECONDS) * since[rows]
+        wave = np.exp(1j * np.outer(orders, angle))
+        others = (wave.sum(axis=1, keepdims=True) - wave) / (len(rows) - 1)
+        course = 1.0 + 2.0 * (others.conj() * wave).real.sum(axis=0)
+        relative[rows] = np.maximum(course, LEAST_SHARE)
+    return relative
+
+
+def _own_past(t: Floats, zone: Ints) -> Floats:
+    """Return the rate (n, 1/s) that earlier arrivals at the zone of each arrival make.
+
+    Each of them adds 1 / d exp(-lag / d), with d `PAST_SECONDS`.
+    """
+    # In order of zone and time, the sum over earlier ones is past = decay * (past before + 1).
+    order = np.argsort(zone, kind="stable")
+    gap = np.diff(t[order], prepend=0.0)
+    first = np.diff(zone[order], prepend=-1) != 0
+    decay = np.where(first, 0.0, np.exp(-np.where(first, 0.0, gap) / PAST_SECONDS))
+    past = decay.copy()
+
+    # This recursion takes log2(n) steps: each joins two stretches of the same length.
+    step = 1
+    while step < len(t) and decay.any():
+        past[step:] += decay[step:] * past[:-step].copy()
+        decay[step:] *= decay[:-step].copy()
+        decay[:step] = 0.0
+        step *= 2
+    result = np.empty(len(t))
+    result[order] = past / PAST_SECONDS
+    return result

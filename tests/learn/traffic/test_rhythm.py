@@ -1,0 +1,57 @@
+"""Rates of arrivals with the rhythm of their zone, against the definition and made-up platoons."""
+
+from __future__ import annotations
+
+import naive
+import numpy as np
+import pytest
+from hypothesis import given, settings, strategies as st
+
+from camtopod.arrays import Floats
+from camtopod.learn.traffic import local_rates
+from camtopod.learn.traffic.rhythm import PAST_SECONDS, _own_past, rhythm_rates
+
+RNG = np.random.default_rng(5)
+
+
+def rates(*zones: Floats) -> tuple[Floats, Floats, Floats]:
+    """Return the zone, the even rate and the rate with rhythm of all arrivals, by time."""
+    t = np.concatenate(zones)
+    zone = np.repeat(np.arange(len(zones)), [len(one) for one in zones]).astype(np.int32)
+    order = np.argsort(t, kind="stable")
+    even = local_rates(t[order], zone[order], len(zones))
+    return zone[order], even, rhythm_rates(t[order], zone[order], even, len(zones))
+
+
+@settings(max_examples=30)
+@given(st.integers(0, 10**6), st.integers(0, 40))
+def test_own_past_equals_its_slow_twin(seed: int, n: int) -> None:
+    rng = np.random.default_rng(seed)
+    t = np.sort(rng.uniform(0.0, 300.0, n).round())
+    zone = rng.integers(0, 3, n).astype(np.int32)
+    assert _own_past(t, zone) == pytest.approx(naive.own_past(t, zone, PAST_SECONDS), abs=1e-12)
+
+
+def test_arrivals_at_any_time_have_no_rhythm() -> None:
+    _, even, rate = rates(np.sort(RNG.uniform(0.0, 7200.0, 700)), np.array([17.0]))
+    assert (rate == even).all()
+    _, even, rate = rates(np.zeros(0))
+    assert len(rate) == 0
+
+
+@pytest.mark.parametrize("period", [52.0, 90.0, 140.0])
+def test_a_signal_is_a_rhythm_of_its_zone_alone(period: float) -> None:
+    green = np.sort(period * RNG.integers(0, 40, 300) + RNG.uniform(0.0, 0.2 * period, 300))
+    zone, even, rate = rates(green, np.sort(RNG.uniform(0.0, green[-1], 300)))
+    assert (rate[zone == 1] == even[zone == 1]).all()
+    ratio = (rate / even)[zone == 0]
+    assert np.log(ratio).mean() > 0.4
+
+
+def test_a_platoon_explains_all_but_its_beginning() -> None:
+    begins = np.cumsum(RNG.exponential(600.0, 40))
+    platoon = np.sort((begins[:, None] + RNG.uniform(0.0, 20.0, (40, 8))).ravel())
+    _, even, rate = rates(platoon)
+    first = np.diff(platoon, prepend=-np.inf) > 100.0
+    assert (rate[first] < even[first]).mean() > 0.9
+    assert np.median(rate[~first] / even[~first]) > 3.0
