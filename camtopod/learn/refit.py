@@ -146,7 +146,7 @@ class Associated(NamedTuple):
         zones of their own, and so have the tables of the fits.
     delayed: maps results back to the real zones (`Delayed.links_back`, `Delayed.changes_back` and
         `Delayed.posterior_back`).
-    likely_candidates: the candidates that the fit for prediction uses.
+    possible: the candidates that are neither unlikely nor impossible.
     evidence (pairs,): held-out evidence of the pairs of zones of the joint fit, nats.
     followed: `Known.followed` for the next refit.
     """
@@ -155,7 +155,7 @@ class Associated(NamedTuple):
     changes: list[Change]
     problem: Problem
     delayed: Delayed
-    likely_candidates: Candidates
+    possible: Candidates
     evidence: Floats
     followed: dict[int, FollowedSources]
 
@@ -263,8 +263,8 @@ def associate(
 ) -> Associated:
     """Do steps 3 to 6: find the candidates, fit them jointly, test pairs of zones and changes.
 
-    The candidates take most of a refit's memory. It is free again when this function returns, but
-    for the likely candidates, which the fit for prediction uses.
+    The candidates take most of a refit's memory; all but the likely ones are given up before the
+    fits.
     """
     bins = lag_bins(settings)
     arrivals = scene.arrivals
@@ -289,16 +289,16 @@ def associate(
     )
     candidates = delayed.among(candidates, arrivals)
 
+    overlap = delayed.overlapping(overlap_table(overlapping, cameras))
+    likely, is_possible = followed_of(problem, candidates, overlap)
+    del candidates
+
     # 4. to 6. Joint fit, evidence, changes.
     between, changes, evidence = find_evidence(
-        problem, delayed, candidates, silences, len(scene.zones), on_step
+        problem, delayed, likely, silences, len(scene.zones), on_step
     )
-
-    overlap = delayed.overlapping(overlap_table(overlapping, cameras))
-    likely_candidates = followed_of(problem, candidates, overlap)
-    return Associated(
-        between, changes, problem, delayed, likely_candidates, evidence, screen.followed
-    )
+    possible = likely.take(is_possible)
+    return Associated(between, changes, problem, delayed, possible, evidence, screen.followed)
 
 
 def find_evidence(
@@ -363,7 +363,7 @@ def predict_next(
     bins = problem.bins
     posterior = fit_followed(
         problem,
-        associated.likely_candidates,
+        associated.possible,
         associated.evidence,
         bool(associated.followed),
     )

@@ -122,5 +122,5 @@ def fit_posterior(
     """Return the posterior of some candidates of a problem, or all, with clear evidence."""
     cameras = 1 + max(int(ends.camera.max(initial=0)) for ends in problem[:2])
     apart = np.zeros((cameras, cameras), np.bool_)
-    followed = followed_of(problem, candidates or find_candidates(problem), apart)
-    return fit_followed(problem, followed, LINKED, screened)
+    likely, possible = followed_of(problem, candidates or find_candidates(problem), apart)
+    return fit_followed(problem, likely.take(possible), LINKED, screened)

@@ -62,7 +62,7 @@ WIDE_BINS = 4
 """Lag bins that are taken together for a first look, which tells which zones of departure to look
 at more closely.
 """
-CLOSER_LOOKS = 4
+CLOSER_LOOKS = 16
 """Zones of departure that are looked at closely for each that may be followed."""
 LOOKS_PER_EVENT = 400
 """Budget of a fit for looks, per event of the window. The unit is a candidate counted or a cell of
@@ -416,18 +416,18 @@ def _lag_histograms(ends: ScreenInput, arrival_rows: Rows) -> Floats:
     ends_at = np.searchsorted(departures.t, arrived[:, None] - bins.edges[after], side="right")
     ends_at[:, -1] = left = np.searchsorted(departures.t, arrived, side="left")
     times = np.diff(ends_at, axis=1, prepend=low[:, None])
-    cells = [np.repeat(np.tile(after, len(arrived)), times.ravel())]
-    cells[0] += np.concatenate(
+    cell = np.repeat(np.tile(after, len(arrived)), times.ravel())
+    cell += np.concatenate(
         [first_cell[:0], *(first_cell[a:b] for a, b in zip(low, left, strict=True))]
     )
+    counts = np.bincount(cell, minlength=zones * bins.size)
 
     # Lags before the exit: only passages that had begun in the view of another camera.
     camera = arrivals.camera[arrival_rows]
     for here, t, a, b in zip(camera, arrived, left, high, strict=True):
         begun = (departures.since[a:b] <= t) & (departures.camera[a:b] != here)
         in_view = a + np.flatnonzero(begun)
-        cells.append(first_cell[in_view] + bins.index(t - departures.t[in_view]))
-    counts = np.bincount(np.concatenate(cells), minlength=zones * bins.size)
+        np.add.at(counts, first_cell[in_view] + bins.index(t - departures.t[in_view]), 1)
     return counts.reshape(zones, bins.size).astype(float)
 
 

@@ -100,14 +100,17 @@ class Posterior(NamedTuple):
 
 def followed_of(
     problem: Problem, candidates: Candidates, overlapping: NDArray[np.bool_]
-) -> Candidates:
-    """Select the candidates that are worth using in `fit_followed`.
+) -> tuple[Candidates, NDArray[np.bool_]]:
+    """Return the candidates that are worth using in fits, and which of them are possible, (n,).
 
     overlapping (cameras, cameras): True where two views are known to overlap.
     """
     scout = PosteriorFitter(problem, candidates)
     scout.scout()
-    return candidates.take(scout.worth_following(overlapping))
+    em = scout.em
+    likely = (em.responsibility > NEGLIGIBLE) & em.live()
+    impossible = negative_without_overlap(problem, candidates, em.responsibility, overlapping)
+    return candidates.take(likely), ~impossible[likely]
 
 
 def fit_followed(
@@ -167,24 +170,13 @@ class PosteriorFitter:
         em.assume(EmModel(terms=(self.entering, self.skipping), prior=prior))
 
     def scout(self) -> None:
-        """Run a few iterations, enough for `worth_following`."""
+        """Run a few iterations, enough for `followed_of`."""
         self._start()
         self._iterate(SCOUT_ITERATIONS, contexts=False)
 
         # Include the hazards of paths over skipped cameras.
         self._find_skips(self.hazard)
         self.em.expect(self.hazard)
-
-    def worth_following(self, overlapping: NDArray[np.bool_]) -> NDArray[np.bool_]:
-        """Return a mask (M,) of the candidates that are neither negligible nor impossible.
-
-        overlapping (cameras, cameras): True where two views are known to overlap.
-        """
-        em = self.em
-        likely = (em.responsibility > NEGLIGIBLE) & em.live()
-        return likely & ~negative_without_overlap(
-            self.problem, em.candidates, em.responsibility, overlapping
-        )
 
     def learn(self) -> None:
         """Run the fit: rounds without contexts, then iterations with contexts."""
