@@ -27,7 +27,7 @@ from scipy.special import chdtri
 
 from camtopod.arrays import Floats, Longs, rows_by_group
 from camtopod.learn.association import Fit, Problem
-from camtopod.learn.links import TRANSITIONS_MIN, LinkTable, log_likelihood_ratio
+from camtopod.learn.links import TRANSITIONS_MIN, WEIGHT_MIN, LinkTable, log_likelihood_ratio
 from camtopod.learn.traffic import Departures
 
 FALSE_ALARM = 5e-3
@@ -47,8 +47,6 @@ BLOCKS = 16
 """Number of blocks of the window from whose counts the overdispersion is estimated."""
 CHANGES_MAX = 4
 """Largest number of changes of one pair within a window that are looked for."""
-RESPONSIBILITY_MIN = 1e-3
-"""Least responsibility of candidates that are used."""
 RESPONSIBILITY_MAX = 0.99
 """Upper bound on the responsibility of an arrival, so that a single arrival does not prove that a
 path is open.
@@ -178,7 +176,7 @@ def transitions_by_pair(
     c = fit.candidates
     is_asked = np.zeros(len(c.source), bool)
     is_asked[pairs] = True
-    kept = np.flatnonzero(is_asked[c.pair] & (fit.responsibility >= RESPONSIBILITY_MIN))
+    kept = np.flatnonzero(is_asked[c.pair] & (fit.responsibility > WEIGHT_MIN))
 
     # Merge those of one pair and one arrival: sum of responsibilities, mean time of departure.
     key = c.pair[kept].astype(np.int64) * len(arrivals.t) + c.arrival[kept]

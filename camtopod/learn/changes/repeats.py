@@ -48,10 +48,6 @@ _CHANCE_NATS = math.log(KNOWN_MAX * JUDGED_MAX)
 """Evidence that chance reaches about once among all stretches and lags of a camera."""
 _WHOLE_SECONDS = 1e-3
 """Deviation from whole seconds up to which times have no tenths that could be compared."""
-_APART_SECONDS = 1e9
-"""More than any lag."""
-_LOWER_NATS = 1e4
-"""More than the evidence of any stretch."""
 
 
 class _Matches(NamedTuple):
@@ -135,7 +131,8 @@ def _matches(
         like &= (np.abs(p[first:, None] - p) <= PLACE)[:, ::-1]
     event, other = np.nonzero(like)
     lags = lag[event, other]
-    near = _count_within(event * _APART_SECONDS + lags, RHYTHM_SECONDS)
+    apart = lags.max(initial=0.0) + RHYTHM_SECONDS  # lags of two events are further apart
+    near = _count_within(event * apart + lags, RHYTHM_SECONDS)
     by_chance = near * AGREE_SECONDS / (2 * RHYTHM_SECONDS)
     return _Matches(event, lags, weight[event] * np.log(np.maximum(MATCHED / by_chance, 1.0)))
 
@@ -161,7 +158,7 @@ def _repetitions(matches: _Matches, cost: Floats, phase: float) -> list[_Repetit
     after = np.cumsum(gain + cost[event]) - costs[event]
     before = after - gain
     begins = np.diff(part, prepend=-1) > 0
-    down = _LOWER_NATS * np.cumsum(begins)
+    down = (after.max(initial=0.0) - before.min(initial=0.0) + 1.0) * np.cumsum(begins)
     evidence = after - down - np.minimum.accumulate(before - down)
 
     # The best of each range.

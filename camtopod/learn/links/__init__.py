@@ -43,6 +43,7 @@ from camtopod.learn.links.significance import (
     evidence_against_unrelated as evidence_against_unrelated,
     log_likelihood_ratio as log_likelihood_ratio,
 )
+from camtopod.learn.links.transit_time import WEIGHT_MIN as WEIGHT_MIN
 from camtopod.learn.links.visible_links import (
     passages_lasting as passages_lasting,
     visible_transitions as visible_transitions,

@@ -19,9 +19,6 @@ from camtopod.learn.links.link_table import TRANSITIONS_MIN, LinkTable
 from camtopod.learn.links.significance import ratio_needed
 from camtopod.learn.settings import Settings
 
-PASSAGES_MIN = 1.0
-"""Lower bound on the number of objects that an unpublished link lacks."""
-
 
 class LinkShortfall(NamedTuple):
     """Shortfall of L weak links, (L,) each; nan for links that more traffic does not publish."""
@@ -62,5 +59,5 @@ def shortfall_of(
     helps = (each > 0) & (weak.probability >= settings.publish_probability_min)
     passages = np.full(len(key), np.nan)
     passages[helps] = (needed - held_out[helps]) / each[helps]
-    passages = np.maximum(passages, np.maximum(TRANSITIONS_MIN - transitions, PASSAGES_MIN))
+    passages = np.maximum(passages, np.maximum(TRANSITIONS_MIN - transitions, 1.0))
     return LinkShortfall(passages, passages * seconds / np.maximum(transitions, 1e-9))

@@ -20,8 +20,10 @@ from scipy.optimize import linear_sum_assignment
 from camtopod.arrays import Floats, Longs
 from camtopod.learn.limits import ZONES_PER_CAMERA_MAX
 from camtopod.learn.zones.clutter import clutter_rates
+from camtopod.learn.zones.marginal_likelihood import ZONE_SD
 from camtopod.learn.zones.mixture import ZoneShape, classify_cells
 from camtopod.learn.zones.partition import Cells, partition
+from camtopod.learn.zones.separation import FAR
 from camtopod.topology import GRID_COLUMNS, GRID_ROWS, POSITION_ONE
 
 ANEW_EVENTS_MAX = 4000
@@ -30,10 +32,6 @@ CELLS = GRID_ROWS * GRID_COLUMNS
 """Number of cells of the grid."""
 NO_CELL = -1
 """Cell of events without position."""
-MATCH_DISTANCE = 3.0
-"""Largest distance, in standard deviations, at which a new zone takes an old one's number."""
-PLACE_SD_MIN = 0.02
-"""Standard deviation whose square is added to the variances of zones for matching, image units."""
 _SCALE = np.array(
     [1, POSITION_ONE, POSITION_ONE, POSITION_ONE**2, POSITION_ONE**2, POSITION_ONE**2]
 )[:, None]
@@ -183,16 +181,16 @@ def match_zones(
     position (y, then x).
 
     Old and new zones are matched by the Hungarian method, which minimises the sum of their
-    distances (`_distances`, capped just above `MATCH_DISTANCE`). Zones further apart than
-    `MATCH_DISTANCE` are not matched.
+    distances (`_distances`, capped just above `FAR`). Zones further apart than
+    `FAR` are not matched.
     """
     # Match new zones with old ones.
     number: dict[int, int] = {}
     if old and new:
         distance = _distances(old, new)
-        cost = np.minimum(distance, MATCH_DISTANCE + 1.0)
+        cost = np.minimum(distance, FAR + 1.0)
         for a, b in zip(*linear_sum_assignment(cost), strict=True):
-            if distance[a, b] <= MATCH_DISTANCE:
+            if distance[a, b] <= FAR:
                 number[int(b)] = old[a].number
 
     # Number the new zones that match no old one.
@@ -229,11 +227,11 @@ def _distances(old: tuple[ZoneShape, ...], new: list[ZoneShape]) -> Floats:
 
 
 def _figures(zones: Sequence[ZoneShape]) -> Floats:
-    """Return the centre and the covariance, widened by `PLACE_SD_MIN`, of each zone.
+    """Return the centre and the covariance, widened by `ZONE_SD`, of each zone.
 
     The result is (5, zones): x, y and the covariance as xx, xy, yy.
     """
-    least = PLACE_SD_MIN**2
+    least = ZONE_SD**2
     return np.array(
         [(z.x, z.y, z.cov[0][0] + least, z.cov[0][1], z.cov[1][1] + least) for z in zones]
     ).T
