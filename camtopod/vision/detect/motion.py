@@ -54,6 +54,8 @@ _CROSS = cv2.getStructuringElement(cv2.MORPH_CROSS, (3, 3))
 _SQUARE = np.ones((3, 3), np.uint8)
 _DARK = 24.0
 """Level below which the logarithm flattens, so that noise in the dark makes no edges."""
+_DIM = 85.0
+"""Mean level, a third of the range, below which less difference is motion, in proportion."""
 _LOGARITHM = np.clip(100 * np.log((np.arange(256) + _DARK) / _DARK), 0, 255).astype(np.uint8)
 """Logarithm of each grey level, in hundredths of e-folds."""
 
@@ -147,7 +149,7 @@ class MotionDetector:
 
         # Moving pixels; an image that has changed for long ends this scene.
         sensitivity = self._settings.sensitivity
-        light = min((cv2.mean(expected, self.watched)[0] + _DARK) / (255 / 2 + _DARK), 1.0)
+        light = min((cv2.mean(expected, self.watched)[0] + _DARK) / (_DIM + _DARK), 1.0)
         least = DIFFERENCE_MIN * max(light / sensitivity, min(self.noise / NOISE_TO_FILTER, 1.0))
         differs = cv2.threshold(cv2.absdiff(frame, expected), least, 255, cv2.THRESH_BINARY)[1]
         differs = cv2.bitwise_and(differs, self.watched)

@@ -19,7 +19,8 @@ GATE_HEIGHTS = 0.35
 PIECE_HEIGHT_MIN = 0.4
 """Least height of a blob that no border cuts, as a share of a person's."""
 GROUP_FACTOR = 1.3
-"""Least area of a group's blob, as a factor of its largest member's."""
+"""Least area of a group's blob, as a factor of its largest member's; largest factor between the
+heights of a confirmed member and of a tentative one."""
 LIKE_FACTOR = 2.0
 """Largest factor between the areas, or heights, of one object that no border cuts."""
 NEARER_SHARE = 0.7
@@ -36,7 +37,7 @@ def group_in(
 ) -> list[Track]:
     """Return the tracks whose people the blob covers, none unless it is larger than each of them.
 
-    One of them at least is confirmed: those of fragments of one who enters are tentative.
+    One of them at least is confirmed, and the tentative ones are about as tall, unlike fragments.
 
     expected: tracks that it may cover, with their expected boxes.
     """
@@ -45,9 +46,12 @@ def group_in(
         for track, box in expected
         if contains_centre(blob.box, box) and not crossings.comes_in(track, blob.box)
     ]
+    tallest = max((track.height for track in inside if track.confirmed), default=np.inf)
+    inside = [
+        track for track in inside if track.confirmed or GROUP_FACTOR * track.height >= tallest
+    ]
     largest = max((track.width * track.height for track in inside), default=0.0)
-    several = len(inside) > 1 and any(track.confirmed for track in inside)
-    return inside if several and area(blob.box) > GROUP_FACTOR * largest else []
+    return inside if len(inside) > 1 and area(blob.box) > GROUP_FACTOR * largest else []
 
 
 def boxes_in_group(blob: Blob, group: Sequence[Track]) -> Iterator[tuple[Track, Box]]:
