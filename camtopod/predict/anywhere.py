@@ -12,8 +12,8 @@ from msgspec.structs import replace
 from camtopod.predict.odds import Site
 from camtopod.records import NextCamera
 
-LEAST = 1e-4
-"""Least probability of a camera that is listed."""
+NEXT_PROBABILITY_MIN = 1e-4
+"""Least probability of an outcome that is listed in a prediction."""
 
 
 def anywhere(
@@ -37,7 +37,7 @@ def anywhere(
     elapsed = min(max((now or t) - t, 0.0), lag_max)
     odds = site.unknown[zone] * (1.0 - elapsed / lag_max)
     share = leave * odds * entering / entering.sum()
-    share[share < LEAST] = 0.0
+    share[share < NEXT_PROBABILITY_MIN] = 0.0
 
     # One row for each zone, the likeliest first.
     rows = {row.zone: row for row in next_}

@@ -21,7 +21,7 @@ import numpy as np
 from msgspec import Struct
 
 from camtopod.arrays import Floats, Rows
-from camtopod.predict.anywhere import anywhere
+from camtopod.predict.anywhere import NEXT_PROBABILITY_MIN, anywhere
 from camtopod.predict.contexts import ContextMultipliers
 from camtopod.predict.hand_over import HandOver, cameras_to_watch
 from camtopod.predict.hazards import Hazards
@@ -43,8 +43,6 @@ DEAD_PRIOR = 1e-3
 """Prior probability that a camera has stopped reporting for good."""
 SILENCE_NATS_MAX = 50.0
 """Largest evidence (nats) of a camera's silence that counts."""
-NEXT_PROBABILITY_MIN = 1e-4
-"""Least probability of an outcome that is listed in a prediction."""
 
 
 class PredictorState(Struct):

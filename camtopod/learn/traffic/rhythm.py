@@ -11,6 +11,7 @@ platoon then explains itself, but for its beginning.
 from __future__ import annotations
 
 import numpy as np
+from scipy.special import gammaincinv
 
 from camtopod.arrays import Floats, Ints, rows_by_group
 
@@ -18,18 +19,12 @@ CYCLE_SECONDS = (40.0, 150.0)
 """Shortest and longest cycle, those of traffic signals."""
 HARMONICS = 2
 """Harmonics that describe the course of a cycle."""
-STEP_SECONDS = 5.0
-"""Width of the time bins in which a cycle is searched."""
-PAST_SECONDS = 40.0
-"""Time constant with which the effect of an arrival on the rate decays."""
+PAST_SECONDS = CYCLE_SECONDS[0]
+"""Time constant with which the effect of an arrival decays: what lasts longer is a cycle."""
 GAIN_NATS = 8.0
 """Least gain in log likelihood for which a zone has a rhythm, or a cycle among all frequencies."""
 ITERATIONS = 50
 """Iterations of EM for the shares of the three parts."""
-LEAST_SHARE = 0.1
-"""Lower bound on the rate in a cycle, relative to the even rate."""
-GAMMA_MEDIAN = 1.678
-"""Median of the power of noise summed over two harmonics, if the mean of each is 1."""
 
 
 def rhythm_rates(t: Floats, zone: Ints, even: Floats, zones: int) -> Floats:
@@ -62,11 +57,15 @@ def _cycles(t: Floats, zone: Ints, zones: int) -> Floats:
     relative = np.ones(len(t))
     if len(t) == 0:
         return relative
-    since = t - t[0]
-    bins = int(since[-1] / STEP_SECONDS) + 1
-    size = 4 * bins
+
+    # Time bins, four for a wave of the fastest harmonic; frequencies four times as fine as the time
+    # can tell; the band of the cycles.
     shortest, longest = CYCLE_SECONDS
-    band = np.arange(-(-size * STEP_SECONDS // longest), size * STEP_SECONDS // shortest + 1)
+    step = shortest / (4 * HARMONICS)
+    since = t - t[0]
+    bins = int(since[-1] / step) + 1
+    size = 4 * bins
+    band = np.arange(-(-size * step // longest), size * step // shortest + 1)
     band = band[band > 0].astype(np.intp)
     orders = np.arange(1, HARMONICS + 1)
     needed = GAIN_NATS + np.log(max(len(band), 1))
@@ -78,20 +77,20 @@ def _cycles(t: Floats, zone: Ints, zones: int) -> Floats:
 
         # Power over the harmonics of each frequency, in units of the noise: that of other
         # frequencies, as clumps of arrivals have more than Poisson noise.
-        counts = np.bincount((since[rows] / STEP_SECONDS).astype(np.intp), minlength=bins)
+        counts = np.bincount((since[rows] / step).astype(np.intp), minlength=bins)
         power = np.abs(np.fft.rfft(counts, size)) ** 2
         power = power[np.minimum(np.outer(orders, band), size // 2)].sum(axis=0)
-        power *= GAMMA_MEDIAN / max(float(np.median(power)), 1e-9)
+        power *= gammaincinv(HARMONICS, 0.5) / max(float(np.median(power)), 1e-9)
         best = int(power.argmax())
         if power[best] - np.log1p(power[best]) < needed:
             continue
 
         # The course of the cycle, by the other arrivals.
-        angle = 2.0 * np.pi * band[best] / (size * STEP_SECONDS) * since[rows]
+        angle = 2.0 * np.pi * band[best] / (size * step) * since[rows]
         wave = np.exp(1j * np.outer(orders, angle))
         others = (wave.sum(axis=1, keepdims=True) - wave) / (len(rows) - 1)
         course = 1.0 + 2.0 * (others.conj() * wave).real.sum(axis=0)
-        relative[rows] = np.maximum(course, LEAST_SHARE)
+        relative[rows] = np.maximum(course, 0.0)
     return relative
 
 
