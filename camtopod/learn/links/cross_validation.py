@@ -19,6 +19,7 @@ import numpy as np
 
 from camtopod.arrays import Floats, Longs, Singles
 from camtopod.learn.association import (
+    RESPONSIBILITY_MAX,
     Candidates,
     Em,
     EmModel,
@@ -51,8 +52,6 @@ shares is an e-value, too.
 """
 SWEEPS = 3
 """Number of E steps under given hazards."""
-RESPONSIBILITY_MAX = 1.0 - 1e-7
-"""Upper bound on a responsibility r where log(1 - r) is computed."""
 
 
 def cross_evidence(problem: Problem, fit: Fit, first: float) -> Floats:

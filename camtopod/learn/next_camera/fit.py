@@ -49,11 +49,9 @@ FIRST_NOISE_SD = 3.0
 """
 FIRST_ROUNDS = 3
 FIRST_ITERATIONS = 5
-"""Rounds without contexts, and EM iterations of each; after each round, unlikely candidates are
-left out and speed is estimated.
+"""Rounds without contexts, and EM iterations of each (and of `followed_of`); after each round,
+unlikely candidates are left out and speed is estimated.
 """
-SCOUT_ITERATIONS = 5
-"""EM iterations of `followed_of`, after which candidates are selected."""
 NEGLIGIBLE = 1e-4
 """Least responsibility, after these iterations, of a candidate that is selected."""
 ITERATIONS = 8
@@ -172,7 +170,7 @@ class PosteriorFitter:
     def scout(self) -> None:
         """Run a few iterations, enough for `followed_of`."""
         self._start()
-        self._iterate(SCOUT_ITERATIONS, contexts=False)
+        self._iterate(FIRST_ITERATIONS, contexts=False)
 
         # Include the hazards of paths over skipped cameras.
         self._find_skips(self.hazard)
