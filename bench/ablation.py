@@ -159,6 +159,7 @@ MECHANISMS = [
     Mechanism("changes", {"learn.refit:find_changes": lambda *arguments: []}),
     Mechanism("over-relaxed EM", {"learn.association.em:STRIDE": 1.0}),
     Mechanism("sparse prior", {"learn.association.joint_fit:SPARSITY": 0.0}),
+    Mechanism("second opinion", {"learn.refit:is_wanted": lambda *arguments: False}),
     Mechanism("long paths", {"learn.long_paths:find_long_paths": lambda *arguments: []}),
     Mechanism(
         "usual dwell times",

@@ -337,6 +337,20 @@ class Overlap(Struct, frozen=True):
     others: Histogram
 
 
+class CameraPath(Struct, frozen=True, rename={"from_": "from"}):
+    """A path between two cameras, on which lags have Student's t distribution (5 degrees).
+
+    share: of the objects leaving the view of ``from``, the share that takes it.
+    place, width (seconds): median and scale of the lags; a width of 0 means any lag after the exit.
+    """
+
+    from_: str
+    to: str
+    share: Share
+    place: Seconds
+    width: Duration
+
+
 class Model(Struct, frozen=True):
     """Parameters that `camtopod.predict` needs beyond the links.
 
@@ -346,6 +360,8 @@ class Model(Struct, frozen=True):
         the cameras' own clocks.
     onward: the posterior, weak evidence included; without it prediction uses the links.
     overlaps: views that overlap; None if they were not searched for.
+    paths: a second opinion, which has half of the weight; None if the posterior needs none. What
+        the paths of a camera leave of 1 is the share that leaves the site.
     """
 
     lag_scale: Annotated[float, Meta(ge=1e-3, le=1e6)]
@@ -360,6 +376,7 @@ class Model(Struct, frozen=True):
     contexts: list[Context] | None = None
     pace: Pace | None = None
     overlaps: list[Overlap] | None = None
+    paths: list[CameraPath] | None = None
 
 
 class ChainEdge(Struct, frozen=True, rename={"from_": "from"}):

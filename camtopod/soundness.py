@@ -35,6 +35,11 @@ def _unknown(topology: Topology) -> Iterator[str]:
     of_cameras: dict[str, Names] = {
         "zones": (zone.camera for zone in topology.zones),
         "pairs": (name for pair in topology.pairs for name in pair.cameras),
+        "model.paths": (
+            name
+            for path in (topology.model.paths if topology.model is not None else None) or []
+            for name in (path.from_, path.to)
+        ),
     }
     links = {"links": topology.links, "weak_links": topology.weak_links or []}
     of_zones: dict[str, Names] = {

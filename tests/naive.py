@@ -953,3 +953,14 @@ def skip_hazards(appears, source, target, through, bins, quantiles, sd_bins, lin
                         if at >= 0:
                             mass[number[u, v], at] += taken / len(quantiles) ** 2
     return mass @ smoothing_kernel(bins.size, sd_bins).T / bins.widths
+
+
+def camera_lags(left, source, dwell, came, target, lag_min, lag_max):
+    """Return (departure, arrival) of all candidates by camera, whatever their zones."""
+    return [
+        (d, a)
+        for d in range(len(left))
+        for a in range(len(came))
+        if max(lag_min, -dwell[d]) <= came[a] - left[d] <= lag_max
+        and (came[a] > left[d] or target[a] != source[d])
+    ]

@@ -216,8 +216,9 @@ class Gate:
         surely = np.zeros(len(rate))
         for zone, outcomes in self._hazards.outcomes.items():
             departures = self._hazards.departures[zone]
-            explained[outcomes.targets] += departures * outcomes.share
-            surely[outcomes.targets] += departures * self._onward(zone).chance.sum(axis=1)
+            chance = self._onward(zone).chance.sum(axis=1)
+            np.add.at(explained, outcomes.targets, departures * outcomes.weight * outcomes.share)
+            np.add.at(surely, outcomes.targets, departures * chance)
 
         # Duration of the window learned from, by zones with enough entries from outside.
         some = entries - explained > OUTSIDE_SHARE_MIN * entries
@@ -250,22 +251,22 @@ class Gate:
         if began is not None:
             entry = began.zone
             exposure = self._hazards.exposure_of_passage(began.stay)
-            early = self._expected_early(outcomes.targets, began)
+            early = self._expected_early(outcomes.targets, began) * table.is_first
 
         # Odds against leaving the site.
         likelier, leave = self.predictor.surroundings.multipliers(
             zone, outcomes, block, entry, None, 0.0
         )
-        odds = outcomes.hazard * self._hazards.bins.widths * outcomes.exposure_by_target(exposure)
+        odds = outcomes.hazard * self._hazards.bins.widths * outcomes.exposure_by_row(exposure)
         odds *= likelier[:, None]
 
         # Spurious mass counts as "left the site".
         sure = 1.0 - outcomes.doubt
         every = odds.sum(axis=1) + early * likelier
         leave += float(outcomes.doubt @ every)
-        total = leave + float(sure @ every)
-        chance = odds * sure[:, None] / total
-        return _Onward(table, chance, leave / total, likelier * sure / total, began)
+        chance, gone = outcomes.probabilities(sure * every, leave)
+        scale = chance / np.maximum(every, 1e-300)
+        return _Onward(table, odds * scale[:, None], gone, likelier * scale, began)
 
     def _expected_early(self, targets: list[int], began: _Began) -> Floats:
         """Return the arrivals (targets,) expected before the exit, given the entry alone."""
@@ -295,19 +296,21 @@ class Gate:
         density = np.zeros(len(zones))
         if onward.table is not None:
             bins = self._hazards.bins
-            row = onward.table.row_of[zones]
-            at = bins.index(lag - np.append(onward.table.outcomes.delay, 0.0)[row])
-            some = np.flatnonzero((row >= 0) & (at >= 0))
-            density[some] = onward.chance[row[some], at[some]] / bins.widths[at[some]]
+            row, which = onward.table.rows_of(zones)
+            at = bins.index(lag[which] - onward.table.outcomes.delay[row])
+            row, which, at = row[at >= 0], which[at >= 0], at[at >= 0]
+            np.add.at(density, which, onward.chance[row, at] / bins.widths[at])
 
             # Before the exit, the rates that follow from the entry are added.
             if onward.began is not None:
-                before = some[lag[some] <= 0]
+                kept = (lag[which] <= 0) & onward.table.is_first[row]
+                row = row[kept]
+                before = which[kept]
                 entered = self._hazards.rates_entered(
                     onward.began.zone,
                     zones[before].astype(np.int32),
                     onward.began.stay + lag[before],
                 )
-                density[before] += onward.early[row[before]] * entered
+                density[before] += onward.early[row] * entered
         with np.errstate(divide="ignore"):
             return np.log(density)

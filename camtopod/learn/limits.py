@@ -22,6 +22,10 @@ WEIGHED_AT_ONCE = 8_000_000
 """Event pairs of one zone of arrival that screening weighs together, at 50 bytes each."""
 JUDGED_MAX = 6_000_000
 """Event pairs from which cross-validation estimates the evidence for links in one fit."""
+PATH_CANDIDATES_MAX = 4_000_000
+"""Event pairs from which the paths between cameras are learned (`learn.paths`)."""
+PATH_CAMERAS_MAX = 128
+"""Cameras of a site for which paths are learned: the search grows with the pairs of cameras."""
 ZONES_PER_CAMERA_MAX = 32
 """Zones of one camera; of more, those with the most events count."""
 ZONE_PAIRS_MAX = 20_000

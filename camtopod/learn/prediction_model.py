@@ -20,6 +20,7 @@ from camtopod.learn.traffic import Persistence, Scene, usual_dwell_times
 from camtopod.learn.window import Window
 from camtopod.records import (
     CameraModel,
+    CameraPath,
     Context,
     EntryKernel,
     Model,
@@ -55,6 +56,7 @@ def build_model(
     changes: list[Change],
     clocks_corrected: bool,
     overlapping: Sequence[OverlappingViews] = (),
+    paths: list[CameraPath] | None = None,
 ) -> Model:
     """Return the part of the topology, beside the links, that prediction reads.
 
@@ -64,6 +66,7 @@ def build_model(
     changes: links whose share has changed within the window.
     clocks_corrected: True if the links' transit times are in corrected time.
     overlapping: pairs of overlapping views.
+    paths: the second opinion (`camtopod.learn.paths`); None without one.
     """
     ids = [zone_id(cameras, zone) for zone in scene.zones]
     zones = sorted(_zone_models(ids, scene, posterior), key=lambda zone: zone.zone)
@@ -86,6 +89,7 @@ def build_model(
         entered=_entered(ids, posterior, bins),
         contexts=_contexts(ids, cameras, posterior, now),
         pace=_pace(ids, scene, posterior.fit.persistence),
+        paths=paths,
     )
 
 

@@ -75,6 +75,7 @@ from camtopod.learn.next_camera import (
     views_of,
 )
 from camtopod.learn.outcomes import Happened, ScoredPrediction, outcomes_of
+from camtopod.learn.paths import is_wanted, second_opinion
 from camtopod.learn.prediction_model import build_model
 from camtopod.learn.settings import Settings
 from camtopod.learn.traffic import Scene
@@ -387,7 +388,9 @@ def predict_next(
         clocks.offset,
         certain_until,
     )
-    # The model that is published.
+    # The model that is published, with the second opinion if it is wanted.
+    wanted = is_wanted(scene, len(cameras))
+    paths = second_opinion(scene, cameras, bins.lag_min) if wanted else None
     model = build_model(
         cameras,
         scene,
@@ -397,5 +400,6 @@ def predict_next(
         associated.changes,
         settings.correct_clocks,
         overlapping,
+        paths,
     )
     return likely_pairs, model, happened

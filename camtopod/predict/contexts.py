@@ -15,7 +15,8 @@ from array import array
 import numpy as np
 
 from camtopod.arrays import Floats
-from camtopod.predict.hazards import Outcomes, model_of
+from camtopod.predict.hazards import model_of
+from camtopod.predict.outcomes import Outcomes
 from camtopod.records import Context, Topology
 from camtopod.topology import BACK_OFF_DEPARTURES, LEAVE_FLOOR, MULTIPLIER_MAX
 
@@ -70,8 +71,8 @@ class ContextMultipliers:
         previous: camera where the object probably was before; None if unknown.
         sure: probability that ``previous`` is right.
 
-        The factors (targets,) are relative to an exit of which only the zone is known. The second
-        result is the share of such exits after which objects leave the site.
+        The factors (rows,) are relative to an exit of which only the zone is known; those of paths
+        are 1. The second result is the share of such exits after which objects leave the site.
         """
         numbers = self._numbers.get(zone)
         if numbers is None:
@@ -105,4 +106,5 @@ class ContextMultipliers:
 
         # Ratio to the share without any context, within limits.
         ratio = share / np.maximum(outcomes.share, 1e-300)
-        return np.clip(ratio, 1.0 / MULTIPLIER_MAX, MULTIPLIER_MAX), max(leave, LEAVE_FLOOR)
+        ratio = np.clip(ratio, 1.0 / MULTIPLIER_MAX, MULTIPLIER_MAX)
+        return np.where(outcomes.by_path, 1.0, ratio), max(leave, LEAVE_FLOOR)

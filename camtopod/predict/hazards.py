@@ -11,12 +11,12 @@ their entry, and `rate_before_exit`, the mean over the passage).
 from __future__ import annotations
 
 import itertools
-from typing import NamedTuple
 
 import numpy as np
 
 from camtopod.arrays import Bools, Floats, Ints, Rows, Singles
-from camtopod.records import Link, Model, Onward, Topology
+from camtopod.predict.outcomes import FLOOR, Outcomes, with_paths
+from camtopod.records import CameraPath, Link, Model, Onward, Topology, Zone
 from camtopod.topology import (
     LAG_SCALE_SECONDS,
     LAG_STEP,
@@ -29,38 +29,6 @@ from camtopod.topology import (
 
 NORMAL_Q90 = 1.2816
 """0.9 quantile of the standard normal distribution."""
-FLOOR = 1e-6
-"""Least probability of leaving the site, and rate (1/s) that is added to the learned one of
-arrivals from outside, so that some outcome is always possible.
-"""
-
-
-class Outcomes(NamedTuple):
-    """Possible next zones, the targets, of objects that leave one zone."""
-
-    targets: list[int]
-    """Indices of the targets."""
-    share: Floats
-    """(targets,) share of the departures that appear next at each target."""
-    leave: float
-    """Share of the departures after which objects leave the site."""
-    hazard: Singles
-    """(targets, bins) hazard of each target by lag, per second and exposed departure."""
-    exposure: Floats
-    """(bins,) share of the departures of this zone that are exposed to each lag."""
-    doubt: Floats
-    """(targets,) share of the transitions that may be spurious."""
-    delay: Floats
-    """(targets,) seconds to add to the lags of the bins; above 0 for long paths."""
-
-    def exposure_by_target(self, exposure: Floats) -> Floats:
-        """Return the exposure by target and lag, (targets, bins).
-
-        exposure (bins,): exposure to lags from the exit. Transitions over a long path are always
-            exposed.
-        """
-        either: Floats = np.maximum(exposure, (self.delay > 0.0)[:, None])
-        return either
 
 
 class Hazards:
@@ -95,6 +63,8 @@ class Hazards:
             self.outcomes = self._from_links([*topology.links, *(topology.weak_links or [])], index)
         else:
             self.outcomes = self._from_posterior(model.onward, index)
+        if model.paths is not None:
+            self._add_paths(topology.zones, model.paths)
         self._index_by_target(len(index))
         self.lag_max = self.bins.lag_max + float(self._delay.max())
         """Longest lag with a bin, delays of long paths included, seconds."""
@@ -116,24 +86,24 @@ class Hazards:
 
         Return zones (m,) and hazards (m, 1/s) of the sources from which there is any hazard.
         """
-        if target not in self._into:
-            return sources[:0], lag[:0]
-        zones, rows = self._into[target]
-        row = self._rows_of(zones, rows, sources)
-        [with_hazard] = row.nonzero()
-        return sources.take(with_hazard), self._at(row.take(with_hazard), lag.take(with_hazard))
+        found = [(sources[:0], lag[:0])]
+        for zones, rows in self._into.get(target, []):
+            row = self._rows_of(zones, rows, sources)
+            [with_hazard] = row.nonzero()
+            rates = self._at(row.take(with_hazard), lag.take(with_hazard))
+            found.append((sources.take(with_hazard), rates))
+        zones_of, rates_of = zip(*found, strict=True)
+        return np.concatenate(zones_of), np.concatenate(rates_of)
 
     def rates_from(self, source: int, targets: Ints, lag: Floats) -> Floats:
         """Return the hazards (n, 1/s) at which an object that left one zone appears at others.
 
         targets (n,), lag (n, seconds): zones, and the time since the object has left.
         """
-        if source not in self.outcomes:
-            return np.zeros(len(lag))
-        reached = self.outcomes[source].targets
-        first = self._first_row[source]
-        rows = np.arange(first, first + len(reached))
-        return self._at(self._rows_of(reached, rows, targets), lag)
+        total = np.zeros(len(lag))
+        for zones, rows in self._onto.get(source, []):
+            total += self._at(self._rows_of(zones, rows, targets), lag)
+        return total
 
     def rates_entered(self, entry: int, targets: Ints, elapsed: Floats) -> Floats:
         """Return `rate_entered` (n, 1/s) for several targets and times (n, s) since the entry."""
@@ -211,6 +181,7 @@ class Hazards:
                 exposure=self._exposure(zone),
                 doubt=np.array([outcome.doubt for outcome in row.next_]),
                 delay=np.array([outcome.hazard.delay for outcome in row.next_]),
+                by_path=np.zeros(len(row.next_), np.bool_),
             )
         return outcomes
 
@@ -243,8 +214,31 @@ class Hazards:
                 exposure=exposure,
                 doubt=np.zeros(len(out)),
                 delay=delay,
+                by_path=np.zeros(len(out), np.bool_),
             )
         return outcomes
+
+    def _add_paths(self, zones: list[Zone], paths: list[CameraPath]) -> None:
+        """Average the outcomes with the second opinion of a version (`with_paths`)."""
+        by_camera: dict[str, list[CameraPath]] = {}
+        for path in paths:
+            by_camera.setdefault(path.from_, []).append(path)
+        for k, zone in enumerate(zones):
+            none = np.zeros(0)
+            gone = Outcomes(
+                [],
+                none,
+                1.0,
+                np.zeros((0, self.bins.size), np.float32),
+                self._exposure(k),
+                none,
+                none,
+                none > 0,
+            )
+            first = self.outcomes.get(k, gone)
+            both = with_paths(first, by_camera.get(zone.camera, []), zones, self.bins)
+            if both.targets:
+                self.outcomes[k] = both
 
     def _exposure(self, zone: int) -> Floats:
         """Return the share of the departures at a zone that are exposed to each lag, (bins,).
@@ -269,19 +263,33 @@ class Hazards:
         self._first_row: dict[int, int] = dict(zip(self.outcomes, first_rows, strict=False))
         self._table: Singles = np.zeros((first_rows[-1], self.bins.size + 1), np.float32)
         self._delay = np.zeros(first_rows[-1])
+        self._weight = np.zeros(first_rows[-1])
         for zone, outcomes in self.outcomes.items():
             first = self._first_row[zone]
             rows = slice(first, first + len(outcomes.targets))
             self._table[rows, :-1] = outcomes.hazard
             self._delay[rows] = outcomes.delay
+            self._weight[rows] = outcomes.weight
             self.outcomes[zone] = outcomes._replace(hazard=self._table[rows, :-1])
 
-        # Sources and rows (2, sources) of each target.
-        into: dict[int, list[tuple[int, int]]] = {}
+        # Sources and rows (2, sources) of each target, and targets and rows of each source. Of
+        # several rows for one source and target, each is in another item of the list.
+        into: dict[int, list[dict[int, int]]] = {}
+        onto: dict[int, list[dict[int, int]]] = {}
         for zone, outcomes in self.outcomes.items():
             for row, target in enumerate(outcomes.targets, start=self._first_row[zone]):
-                into.setdefault(target, []).append((zone, row))
-        self._into = {target: np.array(pairs, np.int32).T for target, pairs in into.items()}
+                for table, key, other in ((into, target, zone), (onto, zone, target)):
+                    layers = table.setdefault(key, [])
+                    if all(other in layer for layer in layers):
+                        layers.append({})
+                    next(layer for layer in layers if other not in layer)[other] = row
+        self._into, self._onto = (
+            {
+                key: [np.array(list(layer.items()), np.int32).T for layer in layers]
+                for key, layers in table.items()
+            }
+            for table in (into, onto)
+        )
         self._limits = np.array(self.bins.limits)
         self._row_of_zone = np.zeros(zones, np.int32)  # all 0 between calls
 
@@ -296,7 +304,7 @@ class Hazards:
         return row
 
     def _at(self, row: Ints, lag: Floats) -> Floats:
-        """Return the hazards (n, 1/s) in given rows (n,) of the table at given lags (n, seconds).
+        """Return the weighted hazards (n, 1/s) of rows (n,) of the table at lags (n, seconds).
 
         In the flattened table, a lag before the first bin gets the last column of the row before,
         and a lag after the last bin the last column of its own row; both are zero.
@@ -304,7 +312,8 @@ class Hazards:
         at = self._limits.searchsorted(lag - self._delay.take(row), "right")
         at += row * np.intp(self._table.shape[1])
         at -= 1
-        return self._table.take(at).astype(float)
+        rates: Floats = self._table.take(at).astype(float) * self._weight.take(row)
+        return rates
 
     def _mean_rates_before_exit(self, topology: Topology) -> dict[tuple[str, int], float]:
         """Return the values of `rate_before_exit` by (camera, target).
@@ -323,7 +332,7 @@ class Hazards:
             median = deciles[len(deciles) // 2] if deciles else UNKNOWN_DWELL_SECONDS
             share = zone.exits / max(exits[zone.camera], 1) / max(median, 1.0)
             mass = outcomes.hazard * self.bins.widths * outcomes.exposure
-            expected = mass[:, self.past].sum(axis=1)
+            expected = outcomes.weight * mass[:, self.past].sum(axis=1)
             expected[outcomes.delay > 0.0] = 0.0
             for target, number in zip(outcomes.targets, expected.tolist(), strict=True):
                 key = zone.camera, target

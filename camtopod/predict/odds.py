@@ -13,9 +13,10 @@ from typing import NamedTuple
 
 import numpy as np
 
-from camtopod.arrays import Bools, Floats, Ints, Rows
-from camtopod.predict.hazards import Hazards, Outcomes, model_of
+from camtopod.arrays import Bools, Floats, Indices, Ints, Rows
+from camtopod.predict.hazards import Hazards, model_of
 from camtopod.predict.open_passages import UNKNOWN, Passage
+from camtopod.predict.outcomes import Outcomes
 from camtopod.predict.time_windows import scale_lags, unknown_share
 from camtopod.records import Topology, Zone
 
@@ -100,9 +101,11 @@ class ExitTable:
         """(targets,) number of each target's camera."""
         self.transitions = outcomes.share * site.hazards.departures[zone]
         """(targets,) expected transitions that the hazards were learned from."""
-        self.row_of = np.full(len(site.zones), -1, np.int32)
-        """(zones,) row of each zone among the targets; -1 for zones that are no targets."""
-        self.row_of[outcomes.targets] = np.arange(len(outcomes.targets))
+        self._order = np.argsort(outcomes.targets, kind="stable")
+        self._end = np.cumsum(np.bincount(outcomes.targets, minlength=len(site.zones)))
+        self.is_first = np.zeros(len(outcomes.targets), np.bool_)
+        """(rows,) True for the first row of each target."""
+        self.is_first[np.unique(outcomes.targets, return_index=True)[1]] = True
 
         # Clocks of the targets relative to that of this camera.
         offsets = site.offset_of[outcomes.targets] - site.offset_of[zone]
@@ -112,6 +115,14 @@ class ExitTable:
         """
         self.window_shift = np.where(site.is_corrected, 0.0, offsets) + outcomes.delay
         """(targets, seconds) to be added to a lag to get the lag that is published."""
+
+    def rows_of(self, zones: Indices) -> tuple[Rows, Rows]:
+        """Return all rows (m,) of the targets that are among ``zones`` (n,), and which of n."""
+        end = self._end[zones]
+        number = end - np.where(zones > 0, self._end[zones - 1], 0)
+        which = np.repeat(np.arange(len(zones)), number)
+        rows = self._order[np.arange(len(which)) + (end - np.cumsum(number))[which]]
+        return rows, which
 
 
 class Site:
@@ -182,7 +193,7 @@ def find_odds(
     exposure = (
         outcomes.exposure if query.dwell is None else hazards.exposure_of_passage(query.dwell)
     )
-    exposure = outcomes.exposure_by_target(exposure)
+    exposure = outcomes.exposure_by_row(exposure)
     edges = scale_lags(hazards.bins.edges, query.slowness)
 
     # Mass of arrivals that would not be observed yet. At the exit, a bin counts as a whole if any
@@ -195,13 +206,13 @@ def find_odds(
     mass *= is_alive[:, None]
 
     # Observed arrivals at targets, at lags that have a bin.
-    row = table.row_of[seen.zone]
-    lag = seen.t - query.t - np.where(row >= 0, outcomes.delay[row], 0.0)
+    row, which = table.rows_of(seen.zone)
+    lag = seen.t[which] - query.t - outcomes.delay[row]
     at = hazards.bins.index(scale_lags(lag, 1.0 / query.slowness))
-    fits = np.flatnonzero((row >= 0) & (at >= 0))
+    fits = np.flatnonzero(at >= 0)
     if not len(fits):
         return Odds(mass, edges)
-    seen = seen.take(fits)
+    seen = seen.take(which[fits])
     row = row[fits]
     at = at[fits]
 
@@ -212,7 +223,8 @@ def find_odds(
     if query.passage is not None:
         entered = hazards.rates_entered(query.passage.entry, seen.zone, seen.t - query.passage.t)
     others = seen.rate - own_rate(query, site, seen, entered)
-    np.add.at(mass, (row, at), (hazard + entered * seen.before) / np.maximum(others, RATE_MIN))
+    hazard += entered * seen.before * table.is_first[row]
+    np.add.at(mass, (row, at), hazard / np.maximum(others, RATE_MIN))
     return Odds(mass, edges)
 
 

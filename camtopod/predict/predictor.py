@@ -218,11 +218,11 @@ class Predictor:
 
         # Probabilities of the outcomes that are likely enough.
         by_target = odds.by_target() * multiplier * (1.0 - spurious)
-        order = np.argsort(-by_target, kind="stable")
-        least = NEXT_PROBABILITY_MIN * (leave + float(by_target.sum()))
-        order = order[by_target[order] >= least]
-        total = leave + float(by_target[order].sum())
-        probabilities = (by_target[order] / total).tolist()
+        chance, leave = table.outcomes.probabilities(by_target, leave)
+        order = np.argsort(-chance, kind="stable")
+        order = order[chance[order] >= NEXT_PROBABILITY_MIN]
+        total = leave + float(chance[order].sum())
+        probabilities = (chance[order] / total).tolist()
 
         # The time windows of these outcomes.
         lags = quantiles(odds.mass[order], odds.edges)

@@ -2,9 +2,10 @@
 
 The records of a topology are in `camtopod.records`. Reading order: `lag_bins` (bins for transit
 times), `histograms` (transit-time histograms as a version stores them), `grid` (image positions as
-integers, and blocks of the image) and `shared_constants`. `camera_pairs` (overlapped views or
-unseen paths) and `markov_chain` (the chain over cameras) are computed from links. `site_names` has
-cameras' names within ids. `versions` has digests of versions and the deltas between them.
+integers, and blocks of the image), `student_t` (lags of a path) and `shared_constants`.
+`camera_pairs` (overlapped views or unseen paths) and `markov_chain` (the chain over cameras) are
+computed from links. `site_names` has cameras' names within ids. `versions` has digests of versions
+and the deltas between them.
 `first_links` says what a site without links waits for.
 """
 
@@ -61,6 +62,11 @@ from camtopod.topology.site_names import (
     camera_of as camera_of,
     mentions as mentions,
     renamed as renamed,
+)
+from camtopod.topology.student_t import (
+    DEGREES as DEGREES,
+    student_density as student_density,
+    student_share as student_share,
 )
 from camtopod.topology.versions import (
     ALARMS_KEPT_MAX as ALARMS_KEPT_MAX,

@@ -1,0 +1,162 @@
+"""Candidates of pairs of cameras by lag: every departure and later arrival of the window.
+
+Zones do not matter here, and lags are not binned. The range of lags reaches further than that of
+the joint fit (`camtopod.learn.association`).
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from camtopod.arrays import Floats, Longs, Rows
+from camtopod.learn.limits import PATH_CANDIDATES_MAX
+from camtopod.learn.traffic import Arrivals, Departures, local_rates
+
+LAG_SECONDS_MAX = 900.0
+"""Longest lag."""
+LAG_SECONDS_LEAST = 60.0
+"""Longest lag where traffic is heavy; with more candidates only the newest events count."""
+
+RESOLUTION_SECONDS = 0.5
+WHOLE_RESOLUTION_SECONDS = 1.0
+"""Resolution of lags: usually, and where the times of each camera are whole seconds."""
+
+
+class CameraLags(NamedTuple):
+    """The M candidates, and the n departures and m arrivals that they are of.
+
+    Pair p leads from camera p // C to camera p % C, with C ``cameras``.
+    """
+
+    left: Floats
+    """(n,) time of each departure, seconds."""
+    dwell: Floats
+    """(n,) seconds that its passage has lasted; inf if unknown."""
+    source: Longs
+    """(n,) its camera."""
+    target: Longs
+    """(m,) camera of each arrival."""
+    rate: Floats
+    """(m,) rate of arrivals at this camera around its time, 1/s."""
+    departure: Rows
+    """(M,) row of the departure of each candidate."""
+    arrival: Rows
+    """(M,) row of its arrival."""
+    lag: Floats
+    """(M,) seconds from departure to arrival."""
+    key: Floats
+    """(M,) ascending: `keys` of the pair and the lag of each candidate."""
+    cameras: int
+    lag_min: float
+    """Least lag, seconds."""
+    lag_max: float
+    """Longest lag, seconds."""
+    resolution: float
+    """Seconds by which lags are told apart: more if the times of each camera are whole seconds."""
+    until: float
+    """Time up to which arrivals are known, seconds."""
+
+    def take(self, kept: Rows) -> CameraLags:
+        """Return the lags with the candidates of given rows, ascending, only."""
+        return self._replace(
+            departure=self.departure[kept],
+            arrival=self.arrival[kept],
+            lag=self.lag[kept],
+            key=self.key[kept],
+        )
+
+    def within(self, pair: Longs, low: Floats, high: Floats) -> tuple[Rows, Rows]:
+        """Return the candidates (n,) with lags in given ranges, and the number of each one's range.
+
+        pair, low, high (k,): pair of cameras, and lags in seconds, of k ranges.
+        """
+        bounds = np.clip((low, high), self.lag_min, self.lag_max)
+        first, last = (keys(pair, lag, self.lag_min, self.lag_max) for lag in bounds)
+        return _expand(
+            np.searchsorted(self.key, first), np.searchsorted(self.key, last, side="right")
+        )
+
+
+def keys(pair: Longs, lag: Floats, lag_min: float, lag_max: float) -> Floats:
+    """Return numbers (n,) that ascend by pair of cameras, then lag; arguments as `CameraLags`."""
+    result: Floats = pair * (lag_max - lag_min + 1.0) + (lag - lag_min)
+    return result
+
+
+def camera_lags(
+    departures: Departures, arrivals: Arrivals, cameras: int, lag_min: float, until: float
+) -> CameraLags:
+    """Return the candidates of a window, `PATH_CANDIDATES_MAX` at most.
+
+    cameras: number of cameras.
+    lag_min (seconds): least lag; an arrival is not before the entry of the departing object either.
+    until: time up to which arrivals are known, seconds.
+    """
+    # The longest lag with few enough candidates, but at most half of the window.
+    span = max(until - float(min(departures.t[0], arrivals.t[0])), 1.0)
+    few = PATH_CANDIDATES_MAX / (len(departures.t) * len(arrivals.t) / span)
+    lag_max = min(LAG_SECONDS_MAX, 0.5 * span, max(LAG_SECONDS_LEAST, few))
+
+    # Arrivals in reach of each departure, of the newest departures.
+    first, end = _reach(departures, arrivals, lag_min, lag_max)
+    newest = np.cumsum((end - first)[::-1])[::-1] <= PATH_CANDIDATES_MAX
+    late = arrivals.t >= departures.t[newest].min(initial=np.inf) + lag_min
+    departures = departures.take(newest, late)
+    arrivals = arrivals.take(late)
+    departure, arrival = _expand(*_reach(departures, arrivals, lag_min, lag_max))[::-1]
+
+    # An object does not return before it has left, and its own entry is no transition.
+    source = departures.camera.astype(np.int64)
+    target = arrivals.camera.astype(np.int64)
+    lag = arrivals.t[arrival] - departures.t[departure]
+    possible = (lag > 0) | (source[departure] != target[arrival])
+    possible &= departures.own[departure] != arrival
+
+    # In order of pair and lag.
+    pair = source[departure] * cameras + target[arrival]
+    key = keys(pair, lag, lag_min, lag_max)
+    order = np.flatnonzero(possible)
+    order = order[np.argsort(key[order], kind="stable")]
+    return CameraLags(
+        departures.t,
+        departures.t - departures.since,
+        source,
+        target,
+        np.maximum(local_rates(arrivals.t, arrivals.camera, cameras), 1e-7),
+        departure[order],
+        arrival[order],
+        lag[order],
+        key[order],
+        cameras,
+        lag_min,
+        lag_max,
+        WHOLE_RESOLUTION_SECONDS if _are_whole(arrivals) else RESOLUTION_SECONDS,
+        until,
+    )
+
+
+def _are_whole(arrivals: Arrivals) -> bool:
+    """Return True if all arrivals at each camera are whole seconds after its first one."""
+    _, first, of = np.unique(arrivals.camera, return_index=True, return_inverse=True)
+    after = arrivals.t - arrivals.t[first][of]
+    return bool(np.all(np.abs(after - np.round(after)) < 1e-6))
+
+
+def _reach(
+    departures: Departures, arrivals: Arrivals, lag_min: float, lag_max: float
+) -> tuple[Rows, Rows]:
+    """Return the first arrival in reach of each departure (n,), and one past the last."""
+    earliest = np.maximum(departures.since, departures.t + lag_min)
+    return (
+        np.searchsorted(arrivals.t, earliest),
+        np.searchsorted(arrivals.t, departures.t + lag_max, side="right"),
+    )
+
+
+def _expand(first: Rows, end: Rows) -> tuple[Rows, Rows]:
+    """Return all numbers of the ranges from ``first`` to ``end`` (k,), and the range of each."""
+    size = np.maximum(end - first, 0)
+    of = np.repeat(np.arange(len(size)), size)
+    return np.arange(len(of)) + (first - (np.cumsum(size) - size))[of], of

@@ -1,0 +1,219 @@
+"""Joint EM over the paths of the dictionary.
+
+Every arrival has one source, a departure by one of the paths or the outside, and every departure
+one outcome, an arrival or nothing. The E step approximates the marginals of this assignment by
+sum-product messages (Williams and Lau 2014), as the joint fit does (`association.em`), on the
+candidates near a path only. The M step estimates shares with a sparse prior, places, and widths,
+which shrink to the site's own usual width (empirical Bayes).
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from scipy.special import digamma
+
+from camtopod.arrays import Bools, Floats, Longs, Rows
+from camtopod.learn.paths.camera_lags import CameraLags
+from camtopod.learn.paths.dictionary import Peaks
+from camtopod.topology import DEGREES, student_density
+
+SWEEPS = 2
+"""Sweeps of messages in each iteration."""
+REACH_WIDTHS = 5.0
+"""Lags farther than this many widths from the place of a path do not belong to it."""
+ROOM = 2.0
+"""Candidates up to this many times as far from a peak may belong to its path in time."""
+ITERATIONS = 30
+FREE_FROM = 8
+"""EM iterations, and the first one that moves places and widths."""
+PRUNED_EVERY = 5
+LEFT_OUT_UNTIL = 24
+TRANSITIONS_LEAST = 0.15
+"""Paths with fewer expected transitions are left out after every fifth iteration."""
+SHARE_PRIOR = 0.9
+"""Concentration of the Dirichlet prior of the shares; below 1, it prefers few paths."""
+WIDTH_PRIOR_SECONDS = 4.0
+WIDTH_PRIOR_PATHS = 4.0
+WIDTH_PRIOR_TRANSITIONS = 3.0
+"""The usual width: at first, weight of this in transitions; and its weight in a path's width."""
+WIDTH_LEAST_SECONDS = 0.5
+"""Least width of a path, as the times of some cameras are whole seconds."""
+OUTSIDE_LEAST = 0.02
+"""Least share of arrivals from outside, and least probability of a departure without arrival."""
+
+
+class Paths(NamedTuple):
+    """K paths between cameras, ordered as the peaks that they began with."""
+
+    pair: Longs
+    """(K,) pair of cameras."""
+    share: Floats
+    """(K,) share of the departures at the first camera that take the path."""
+    place: Floats
+    """(K,) median lag, seconds."""
+    width: Floats
+    """(K,) scale of the lags, which have Student's t distribution with 5 degrees, seconds."""
+
+    def take(self, kept: Bools) -> Paths:
+        """Return the paths of a mask (K,)."""
+        return Paths(self.pair[kept], self.share[kept], self.place[kept], self.width[kept])
+
+
+class PathFit:
+    """The fit in progress.
+
+    paths: the present estimate.
+    outside (cameras,): share of the arrivals at each camera that come from outside.
+    """
+
+    def __init__(self, lags: CameraLags, peaks: Peaks) -> None:
+        near = ROOM * REACH_WIDTHS * peaks.width
+        row, _ = lags.within(peaks.pair, peaks.place - near, peaks.place + near)
+        self.lags = lags = lags.take(np.unique(row))
+        self.departures = np.bincount(lags.source, minlength=lags.cameras).astype(float)
+        self.arrivals = np.bincount(lags.target, minlength=lags.cameras).astype(float)
+
+        # Equal shares at first.
+        paths_from = np.bincount(peaks.pair // lags.cameras, minlength=lags.cameras)
+        share = 0.5 / np.maximum(paths_from, 5)[peaks.pair // lags.cameras]
+        self.paths = Paths(peaks.pair, share, peaks.place, peaks.width)
+        self.outside = np.ones(lags.cameras)
+        self._demand = lags.rate
+        self._usual_width = WIDTH_PRIOR_SECONDS
+
+    def run(self) -> None:
+        """Iterate; the first iterations estimate the shares alone."""
+        for iteration in range(ITERATIONS):
+            transitions = self._iterate(iteration >= FREE_FROM)
+            if iteration % PRUNED_EVERY == 4 and FREE_FROM < iteration < LEFT_OUT_UNTIL:
+                self.paths = self.paths.take(transitions > TRANSITIONS_LEAST)
+
+    def unexplained(self) -> Floats:
+        """Return the share (cameras,) of each camera's departures that no path explains."""
+        source = self.paths.pair // self.lags.cameras
+        explained = np.bincount(source, self.paths.share, minlength=self.lags.cameras)
+        unexplained: Floats = np.maximum(1.0 - explained, OUTSIDE_LEAST)
+        return unexplained
+
+    def _iterate(self, free: bool) -> Floats:
+        """Do one E step and one M step; return the expected transitions (K,) of each path.
+
+        free: True to estimate places and widths, too.
+        """
+        # The rate of each path at the candidates near it. A candidate may be near several.
+        lags = self.lags
+        pair, share, place, width = self.paths
+        near = REACH_WIDTHS * width
+        row, path = lags.within(pair, place - near, place + near)
+        lag = lags.lag[row]
+        rate = share[path] * student_density(lag, place[path], width[path])
+        is_used = np.zeros(len(lags.lag), np.bool_)
+        is_used[row] = True
+        [rows] = is_used.nonzero()
+        row = (np.cumsum(is_used) - 1)[row]
+
+        # E step.
+        total = np.bincount(row, rate, minlength=len(rows)).astype(float)
+        responsibility = self._responsibility(rows, total)
+        part = responsibility[row] * rate / np.maximum(total[row], 1e-300)
+        transitions: Floats = np.bincount(path, part, minlength=len(pair)).astype(float)
+        target = lags.target[lags.arrival[rows]]
+        explained = np.bincount(target, responsibility, minlength=lags.cameras)
+        self.outside = np.maximum(1.0 - explained / np.maximum(self.arrivals, 1.0), OUTSIDE_LEAST)
+
+        # M step: places and widths, then shares.
+        if free and len(pair):
+            place, width = self._moved(lag, path, part, transitions)
+        self.paths = Paths(pair, self._shares(transitions), place, width)
+        return transitions
+
+    def _responsibility(self, rows: Rows, rate: Floats) -> Floats:
+        """Return the responsibility (n,) of candidates.
+
+        rows (n,): the candidates.
+        rate (n,): rate of each by all paths near it.
+        """
+        lags = self.lags
+        departure, arrival = lags.departure[rows], lags.arrival[rows]
+        unseen = self._unseen()[departure]
+        background = self.outside[lags.target] * lags.rate
+        message = 1.0 / np.maximum(self._demand, background)[arrival]
+        for _ in range(SWEEPS):
+            taken = np.bincount(departure, rate * message, minlength=len(lags.left))
+            offer = rate / np.maximum(unseen + taken[departure] - rate * message, 1e-9)
+            self._demand = background + np.bincount(arrival, offer, minlength=len(background))
+            message = 1.0 / np.maximum(self._demand[arrival] - offer, 1e-12)
+        responsibility: Floats = offer / self._demand[arrival]
+        return responsibility
+
+    def _unseen(self) -> Floats:
+        """Return the probability (n,) that each departure has no arrival by any path.
+
+        A path does not count where its arrival would be after the window, or before the entry.
+        """
+        lags = self.lags
+        pair, share, place, width = self.paths
+        source = pair // lags.cameras
+        unseen = np.ones(len(lags.left))
+        for camera in range(lags.cameras):
+            mine = source == camera
+            of = lags.source == camera
+            unseen[of] -= share[mine].sum()
+            unseen[of] += _above(place[mine], share[mine], lags.until - lags.left[of])
+            unseen[of] += _above(-place[mine] - width[mine], share[mine], lags.dwell[of])
+        return np.maximum(unseen, OUTSIDE_LEAST)
+
+    def _moved(
+        self, lag: Floats, path: Rows, part: Floats, transitions: Floats
+    ) -> tuple[Floats, Floats]:
+        """Return new places and widths (K,), by EM for Student's t (Lange and others 1989).
+
+        lag, path, part (e,): lag, path and expected transitions of each candidate near a path.
+        transitions (K,): expected transitions of each path.
+        """
+        _, _, place, width = self.paths
+
+        def summed(values: Floats) -> Floats:
+            """Return the sum of the values (e,) of each path, (K,)."""
+            return np.bincount(path, values, minlength=len(place)).astype(float)
+
+        # Far lags weigh less.
+        weight = part * (DEGREES + 1) / (DEGREES + ((lag - place[path]) / width[path]) ** 2)
+        moved = (summed(weight * lag) + 1e-3 * place) / (summed(weight) + 1e-3)
+        squares = summed(weight * (lag - moved[path]) ** 2)
+        prior = WIDTH_PRIOR_TRANSITIONS
+        spread = np.sqrt((squares + prior * self._usual_width**2) / (transitions + prior))
+        spread = np.maximum(spread, WIDTH_LEAST_SECONDS)
+        known = transitions > 1e-3
+        place, width = np.where(known, moved, place), np.where(known, spread, width)
+
+        # The usual width of the paths that are well known.
+        many = np.maximum(transitions - 2.0, 0.0)
+        logs = many @ np.log(width) + WIDTH_PRIOR_PATHS * np.log(WIDTH_PRIOR_SECONDS)
+        self._usual_width = float(np.exp(logs / (many.sum() + WIDTH_PRIOR_PATHS)))
+        return place, width
+
+    def _shares(self, transitions: Floats) -> Floats:
+        """Return the shares (K,) of the departures that take each path.
+
+        They are geometric means of the posterior under the Dirichlet prior.
+        """
+        cameras = self.lags.cameras
+        source = self.paths.pair // cameras
+        of = np.bincount(source, minlength=cameras)
+        departures = np.maximum(self.departures, 1.0) + 1.0 + SHARE_PRIOR * of
+        known = np.maximum(transitions, 1e-3) + SHARE_PRIOR
+        share = np.exp(digamma(known) - digamma(departures)[source])
+        total = np.bincount(source, share, minlength=cameras)
+        scaled: Floats = share / np.maximum(total / (1.0 - OUTSIDE_LEAST), 1.0)[source]
+        return scaled
+
+
+def _above(values: Floats, share: Floats, bounds: Floats) -> Floats:
+    """Return the sum of the shares (k,) whose values (k,) are above each of the bounds (n,)."""
+    order = np.argsort(values)
+    below = np.concatenate(([0.0], np.cumsum(share[order])))
+    above: Floats = below[-1] - below[np.searchsorted(values[order], bounds, side="right")]
+    return above

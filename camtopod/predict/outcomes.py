@@ -1,0 +1,130 @@
+"""The possible outcomes of an exit, and the second opinion about them.
+
+A version may have two opinions of where objects that leave a zone appear next: the hazards from
+zone to zone, and paths between cameras (`camtopod.learn.paths`). `with_paths` puts both into
+one set of outcomes, and `Outcomes.probabilities` averages what they say of an exit, now or later.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+
+from camtopod.arrays import Bools, Floats, Singles
+from camtopod.records import CameraPath, Zone
+from camtopod.topology import LagBins, student_share
+
+FLOOR = 1e-6
+"""Least probability of leaving the site, and rate (1/s) that is added to the learned one of
+arrivals from outside, so that some outcome is always possible.
+"""
+PATHS_WEIGHT = 0.5
+"""Weight of the paths between cameras."""
+REACH_WIDTHS = 5.0
+"""Widths before its place at which the lags of a path begin."""
+
+
+class Outcomes(NamedTuple):
+    """Possible next appearances of objects that leave one zone; several may be at one target.
+
+    There is a row for each target, and one for each path to it; the shares of each opinion and its
+    leaving make 1.
+    """
+
+    targets: list[int]
+    """(rows,) index of the zone of each."""
+    share: Floats
+    """(rows,) share of the departures that appear next there."""
+    leave: float
+    """Share of the departures after which objects leave the site."""
+    hazard: Singles
+    """(rows, bins) hazard of each by lag, per second and exposed departure."""
+    exposure: Floats
+    """(bins,) share of the departures of this zone that are exposed to each lag."""
+    doubt: Floats
+    """(rows,) share of the transitions that may be spurious."""
+    delay: Floats
+    """(rows,) seconds to add to the lags of the bins; above 0 for long paths."""
+    by_path: Bools
+    """(rows,) True for the rows of the second opinion."""
+    leave_by_paths: float = 0.0
+    """As ``leave``, of the second opinion; 0 if there is none."""
+
+    @property
+    def weight(self) -> Floats:
+        """(rows,) weight of the opinion that each row is of."""
+        first = 1.0 - PATHS_WEIGHT if self.leave_by_paths else 1.0
+        return np.where(self.by_path, PATHS_WEIGHT, first)
+
+    def exposure_by_row(self, exposure: Floats) -> Floats:
+        """Return the exposure by row and lag, (rows, bins).
+
+        exposure (bins,): exposure to lags from the exit. Transitions with a delay are always
+            exposed.
+        """
+        either: Floats = np.maximum(exposure, (self.delay > 0.0)[:, None])
+        return either
+
+    def probabilities(self, odds: Floats, leave: float) -> tuple[Floats, float]:
+        """Return the probability of each row for an exit, and that of leaving.
+
+        odds (rows,), leave: odds of each row, and of leaving by the first opinion.
+
+        Each opinion makes probabilities of its own odds, and these are averaged: an opinion that is
+        sure and wrong outweighs the other by its odds, but not by its probabilities.
+        """
+        first = leave + float(odds[~self.by_path].sum())
+        if not self.leave_by_paths:
+            return odds / first, leave / first
+        second = self.leave_by_paths + float(odds[self.by_path].sum())
+        chance = odds * self.weight / np.where(self.by_path, second, first)
+        return chance, 1.0 - float(chance.sum())
+
+
+def with_paths(
+    outcomes: Outcomes, paths: Sequence[CameraPath], zones: list[Zone], bins: LagBins
+) -> Outcomes:
+    """Return the mean of the outcomes of an exit and of the paths from its camera.
+
+    zones: all zones of the version.
+    """
+    # A path leads to all zones of its camera, as their entries do.
+    targets: list[int] = []
+    shares, hazards, delays = [], [], []
+    exposure = outcomes.exposure
+    for path in paths:
+        there = [k for k, zone in enumerate(zones) if zone.camera == path.to]
+        entries = np.array([zones[k].entries for k in there]) + 1e-9
+        mass, delay = _lags(path, bins)
+        hazard = mass / (bins.widths * (1.0 if delay else exposure))
+        share = path.share * entries / entries.sum()
+        targets += there
+        shares.append(share)
+        hazards.append(share[:, None] * hazard)
+        delays.append(np.full(len(there), delay))
+
+    # Both opinions.
+    none = np.zeros((0, bins.size))
+    beside = np.concatenate([np.zeros(0), *shares])
+    return Outcomes(
+        targets=[*outcomes.targets, *targets],
+        share=np.concatenate((outcomes.share, beside)),
+        leave=outcomes.leave,
+        hazard=np.concatenate([none, outcomes.hazard, *hazards]).astype(np.float32),
+        exposure=exposure,
+        doubt=np.concatenate((outcomes.doubt, np.zeros(len(beside)))),
+        delay=np.concatenate((outcomes.delay, *delays)),
+        by_path=np.arange(len(outcomes.targets) + len(targets)) >= len(outcomes.targets),
+        leave_by_paths=max(1.0 - float(beside.sum()), FLOOR),
+    )
+
+
+def _lags(path: CameraPath, bins: LagBins) -> tuple[Floats, float]:
+    """Return the mass of the lags of a path, (bins,), and the delay to be added to these lags."""
+    if not path.width:
+        after = bins.edges[1:] > 0
+        return after / after.sum(), 0.0
+    delay = max(path.place - REACH_WIDTHS * path.width, 0.0)
+    return np.diff(student_share(bins.edges, path.place - delay, path.width)), delay

@@ -1,0 +1,25 @@
+"""Student's t distribution with 5 degrees of freedom, that of the lags of a path."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from camtopod.arrays import Floats
+
+DEGREES = 5.0
+"""Degrees of freedom: tails heavier than those of a normal distribution."""
+
+
+def student_density(x: Floats, place: Floats, width: Floats) -> Floats:
+    """Return the density (n,) at ``x``, of distributions with medians and scales of shape (n,)."""
+    z = (x - place) / width
+    density: Floats = 8.0 / (3.0 * np.sqrt(5.0) * np.pi) / width / (1.0 + z * z / DEGREES) ** 3
+    return density
+
+
+def student_share(x: Floats, place: float, width: float) -> Floats:
+    """Return the probability (n,) of values below ``x`` (n,), in closed form."""
+    angle = np.arctan((x - place) / width / np.sqrt(DEGREES))
+    sines = np.sin(angle) * np.cos(angle) * (1.0 + 2.0 / 3.0 * np.cos(angle) ** 2)
+    share: Floats = 0.5 + (angle + sines) / np.pi
+    return share

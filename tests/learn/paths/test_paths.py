@@ -1,0 +1,139 @@
+"""The second opinion finds paths of any length, and prediction averages it with the first."""
+
+from __future__ import annotations
+
+import naive
+import numpy as np
+import pytest
+from msgspec.structs import replace
+
+from camtopod.client import Gate
+from camtopod.learn.learner import Learner
+from camtopod.learn.paths.camera_lags import camera_lags
+from camtopod.learn.traffic.events import Arrivals, Departures
+from camtopod.predict import Predictor
+from camtopod.predict.outcomes import PATHS_WEIGHT
+from camtopod.records import CameraPath, Event, Topology
+from camtopod.topology import student_density, student_share
+
+
+def events(seed: int = 0) -> list[Event]:
+    """Return passages: seven in ten go from a to b in 200 s, half of these on to c in 5 s."""
+    rng = np.random.default_rng(seed)
+    made = []
+    for k, t in enumerate(np.cumsum(rng.exponential(30.0, 200))):
+        went, on = rng.random(2) < (0.7, 0.5)
+        ways = [("a", t), ("b", t + rng.normal(204, 2)), ("c", t + rng.normal(213, 2))]
+        for camera, began in ways[: 1 + went + (went and on)]:
+            made.append(Event(camera, "entry", began, track=f"{k}"))
+            made.append(Event(camera, "exit", began + 4.0, track=f"{k}"))
+    return sorted(made, key=lambda event: event.t)
+
+
+def learned(seen: list[Event]) -> Topology:
+    learner = Learner(only_last=True)
+    for event in seen:
+        learner.receive(event)
+    learner.flush()
+    assert learner.topology is not None
+    return learner.topology
+
+
+@pytest.fixture(scope="module")
+def topology() -> Topology:
+    return learned(events())
+
+
+def paths_of(topology: Topology) -> list[CameraPath]:
+    assert topology.model is not None
+    assert topology.model.paths is not None
+    return topology.model.paths
+
+
+def with_paths(topology: Topology, paths: list[CameraPath] | None) -> Topology:
+    assert topology.model is not None
+    return replace(topology, model=replace(topology.model, paths=paths))
+
+
+def test_a_long_path_and_a_short_one_are_found(topology: Topology) -> None:
+    found = {(one.from_, one.to): one for one in paths_of(topology) if one.share > 0.3}
+    assert found.keys() == {("a", "b"), ("b", "c")}
+    long, short = found["a", "b"], found["b", "c"]
+    assert long.place == pytest.approx(200.0, abs=1.0)
+    assert long.share == pytest.approx(0.7, abs=0.08)
+    assert long.width < 4.0
+    assert short.place == pytest.approx(5.0, abs=1.0)
+    assert short.share == pytest.approx(0.5, abs=0.1)
+
+
+def test_what_no_path_explains_leaves_or_comes_up_somewhere(topology: Topology) -> None:
+    shares = {
+        name: [one.share for one in paths_of(topology) if one.from_ == name] for name in "abc"
+    }
+    assert all(0.0 < sum(each) < 1.0 for each in shares.values())
+    nowhere = [one for one in paths_of(topology) if one.from_ == "c" and one.width == 0.0]
+    assert {one.to for one in nowhere} == {"a", "b", "c"}
+
+
+def test_each_opinion_has_its_weight(topology: Topology) -> None:
+    """Of an exit of which nothing else is known."""
+    path = CameraPath("a", "c", 0.9, 300.0, 1.0)
+    exit_ = Event("a", "exit", 1e6)
+    alone = Predictor(with_paths(topology, None)).predict(exit_)
+    both = Predictor(with_paths(topology, [path])).predict(exit_)
+    assert both.leave == pytest.approx(
+        (1 - PATHS_WEIGHT) * alone.leave + PATHS_WEIGHT * 0.1, abs=1e-3
+    )
+    [far] = [one for one in both.next_ if one.q50 > 250.0]
+    assert far.probability == pytest.approx(PATHS_WEIGHT * 0.9, abs=1e-3)
+    assert far.q50 == pytest.approx(300.0, abs=0.2)
+    assert far.q90 - far.q10 == pytest.approx(2 * 1.476, abs=0.3)
+
+
+def test_a_path_that_is_over_is_ruled_out_later(topology: Topology) -> None:
+    paths = [CameraPath("a", "c", 0.9, 300.0, 1.0)]
+    predictor = Predictor(with_paths(topology, paths))
+    exit_ = Event("a", "exit", 1e6)
+    assert predictor.predict(exit_, now=1e6 + 290.0).leave < 0.6
+    assert predictor.predict(exit_, now=1e6 + 320.0).leave > 0.9
+
+
+def test_a_gate_knows_both_opinions(topology: Topology) -> None:
+    paths = [CameraPath("a", "c", 0.9, 300.0, 1.0)]
+    gate = Gate(with_paths(topology, paths))
+    assert gate.gate_gone("a/1", 0.0) == pytest.approx(0.0, abs=0.02)
+    t = np.arange(290.0, 310.0, 0.1)
+    appear = sum(np.exp(gate.gate("a/1", 0.0, "c", at)) * 0.1 for at in t)
+    assert appear == pytest.approx(0.9 * PATHS_WEIGHT, abs=0.01)
+    assert gate.gate("a/1", 0.0, "c", 300.0) > np.log(0.9 * PATHS_WEIGHT * 0.3)
+
+
+def test_lags_equal_their_slow_twin() -> None:
+    rng = np.random.default_rng(3)
+    t, left = np.sort(rng.uniform(0, 600, 60)), np.sort(rng.uniform(0, 600, 50))
+    camera, source = rng.integers(0, 3, 60), rng.integers(0, 3, 50)
+    dwell = rng.exponential(20.0, 50)
+    unknown = np.full(50, -1, np.int32)
+    lags = camera_lags(
+        Departures(left, source * 0, source.astype(np.int32), left - dwell, left, unknown, unknown),
+        Arrivals(t, camera * 0, camera.astype(np.int32), t, t),
+        3,
+        -30.0,
+        600.0,
+    )
+    found = list(zip(lags.departure.tolist(), lags.arrival.tolist(), strict=True))
+    assert sorted(found) == naive.camera_lags(left, source, dwell, t, camera, -30.0, lags.lag_max)
+    row, _ = lags.within(np.array([5]), np.array([-4.0]), np.array([80.0]))
+    assert {found[k] for k in row} == {
+        (d, a)
+        for d, a in found
+        if source[d] == 1 and camera[a] == 2 and -4.0 <= t[a] - left[d] <= 80.0
+    }
+
+
+def test_share_and_density_of_student_agree() -> None:
+    x = np.linspace(-40.0, 60.0, 100_001)
+    density = student_density(x, np.full(len(x), 3.0), np.full(len(x), 2.0))
+    assert np.cumsum(density)[60_000] * 1e-3 == pytest.approx(
+        float(student_share(x, 3.0, 2.0)[60_000]), abs=1e-3
+    )
