@@ -529,7 +529,8 @@ class Prediction(Struct, frozen=True, omit_defaults=True, rename={"next_": "next
     version: version of the topology that was used.
     leave: probability that it leaves the site; with those of ``next``, and with ``others`` if that
         is there, it sums to 1.
-    next_: possible next appearances, by falling probability; the JSON key is ``next``.
+    next_: possible next appearances, by falling probability; a zone may be there more than once,
+        for other times. The JSON key is ``next``.
     look, in_view: only if other views overlap: cameras that may see the object now or next, whose
         probabilities may sum to more than 1, and passages under way that may be of it.
     others: sum of the probabilities that are left out of ``next``; None if it has all of them.

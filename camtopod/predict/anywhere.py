@@ -7,7 +7,6 @@ the other cameras by the arrivals there that no departure explains, at any lag.
 from __future__ import annotations
 
 import numpy as np
-from msgspec.structs import replace
 
 from camtopod.predict.odds import Site
 from camtopod.records import NextCamera
@@ -39,17 +38,15 @@ def anywhere(
     share = leave * odds * entering / entering.sum()
     share[share < NEXT_PROBABILITY_MIN] = 0.0
 
-    # One row for each zone, the likeliest first.
-    rows = {row.zone: row for row in next_}
+    # One more row for each camera, the likeliest first.
+    rows = list(next_)
     for camera in np.flatnonzero(share).tolist():
         busiest = site.busiest[camera]
         target = site.zones[busiest]
         lags = elapsed + np.array((0.1, 0.5, 0.9)) * (lag_max - elapsed)
         if not site.is_corrected:
             lags += site.offset_of[busiest] - site.offset_of[zone]
-        row = rows.get(target.id) or NextCamera(
-            target.camera, target.id, 0.0, *np.round(lags, 3).tolist()
-        )
-        rows[target.id] = replace(row, probability=row.probability + float(share[camera]))
-    likeliest = sorted(rows.values(), key=lambda row: -row.probability)
+        window = np.round(lags, 3).tolist()
+        rows.append(NextCamera(target.camera, target.id, float(share[camera]), *window))
+    likeliest = sorted(rows, key=lambda row: -row.probability)
     return leave - float(share.sum()), likeliest

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections import Counter
 from functools import cache
 
 import naive
@@ -104,7 +105,10 @@ EXIT = Event("a", "exit", 1000.0, 0.1, 0.5, "17")
 
 
 def chances(prediction: Prediction) -> dict[str, float]:
-    return {found.zone: found.probability for found in prediction.next_}
+    found: Counter[str] = Counter()
+    for one in prediction.next_:
+        found[one.zone] += one.probability
+    return dict(found)
 
 
 def sound(prediction: Prediction) -> None:
@@ -115,7 +119,7 @@ def sound(prediction: Prediction) -> None:
     assert probabilities == sorted(probabilities, reverse=True)
     assert all(p > 0 for p in probabilities)
     assert all(-133 <= n.q10 <= n.q50 <= n.q90 <= 200 * math.exp(1.5) for n in prediction.next_)
-    assert len({found.zone for found in prediction.next_}) == len(probabilities)
+    assert len({(one.zone, one.q50) for one in prediction.next_}) == len(probabilities)
 
 
 # --- the learned shares ---
