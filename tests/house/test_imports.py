@@ -36,7 +36,7 @@ FLOORS = (
     "learn.traffic",
     "learn.clocks learn.association",
     "learn.links",
-    "learn.changes learn.next_camera",
+    "learn.changes learn.next_camera learn.paths",
     "learn",
     "adapt export sim",
     "vision.settings vision.boxes",
