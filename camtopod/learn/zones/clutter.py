@@ -29,22 +29,26 @@ FLOOR_PROBABILITY = 0.01
 """A cell is kept for DaSpec if clutter alone would put as many events into its surroundings with
 less than this probability.
 """
+SEARCH_PROBABILITY = 0.0001
+"""Value of `FLOOR_PROBABILITY` for the later search among events that were taken for clutter."""
 FLOOR_WIDTHS = (0.75, 1.75)
 """Standard deviations of the kernels that define a cell's surroundings, grid steps. The smaller one
 suits a single door, the larger one a zone of few events.
 """
+DASPEC_RUNS_MAX = 3
+"""Most runs of DaSpec, each on the cells that no eigenvector kept so far reaches."""
 WIDTH = 4.0
 """Standard deviation, grid steps, of the kernel that averages clutter; larger than a zone."""
 DENSER = 2.0
 """A cell counts as clutter up to this multiple of the local rate of clutter, plus three standard
-deviations of Poisson noise and one event. The local rate is at most this multiple of the mean.
+deviations of Poisson noise and one event.
 """
+DENSER_MAX = 4.0
+"""Largest local rate of clutter, as a multiple of its mean over the image."""
 EVENTS_ALIKE = 30.0
 """Weight, in events, of the rate of the whole image in the local rate of clutter."""
 ROUNDS = 8
-"""Most iterations of the clutter estimates, runs of DaSpec (each on the cells that no eigenvector
-kept so far reaches), and rounds of moves (`partition`).
-"""
+"""Most iterations of the clutter estimates."""
 _WIDE_ROWS = kernel_1d(GRID_ROWS, WIDTH)
 _WIDE_COLUMNS = kernel_1d(GRID_COLUMNS, WIDTH)
 
@@ -90,13 +94,13 @@ def clutter_rates(count: Counts) -> Floats:
 
     count (rows, columns): events of each cell.
 
-    Clutter is denser where people walk or light flickers. The rates start at `DENSER` times
+    Clutter is denser where people walk or light flickers. The rates start at `DENSER_MAX` times
     the `clutter_rate` of the whole image and fall from iteration to iteration, until the set of
     cells that count as clutter no longer changes.
     """
     n = np.asarray(count, dtype=np.float64)
     mean = clutter_rate(count)
-    rate = np.full(n.shape, DENSER * mean)
+    rate = np.full(n.shape, DENSER_MAX * mean)
     kept = np.zeros(n.shape, dtype=np.bool_)
     for _ in range(ROUNDS):
         before = kept
@@ -128,18 +132,17 @@ def _clutter_probability(count: Counts, rate: Floats, which: NDArray[np.bool_]) 
     return np.asarray(chances.min(axis=0))
 
 
-def dense_cells(count: Counts, rate: Floats) -> Floats:
+def dense_cells(count: Counts, rate: Floats, chance: float) -> Floats:
     """Return the events beyond the expected clutter in cells that stand out, 0 in all others.
 
     count, rate (rows, columns): events of each cell, and expected events of clutter.
-
-    A cell stands out if clutter alone would make as many events around it with a probability below
-    `FLOOR_PROBABILITY`.
+    chance: a cell stands out if clutter alone would make as many events around it with a
+        probability below this.
     """
     keep = (count > rate + 2 * np.sqrt(rate)) & (count > CONTRAST_MIN * rate)
     if not keep.any():
         return np.zeros(keep.shape)
-    keep[keep] = _clutter_probability(count, rate, keep) < FLOOR_PROBABILITY
+    keep[keep] = _clutter_probability(count, rate, keep) < chance
     return np.where(keep, np.maximum(count - rate, 0.5), 0.0)
 
 
@@ -153,7 +156,7 @@ def daspec_groups(dense: Floats) -> Labels:
     width = max(bandwidth(dense) / 2, BANDWIDTH_MIN)
     labels = np.full(dense.size, -1, dtype=np.intp)
     groups = 0
-    for _ in range(ROUNDS):
+    for _ in range(DASPEC_RUNS_MAX):
         # Keep the groups of the cells that the eigenvectors of this run reach.
         found = data_spectroscopy(dense, width)
         entry = found.vectors[np.arange(len(found.cells)), found.labels]

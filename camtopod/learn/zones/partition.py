@@ -22,7 +22,8 @@ from scipy.special import gammaln
 from camtopod.arrays import Floats
 from camtopod.learn.zones.clutter import (
     CONTRAST_MIN,
-    ROUNDS,
+    FLOOR_PROBABILITY,
+    SEARCH_PROBABILITY,
     daspec_groups,
     dense_cells,
 )
@@ -53,6 +54,8 @@ VALLEY_ALONE = 8.0
 """Least log likelihood ratio of a valley if two Gaussians do not explain the events better. Several
 doors in a row need it: however they are cut in two, the two parts look like one Gaussian.
 """
+UNLIKE_GAIN_PER_EVENT = 2.0
+"""Gain of log posterior per event of the smaller group above which no valley is needed."""
 EXCESS_MIN = 11.0
 """Log likelihood ratio of the events beyond the expected clutter above which a group is a zone,
 even if its Gaussian fits badly. An example is a fire door, if half of the events in its cells are
@@ -65,6 +68,8 @@ smaller than a new zone would need. So zones do not come and go.
 """
 HOLD_GAIN = 3.0
 """Least gain of log posterior of a change when an earlier partition is held; otherwise it is 0."""
+_ROUNDS_MAX = 6
+"""Largest number of rounds of moves."""
 _GAIN_HOPELESS = -10.0
 """Gain of log posterior up to which a cut is not tested for a valley, to save time."""
 _X = (np.arange(GRID_COLUMNS) + 0.5) / GRID_COLUMNS
@@ -74,6 +79,8 @@ _CELL_SPREAD = np.array([[1 / GRID_COLUMNS**2], [0.0], [1 / GRID_ROWS**2]]) / 12
 _ANGLES = np.arange(6) * np.pi / 6
 _DIRECTIONS = np.stack([np.cos(_ANGLES), np.sin(_ANGLES)], axis=1)
 """Unit vectors (x, y) perpendicular to the cuts of groups."""
+_CUTS_TRIED = 2
+"""Number of cuts of a group that are tested for a valley, best first."""
 
 
 class Cells(NamedTuple):
@@ -118,7 +125,7 @@ def partition(
     if held is not None and held.max() >= 0:
         labels = _Partition(cells, held, rates, held=True).improve()
     else:
-        dense = dense_cells(count, rates)
+        dense = dense_cells(count, rates, FLOOR_PROBABILITY)
         if not dense.any():
             dense = count.astype(np.float64)
         labels = _Partition(cells, daspec_groups(dense)[cells.index], rates).improve()
@@ -139,12 +146,13 @@ class _Partition:
     hold, hold_gain: `HOLD` and `HOLD_GAIN` if the first partition is held, else 1 and 0.
     valleys: cached results of `_valley_between`, by the sums of the two groups.
     uncut: sums of groups that could not be split.
+    tried: sums of groups that were tried as zones in `_find_among_clutter`.
     """
 
     def __init__(self, cells: Cells, labels: Labels, rates: Floats, held: bool = False) -> None:
         self.cells = cells
-        self.rates = rates
         self.hold, self.hold_gain = (HOLD, HOLD_GAIN) if held else (1.0, 0.0)
+        self.rates = rates
 
         # Density of clutter relative to a uniform one.
         self.density = (rates / rates.mean()).ravel()
@@ -159,6 +167,7 @@ class _Partition:
         self.total = float(cells.sums[0].sum())
         self.valleys: dict[bytes, float] = {}
         self.uncut: set[bytes] = set()
+        self.tried: set[bytes] = set()
         self._set(labels)
 
     def _set(self, labels: Labels) -> None:
@@ -180,8 +189,8 @@ class _Partition:
         self.clutter = self.total - float(self.zones[:, 0].sum())
 
     def improve(self) -> Labels:
-        """Move until no move improves the partition, at most `ROUNDS` rounds; return it."""
-        for _ in range(ROUNDS):
+        """Move until no move improves the partition, at most `_ROUNDS_MAX` rounds; return it."""
+        for _ in range(_ROUNDS_MAX):
             self._merge()
             self._drop()
             if self._assign():
@@ -206,19 +215,35 @@ class _Partition:
         count[self.cells.index[outside]] = self.cells.sums[0, outside]
         labels = self.labels
         known = len(self.zones)
-        dense = dense_cells(count.reshape(GRID_ROWS, GRID_COLUMNS), self.rates)
+        dense = dense_cells(count.reshape(GRID_ROWS, GRID_COLUMNS), self.rates, SEARCH_PROBABILITY)
         if not dense.any():
             return False
         groups = daspec_groups(dense)[self.cells.index]
 
-        # Add the groups, and remove those that are not zones.
+        # Add the groups, and remove those that are not zones or were tried before.
         self._set(np.where(groups >= 0, groups + known, labels))
+        keys = [zone.tobytes() for zone in self.zones[known:]]
         for k in range(len(self.zones) - 1, known - 1, -1):
             enough = self.zones[k, 0] >= ZONE_EVENTS_MIN
             is_zone = enough and self._drop_gain(np.array([k]), self.hold)[0] < -self.hold_gain
-            if not is_zone:
+            if keys[k - known] in self.tried or not is_zone or self._is_tail(k):
                 self._remove(k)
+        self.tried.update(keys)
         return len(self.zones) > known
+
+    def _is_tail(self, k: int) -> bool:
+        """Return True if there is no valley between zone ``k`` and some bigger zone.
+
+        Then the events of zone ``k`` are a heavy tail of the bigger zone, however far away it is.
+        """
+        others = np.flatnonzero(self.zones[:, 0] > self.zones[k, 0])
+        return any(
+            self._valley_between(
+                self.zones[j], self.zones[k], (self.labels == j) | (self.labels == k)
+            )
+            < VALLEY_MIN
+            for j in others
+        )
 
     def _join(self, a: int, b: int) -> None:
         """Merge group ``b`` into group ``a``."""
@@ -347,8 +372,9 @@ class _Partition:
         of (m,): index of each pair's union in ``both``.
         least: least gain that is sufficient.
 
-        A gain above ``least`` is sufficient, even without a valley, if the groups are far apart. Of
-        groups that are not, the gain is limited by `PAIR_EVENTS`.
+        A gain above ``least`` is sufficient, even without a valley, if the two groups are far apart
+        or if the gain per event of the smaller group exceeds `UNLIKE_GAIN_PER_EVENT`. Of groups
+        that are not far apart, the gain is limited by `PAIR_EVENTS`.
 
         Both results are (..., m).
         """
@@ -368,7 +394,8 @@ class _Partition:
         # The gain, and where it is sufficient.
         first, second = log_zone(n * weight, scatter * weight)
         gain = first + second - whole
-        return gain, (gain > least) & well_apart
+        unlike = gain > UNLIKE_GAIN_PER_EVENT * np.minimum(*n) * weight
+        return gain, (gain > least) & (well_apart | unlike)
 
     def _one_zone(self, groups: Floats, total: Floats) -> Floats:
         """Return the log posterior (...) of groups as one zone, for comparison with two zones each.
@@ -492,14 +519,15 @@ class _Partition:
         # The gain of every cut, and the best cut that makes two zones.
         one = np.zeros(len(cells) - 1, np.intp)
         gain, clear = self._two_zones_gain(sides[0], *moments(sides), both, one, self.hold_gain)
-        angle, at = divmod(int(gain.argmax()), gain.shape[1])
-        if gain[angle, at] <= _GAIN_HOPELESS:
-            return None
-        wanted = (VALLEY_MIN if gain[angle, at] > self.hold_gain else VALLEY_ALONE) * self.hold
-        left, right = sides[:, :, angle, at].T
+        best = gain.max(axis=1)
         inside = self.labels == zone
-        if clear[angle, at] or self._valley_between(left, right, inside) >= wanted:
-            return order[angle, at + 1 :]
+        for angle in best.argsort(kind="stable")[::-1][:_CUTS_TRIED].tolist():
+            if best[angle] > _GAIN_HOPELESS:
+                at = int(gain[angle].argmax())
+                wanted = (VALLEY_MIN if best[angle] > self.hold_gain else VALLEY_ALONE) * self.hold
+                left, right = sides[:, :, angle, at].T
+                if clear[angle, at] or self._valley_between(left, right, inside) >= wanted:
+                    return order[angle, at + 1 :]
         return None
 
 

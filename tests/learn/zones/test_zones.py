@@ -198,20 +198,17 @@ def test_clutter_and_what_stands_out_of_it_equal_their_slow_twins(
     constants = (
         clutter_module.WIDTH,
         clutter_module.DENSER,
-        clutter_module.DENSER,
+        clutter_module.DENSER_MAX,
         clutter_module.EVENTS_ALIKE,
         clutter_module.ROUNDS,
     )
     assert rates == pytest.approx(naive.clutter_rates(count, constants), rel=1e-9)
-    slow = naive.dense_cells(
-        count,
-        rates,
-        clutter_module.FLOOR_PROBABILITY,
-        clutter_module.CONTRAST_MIN,
-        clutter_module.FLOOR_WIDTHS,
-    )
-    assert dense_cells(count, rates) == pytest.approx(slow, rel=1e-9)
-    assert zones == 0 or slow.any()
+    for chance in (clutter_module.FLOOR_PROBABILITY, clutter_module.SEARCH_PROBABILITY):
+        slow = naive.dense_cells(
+            count, rates, chance, clutter_module.CONTRAST_MIN, clutter_module.FLOOR_WIDTHS
+        )
+        assert dense_cells(count, rates, chance) == pytest.approx(slow, rel=1e-9)
+        assert zones == 0 or slow.any()
 
 
 @pytest.mark.parametrize("seed", range(4))
