@@ -16,7 +16,7 @@ import numpy as np
 
 from camtopod.arrays import Bools, Floats, Ints, Rows, Singles
 from camtopod.predict.outcomes import FLOOR, Outcomes, with_paths
-from camtopod.records import CameraPath, Link, Model, Onward, Topology, Zone
+from camtopod.records import CameraPath, Link, Model, Onward, Topology
 from camtopod.topology import (
     LAG_SCALE_SECONDS,
     LAG_STEP,
@@ -64,7 +64,7 @@ class Hazards:
         else:
             self.outcomes = self._from_posterior(model.onward, index)
         if model.paths is not None:
-            self._add_paths(topology.zones, model.paths)
+            self._add_paths(topology, model.paths)
         self._index_by_target(len(index))
         self.lag_max = self.bins.lag_max + float(self._delay.max())
         """Longest lag with a bin, delays of long paths included, seconds."""
@@ -218,8 +218,13 @@ class Hazards:
             )
         return outcomes
 
-    def _add_paths(self, zones: list[Zone], paths: list[CameraPath]) -> None:
+    def _add_paths(self, topology: Topology, paths: list[CameraPath]) -> None:
         """Average the outcomes with the second opinion of a version (`with_paths`)."""
+        zones = topology.zones
+        linked: dict[str, float] = {}
+        for link in topology.links:
+            if link.relation != "visible":
+                linked[link.from_] = linked.get(link.from_, 0.0) + link.probability
         by_camera: dict[str, list[CameraPath]] = {}
         for path in paths:
             by_camera.setdefault(path.from_, []).append(path)
@@ -236,7 +241,8 @@ class Hazards:
                 none > 0,
             )
             first = self.outcomes.get(k, gone)
-            both = with_paths(first, by_camera.get(zone.camera, []), zones, self.bins)
+            mine = by_camera.get(zone.camera, [])
+            both = with_paths(first, linked.get(zone.id, 0.0), mine, zones, self.bins)
             if both.targets:
                 self.outcomes[k] = both
 

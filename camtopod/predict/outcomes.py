@@ -20,8 +20,8 @@ FLOOR = 1e-6
 """Least probability of leaving the site, and rate (1/s) that is added to the learned one of
 arrivals from outside, so that some outcome is always possible.
 """
-PATHS_WEIGHT = 0.5
-"""Weight of the paths between cameras."""
+PATHS_WEIGHT_MAX = 0.5
+"""Weight of the paths between cameras where no link of the zone is published."""
 REACH_WIDTHS = 5.0
 """Widths before its place at which the lags of a path begin."""
 
@@ -51,12 +51,13 @@ class Outcomes(NamedTuple):
     """(rows,) True for the rows of the second opinion."""
     leave_by_paths: float = 0.0
     """As ``leave``, of the second opinion; 0 if there is none."""
+    paths_weight: float = 0.0
+    """Weight of the second opinion."""
 
     @property
     def weight(self) -> Floats:
         """(rows,) weight of the opinion that each row is of."""
-        first = 1.0 - PATHS_WEIGHT if self.leave_by_paths else 1.0
-        return np.where(self.by_path, PATHS_WEIGHT, first)
+        return np.where(self.by_path, self.paths_weight, 1.0 - self.paths_weight)
 
     def exposure_by_row(self, exposure: Floats) -> Floats:
         """Return the exposure by row and lag, (rows, bins).
@@ -76,7 +77,7 @@ class Outcomes(NamedTuple):
         sure and wrong outweighs the other by its odds, but not by its probabilities.
         """
         first = leave + float(odds[~self.by_path].sum())
-        if not self.leave_by_paths:
+        if not self.paths_weight:
             return odds / first, leave / first
         second = self.leave_by_paths + float(odds[self.by_path].sum())
         chance = odds * self.weight / np.where(self.by_path, second, first)
@@ -84,12 +85,23 @@ class Outcomes(NamedTuple):
 
 
 def with_paths(
-    outcomes: Outcomes, paths: Sequence[CameraPath], zones: list[Zone], bins: LagBins
+    outcomes: Outcomes,
+    linked: float,
+    paths: Sequence[CameraPath],
+    zones: list[Zone],
+    bins: LagBins,
 ) -> Outcomes:
     """Return the mean of the outcomes of an exit and of the paths from its camera.
 
+    linked: sum of the probabilities of the published links from its zone. The more of the shares
+        rests on these, the less the paths count: links have been tested, paths have not.
     zones: all zones of the version.
     """
+    shared = max(float(outcomes.share.sum()), FLOOR)
+    weight = PATHS_WEIGHT_MAX * max(1.0 - linked / shared, 0.0)
+    if not weight:
+        return outcomes
+
     # A path leads to all zones of its camera, as their entries do.
     targets: list[int] = []
     shares, hazards, delays = [], [], []
@@ -118,6 +130,7 @@ def with_paths(
         delay=np.concatenate((outcomes.delay, *delays)),
         by_path=np.arange(len(outcomes.targets) + len(targets)) >= len(outcomes.targets),
         leave_by_paths=max(1.0 - float(beside.sum()), FLOOR),
+        paths_weight=weight,
     )
 
 

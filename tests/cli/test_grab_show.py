@@ -64,7 +64,7 @@ def test_a_bad_file_ends_it_before_any_picture_is_read(
 def test_there_are_words_for_every_reason_and_edge() -> None:
     told = set()
     for reason in (*get_args(Beginning), *get_args(Shortfall), *get_args(Ending)):
-        one = Decision(reason, 7, 12.34, (0.25, 0.5), 3.0, None, 0.2, 0.5, 3, 4)
+        one = Decision(reason, 7, 12.34, (0.25, 0.5), 3.0, None, 0.2, 0.5, 3)
         told.add(words_of(one))
         assert decision_line("yard", one).startswith("12.3 s  yard  track 7: ")
         assert "{" not in words_of(one)

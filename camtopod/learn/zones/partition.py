@@ -39,6 +39,8 @@ from camtopod.topology import GRID_COLUMNS, GRID_ROWS
 
 Labels = NDArray[np.intp]
 
+EVENTS_MIN = 5
+"""Least number of events of a camera for more than one zone; with fewer, all its cells are one."""
 ZONE_EVENTS_MIN = 3
 """Least number of events of a zone if a camera has several. Where there is hardly any clutter, two
 events are unlikely to coincide by chance, but two points have no extent in the second dimension.
@@ -118,7 +120,7 @@ def partition(
         None to start from nothing.
     """
     one_zone = np.zeros(len(cells.index), dtype=np.intp)
-    if count.sum() < 2 * ZONE_EVENTS_MIN:
+    if count.sum() < EVENTS_MIN:
         return one_zone
 
     # Improve the held partition, or start from nothing: density floor, DaSpec.

@@ -10,6 +10,7 @@ from prediction_quality import prediction_quality
 from synthetic_events import Views, fit_posterior
 
 from bench.support.regimes import REGIMES
+from camtopod.learn import refit
 from camtopod.learn.association.candidates import Candidates, find_candidates, number_pairs
 from camtopod.learn.next_camera import fit, skip_rate, skipped_cameras as module
 from camtopod.learn.next_camera.fit import Posterior
@@ -88,7 +89,8 @@ def test_as_many_as_are_missed(missed: float) -> None:
 
 
 def test_ways_too_rare_to_be_found_are_foretold(monkeypatch: pytest.MonkeyPatch) -> None:
-    """The site has 12 cameras that miss a tenth, recorded for an hour."""
+    """The site has 12 cameras that miss a tenth, recorded for an hour; without second opinion."""
+    monkeypatch.setattr(refit, "is_wanted", lambda scene, cameras: False)
     networks = [REGIMES["short"].make(seed, 0.3) for seed in (20, 21)]
     with_ways = [prediction_quality(*network) for network in networks]
     nothing = lambda *asked: (np.zeros(0, np.int64), np.zeros((0, asked[3].size)))  # noqa: E731

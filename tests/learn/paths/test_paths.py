@@ -12,7 +12,7 @@ from camtopod.learn.learner import Learner
 from camtopod.learn.paths.camera_lags import camera_lags
 from camtopod.learn.traffic.events import Arrivals, Departures
 from camtopod.predict import Predictor
-from camtopod.predict.outcomes import PATHS_WEIGHT
+from camtopod.predict.outcomes import PATHS_WEIGHT_MAX
 from camtopod.records import CameraPath, Event, Topology
 from camtopod.topology import student_density, student_share
 
@@ -51,8 +51,9 @@ def paths_of(topology: Topology) -> list[CameraPath]:
 
 
 def with_paths(topology: Topology, paths: list[CameraPath] | None) -> Topology:
+    """Return the version with these paths, and without links, so that the paths count most."""
     assert topology.model is not None
-    return replace(topology, model=replace(topology.model, paths=paths))
+    return replace(topology, links=[], model=replace(topology.model, paths=paths))
 
 
 def test_a_long_path_and_a_short_one_are_found(topology: Topology) -> None:
@@ -82,12 +83,23 @@ def test_each_opinion_has_its_weight(topology: Topology) -> None:
     alone = Predictor(with_paths(topology, None)).predict(exit_)
     both = Predictor(with_paths(topology, [path])).predict(exit_)
     assert both.leave == pytest.approx(
-        (1 - PATHS_WEIGHT) * alone.leave + PATHS_WEIGHT * 0.1, abs=1e-3
+        (1 - PATHS_WEIGHT_MAX) * alone.leave + PATHS_WEIGHT_MAX * 0.1, abs=1e-3
     )
     [far] = [one for one in both.next_ if one.q50 > 250.0]
-    assert far.probability == pytest.approx(PATHS_WEIGHT * 0.9, abs=1e-3)
+    assert far.probability == pytest.approx(PATHS_WEIGHT_MAX * 0.9, abs=1e-3)
     assert far.q50 == pytest.approx(300.0, abs=0.2)
     assert far.q90 - far.q10 == pytest.approx(2 * 1.476, abs=0.3)
+
+
+def test_where_links_are_published_paths_count_less(topology: Topology) -> None:
+    [link] = [one for one in topology.links if (one.from_, one.to) == ("a/1", "b/1")]
+    paths = [CameraPath("a", "c", 0.9, 300.0, 1.0)]
+    likeliest = []
+    for links in ([], [link]):
+        both = replace(with_paths(topology, paths), links=links)
+        said = Predictor(both).predict(Event("a", "exit", 1e6))
+        likeliest.append(sum(one.probability for one in said.next_ if one.q50 > 250.0))
+    assert likeliest[1] < 0.2 < 0.4 < likeliest[0]
 
 
 def test_a_path_that_is_over_is_ruled_out_later(topology: Topology) -> None:
@@ -104,8 +116,8 @@ def test_a_gate_knows_both_opinions(topology: Topology) -> None:
     assert gate.gate_gone("a/1", 0.0) == pytest.approx(0.0, abs=0.02)
     t = np.arange(290.0, 310.0, 0.1)
     appear = sum(np.exp(gate.gate("a/1", 0.0, "c", at)) * 0.1 for at in t)
-    assert appear == pytest.approx(0.9 * PATHS_WEIGHT, abs=0.01)
-    assert gate.gate("a/1", 0.0, "c", 300.0) > np.log(0.9 * PATHS_WEIGHT * 0.3)
+    assert appear == pytest.approx(0.9 * PATHS_WEIGHT_MAX, abs=0.01)
+    assert gate.gate("a/1", 0.0, "c", 300.0) > np.log(0.9 * PATHS_WEIGHT_MAX * 0.3)
 
 
 def test_lags_equal_their_slow_twin() -> None:
