@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import logging
 import time
+from collections import deque
 
 from camtopod import codec
 from camtopod.keys.rules import STATUS
@@ -25,8 +26,8 @@ class TopologySubscriber:
 
     def __init__(self, bus: Bus) -> None:
         self._bus = bus
-        self._received: bytes | None = None
-        """The newest version published that `update` has not seen."""
+        self._received: deque[bytes] = deque(maxlen=1)
+        """The newest version published that `update` has not seen; another thread appends it."""
         self._stale = True
         self._ask_after = 0.0
         self.topology: Topology | None = None
@@ -40,15 +41,14 @@ class TopologySubscriber:
     def update(self) -> Topology | None:
         """Process what has been received; return the newest version, or None if it is not new."""
         before = self.topology
-        if (received := self._received) is not None:
-            self._received = None
-            self._take(received)
+        while self._received:
+            self._take(self._received.popleft())
         if self._stale and time.monotonic() >= self._ask_after:
             self._fetch()
         return self.topology if self.topology is not before else None
 
     def _on_topology(self, key: str, payload: bytes) -> None:
-        self._received = payload
+        self._received.append(payload)
 
     def _on_daemon(self, name: str, alive: bool) -> None:
         if alive:
