@@ -252,7 +252,7 @@ class Onward(Struct, frozen=True):
 
     leave: share of the objects that leave the site, so are not seen again.
     next_: the zones where the others appear next.
-    unknown: share of ``leave`` and of what is spurious that may appear again, nobody knows where.
+    unknown: share of ``leave`` and of what is spurious that may appear again, at any camera.
     """
 
     zone: str

@@ -58,7 +58,7 @@ def fit_jointly(problem: Problem, candidates: Candidates) -> Fit:
     """
     em = Em(problem, candidates)
 
-    # First without, then with the sparse prior, and without what has hardly any transitions.
+    # First without, then with the sparse prior; pairs of zones without transitions are dropped.
     hazard, _ = prune(em, em.learn_speed(em.run(em.start())))
     hazard = em.run(hazard)
     em.assume(EmModel(sparsity=SPARSITY))

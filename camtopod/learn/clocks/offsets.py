@@ -50,8 +50,8 @@ several paths, which need not be used equally in both directions.
 """
 SHORT_SECONDS = 2.0
 """Least transit time in seconds that `SPREAD_SHARE_MAX` refers to; shorter ones count as this long.
-So do negative ones, which overlapping views have: a negative lag that varies is a stay in both
-views, and nobody needs to stay as long on the way back.
+So do negative ones, which overlapping views have: a negative lag that varies is the dwell time in
+both views, which differs from one direction to the other.
 """
 RIGHT_WEIGHT = 0.01
 """Cost of a second of clock offset in the first estimate (`_least_disagreement`), in standard

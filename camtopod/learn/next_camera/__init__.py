@@ -30,4 +30,7 @@ from camtopod.learn.next_camera.overlapping_views import (
     overlap_table as overlap_table,
     views_of as views_of,
 )
-from camtopod.learn.next_camera.unknown import unknown_shares as unknown_shares
+from camtopod.learn.next_camera.unknown import (
+    LEAVING_CAMERAS as LEAVING_CAMERAS,
+    unknown_shares as unknown_shares,
+)

@@ -1,11 +1,11 @@
-"""Estimate which part of the departures without explanation may appear again, nobody knows where.
+"""Estimate which part of the unexplained departures may appear again at an unknown camera.
 
 A departure that no hazard explains need not be one of an object that leaves the site: traffic may
 be too dense, or the transit times too spread, for a path to be found. So the question is twofold:
 
 * How many are too many? Of all objects that leave a view, about ``1 / (1 + cameras / 4)`` leave the
-  site, as a large site has more ways inside than out of it. What is said to leave beyond that share
-  is not known to.
+  site: the larger the site, the fewer of its paths lead out. The surplus over that share may
+  appear again.
 * Could it be known? Had these objects gone on by one path, the fit would have gained evidence from
   it, more at zones with many departures and in light traffic. Where it would have been found, and
   was not, it is not there, and the objects leave.
@@ -41,7 +41,7 @@ def unknown_shares(
     if not gone.any() or not rate.any():
         return np.zeros(len(leave))
 
-    # What is said to leave beyond the usual share of a site of this size.
+    # The surplus of leaving departures over the usual share at a site of this size.
     usual = float(departures.sum()) / (1.0 + cameras / LEAVING_CAMERAS)
     surplus = 1.0 - min(usual / float(gone.sum()), SURE_MAX)
 

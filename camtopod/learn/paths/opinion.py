@@ -6,6 +6,7 @@ import numpy as np
 
 from camtopod.arrays import Floats
 from camtopod.learn.limits import PATH_CAMERAS_MAX
+from camtopod.learn.next_camera import LEAVING_CAMERAS
 from camtopod.learn.paths.camera_lags import camera_lags
 from camtopod.learn.paths.dictionary import find_peaks
 from camtopod.learn.paths.path_fit import PathFit
@@ -15,8 +16,6 @@ from camtopod.topology import round_significant
 
 DEPARTURES_PER_ZONE = 40.0
 """Departures per zone from which the fit by zones needs no second opinion, given positions."""
-LEAVING_CAMERAS = 4.0
-"""Number of cameras of a site at which half of all departures leave it."""
 LEAVING_RANGE = (0.25, 0.95)
 """Limits of the share of unexplained departures that leave the site."""
 OWN_SHARE = 0.5

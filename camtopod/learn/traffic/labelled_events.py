@@ -154,10 +154,10 @@ def label_events(window: Window, maps: list[ZoneMap], ahead: Floats | None = Non
     arrivals = Arrivals(came, entered, camera[entry_rows], rate, slow[entry_rows], even / rate)
     passages = Passages(zone[tied_entries], zone[tied_rows], t[tied_entries], t[tied_rows])
 
-    # Exits, and those that tracks tie to an entry, by camera.
-    cameras = len(window.cameras)
-    exits_of = np.bincount(camera[~entry], minlength=cameras)
-    tied_of = np.bincount(camera[~entry & (mate >= 0)], minlength=cameras)
+    # Cameras at which tracks tie most exits to an entry.
+    untied = np.bincount(
+        camera[~entry], np.where(mate[~entry] >= 0, -1.0, 1.0), len(window.cameras)
+    )
     return Scene(
         zones,
         departures,
@@ -165,7 +165,7 @@ def label_events(window: Window, maps: list[ZoneMap], ahead: Floats | None = Non
         passages,
         np.bincount(zone[entry_rows], minlength=n),
         np.bincount(zone[exit_rows], minlength=n),
-        2 * tied_of > exits_of,
+        untied < 0,
         float(t.min()),
         last,
     )

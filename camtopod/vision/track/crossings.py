@@ -216,7 +216,7 @@ class Crossings:
         if edge is not None:
             return self._told("exit", track, track.last, edge)
 
-        # What is lost in mid-view may be evidence of a door, too.
+        # A track that is lost in mid-view may be evidence of a door.
         self.note("occluded" if track.occluded else "lost", track, track.last)
         if _has_walked(track) and not track.occluded:
             self.doors.unexplained.append(track.last.foot)

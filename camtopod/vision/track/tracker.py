@@ -3,8 +3,8 @@
 A track is *tentative* until it has been followed for half a second and its head or foot has moved;
 then it is *confirmed*. In each frame, blobs that cover several tracks, one of them confirmed,
 update these as a group (people crossing or walking side by side). The other blobs are assigned one
-to one (Kalman prediction, Hungarian method, gate in heights of the person), and what is left in a
-second pass by area and distance of the middles (`assignment`).
+to one (Kalman prediction, Hungarian method, gate in heights of the person); a second pass assigns
+the remaining ones by area and distance of the middles (`assignment`).
 
 A confirmed track that is not detected for longer than the patience has *ended*: it has left if it
 was at an edge of the view, and is *lost* in mid-view. What appears there later is another track,

@@ -6,9 +6,9 @@ import naive
 import numpy as np
 import pytest
 from msgspec.structs import replace
+from synthetic_events import learned_from
 
 from camtopod.client import Gate
-from camtopod.learn.learner import Learner
 from camtopod.learn.paths.camera_lags import camera_lags
 from camtopod.learn.traffic.events import Arrivals, Departures
 from camtopod.predict import Predictor
@@ -30,18 +30,9 @@ def events(seed: int = 0) -> list[Event]:
     return sorted(made, key=lambda event: event.t)
 
 
-def learned(seen: list[Event]) -> Topology:
-    learner = Learner(only_last=True)
-    for event in seen:
-        learner.receive(event)
-    learner.flush()
-    assert learner.topology is not None
-    return learner.topology
-
-
 @pytest.fixture(scope="module")
 def topology() -> Topology:
-    return learned(events())
+    return learned_from(events())
 
 
 def paths_of(topology: Topology) -> list[CameraPath]:
