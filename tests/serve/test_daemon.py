@@ -448,8 +448,13 @@ def test_a_view_takes_each_newer_version_and_any_of_a_new_epoch(site: Site) -> N
     assert caught_up(view, 1) == versions[0]
 
     def publish(version: Topology) -> Callable[[], bool]:
-        bus.publish("topology", version, "topology")
-        return lambda: view.update() is not None
+        """Publish until it is taken: of two at once a full link drops the second."""
+
+        def is_taken() -> bool:
+            bus.publish("topology", version, "topology")
+            return view.update() is not None
+
+        return is_taken
 
     wait_for(publish(versions[1]), "the next version")
     assert view.topology == versions[1]
