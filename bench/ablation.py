@@ -90,11 +90,6 @@ def _without_levels(*levels: int) -> Callable[..., Any]:
     return others
 
 
-def _no_skips(appears: Any, candidates: Any, through: Any, bins: Any, zones: int) -> Any:
-    """Return no hazards of skipped cameras."""
-    return np.zeros(0, np.int64), np.zeros((0, bins.size))
-
-
 MECHANISMS = [
     Mechanism(
         "context: zone of entry",
@@ -119,7 +114,6 @@ MECHANISMS = [
     Mechanism(
         "speed", {"learn.association.em:estimate_persistence": lambda *arguments: NO_PERSISTENCE}
     ),
-    Mechanism("skipped cameras", {"learn.next_camera.fit:skip_hazards": _no_skips}),
     Mechanism("prior: paths are two-way", {"learn.next_camera.prior:RETURNING": 0.0}),
     Mechanism("prior: zones of a view", {"learn.next_camera.prior:POOLING": 0.0}),
     Mechanism("sampling", {"learn.next_camera.fit:PosteriorFitter.sample": lambda self: None}),

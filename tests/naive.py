@@ -902,59 +902,6 @@ def predicted(topology, seen, asked, zone_of, constants, now=None):
     return {None: stays / total, **{v: value / total for v, value in odds.items()}}
 
 
-def ways_through(departures, entry, camera, share_min, tied_min, unknown):
-    """Return (zone of entry, zone of exit) -> (share, usual dwell time in seconds)."""
-    d, ways = departures, {}
-    for here in sorted(set(camera)):
-        rows = [k for k in range(len(d.t)) if camera[d.zone[k]] == here]
-        tied = [k for k in rows if entry[k] >= 0]
-        if not rows:
-            continue
-        if len(tied) >= tied_min * len(rows):
-            for came in {entry[k] for k in tied}:
-                those = [k for k in tied if entry[k] == came]
-                for left in {d.zone[k] for k in those}:
-                    stays = sorted(d.t[k] - d.since[k] for k in those if d.zone[k] == left)
-                    if len(stays) >= share_min * len(those):
-                        ways[came, left] = len(stays) / len(those), stays[len(stays) // 2]
-            continue
-        stays = sorted(d.t[k] - d.since[k] for k in rows if d.since[k] > -np.inf)
-        for left in {d.zone[k] for k in rows}:
-            share = sum(d.zone[k] == left for k in rows) / len(rows)
-            for came in range(len(camera)):
-                if camera[came] == here and share >= share_min:
-                    ways[came, left] = share, stays[len(stays) // 2] if stays else unknown
-    return ways
-
-
-def skip_hazards(appears, source, target, through, bins, quantiles, sd_bins, link_min, way_min):
-    """Return the hazard of each pair (P, bins) if every second passage were missed."""
-    number = {(u, v): k for k, (u, v) in enumerate(zip(source, target, strict=True))}
-    mass = np.zeros(appears.shape)
-    for (u, a), first in number.items():
-        for (came, b), (passes, seconds) in through.items():
-            for (leaves, v), second in number.items():
-                p, q = appears[first].sum(), appears[second].sum()
-                taken = p * passes * q
-                fits = came == a and leaves == b and (u, v) in number
-                if not fits or p < link_min or q < link_min or taken < way_min:
-                    continue
-                for one in quantiles:
-                    for other in quantiles:
-                        lag = seconds
-                        for row, whole, x in (
-                            (appears[first], p, one),
-                            (appears[second], q, other),
-                        ):
-                            lag += bins.centres[
-                                next(k for k, s in enumerate(np.cumsum(row) / whole) if s >= x)
-                            ]
-                        at = lag_bin(lag, bins.lag_min, bins.lag_max, bins.scale, bins.step)
-                        if at >= 0:
-                            mass[number[u, v], at] += taken / len(quantiles) ** 2
-    return mass @ smoothing_kernel(bins.size, sd_bins).T / bins.widths
-
-
 def camera_lags(left, source, dwell, came, target, lag_min, lag_max):
     """Return (departure, arrival) of all candidates by camera, whatever their zones."""
     return [

@@ -362,12 +362,7 @@ def predict_next(
     problem = associated.problem
     cameras = window.cameras
     bins = problem.bins
-    posterior = fit_followed(
-        problem,
-        associated.possible,
-        associated.evidence,
-        bool(associated.followed),
-    )
+    posterior = fit_followed(problem, associated.possible, associated.evidence)
 
     transitions = transitions_of(posterior.fit, WEAK_TRANSITIONS_MIN)
     exposed = exposed_departures(problem)

@@ -116,11 +116,9 @@ class Views:
         return Problem(departures, arrivals, bins, len(self.camera), until)
 
 
-def fit_posterior(
-    problem: Problem, candidates: Candidates | None = None, screened: bool = False
-) -> Posterior:
+def fit_posterior(problem: Problem, candidates: Candidates | None = None) -> Posterior:
     """Return the posterior of some candidates of a problem, or all, with clear evidence."""
     cameras = 1 + max(int(ends.camera.max(initial=0)) for ends in problem[:2])
     apart = np.zeros((cameras, cameras), np.bool_)
     likely, possible = followed_of(problem, candidates or find_candidates(problem), apart)
-    return fit_followed(problem, likely.take(possible), LINKED, screened)
+    return fit_followed(problem, likely.take(possible), LINKED)

@@ -19,8 +19,8 @@ cause at most one arrival, so the E step sums over them (`Em.over_copies`).
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from typing import Any, NamedTuple, Protocol
+from collections.abc import Callable
+from typing import NamedTuple, Protocol
 
 import numpy as np
 
@@ -68,33 +68,27 @@ NOTHING = 1e-30
 """Lower bound on a divisor; small, but not 0 in single precision."""
 
 
-class Term(Protocol):
-    """A further way in which a departure causes an arrival, beside the hazard of its pair of zones.
+class Beside(Protocol):
+    """A further way in which some departures cause arrivals, beside the hazards by lag.
 
-    The rate of a candidate is the hazard of its pair plus the rates of the terms that apply to it.
+    The rate of a candidate is the hazard of its pair of zones plus this rate, where it applies.
     """
 
     rows: Indices
-    """(m,) rows of the candidates that the term applies to, ascending."""
+    """(m,) rows of the candidates that it applies to, ascending."""
 
-    share: Any
-    """(m,) share of each of these candidates' rate that the term contributes."""
+    share: Floats
+    """(m,) share of each of these candidates' rate that it contributes."""
 
-    def rates(self, responsibility: Singles) -> Any:
-        """Return the rates (m,), 1/s, that the term gives to its candidates.
+    def rates(self, responsibility: Singles) -> Floats:
+        """Return the rates (m,), 1/s, that its candidates get from it.
 
         responsibility (m,): of these candidates; the rate of each candidate must not depend on its
             own responsibility (leave one out).
         """
 
-    def after_exit(self, hazard: Singles, rows: slice) -> Singles:
-        """Return hazards (pairs, bins) by lag from the exit, with those of the term added.
-
-        hazard (pairs, bins): hazards of the pairs of zones ``rows`` without the term.
-        """
-
     def learn(self, responsibility: Singles) -> None:
-        """Do the M step of the term, with the responsibilities (M,) of all candidates."""
+        """Do the M step, with the responsibilities (M,) of all candidates."""
 
 
 class Expected(Protocol):
@@ -122,8 +116,8 @@ class PairPrior(Protocol):
 class EmModel(NamedTuple):
     """What a fit assumes in addition to hazards and background."""
 
-    terms: Sequence[Term] = ()
-    """Further ways in which a departure causes an arrival."""
+    entering: Beside | None = None
+    """Rates by the time since the entry, in overlapping views (`next_camera.entry_kernels`)."""
     prior: PairPrior | None = None
     """Prior over the transitions of pairs of zones."""
     sparsity: float = 0.0
@@ -291,7 +285,7 @@ class Em:
 
         The old responsibilities are an input, too: they tell how much each candidate has
         contributed to the hazards, which is left out (`_rates`). So are the messages of the E step
-        before, which are replaced as well (``_message``), as is the `share` of each term.
+        before, which are replaced as well (``_message``), as is the share of the entry kernels.
         """
         # Per departure, the probability mass of all its candidates and of leaving the site.
         weight = self._rates(hazard)
@@ -312,9 +306,9 @@ class Em:
         self._message = (1.0 / np.maximum(demand - offer, BACKGROUND_MIN)).astype(np.float32)
 
     def maximise(self) -> Singles:
-        """Do the M step: return the hazards (P, bins) by the responsibilities; update the terms."""
-        for term in self.model.terms:
-            term.learn(self.responsibility)
+        """Do the M step for the entry kernels and the hazards (P, bins); return the hazards."""
+        if self.model.entering is not None:
+            self.model.entering.learn(self.responsibility)
         self._estimate_outside()
         return self.hazards(self.transitions())
 
@@ -325,7 +319,7 @@ class Em:
         Which candidates are sure is decided without the agreement of slownesses, as agreement would
         otherwise reinforce itself.
         """
-        before = self._at_exit().copy()  # the E step replaces the responsibilities
+        before = self._at_exit()
 
         # The surest candidates, whatever their slownesses.
         self._adjusted = self._adjusted._replace(agreement=None)
@@ -346,7 +340,7 @@ class Em:
     def keep(self, kept: Bools) -> Bools:
         """Drop all candidates but those of the mask ``kept`` (M,), and pairs of zones without any.
 
-        Return a mask (P,) of the pairs that are left. Terms must not be in use.
+        Return a mask (P,) of the pairs that are left. The entry kernels have to be made anew.
         """
         left = np.bincount(self.candidates.pair[kept], minlength=self.pairs) > 0
         self._use(self.candidates.take(kept))
@@ -381,17 +375,14 @@ class Em:
         return np.bincount(index, self.responsibility, minlength=size).astype(float, copy=False)
 
     def transitions(self) -> Floats:
-        """Return the expected transitions by pair and lag (P, bins), without those of the terms."""
+        """Return the expected transitions (P, bins), without those of the entry kernels."""
         return self._count(self._at_exit())
 
     def _at_exit(self) -> Singles:
-        """Return the responsibilities (M,) without the shares of the terms."""
-        if not self.model.terms:
-            return self.responsibility
-        of_terms = np.zeros(len(self.responsibility), np.float32)
-        for term in reversed(self.model.terms):
-            of_terms[term.rows] += term.share
-        at_exit: Singles = self.responsibility * np.maximum(1.0 - of_terms, 0.0)
+        """Return the responsibilities (M,) without the shares of the entry kernels."""
+        at_exit = self.responsibility.copy()
+        if self.model.entering is not None:
+            at_exit[self.model.entering.rows] *= np.maximum(1.0 - self.model.entering.share, 0.0)
         return at_exit
 
     def _by_arrival(self, each: Floats | Singles) -> Floats:
@@ -416,16 +407,14 @@ class Em:
         if agreement is not None:
             weight *= agreement
 
-        # The rates of the terms, and the shares of the terms in the sum.
-        added = []
-        for term in self.model.terms:
-            rates = term.rates(self.responsibility.take(term.rows))
+        # The rates of the entry kernels, and their share in the sum.
+        entering = self.model.entering
+        if entering is not None:
+            rates = entering.rates(self.responsibility.take(entering.rows))
             if agreement is not None:
-                rates *= agreement.take(term.rows)
-            weight[term.rows] += rates
-            added.append((term, rates))
-        for term, rates in added:
-            term.share = rates / np.maximum(weight.take(term.rows), NOTHING)
+                rates *= agreement.take(entering.rows)
+            weight[entering.rows] += rates
+            entering.share = rates / np.maximum(weight.take(entering.rows), NOTHING)
 
         if self.model.multiplier is not None:
             weight *= self.model.multiplier
@@ -440,7 +429,7 @@ class Em:
             return self.model.leaving
         share = np.zeros(self.pairs)
         for rows in row_slices(self.pairs):
-            share[rows] = self.appears(self.after_exit(hazard, rows), rows).sum(axis=1)
+            share[rows] = self._appears(hazard[rows], rows).sum(axis=1)
         of_zone = np.bincount(self.candidates.source, share, minlength=self.problem.zones)
         again = self.over_copies(of_zone.astype(float)[self.problem.departures.zone])
         leaving: Floats = np.maximum(1.0 - again, LEAVE_FLOOR)
@@ -451,18 +440,7 @@ class Em:
         of = self.problem.departures.of
         return each if of is None else np.bincount(of, each, minlength=len(of)).astype(float)[of]
 
-    def after_exit(self, hazard: Singles, rows: slice) -> Singles:
-        """Return the hazards (pairs, bins) of some pairs by lag from the exit, terms included.
-
-        hazard (P, bins): hazards of all pairs without the terms.
-        rows: the pairs.
-        """
-        result = hazard[rows]
-        for term in self.model.terms:
-            result = term.after_exit(result, rows)
-        return result
-
-    def appears(self, hazard: Singles, rows: slice | Indices) -> Floats:
+    def _appears(self, hazard: Singles, rows: slice) -> Floats:
         """Return the probability (pairs, bins) that an object appears next at a pair's target.
 
         hazard (pairs, bins): hazards of the pairs ``rows``.

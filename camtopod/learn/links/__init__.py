@@ -32,7 +32,6 @@ from camtopod.learn.links.link_table import (
     zone_pairs_of as zone_pairs_of,
 )
 from camtopod.learn.links.missed_detections import (
-    match_rows as match_rows,
     without_missed_detections as without_missed_detections,
 )
 from camtopod.learn.links.shortfall import (

@@ -9,7 +9,6 @@ appear next at the second, and the hazard (rate of appearing by lag). In the ord
   return traffic
 * `overlapping_views` and `entry_kernels`: objects that appear in the next view before they leave
   this one
-* `skipped_cameras` and `skip_rate`: objects that appear next after a camera has missed them
 * `contexts`: the zone of entry, the place of exit and the previous camera of a departure
 * `sampling`: Monte Carlo samples of which departure caused which arrival, against overconfidence
 * `spurious`: the share of each pair's transitions that may be made by chance

@@ -2,9 +2,8 @@
 
 An object that appears in an overlapping view before it leaves this one (a candidate with a negative
 lag) often does so a certain time after it *entered* this view. The *entry kernel* of a zone of
-entry and a zone of the next appearance is the rate of appearing by time from the entry. As a `Term`
-of the EM fit (`association.em`), `EntryKernels` estimates the kernels and gives candidates their
-rates.
+entry and a zone of the next appearance is the rate of appearing by time from the entry. In the
+EM fit (`association.em`), `EntryKernels` estimates the kernels and gives candidates their rates.
 
 There may be twenty thousand pairs of an entry zone and a zone of the next appearance, nearly all of
 them spurious. Only the values at the candidates are kept: a table of all kernels would take more
@@ -121,10 +120,6 @@ class EntryKernels:
         """
         others: Floats = np.maximum(1.0 - responsibility * self.own, 0.0)
         return self.hazard * others
-
-    def after_exit(self, hazard: Singles, rows: slice) -> Singles:
-        """Return the hazards unchanged, as entry kernels do not count from the exit."""
-        return hazard
 
     def learn(self, responsibility: Singles) -> None:
         """Do the M step: estimate the kernels by the responsibilities (M,) of all candidates."""

@@ -1,8 +1,8 @@
 """The fit for prediction: where objects appear next, all weak evidence included (METHOD 10).
 
-It extends EM over candidates (`association.em.Em`) by entry kernels, skipped cameras, a prior over
-pairs of zones, contexts of departures, samples, and the spurious share of each pair; the head of
-the package names their modules. `followed_of` selects the candidates with a few iterations,
+It extends EM over candidates (`association.em.Em`) by entry kernels, a prior over pairs of zones,
+contexts of departures, samples, and the spurious share of each pair; the head of the package names
+their modules. `followed_of` selects the candidates with a few iterations,
 `fit_followed` runs the whole fit; both use `PosteriorFitter`, whose methods are in the order of the
 steps.
 
@@ -18,7 +18,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from camtopod.arrays import Floats, Ints, Singles, row_slices
+from camtopod.arrays import Floats, Ints, Singles
 from camtopod.learn.association import (
     NOTHING,
     Candidates,
@@ -33,14 +33,6 @@ from camtopod.learn.next_camera.contexts import ContextCounts, ContextLevel, Con
 from camtopod.learn.next_camera.entry_kernels import EntryKernels
 from camtopod.learn.next_camera.prior import Prior
 from camtopod.learn.next_camera.sampling import Sources, add_prior_transitions
-from camtopod.learn.next_camera.skip_rate import ODDS_FIRST, SkippedCameras
-from camtopod.learn.next_camera.skipped_cameras import (
-    Legs,
-    legs_of,
-    skip_hazards,
-    skip_hazards_elsewhere,
-    view_paths,
-)
 from camtopod.learn.next_camera.spurious import spurious_shares
 from camtopod.topology import LEAVE_FLOOR
 
@@ -67,8 +59,6 @@ SAMPLING_SEED = 2011
 """Seed of the samples, fixed so that versions are reproducible."""
 CONTEXTS_EVERY = 3
 """Sweeps between estimates of the contexts."""
-SKIPS_EVERY = 10
-"""Sweeps between estimates of the paths over skipped cameras."""
 
 
 class Posterior(NamedTuple):
@@ -111,23 +101,18 @@ def followed_of(
     return candidates.take(likely), ~impossible[likely]
 
 
-def fit_followed(
-    problem: Problem, followed: Candidates, evidence: Floats, screened: bool = False
-) -> Posterior:
+def fit_followed(problem: Problem, followed: Candidates, evidence: Floats) -> Posterior:
     """Fit the posterior of the selected candidates.
 
     followed: result of `followed_of`.
     evidence (k, nats): held-out evidence of k pairs of zones (`cross_evidence`).
-    screened: True if screening has left out pairs of zones, so that paths over skipped cameras to
-        these pairs are added.
 
     Every fit begins from nothing, as a fit that starts from the last one reinforces early mistakes.
     """
     fitter = PosteriorFitter(problem, followed)
     fitter.learn()
     fitter.sample()
-    posterior = fitter.posterior(evidence)
-    return fitter.with_skips(posterior) if screened else posterior
+    return fitter.posterior(evidence)
 
 
 class PosteriorFitter:
@@ -135,7 +120,7 @@ class PosteriorFitter:
 
     share (P,), leave (zones,): as in `Posterior`; the present estimates.
     contexts: contexts of all departures.
-    entering, skipping: the two additional terms of the EM model.
+    entering: the entry kernels.
     """
 
     def __init__(self, problem: Problem, candidates: Candidates) -> None:
@@ -144,37 +129,27 @@ class PosteriorFitter:
         self.problem = problem
         self.em = em = Em(problem, candidates)
         self.hazard: Singles = np.zeros((em.pairs, bins.size), np.float32)
-        """(P, bins) hazards by lag from the exit, without those of skipped cameras."""
+        """(P, bins) hazards by lag from the exit."""
         self._departures_of = np.bincount(departures.zone, minlength=zones).astype(float)
         self.share = np.zeros(em.pairs)
         self.leave = np.ones(zones)
 
-        # Contexts, and the additional terms and the prior of the EM model.
+        # Contexts, and the entry kernels and the prior of the EM model.
         cameras = int(em.camera.max(initial=0)) + 1
         self.contexts = Contexts(problem, cameras)
-        self._through = view_paths(departures, self.contexts.entry, em.camera)
-        self._extend(ODDS_FIRST)
+        self._extend()
 
-    def _extend(self, odds: float) -> None:
-        """Give the EM model its additional terms, and the prior, for the present candidates.
-
-        odds: odds of a missed passage.
-        """
+    def _extend(self) -> None:
+        """Give the EM model its entry kernels and prior, for the present candidates."""
         em = self.em
         self.entering = EntryKernels(self.problem, em.candidates, self.contexts.entry)
-        left = self._departures_of[em.candidates.source]
-        self.skipping = SkippedCameras(self.problem.bins, left, odds)
         prior = Prior(em.candidates, em.camera, em.exposure, em.arrivals_of_zone)
-        em.assume(EmModel(terms=(self.entering, self.skipping), prior=prior))
+        em.assume(EmModel(entering=self.entering, prior=prior))
 
     def scout(self) -> None:
         """Run a few iterations, enough for `followed_of`."""
         self._start()
         self._iterate(FIRST_ITERATIONS, contexts=False)
-
-        # Include the hazards of paths over skipped cameras.
-        self._find_skips(self.hazard)
-        self.em.expect(self.hazard)
 
     def learn(self) -> None:
         """Run the fit: rounds without contexts, then iterations with contexts."""
@@ -183,7 +158,6 @@ class PosteriorFitter:
             self._iterate(FIRST_ITERATIONS, contexts=False)
             self._keep_live()
             self.hazard = self.em.learn_speed(self.hazard)
-            self._find_skips(self.hazard)
         self._iterate(ITERATIONS, contexts=True)
 
     def _keep_live(self) -> None:
@@ -193,32 +167,29 @@ class PosteriorFitter:
         share = np.zeros(len(live))
         share[self.entering.rows] = self.entering.share
         self.hazard = self.hazard[em.keep(live)]
-        self._extend(self.skipping.odds)
+        self._extend()
         self.entering.share = share[live][self.entering.rows]
         self.entering.learn(em.responsibility)
 
     def sample(self) -> None:
         """Average the fit with samples of which departure caused which arrival (`sampling`).
 
-        Afterwards, responsibilities, hazards and the shares of the terms are averages.
+        Afterwards, responsibilities, hazards and the shares of the entry kernels are averages.
         """
         em = self.em
         entering = self.entering
-        skipping = self.skipping
         fitted = em.responsibility.copy()
         arrivals = len(self.problem.arrivals.t)
         sources = Sources(em.candidates.arrival, arrivals, SAMPLING_SEED)
-        believed, skipped = np.zeros((2, len(fitted)), np.float32)
+        believed = np.zeros(len(fitted), np.float32)
         entered = np.zeros(len(entering.rows))
         sweeps = min(max(DRAWN_ARRIVALS // max(arrivals, 1), SWEEPS_MIN), SWEEPS_MAX)
         burn_in = sweeps // 2
 
         for sweep in range(sweeps):
-            # Estimate hazards and terms from one draw, then the responsibilities under these.
+            # Estimate hazards and kernels from one draw, then the responsibilities under these.
             em.believe(sources.draw(em.responsibility))
             hazard = self._with_faint(em.maximise())
-            if (sweep + 1) % SKIPS_EVERY == 0:
-                self._find_skips(hazard)
             em.expect(hazard)
             if sweep % CONTEXTS_EVERY == 0:
                 self._learn_contexts()
@@ -226,13 +197,9 @@ class PosteriorFitter:
             # Sum over the sweeps after burn-in.
             if sweep >= burn_in:
                 believed += em.responsibility
-                skipped[skipping.rows] += em.responsibility[skipping.rows] * skipping.share
                 entered += em.responsibility[entering.rows] * entering.share
 
-        # Shares of the terms on average, and responsibilities averaged with those of the fit.
-        rows = np.flatnonzero(skipped)
-        share = skipped[rows] / np.maximum(believed[rows], NOTHING)
-        skipping.believe(rows, share.astype(np.float32))
+        # Shares of the kernels on average, and responsibilities averaged with those of the fit.
         entering.share = entered / np.maximum(believed[entering.rows], NOTHING)
         samples = believed * np.float32(SAMPLES_SHARE / (sweeps - burn_in))
         em.believe(samples + fitted * np.float32(1.0 - SAMPLES_SHARE))
@@ -245,8 +212,7 @@ class PosteriorFitter:
         """
         em = self.em
         levels = self.contexts.published_levels(em.candidates, self._count_contexts())
-        hazard = em.after_exit(self.hazard, slice(0, em.pairs))
-        found = result(em, hazard, np.zeros((0, self.problem.bins.size)))  # without counts
+        found = result(em, self.hazard, np.zeros((0, self.problem.bins.size)))  # without counts
         doubt = spurious_shares(
             em.candidates.pair, found.responsibility, em.pairs, evidence, self._departures_of
         )
@@ -260,50 +226,6 @@ class PosteriorFitter:
             self.entering.kernels(em.responsibility),
             np.zeros(em.pairs),
             levels,
-        )
-
-    def with_skips(self, posterior: Posterior) -> Posterior:
-        """Return the posterior with pairs of zones added that only paths over skipped cameras join.
-
-        Screening may have left out all candidates of such pairs.
-        """
-        # Hazards of the additional pairs.
-        c = posterior.fit.candidates
-        bins = self.problem.bins
-        zones = self.problem.zones
-        source, target, unit = skip_hazards_elsewhere(
-            self._legs(self.hazard), c, self._through, bins, zones
-        )
-        hazard = (self.skipping.odds * unit).astype(np.float32)
-        share = hazard @ bins.widths
-
-        # Number the pairs of zones anew, by source, then target.
-        sources = np.concatenate((c.source, source))
-        targets = np.concatenate((c.target, target))
-        key = sources.astype(np.int64) * zones + targets
-        order = np.argsort(key, kind="stable")
-        number = np.argsort(order)
-
-        def mixed(known: Floats, beside: Floats) -> Floats:
-            """Return the values of the known and the additional pairs in the order of all pairs."""
-            both: Floats = np.concatenate((known, beside))[order]
-            return both
-
-        fit = posterior.fit._replace(
-            hazard=np.concatenate((posterior.fit.hazard, hazard))[order],
-            candidates=c._replace(
-                pair=number[c.pair].astype(np.int32),
-                source=(key[order] // zones).astype(np.int32),
-                target=(key[order] % zones).astype(np.int32),
-            ),
-        )
-        gone = posterior.leave - np.bincount(source, share, minlength=zones)
-        return posterior._replace(
-            fit=fit,
-            share=mixed(posterior.share, share),
-            doubt=mixed(posterior.doubt, np.zeros(len(source))),
-            delay=np.zeros(len(order)),
-            leave=np.maximum(gone, LEAVE_FLOOR),
         )
 
     def _start(self) -> None:
@@ -324,31 +246,6 @@ class PosteriorFitter:
         em = self.em
         return add_prior_transitions(
             hazard, em.exposure_at_least_one, em.candidates.source, self.problem.bins
-        )
-
-    def _find_skips(self, hazard: Singles) -> None:
-        """Find the paths over skipped cameras that follow from the present hazards (P, bins)."""
-        em = self.em
-        pair, unit = skip_hazards(
-            self._legs(hazard),
-            em.candidates,
-            self._through,
-            self.problem.bins,
-            self.problem.zones,
-        )
-        self.skipping.use(pair, unit, em.candidates, em.cell)
-
-    def _legs(self, hazard: Singles) -> Legs:
-        """Return the hazards (P, bins) as possible legs of paths over a skipped camera."""
-        em = self.em
-        share = np.concatenate(
-            [em.appears(hazard[rows], rows).sum(axis=1) for rows in row_slices(em.pairs)]
-        )
-        return legs_of(
-            share,
-            lambda pairs: em.appears(hazard[pairs], pairs),
-            em.candidates,
-            self.problem.bins,
         )
 
     def _learn_contexts(self) -> None:
