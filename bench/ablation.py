@@ -187,7 +187,6 @@ CONSTANTS = (
     ("FIRST_NOISE_SD", ("learn.next_camera.fit",)),
     ("BET_SPARSITY", ("learn.links.cross_validation",)),
     ("FALSE_PROBABILITY", ("learn.long_paths",)),
-    ("SAME_SECONDS", ("learn.long_paths",)),
     ("OVERLAP_FALSE", ("learn.association.screening",)),
 )
 """Constants that are halved and doubled: name, and the modules that hold it."""

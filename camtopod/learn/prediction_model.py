@@ -266,37 +266,31 @@ def _contexts(
     }
     result = []
     for name, level in zip(LEVELS, posterior.levels, strict=True):
-        # Delayed copies of departures (`long_paths`) share the context of their originals;
-        # transitions of both count.
-        counted: dict[tuple[int, int, int], tuple[float, float, dict[str, float]]] = {}
         for k in np.flatnonzero(level.departures >= CONTEXT_DEPARTURES_MIN).tolist():
             first, block = (int(part) for part in level.parts[k])
-            if name == "previous" and first >= len(cameras):
-                continue  # a virtual view: the previous camera is known by a long path only
 
-            # Transitions, scaled to the departures of the originals and to present shares.
+            # Transitions, scaled to present shares.
             zone = int(level.zone[k])
             row = slice(level.first[k], level.first[k + 1])
-            sure = float(level.departures[k])
-            original, departures, to = counted.get((zone, first, block), (sure, sure, {}))
-            transitions = level.transitions[row] * (original / sure)
-            for v, mass in zip(level.target[row].tolist(), transitions.tolist(), strict=True):
+            departures = float(level.departures[k])
+            to = {}
+            for v, mass in zip(
+                level.target[row].tolist(), level.transitions[row].tolist(), strict=True
+            ):
                 moved = mass * changed.get((zone, v), 1.0)
                 departures += moved - mass
                 if moved > CONTEXT_TRANSITIONS_MIN:
                     to[ids[v]] = round_significant(moved)
-            counted[zone, first, block] = original, departures, to
-        result += [
-            Context(
-                ids[zone],
-                round_significant(max(departures, 0.0)),
-                dict(sorted(to.items())),
-                ids[first] if "entry" in name else None,
-                block if "block" in name else None,
-                cameras[first] if name == "previous" else None,
+            result.append(
+                Context(
+                    ids[zone],
+                    round_significant(max(departures, 0.0)),
+                    dict(sorted(to.items())),
+                    ids[first] if "entry" in name else None,
+                    block if "block" in name else None,
+                    cameras[first] if name == "previous" else None,
+                )
             )
-            for (zone, first, block), (_, departures, to) in counted.items()
-        ]
     return sorted(
         result, key=lambda row: (row.zone, row.entry or "", row.block or 0, row.previous or "")
     )

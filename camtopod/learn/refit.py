@@ -65,7 +65,7 @@ from camtopod.learn.links import (
     with_usual_dwell_times,
     without_missed_detections,
 )
-from camtopod.learn.long_paths import Delayed, with_long_paths
+from camtopod.learn.long_paths import long_ranges
 from camtopod.learn.next_camera import (
     OverlappingViews,
     find_overlapping,
@@ -143,10 +143,7 @@ class Associated(NamedTuple):
 
     between: every pair of zones with expected transitions, with its held-out evidence.
     changes: links that opened, closed or changed their share.
-    problem: the departures, with delayed copies for long paths, and the arrivals. The copies have
-        zones of their own, and so have the tables of the fits.
-    delayed: maps results back to the real zones (`Delayed.links_back`, `Delayed.changes_back` and
-        `Delayed.posterior_back`).
+    problem: departures and arrivals, with the ranges of their lags.
     possible: the candidates that are neither unlikely nor impossible.
     evidence (pairs,): held-out evidence of the pairs of zones of the joint fit, nats.
     followed: `Known.followed` for the next refit.
@@ -155,7 +152,6 @@ class Associated(NamedTuple):
     between: LinkTable
     changes: list[Change]
     problem: Problem
-    delayed: Delayed
     possible: Candidates
     evidence: Floats
     followed: dict[int, FollowedSources]
@@ -268,17 +264,13 @@ def associate(
     fits.
     """
     bins = lag_bins(settings)
-    arrivals = scene.arrivals
-    cameras = len(window.cameras)
-    real = Problem(scene.departures, arrivals, bins, len(scene.zones), scene.last)
+    problem = Problem(scene.departures, scene.arrivals, bins, len(scene.zones), scene.last)
 
-    # 3. Candidates: departures, and delayed copies for long paths, within the range of the lags.
-    # From here on, the copies have zones of their own.
+    # 3. Candidates: departures and arrivals within the range of the lags, delayed on long paths.
     on_step("candidates")
     view = np.array([zone.camera for zone in scene.zones], np.int32)
-    delayed = with_long_paths(real, view, cameras, settings.candidates_max)
-    problem = delayed.of(real)
-    places = [place(camera, scene.zones[zone].number) for camera, zone in delayed.places()]
+    problem = problem._replace(ranges=long_ranges(problem, view, settings.candidates_max))
+    places = [place(zone.camera, zone.number) for zone in scene.zones]
     screen = CandidateScreen()
     screen.followed = dict(known.followed)
     candidates = screen.find(
@@ -288,35 +280,25 @@ def associate(
         settings.candidates_max,
         everywhere=known.everywhere,
     )
-    candidates = delayed.among(candidates, arrivals)
-
-    overlap = delayed.overlapping(overlap_table(overlapping, cameras))
+    overlap = overlap_table(overlapping, len(window.cameras))
     likely, is_possible = followed_of(problem, candidates, overlap)
     del candidates
 
     # 4. to 6. Joint fit, evidence, changes.
-    between, changes, evidence = find_evidence(
-        problem, delayed, likely, silences, len(scene.zones), on_step
-    )
+    between, changes, evidence = find_evidence(problem, likely, silences, on_step)
     possible = likely.take(is_possible)
-    return Associated(between, changes, problem, delayed, possible, evidence, screen.followed)
+    return Associated(between, changes, problem, possible, evidence, screen.followed)
 
 
 def find_evidence(
     problem: Problem,
-    delayed: Delayed,
     candidates: Candidates,
     silences: list[CameraSilences],
-    zones: int,
     on_step: Callable[[str], None],
 ) -> tuple[LinkTable, list[Change], Floats]:
     """Do steps 4 to 6; return the table of pairs of zones, the changes, the evidence (pairs, nats).
 
     candidates: candidates of the problem.
-    zones: number of real zones.
-
-    Table and changes have the real zones. The evidence is that of the pairs of zones of the joint
-    fit, in which delayed copies have zones of their own.
     """
     # 4. The joint fit: each arrival has one cause at most, each departure one effect at most.
     on_step("joint fit")
@@ -332,14 +314,14 @@ def find_evidence(
         problem.bins,
         problem.zones,
         transition_slowness(problem, fit),
-        delayed.seconds,
+        problem.ranges,
     )
-    between = delayed.links_back(between.with_evidence(evidence, zones**2))
+    between = between.with_evidence(evidence, problem.zones**2)
 
     # 6. Links that have opened or closed; departures during a camera's silence do not count.
     on_step("changes")
     changes = find_changes(problem, fit, [silence.intervals for silence in silences])
-    return between, delayed.changes_back(changes), evidence
+    return between, changes, evidence
 
 
 def predict_next(
@@ -357,8 +339,7 @@ def predict_next(
 
     associated: result of steps 3 to 6.
     """
-    # The fit for prediction, and its table of pairs of zones; both are mapped back to real zones.
-    delayed = associated.delayed
+    # The fit for prediction, and its table of pairs of zones.
     problem = associated.problem
     cameras = window.cameras
     bins = problem.bins
@@ -366,14 +347,12 @@ def predict_next(
 
     transitions = transitions_of(posterior.fit, WEAK_TRANSITIONS_MIN)
     exposed = exposed_departures(problem)
-    likely_pairs = tabulate(transitions, exposed, bins, problem.zones, delay=delayed.seconds)
+    likely_pairs = tabulate(transitions, exposed, bins, problem.zones, ranges=problem.ranges)
     likely_pairs = likely_pairs.without_counts()
     likely_pairs = likely_pairs.with_evidence(likely_pairs.ratio, len(posterior.share))
-    likely_pairs = delayed.links_back(likely_pairs)
-    posterior = delayed.posterior_back(posterior, len(scene.zones))
 
     # Outcomes of the exits of which no further arrival is possible.
-    certain_until = scene.last - bins.lag_max - float(delayed.seconds.max())
+    longest = bins.lag_max + float(posterior.delay.max(initial=0.0))
     happened = outcomes_of(
         known.exits,
         posterior,
@@ -381,7 +360,7 @@ def predict_next(
         scene.arrivals,
         cameras,
         clocks.offset,
-        certain_until,
+        scene.last - longest,
     )
     # The model that is published, with the second opinion if it is wanted.
     wanted = is_wanted(scene, len(cameras))

@@ -6,15 +6,17 @@ import itertools
 
 import numpy as np
 import pytest
-from hypothesis import given, strategies as st
 from synthetic_events import learned_from
 
+from camtopod.arrays import Ints
 from camtopod.client.gate import Gate
 from camtopod.codec import decode_topology, to_json
-from camtopod.learn.long_paths import LongPath, delayed, find_long_paths
+from camtopod.learn.association import Problem, exposures, find_candidates
+from camtopod.learn.long_paths import find_long_paths, long_ranges
 from camtopod.learn.traffic.events import Arrivals, Departures
 from camtopod.predict.predictor import Predictor
 from camtopod.records import Event, Link, Topology
+from camtopod.topology import LagBins
 from camtopod.web.explanations import Explanations
 
 T0 = 1e6
@@ -190,33 +192,50 @@ def test_a_group_that_walks_along_once_makes_no_link() -> None:
     assert not between(learned_from(sorted(events, key=lambda event: event.t)))
 
 
-@given(
-    st.lists(st.tuples(st.floats(0.0, 1000.0), st.integers(0, 3)), max_size=30),
-    st.lists(st.tuples(st.integers(0, 2), st.integers(0, 2), st.floats(60.0, 900.0)), max_size=4),
-)
-def test_delayed_departures_are_those_of_their_own(
-    left: list[tuple[float, int]], routes: list[tuple[int, int, float]]
-) -> None:
-    camera = np.array([0, 0, 1, 2], np.int32)  # of each zone
-    t, zone = np.array(sorted(t for t, _ in left)), np.array([zone for _, zone in left], np.int32)
-    departures = Departures.without_arrivals(
-        t, zone, camera[zone], t - 1.0, np.full(len(t), np.nan)
-    )
-    ways = [LongPath(a, b, seconds) for a, b, seconds in routes if a != b]
+@pytest.mark.parametrize("camera", [[0, 0, 1, 2], [2, 1, 0, 0]])
+def test_lags_of_long_paths_are_delayed_and_no_others(camera: list[int]) -> None:
+    view = np.array(camera, np.int32)  # of each zone
+    departures, arrivals = ends(site(3, {("a", "b"): (300.0, 3.0)}))
+    chance = np.random.default_rng(1)
 
-    late = delayed(departures, camera, 3, ways)
+    def spread(seen: Ints) -> Ints:
+        """Return a zone of each event's camera."""
+        zones = [chance.choice(np.flatnonzero(view == one)) for one in seen.tolist()]
+        return np.array(zones, np.int32)
 
-    again = late.departures
-    assert (np.diff(again.t) >= 0.0).all()
-    assert len(again.t) == len(t) + sum(int((camera[zone] == way.source).sum()) for way in ways)
-    for k in range(len(again.t)):
-        own, here = int(late.row[k]), int(again.zone[k])
-        assert late.zone[here] == zone[own]
-        assert again.t[k] == t[own] + late.seconds[here]
-        assert late.camera[here] == again.camera[k]
-        if again.of is not None:
-            assert late.row[again.of[k]] == own
-            assert late.seconds[again.zone[again.of[k]]] == 0.0
-    for number, way in enumerate(ways, start=3):
-        assert not late.reached[way.source, way.target]
-        assert np.flatnonzero(late.reached[number]).tolist() == [way.target]
+    departures = departures._replace(zone=spread(departures.camera))
+    arrivals = arrivals._replace(zone=spread(arrivals.camera))
+    problem = Problem(departures, arrivals, LagBins(-120.0, LAG_MAX), 4, T0 + SPAN_SECONDS)
+
+    ranges = long_ranges(problem, view, 10_000_000)
+
+    assert ranges is not None
+    problem = problem._replace(ranges=ranges)
+    source, target = (zone.ravel().astype(np.int32) for zone in np.indices((4, 4)))
+    is_long = (view[source] == 0) & (view[target] == 1)
+    seconds = problem.delays(source, target)
+    assert seconds[is_long] == pytest.approx(300.0, abs=4.0)
+    assert not seconds[~is_long].any()
+    assert (ranges.zone[problem.range_of(source, target)] == source).all()
+
+    c = find_candidates(problem)
+    after = problem.delays(departures.zone[c.departure], arrivals.zone[c.arrival])
+    lag = arrivals.t[c.arrival] - departures.t[c.departure]
+    assert c.lag == pytest.approx(lag, abs=1e-3)
+    assert (lag - after >= -120.0).all()
+    assert (lag - after <= LAG_MAX).all()
+    for lags, long in ((lag[after > 0.0], True), (lag[after == 0.0], False)):
+        apart = arrivals.t[:, None] - departures.t
+        far = (departures.camera == 0) & (arrivals.camera == 1)[:, None]
+        inside = (far == long) & (apart - seconds.max() * long <= LAG_MAX)
+        inside &= apart >= seconds.max() - 120.0 if long else apart > 0.0
+        assert int((lags > 0.0).sum()) == int(inside.sum())
+
+    exposed = exposures(problem)
+    counted = problem._replace(ranges=None)
+    assert exposed[:4] == pytest.approx(exposures(counted))
+    for number in range(4, len(exposed)):
+        t = departures.t[departures.zone == ranges.zone[number]] + ranges.delay[number]
+        edges = problem.bins.edges[1:]
+        least = np.where(edges > 0.0, (problem.until - t[:, None] >= edges).sum(axis=0), len(t))
+        assert exposed[number] == pytest.approx(least)

@@ -31,7 +31,10 @@ from camtopod.learn.association.joint_fit import (
     fit_jointly as fit_jointly,
     result as result,
 )
-from camtopod.learn.association.problem import Problem as Problem
+from camtopod.learn.association.problem import (
+    LagRanges as LagRanges,
+    Problem as Problem,
+)
 from camtopod.learn.association.screening import (
     CandidateScreen as CandidateScreen,
     FollowedSources as FollowedSources,

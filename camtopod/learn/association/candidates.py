@@ -114,14 +114,15 @@ def possible(
     departures, arrivals, bins, *_ = problem
     t = departures.t if departure_rows is None else departures.t[departure_rows]
     arrived = arrivals.t[arrival_rows]
-    low, high = departures_in_reach(t, arrived, bins)
+    longest = bins.lag_max + (0.0 if problem.ranges is None else problem.ranges.delay.max())
+    low = np.searchsorted(t, arrived - longest, side="left")
+    high = np.searchsorted(t, arrived - bins.lag_min, side="right")
     reached = np.concatenate(([0], np.cumsum(high - low)))
 
     # For each arrival, the departure that ends the passage that begins with it; if unknown, the
-    # number of departures. Delayed copies come after their originals, so in reverse order the
-    # original is written last.
+    # number of departures.
     ends = np.full(len(arrivals.t) + 1, len(departures.t), np.intp)
-    ends[departures.own[::-1]] = np.arange(len(departures.t))[::-1]
+    ends[departures.own] = np.arange(len(departures.t))
 
     # List the departures and arrivals within the lags, at least one arrival at a time.
     first = 0
@@ -135,7 +136,8 @@ def possible(
             departure = departure_rows[departure]
 
         lag = arrived[at] - departures.t[departure]
-        is_possible = (lag >= bins.lag_min) & (lag <= bins.lag_max)
+        delay = problem.delays(departures.zone[departure], arrivals.zone[arrival_rows[at]])
+        is_possible = (lag - delay >= bins.lag_min) & (lag - delay <= bins.lag_max)
 
         # A negative lag is possible only where two views see the object at once: the cameras must
         # differ, and the passage that ends with the departure must have begun before the arrival.
@@ -168,7 +170,7 @@ def listed(
 
 def find_candidates(problem: Problem) -> Candidates:
     """Return all candidates of a problem."""
-    departures, arrivals, _, zones, _ = problem
+    departures, arrivals, _, zones, *_ = problem
     departure, arrival, lag = listed(problem, np.arange(len(arrivals.t)))
     pair, source, target = number_pairs(departures.zone[departure], arrivals.zone[arrival], zones)
     return Candidates(departure, arrival, pair, lag.astype(np.float32), source, target)

@@ -12,9 +12,6 @@ in time, a rhythm common to all zones makes no links.
 approximation of the marginals of a one-to-one assignment with misses and clutter (Williams and Lau,
 IEEE Trans. AES 50(4), 2014), one sweep of *messages* an iteration. Each candidate is judged by the
 hazard that the other candidates make (leave one out). The outer loop is `joint_fit.fit_jointly`.
-
-A departure and its *delayed copies* (`long_paths`; ``Departures.of`` gives the original) together
-cause at most one arrival, so the E step sums over them (`Em.over_copies`).
 """
 
 from __future__ import annotations
@@ -151,18 +148,18 @@ class Em:
     ) -> None:
         """Begin a fit with responsibilities of 0.
 
-        exposure (zones, bins): exposed departures; None to compute them.
+        exposure (R, bins): exposed departures of each range of lags; None to compute them.
         adjusted: the candidates adjusted for speed; None to begin without adjustment.
         """
-        departures, arrivals, bins, zones, _ = problem
+        departures, arrivals, bins, zones, *_ = problem
         self.problem = problem
         self.model = model
 
-        # Figures of zones.
+        # Figures of zones and of ranges of lags.
         self.exposure = exposures(problem) if exposure is None else exposure
-        """(zones, bins) exposed departures."""
+        """(R, bins) exposed departures."""
         self.exposure_at_least_one = np.maximum(self.exposure, 1.0)
-        """(zones, bins) exposed departures, at least 1: a divisor."""
+        """(R, bins) exposed departures, at least 1: a divisor."""
         # The share of departures whose object can appear elsewhere at a lag. It is 1 after the
         # exit; before the exit, it is about the share of passages that had begun by then.
         most = self.exposure_at_least_one.max(axis=1, keepdims=True)
@@ -198,8 +195,8 @@ class Em:
         self._arrived = arrival[self._first]
         self._times = np.diff(self._first, append=len(arrival))
         self._departure = candidates.departure.astype(np.intp)
-        if self.problem.departures.of is not None:  # a copy stands for its original
-            self._departure = self.problem.departures.of.take(self._departure)
+        self.range_of = self.problem.range_of(candidates.source, candidates.target)
+        """(P,) range of the lags of each pair of zones."""
 
     @property
     def pairs(self) -> int:
@@ -248,7 +245,7 @@ class Em:
         noise_sd: standard deviations of the null model that are subtracted in addition.
         """
         c = self.candidates
-        departures, arrivals, bins, zones, _ = self.problem
+        departures, arrivals, bins, zones, *_ = self.problem
         if len(c.lag) == 0:
             return np.zeros((self.pairs, bins.size), np.float32)
         histograms = self._count(arrivals.weights(c.arrival))
@@ -258,7 +255,7 @@ class Em:
         )
         rates = null_model.rates_of(c.source, c.target)
         first = initial_hazards(
-            histograms, rates, self.exposure, c.source, bins, noise_sd, START_FLOOR
+            histograms, rates, self.exposure, self.range_of, bins, noise_sd, START_FLOOR
         )
         return first.astype(np.float32)
 
@@ -431,21 +428,16 @@ class Em:
         for rows in row_slices(self.pairs):
             share[rows] = self._appears(hazard[rows], rows).sum(axis=1)
         of_zone = np.bincount(self.candidates.source, share, minlength=self.problem.zones)
-        again = self.over_copies(of_zone.astype(float)[self.problem.departures.zone])
+        again = of_zone.astype(float)[self.problem.departures.zone]
         leaving: Floats = np.maximum(1.0 - again, LEAVE_FLOOR)
         return leaving
-
-    def over_copies(self, each: Floats) -> Floats:
-        """Return the sum of ``each`` (n,) over every departure and its delayed copies, (n,)."""
-        of = self.problem.departures.of
-        return each if of is None else np.bincount(of, each, minlength=len(of)).astype(float)[of]
 
     def _appears(self, hazard: Singles, rows: slice) -> Floats:
         """Return the probability (pairs, bins) that an object appears next at a pair's target.
 
         hazard (pairs, bins): hazards of the pairs ``rows``.
         """
-        able = self._able_share[self.candidates.source[rows]]
+        able = self._able_share[self.range_of[rows]]
         appears: Floats = hazard * self.problem.bins.widths * able
         return appears
 
@@ -505,7 +497,7 @@ class Em:
 
     def _exposure_of_pairs(self, rows: slice | Indices) -> Floats:
         """Return the exposed departures (pairs, bins) of the pairs ``rows``, at least 1."""
-        return self.exposure_at_least_one.take(self.candidates.source[rows], axis=0)
+        return self.exposure_at_least_one.take(self.range_of[rows], axis=0)
 
     # --- Hazards that do not depend on the lag ----------------------------------------------------
 
@@ -537,7 +529,7 @@ class Em:
         one_view = self.camera[c.source] == self.camera[c.target]
         before = bins.edges[1:] <= 0
         for rows in row_slices(self.pairs):
-            seconds = self.exposure[c.source[rows]] * bins.widths
+            seconds = self.exposure[self.range_of[rows]] * bins.widths
             seconds[one_view[rows, None] & before] = 0.0  # in one view no lag is before the exit
             total = np.maximum(seconds.sum(axis=1), 1e-9)
             even[rows] = (hazard[rows] * seconds).sum(axis=1) / total

@@ -15,28 +15,27 @@ from camtopod.learn.association.problem import Problem
 
 
 def exposures(problem: Problem) -> Floats:
-    """Return the number of departures of each zone that are exposed to each lag bin, (zones, bins).
+    """Return the number of departures exposed to each bin of each range of lags, (R, bins).
 
     A departure is exposed to a lag bin after the exit if the window reaches past the bin. It is
     exposed to a lag bin before the exit as far as its passage had begun by then, possibly in part.
     """
-    departures, _, bins, zones, until = problem
-    exposed = np.zeros((zones, bins.size))
+    bins = problem.bins
+    number, t, since = problem.delayed_departures()
+    exposed = np.zeros((problem.range_count, bins.size))
     ahead = int((bins.edges[1:] <= 0).sum())
     before = bins.edges[: ahead + 1]
-    for zone, rows in enumerate(rows_by_group(departures.zone, zones)):
+    for k, rows in enumerate(rows_by_group(number, len(exposed))):
         # Lags after the exit: departures that are at least the lag before the end of the window.
-        remaining = np.sort(until - departures.t[rows])
-        exposed[zone] = len(rows) - np.searchsorted(remaining, bins.edges[1:], side="left")
+        remaining = np.sort(problem.until - t[rows])
+        exposed[k] = len(rows) - np.searchsorted(remaining, bins.edges[1:], side="left")
 
         # Lags before the exit: mean number of objects in view within each bin, as the difference of
         # the cumulative seconds in view at its edges. This also holds where a bin is exposed in
         # part: if all passages last equally long, the few exposed seconds of their last bin would
         # otherwise look like a peak.
-        dwell = np.sort(np.minimum(departures.t[rows] - departures.since[rows], -bins.edges[0]))
+        dwell = np.sort(np.minimum(t[rows] - since[rows], -bins.edges[0]))
         shorter = np.searchsorted(dwell, -before, side="right")
         longer = np.append(np.cumsum(dwell[::-1])[::-1], 0.0)[shorter]
-        exposed[zone, :ahead] = (
-            np.diff(longer + (len(rows) - shorter) * before) / bins.widths[:ahead]
-        )
+        exposed[k, :ahead] = np.diff(longer + (len(rows) - shorter) * before) / bins.widths[:ahead]
     return exposed

@@ -4,8 +4,26 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
+import numpy as np
+
+from camtopod.arrays import Floats, Ints, Longs, rows_by_group
 from camtopod.learn.traffic import Arrivals, Departures
 from camtopod.topology import LagBins
+
+
+class LagRanges(NamedTuple):
+    """R ranges of lags: one of each zone of departure, and one of each that begins a long path."""
+
+    zone: Ints
+    """(R,) zone of departure; range z is that of zone z without a delay."""
+    delay: Floats
+    """(R,) seconds from the departure to lag 0 of the bins: 0, or those of a long path
+    (`camtopod.learn.long_paths`).
+    """
+    view: Longs
+    """(R,) camera of the zone, or a number of the long path, which are counted on from cameras."""
+    of: Ints
+    """(zones, zones) range of the lags from each zone to each."""
 
 
 class Problem(NamedTuple):
@@ -14,8 +32,40 @@ class Problem(NamedTuple):
     departures: Departures
     arrivals: Arrivals
     bins: LagBins
-    """Bins of the lags from a departure to an arrival."""
+    """Bins of the lags from a departure, or its delayed time, to an arrival."""
     zones: int
     """Number of zones; zones of departure and arrival are numbered from 0."""
     until: float
     """End of the window, seconds: later arrivals could not be seen."""
+    ranges: LagRanges | None = None
+    """Ranges of lags; None without long paths, where range z is that of zone z."""
+
+    def range_of(self, source: Ints, target: Ints) -> Ints:
+        """Return the range (n,) of the lags from zones ``source`` to zones ``target``, (n,)."""
+        return source if self.ranges is None else self.ranges.of[source, target]
+
+    def delays(self, source: Ints, target: Ints) -> Floats:
+        """Return the delay (n,) of the lags from zones ``source`` to zones ``target``, (n,)."""
+        if self.ranges is None:
+            return np.zeros(len(source))
+        return self.ranges.delay[self.ranges.of[source, target]]
+
+    @property
+    def range_count(self) -> int:
+        """Number of ranges, R."""
+        return self.zones if self.ranges is None else len(self.ranges.zone)
+
+    def delayed_departures(self) -> tuple[Ints, Floats, Floats]:
+        """Return range, delayed time, and time of entry of the departures of each range, (N,).
+
+        The time of entry (seconds) is -inf where lags are delayed.
+        """
+        d = self.departures
+        if self.ranges is None:
+            return d.zone, d.t, d.since
+        of_zone = rows_by_group(d.zone, self.zones)
+        rows = [of_zone[zone] for zone in self.ranges.zone]
+        number = np.repeat(np.arange(len(rows), dtype=np.int32), [len(some) for some in rows])
+        row = np.concatenate(rows)
+        delay = self.ranges.delay[number]
+        return number, d.t[row] + delay, np.where(delay > 0.0, -np.inf, d.since[row])

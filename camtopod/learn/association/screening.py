@@ -233,7 +233,7 @@ def candidates_of_pairs(problem: Problem, candidates: Candidates, pairs: Rows) -
     candidates: the screened candidates, whose numbering of pairs is kept.
     pairs (k,): numbers of the pairs.
     """
-    departures, arrivals, bins, zones, _ = problem
+    departures, arrivals, bins, zones, *_ = problem
 
     # Group events by zone, and pairs by zone of arrival.
     leaving = rows_by_group(departures.zone, zones)
@@ -336,7 +336,7 @@ def place(camera: int, number: int) -> int:
 
 def screen_input(problem: Problem) -> ScreenInput:
     """Prepare a problem for looks and weighing."""
-    departures, arrivals, bins, zones, _ = problem
+    departures, arrivals, bins, zones, *_ = problem
     exposure = exposures(problem)
     wide = np.arange(0, bins.size, WIDE_BINS)
     return ScreenInput(
@@ -371,7 +371,7 @@ def excess_by_source(ends: ScreenInput, zone: int) -> Floats:
     The result (zones,) is by zone of departure, in standard deviations of the null model at the lag
     with the largest excess; -inf where there are fewer than `SEEN_MIN` candidates.
     """
-    departures, arrivals, bins, zones, _ = ends.problem
+    departures, arrivals, bins, zones, *_ = ends.problem
     arrival_rows = ends.coming[zone]
     low, high = departures_in_reach(departures.t, arrivals.t[arrival_rows], bins)
 
@@ -406,7 +406,7 @@ def _lag_histograms(ends: ScreenInput, arrival_rows: Rows) -> Floats:
 
     The departures with lags of one bin are a range of rows, so hardly any lag is computed.
     """
-    departures, arrivals, bins, zones, _ = ends.problem
+    departures, arrivals, bins, zones, *_ = ends.problem
     first_cell = departures.zone.astype(np.intp) * bins.size
     arrived = arrivals.t[arrival_rows]
     low, high = departures_in_reach(departures.t, arrived, bins)
@@ -513,7 +513,7 @@ def _likely(ends: ScreenInput, zone: int, sources: Longs, arrival_rows: Rows) ->
 
 def _joined(parts: Iterable[Part], problem: Problem) -> Candidates:
     """Return the likeliest candidates of all parts, ordered by arrival."""
-    departures, arrivals, _, zones, _ = problem
+    departures, arrivals, _, zones, *_ = problem
     most = max(LIKELY_MAX, LIKELY_PER_ARRIVAL * len(arrivals.t))
 
     # Collect the parts; now and then, reduce them to the likeliest candidates to limit memory.

@@ -50,17 +50,20 @@ def adjust(problem: Problem, candidates: Candidates, found: Persistence) -> Adju
     """
     c = candidates
     bins = problem.bins
+    delays = problem.delays(c.source, c.target)
     cell = np.empty(len(c.lag), np.intp)
     agreements = np.empty(len(c.lag), np.float32) if found.correlation > 0 else None
 
     for first in range(0, len(c.lag), CANDIDATES_AT_ONCE):
         part = slice(first, first + CANDIDATES_AT_ONCE)
-        lag = np.clip(c.lag[part].astype(float), bins.lag_min, bins.lag_max)
+        lag = c.lag[part].astype(float)
         if found != NO_PERSISTENCE:
             slow_before = problem.departures.slow.take(c.departure[part])
             slow_after = problem.arrivals.slow.take(c.arrival[part])
-            lag = adjusted_lag(lag, mean_slowness(slow_before, slow_after), found.scaling, bins)
-        cell[part] = c.pair[part] * bins.size + bins.index(lag)
+            slow = mean_slowness(slow_before, slow_after)
+            lag = adjusted_lag(lag, slow, found.scaling)
+        in_bins = np.clip(lag - delays[c.pair[part]], bins.lag_min, bins.lag_max)
+        cell[part] = c.pair[part] * bins.size + bins.index(in_bins)
         if agreements is not None:
             agreements[part] = agreement(slow_before, slow_after, found)
 

@@ -95,28 +95,26 @@ def find_changes(problem: Problem, fit: Fit, silences: list[list[Silence]]) -> l
     silences: intervals in which each camera reported nothing. Departures in an interval do not
         count for pairs that lead to the camera, as their arrivals could not be recorded.
     """
-    departures, arrivals, bins, _, until = problem
+    departures, arrivals, bins, _, until, _ = problem
 
-    # Pairs to test, and the departures of each zone that count: later ones may still have an
-    # arrival.
-    over = until - bins.lag_max
+    # Pairs to test, and the departures of each zone.
+    delays = problem.delays(fit.candidates.source, fit.candidates.target)
     pairs = np.flatnonzero(fit.counts.sum(axis=1) >= TRANSITIONS_MIN)
     threshold = threshold_nats(len(pairs), len(departures.t))
     camera_of = dict(zip(arrivals.zone.tolist(), arrivals.camera.tolist(), strict=True))
-    done = departures.t[: np.searchsorted(departures.t, over, side="right")]
-    departures_of = rows_by_group(
-        departures.zone[: len(done)], int(fit.candidates.source.max(initial=-1)) + 1
-    )
+    departures_of = rows_by_group(departures.zone, problem.zones)
 
     found = []
     for pair, moved, share in transitions_by_pair(problem, fit, pairs):
-        # Departures and transitions of the pair.
+        # Departures and transitions of the pair; later ones may still have an arrival.
         source = int(fit.candidates.source[pair])
         target = int(fit.candidates.target[pair])
-        t = done[departures_of[source]]
+        over = until - bins.lag_max - delays[pair]
+        t = departures.t[departures_of[source]]
+        t = t[t <= over]
         weight = np.ones(len(t))
         for begin, end in silences[camera_of[target]]:
-            weight[(t >= begin) & (t < end)] = 0.0
+            weight[(t + delays[pair] >= begin) & (t + delays[pair] < end)] = 0.0
         counts = moved <= over
 
         # Test it.

@@ -9,6 +9,7 @@ finds paths that objects take in both directions, each of which shows the differ
 from __future__ import annotations
 
 from camtopod.learn.clocks.correlogram import (
+    BIN_SECONDS as BIN_SECONDS,
     LAGS as LAGS,
     ROWS_AT_ONCE as ROWS_AT_ONCE,
     Correlograms as Correlograms,

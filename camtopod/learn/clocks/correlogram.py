@@ -22,6 +22,8 @@ from camtopod.arrays import Floats, Ints, rows_by_group
 Counts = NDArray[np.float32]
 Spectra = NDArray[np.complex64]
 
+BIN_SECONDS = 1.0
+"""Usual width of the bins."""
 LAGS = 1000
 """Largest lag, in bins, either way."""
 BLOCK = 2048

@@ -20,6 +20,7 @@ from scipy.sparse import block_array, csr_array, diags_array, eye_array
 
 from camtopod.arrays import Bools, Floats, Ints
 from camtopod.learn.clocks.correlogram import (
+    BIN_SECONDS,
     ROWS_AT_ONCE,
     Correlograms,
     cache_friendly_order,
@@ -28,8 +29,6 @@ from camtopod.learn.clocks.correlogram import (
 from camtopod.learn.clocks.two_way_paths import find_two_way_paths
 from camtopod.learn.traffic import Arrivals, Departures, Scene
 
-BIN_SECONDS = 1.0
-"""Width of the bins of the correlograms of zone pairs."""
 SCREENING_BIN_SECONDS = 4.0
 """Width of the bins of the correlograms of camera pairs, by which large networks are screened."""
 ZONE_PAIRS_MAX = 6_000

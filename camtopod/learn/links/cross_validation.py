@@ -150,23 +150,24 @@ class WindowParts:
         return part
 
     def _exposures(self) -> Floats:
-        """Return the exposed departures of each zone by part and lag bin, (PARTS, zones, bins).
+        """Return the exposed departures of each range of lags by part and bin, (PARTS, R, bins).
 
         A departure counts for the part in which an arrival after the lag would lie, if it is
         exposed to the lag. With the exposure of the whole window instead, short lags would look
         like links: an arrival after a short lag is often in the departure's own part.
         """
-        d, _, bins, zones, until = self.problem
-        result = np.zeros((PARTS, zones, bins.size))
+        bins = self.problem.bins
+        number, t, since = self.problem.delayed_departures()
+        ranges = self.problem.range_count
+        result = np.zeros((PARTS, ranges, bins.size))
         for k, centre in enumerate(bins.centres):
             if bins.edges[k + 1] <= 0:
-                exposed = np.clip((bins.edges[k + 1] + d.t - d.since) / bins.widths[k], 0.0, 1.0)
+                exposed = np.clip((bins.edges[k + 1] + t - since) / bins.widths[k], 0.0, 1.0)
             else:
-                exposed = (until - d.t >= bins.edges[k + 1]).astype(float)
-            cell = self._of(d.t + centre) * zones + d.zone
-            result[:, :, k] = np.bincount(cell, exposed, minlength=PARTS * zones).reshape(
-                PARTS, zones
-            )
+                exposed = (self.problem.until - t >= bins.edges[k + 1]).astype(float)
+            cell = self._of(t + centre) * ranges + number
+            counted = np.bincount(cell, exposed, minlength=PARTS * ranges)
+            result[:, :, k] = counted.reshape(PARTS, ranges)
         return result
 
 
@@ -196,7 +197,8 @@ def _evidence(fitter: Em, hazard: Singles, outside: Floats) -> tuple[Floats, Flo
     c = fitter.candidates
 
     # Point-process likelihood ratio against no link: arrivals explained, less arrivals expected.
-    expected: Floats = (hazard * fitter.exposure[c.source] * fitter.problem.bins.widths).sum(axis=1)
+    exposed = fitter.exposure[fitter.range_of] * fitter.problem.bins.widths
+    expected: Floats = (hazard * exposed).sum(axis=1)
     unrelated: Floats = np.bincount(c.pair, -np.log1p(-share), minlength=fitter.pairs) - expected
 
     # Likelihood ratio against the same number of transitions spread evenly over all lags.

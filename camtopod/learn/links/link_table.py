@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from camtopod.arrays import Floats, Ints, row_slices
-from camtopod.learn.association import Fit, Problem, exposures
+from camtopod.learn.association import Fit, LagRanges, Problem, exposures
 from camtopod.learn.links import mahalanobis, monte_carlo
 from camtopod.learn.links.significance import log_likelihood_ratio, q_values
 from camtopod.learn.links.transit_time import MEDIAN_ERROR, TransitFigures, transit_figures
@@ -75,14 +75,15 @@ def transitions_of(fit: Fit, least: float = 0.0) -> Transitions:
 
 
 def exposed_departures(problem: Problem) -> Floats:
-    """Return the number of departures of each zone to which a probability refers, (zones, bins).
+    """Return the departures of each range of lags to which a probability refers, (R, bins).
 
     For a lag after the exit, these are the departures that could have been seen to arrive after the
     lag: an object that has just left may still be under way. For lags before the exit, they are all
     departures.
     """
-    every = np.bincount(problem.departures.zone, minlength=problem.zones)[:, None]
-    return np.where(problem.bins.edges[1:] > 0, exposures(problem), every)
+    exposed = exposures(problem)
+    every = np.bincount(problem.delayed_departures()[0], minlength=len(exposed))[:, None]
+    return np.where(problem.bins.edges[1:] > 0, exposed, every)
 
 
 class TransitionSlowness(NamedTuple):
@@ -100,7 +101,7 @@ class TransitionSlowness(NamedTuple):
 
 def transition_slowness(problem: Problem, fit: Fit) -> TransitionSlowness | None:
     """Return the slowness of the objects of a fit's candidates; None if it does not affect lags."""
-    departures, arrivals, _, zones, _ = problem
+    departures, arrivals, _, zones, *_ = problem
     scaling, _, sd = fit.persistence
     if scaling <= 0:
         return None
@@ -176,15 +177,15 @@ def tabulate(
     bins: LagBins,
     zones: int,
     pace: TransitionSlowness | None = None,
-    delay: Floats | float = 0.0,
+    ranges: LagRanges | None = None,
 ) -> LinkTable:
     """Return the figures of every pair of zones that occurs among possible transitions.
 
-    departures (zones, bins): number of departures of each zone to which probabilities refer
-        (`exposed_departures`); (zones, 1) if it does not depend on the lag.
+    departures (R, bins): departures of each range of lags to which probabilities refer
+        (`exposed_departures`); (R, 1) if they do not depend on the lag.
     zones: number of zones.
     pace: slowness of the objects of the transitions; None if it does not affect lags.
-    delay (zones, seconds): by how much transit times from each zone are longer than lags.
+    ranges: `Problem.ranges`.
     """
     # Number the pairs of zones that occur.
     key = transitions.source.astype(np.int64) * zones + transitions.target
@@ -194,8 +195,11 @@ def tabulate(
     source = (present // max(zones, 1)).astype(np.int32)
     target = (present % max(zones, 1)).astype(np.int32)
 
+    of = source if ranges is None else ranges.of[source, target]
+    later = np.zeros(pairs) if ranges is None else ranges.delay[of]
+
     # Expected transitions per lag bin, and their smoothed density per second.
-    at = bins.index(transitions.lag)
+    at = bins.index(transitions.lag - later[pair])
     inside = at >= 0
     flat = np.bincount(
         pair[inside].astype(np.int64) * bins.size + at[inside],
@@ -206,16 +210,13 @@ def tabulate(
     density = smooth(counts)[0]
     density /= bins.widths
 
-    # Transit times, corrected for slowness and delay.
+    # Transit times, corrected for slowness.
     slow, error = (
         (None, None)
         if pace is None
         else (pace.slow, 0.5 * np.hypot(pace.left[source], pace.came[target]))
     )
-    later = np.broadcast_to(delay, zones)[source]
-    transit = transit_figures(
-        pair, transitions.lag + later[pair], transitions.weight, density, bins, slow, error
-    )
+    transit = transit_figures(pair, transitions.lag, transitions.weight, density, bins, slow, error)
     transit = transit._replace(mode=transit.mode + later)
 
     # Evidence, Var(d) and transition probability.
@@ -226,7 +227,7 @@ def tabulate(
     probability = np.zeros(pairs)
     for rows in row_slices(pairs):
         probability[rows] = np.minimum(
-            (counts[rows] / np.maximum(departures[source[rows]], 1.0)).sum(axis=1), 1.0
+            (counts[rows] / np.maximum(departures[of[rows]], 1.0)).sum(axis=1), 1.0
         )
     return LinkTable(
         source,

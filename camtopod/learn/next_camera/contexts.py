@@ -114,7 +114,7 @@ class Contexts:
     """
 
     def __init__(self, problem: Problem, cameras: int) -> None:
-        departures, arrivals, _, zones, _ = problem
+        departures, arrivals, _, zones, *_ = problem
         self.zones = zones
         self.cameras = cameras
         self.departures = departures

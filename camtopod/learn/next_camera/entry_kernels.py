@@ -44,13 +44,12 @@ class EntryKernels:
         entry (n,): zone where the passage of each departure began, -1 where unknown.
         """
         c = candidates
-        d, a, bins, zones, _ = problem
+        d, a, bins, zones, *_ = problem
         self._arrivals = a
         self._bins = bins
         self._zones = zones
 
-        # Candidates with a negative lag, and their lag from the entry; delayed copies of departures
-        # (`long_paths`) have no passage.
+        # Candidates with a negative lag, and their lag from the entry.
         tied = (d.own >= 0) & np.isfinite(d.since)
         early = np.flatnonzero((c.lag < 0) & tied[c.departure])
         at = bins.index(a.t[c.arrival[early]] - d.since[c.departure[early]])

@@ -125,7 +125,7 @@ class PosteriorFitter:
 
     def __init__(self, problem: Problem, candidates: Candidates) -> None:
         """Begin without responsibilities."""
-        departures, _, bins, zones, _ = problem
+        departures, _, bins, zones, *_ = problem
         self.problem = problem
         self.em = em = Em(problem, candidates)
         self.hazard: Singles = np.zeros((em.pairs, bins.size), np.float32)
@@ -143,7 +143,8 @@ class PosteriorFitter:
         """Give the EM model its entry kernels and prior, for the present candidates."""
         em = self.em
         self.entering = EntryKernels(self.problem, em.candidates, self.contexts.entry)
-        prior = Prior(em.candidates, em.camera, em.exposure, em.arrivals_of_zone)
+        view = em.camera if self.problem.ranges is None else self.problem.ranges.view
+        prior = Prior(em.candidates, view, em.range_of, em.exposure, em.arrivals_of_zone)
         em.assume(EmModel(entering=self.entering, prior=prior))
 
     def scout(self) -> None:
@@ -224,7 +225,7 @@ class PosteriorFitter:
             self.entering.source,
             self.entering.target,
             self.entering.kernels(em.responsibility),
-            np.zeros(em.pairs),
+            self.problem.delays(em.candidates.source, em.candidates.target),
             levels,
         )
 
@@ -245,7 +246,7 @@ class PosteriorFitter:
         """Return the hazards (P, bins) with faint transitions added at every lag (`sampling`)."""
         em = self.em
         return add_prior_transitions(
-            hazard, em.exposure_at_least_one, em.candidates.source, self.problem.bins
+            hazard, em.exposure_at_least_one, em.range_of, self.problem.bins
         )
 
     def _learn_contexts(self) -> None:
@@ -265,7 +266,7 @@ class PosteriorFitter:
 
         # Shares of the departures of each zone: by next zone, and those that leave the site.
         self.share = em.summed(c.pair, em.pairs) / departures_of_source[c.source]
-        seen_again = em.over_copies(em.summed(c.departure, len(zone)))
+        seen_again = em.summed(c.departure, len(zone))
         gone = 1.0 - np.minimum(seen_again, 1.0)
         leave = np.bincount(zone, gone, minlength=self.problem.zones) / departures_of_source
         self.leave = np.maximum(leave, LEAVE_FLOOR)

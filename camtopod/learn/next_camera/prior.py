@@ -17,7 +17,7 @@ from collections.abc import Callable
 import numpy as np
 from numpy.typing import NDArray
 
-from camtopod.arrays import Floats, Singles, row_slices, sum_by_group, table_rows
+from camtopod.arrays import Floats, Ints, Singles, row_slices, sum_by_group, table_rows
 from camtopod.learn.association import Candidates
 from camtopod.topology import smooth
 
@@ -35,26 +35,36 @@ class Prior:
     """The prior over the P pairs of zones of a fit.
 
     candidates: the candidates of the fit, which define its pairs of zones.
-    camera (zones,): camera of each zone.
-    exposure (zones, bins): exposed departures of each zone.
+    view (R,): camera of each zone; then of each delayed range of lags a number of its path.
+    ranges (P,): range of the lags of each pair.
+    exposure (R, bins): exposed departures of each range.
     arrivals (zones,): number of arrivals at each zone, at least 1.
 
     pair (P,): number of each pair's pair of cameras.
     share (P, 1): share of each pair's target among the arrivals at its camera.
-    back (P,): pair from each pair's target to its source; -1 if there is none.
+    back (P,): pair from each pair's target to its source; -1 if there is none, or a long path.
     """
 
     def __init__(
-        self, candidates: Candidates, camera: NDArray[np.int64], exposure: Floats, arrivals: Floats
+        self,
+        candidates: Candidates,
+        view: NDArray[np.int64],
+        ranges: Ints,
+        exposure: Floats,
+        arrivals: Floats,
     ) -> None:
-        cameras = int(camera.max(initial=0)) + 1
-        source = camera[candidates.source]
-        target = camera[candidates.target]
-        self._views, self.pair = table_rows(source * cameras + target, cameras * cameras)
-        self._leaving = self._views // cameras
-        self._exposed = np.maximum(sum_by_group(exposure, camera, cameras), 1.0)
+        zones = len(arrivals)
+        views = int(view.max(initial=0)) + 1
+        self._views, self.pair = table_rows(
+            view[ranges] * views + view[candidates.target], views * views
+        )
+        self._leaving = self._views // views
+        self._exposed = np.maximum(sum_by_group(exposure, view, views), 1.0)
+        camera = view[:zones]
         self.share = (arrivals / np.bincount(camera, arrivals)[camera])[candidates.target][:, None]
-        self.back = _leading_back(candidates, len(camera))
+        back = _leading_back(candidates, zones)
+        short = ranges < zones
+        self.back = np.where(short & short[back], back, -1)
 
     def expected(self, counts: Floats) -> PriorTransitions:
         """Return what the prior adds, given the counted transitions ``counts`` (P, bins)."""

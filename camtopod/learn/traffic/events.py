@@ -24,9 +24,6 @@ class Departures(NamedTuple):
     own: row in the table of arrivals of the entry that began this passage; -1 if unknown.
     block: block of the image where the object left (`camtopod.topology.blocks_of`); -1 if the exit
         has no position.
-    of: for a delayed copy (`camtopod.learn.long_paths`), the row of the original departure; for any
-        other departure, its own row. A departure and its copies together have at most one arrival.
-        None if there are no copies.
     """
 
     t: Floats
@@ -36,10 +33,9 @@ class Departures(NamedTuple):
     slow: Floats
     own: Ints
     block: Ints
-    of: Indices | None = None
 
     def take(self, kept: NDArray[np.bool_], arrivals: NDArray[np.bool_]) -> Departures:
-        """Return the departures of a mask; there must be no delayed copies.
+        """Return the departures of a mask.
 
         kept (n,): mask of the departures to keep.
         arrivals (m,): mask of the arrivals that are kept, too; the column ``own`` is renumbered
@@ -47,7 +43,7 @@ class Departures(NamedTuple):
         """
         # The new row of each arrival; the last element is for -1.
         number = np.append(np.where(arrivals, np.cumsum(arrivals) - 1, -1), -1).astype(np.int32)
-        columns: list[Any] = [column[kept] for column in self._replace(own=number[self.own])[:-1]]
+        columns: list[Any] = [column[kept] for column in self._replace(own=number[self.own])]
         return Departures(*columns)
 
     @staticmethod

@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from camtopod.arrays import Floats
-from camtopod.topology import DWELL_SECONDS_MIN, LAG_SECONDS_MIN, SLOWNESS_MAX, LagBins
+from camtopod.topology import DWELL_SECONDS_MIN, LAG_SECONDS_MIN, SLOWNESS_MAX
 
 USUAL_PASSAGES_MIN = 5
 """Least number of passages between two zones for their median dwell time to count as usual."""
@@ -176,18 +176,18 @@ def mean_slowness(before: Floats, after: Floats) -> Floats:
     return np.where(np.isfinite(both), both, np.where(np.isfinite(before), before, after))
 
 
-def adjusted_lag(lag: Floats, slow: Floats, scaling: float, bins: LagBins) -> Floats:
+def adjusted_lag(lag: Floats, slow: Floats, scaling: float) -> Floats:
     """Return the lags (M, seconds) that candidates would have if their objects had usual speed.
 
     lag (M, seconds): lag of each candidate.
     slow (M,): slowness of each candidate; nan if unknown.
     scaling: as in `Persistence`.
 
-    Lags up to `LAG_SECONDS_MIN` and lags of unknown slowness are not scaled. All are clipped to the
-    range of ``bins``.
+    Lags up to `LAG_SECONDS_MIN` and lags of unknown slowness are not scaled.
     """
     factor = np.where(np.isfinite(slow) & (lag > LAG_SECONDS_MIN), np.exp(-scaling * slow), 1.0)
-    return np.clip(lag * factor, bins.lag_min, bins.lag_max)
+    adjusted: Floats = lag * factor
+    return adjusted
 
 
 def agreement(before: Floats, after: Floats, p: Persistence) -> Floats:

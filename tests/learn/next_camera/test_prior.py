@@ -34,7 +34,8 @@ def unrelated(seed: int, camera: list[int]) -> PosteriorFitter:
 def test_it_equals_its_slow_twins(seed: int) -> None:
     fitter = unrelated(seed, camera := [0, 0, 1, 3])
     came = [max(int((fitter.problem.arrivals.zone == zone).sum()), 1) for zone in range(4)]
-    prior = Prior(fitter.em.candidates, np.array(camera), fitter.em.exposure, np.array(came, float))
+    em = fitter.em
+    prior = Prior(em.candidates, np.array(camera), em.range_of, em.exposure, np.array(came, float))
     named = list(
         zip(fitter.em.candidates.source.tolist(), fitter.em.candidates.target.tolist(), strict=True)
     )
