@@ -252,13 +252,11 @@ class Onward(Struct, frozen=True):
 
     leave: share of the objects that leave the site, so are not seen again.
     next_: the zones where the others appear next.
-    unknown: share of ``leave`` and of what is spurious that may appear again, at any camera.
     """
 
     zone: str
     leave: Share
     next_: list[Outcome]
-    unknown: Share = 0.0
 
 
 class EntryKernel(Struct, frozen=True):
@@ -341,7 +339,7 @@ class CameraPath(Struct, frozen=True, rename={"from_": "from"}):
     """A path between two cameras, on which lags have Student's t distribution (5 degrees).
 
     share: of the objects leaving the view of ``from``, the share that takes it.
-    place, width (seconds): median and scale of the lags; a width of 0 means any lag after the exit.
+    place, width (seconds): median and scale of the lags.
     """
 
     from_: str

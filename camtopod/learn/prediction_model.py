@@ -15,7 +15,7 @@ from camtopod.arrays import Floats, rows_by_group
 from camtopod.event_time import MICROSECONDS
 from camtopod.learn.assemble import STAY_DECILES, zone_id
 from camtopod.learn.changes import Change
-from camtopod.learn.next_camera import LEVELS, OverlappingViews, Posterior, unknown_shares
+from camtopod.learn.next_camera import LEVELS, OverlappingViews, Posterior
 from camtopod.learn.traffic import Persistence, Scene, usual_dwell_times
 from camtopod.learn.window import Window
 from camtopod.records import (
@@ -85,7 +85,7 @@ def build_model(
     now = _presently(posterior, changes)
     return replace(
         model,
-        onward=_onward(ids, posterior, now, bins, _unknown(scene, posterior, cameras, bins)),
+        onward=_onward(ids, posterior, now, bins),
         entered=_entered(ids, posterior, bins),
         contexts=_contexts(ids, cameras, posterior, now),
         pace=_pace(ids, scene, posterior.fit.persistence),
@@ -160,26 +160,11 @@ def _presently(posterior: Posterior, changes: list[Change]) -> Floats:
     return factor
 
 
-def _unknown(scene: Scene, posterior: Posterior, cameras: list[str], bins: LagBins) -> Floats:
-    """Return the share (zones,) of the departures said to leave that may appear again.
-
-    cameras: names of all cameras.
-    """
-    c = posterior.fit.candidates
-    spurious = posterior.share * posterior.doubt
-    leave = posterior.leave + np.bincount(c.source, spurious, minlength=len(posterior.leave))
-    rate = posterior.fit.outside * scene.entries / max(scene.last - scene.first, 1.0)
-    return unknown_shares(scene.exits.astype(float), leave, rate, len(cameras), bins.lag_max)
-
-
-def _onward(
-    ids: list[str], posterior: Posterior, now: Floats, bins: LagBins, unknown: Floats
-) -> list[Onward]:
+def _onward(ids: list[str], posterior: Posterior, now: Floats, bins: LagBins) -> list[Onward]:
     """Return, for each zone of departure, the next zones with shares and lags, sorted by zone.
 
     ids: public id of each zone.
     now (P,): factor on the share of each pair of zones (`_presently`).
-    unknown (zones,): share of the departures said to leave that may appear again.
 
     Where shares and leaving make more than 1, as the messages of the fit and changed shares may,
     all of them are scaled to make 1, which leaves their odds as they are.
@@ -206,8 +191,7 @@ def _onward(
             )
             for k, lags in zip(pairs.tolist(), mass, strict=True)
         ]
-        gone, anywhere = (round_significant(float(part[zone])) for part in (leave, unknown))
-        rows.append(Onward(ids[zone], gone, outcomes, anywhere))
+        rows.append(Onward(ids[zone], round_significant(float(leave[zone])), outcomes))
     return sorted(rows, key=lambda row: row.zone)
 
 

@@ -1,52 +1,140 @@
-"""Objects that no hazard explains: a part of those said to leave may appear again, anywhere.
+"""Objects that nothing explains: a part of those said to leave may appear again, anywhere.
 
-The learner says how many of them may (`camtopod.learn.next_camera.unknown`); they are shared among
-the other cameras by the arrivals there that no departure explains, at any lag.
+A departure that no hazard and no path explains need not be one of an object that leaves the site:
+traffic may be too dense, or the transit times too spread, for a path to be found. So the question
+is twofold:
+
+* How many are too many? Of all objects that leave a view, about ``1 / (1 + cameras / 4)`` leave the
+  site: the larger the site, the fewer of its paths lead out. The surplus over that share may
+  appear again (`surplus`).
+* Could it be known? Had these objects gone on by one path, the fit would have gained evidence from
+  it, more at zones with many departures and in light traffic. Where it would have been found, and
+  was not, it is not there, and the objects leave (`missed_shares`). The second opinion has narrow
+  paths only, so what it does not find tells nothing.
+
+Those that may appear again are shared among the other cameras by the arrivals there that no
+departure explains, at any lag (`Anywhere`).
 """
 
 from __future__ import annotations
 
+from statistics import NormalDist
+
 import numpy as np
 
+from camtopod.arrays import Floats
+from camtopod.predict.hazards import model_of
 from camtopod.predict.odds import Site
-from camtopod.records import NextCamera
+from camtopod.records import NextCamera, Topology
 
+LEAVING_CAMERAS = 4.0
+"""Number of cameras of a site at which half of all departures leave it."""
+SURE_MAX = 0.95
+"""Largest share of the departures without explanation that are taken to leave."""
+SPREAD_STEPS = 8
+"""Number of spreads of transit times, from a second to the longest lag, that a path may have."""
 NEXT_PROBABILITY_MIN = 1e-4
 """Least probability of an outcome that is listed in a prediction."""
 
 
-def anywhere(
-    site: Site, zone: int, leave: float, next_: list[NextCamera], t: float, now: float | None
-) -> tuple[float, list[NextCamera]]:
-    """Return the probability of leaving and the outcomes, with the unknown part shared out.
+class Anywhere:
+    """What may appear anywhere, by a topology version.
 
-    zone: index of the zone of the exit.
-    leave: probability of leaving, the unknown part included.
-    next_: the other outcomes.
-    t (seconds by the camera's clock): time of the exit.
-    now: moment of the question; None for the moment of the exit.
+    unknown (zones,): share of the objects said to leave from each zone that may appear again.
     """
-    entering = site.entering.copy()
-    entering[site.camera_of[zone]] = 0.0
-    if not site.unknown[zone] or not entering.any():
-        return leave, next_
 
-    # The part that may appear later than now, shared out.
-    lag_max = site.hazards.bins.lag_max
-    elapsed = min(max((now or t) - t, 0.0), lag_max)
-    odds = site.unknown[zone] * (1.0 - elapsed / lag_max)
-    share = leave * odds * entering / entering.sum()
-    share[share < NEXT_PROBABILITY_MIN] = 0.0
+    def __init__(self, topology: Topology, site: Site) -> None:
+        self._site = site
+        entering = {row.zone: row.arrival_rate for row in model_of(topology).zones}
+        rate = np.array([entering.get(zone.id, 0.0) for zone in site.zones])
+        self._entering = np.bincount(site.camera_of, rate, minlength=len(site.cameras))
+        """(cameras, 1/s) rate of arrivals that no departure explains."""
+        by_rate = np.argsort(rate, kind="stable")
+        self._busiest = np.zeros(len(site.cameras), np.intp)
+        """(cameras,) index of the zone of each camera with the most such arrivals."""
+        self._busiest[site.camera_of[by_rate]] = by_rate
 
-    # One more row for each camera, the likeliest first.
-    rows = list(next_)
-    for camera in np.flatnonzero(share).tolist():
-        busiest = site.busiest[camera]
-        target = site.zones[busiest]
-        lags = elapsed + np.array((0.1, 0.5, 0.9)) * (lag_max - elapsed)
-        if not site.is_corrected:
-            lags += site.offset_of[busiest] - site.offset_of[zone]
-        window = np.round(lags, 3).tolist()
-        rows.append(NextCamera(target.camera, target.id, float(share[camera]), *window))
-    likeliest = sorted(rows, key=lambda row: -row.probability)
-    return leave - float(share.sum()), likeliest
+        # What leaves by each of the two opinions, and the part of both that is unknown.
+        leave, by_paths = np.ones((2, len(site.zones)))
+        weight = np.zeros(len(site.zones))
+        for zone, outcomes in site.hazards.outcomes.items():
+            leave[zone], by_paths[zone] = outcomes.leaving
+            weight[zone] = outcomes.paths_weight
+        departures = np.array(site.hazards.departures, float)
+        missed = missed_shares(departures * leave, leave, rate, site.hazards.bins.lag_max)
+        first, second = (
+            surplus(departures, gone, len(topology.cameras)) for gone in (leave, by_paths)
+        )
+        leave, by_paths = (1.0 - weight) * leave, weight * by_paths
+        self.unknown = (leave * first * missed + by_paths * second) / (leave + by_paths)
+
+    def shared_out(
+        self, zone: int, leave: float, next_: list[NextCamera], t: float, now: float | None
+    ) -> tuple[float, list[NextCamera]]:
+        """Return the probability of leaving and the outcomes, with the unknown part shared out.
+
+        zone: index of the zone of the exit.
+        leave: probability of leaving, the unknown part included.
+        next_: the other outcomes.
+        t (seconds by the camera's clock): time of the exit.
+        now: moment of the question; None for the moment of the exit.
+        """
+        site = self._site
+        entering = self._entering.copy()
+        entering[site.camera_of[zone]] = 0.0
+        if not self.unknown[zone] or not entering.any():
+            return leave, next_
+
+        # The part that may appear later than now, shared out.
+        lag_max = site.hazards.bins.lag_max
+        elapsed = min(max((now or t) - t, 0.0), lag_max)
+        odds = self.unknown[zone] * (1.0 - elapsed / lag_max)
+        share = leave * odds * entering / entering.sum()
+        share[share < NEXT_PROBABILITY_MIN] = 0.0
+
+        # One more row for each camera, the likeliest first.
+        rows = list(next_)
+        for camera in np.flatnonzero(share).tolist():
+            busiest = self._busiest[camera]
+            target = site.zones[busiest]
+            lags = elapsed + np.array((0.1, 0.5, 0.9)) * (lag_max - elapsed)
+            if not site.is_corrected:
+                lags += site.offset_of[busiest] - site.offset_of[zone]
+            window = np.round(lags, 3).tolist()
+            rows.append(NextCamera(target.camera, target.id, float(share[camera]), *window))
+        likeliest = sorted(rows, key=lambda row: -row.probability)
+        return leave - float(share.sum()), likeliest
+
+
+def surplus(departures: Floats, leave: Floats, cameras: int) -> float:
+    """Return the part of all departures said to leave that is too much for a site of this size.
+
+    departures (zones,): number of departures of each zone.
+    leave (zones,): share of them that is said to leave the site.
+    cameras: number of cameras.
+    """
+    usual = float(departures.sum()) / (1.0 + cameras / LEAVING_CAMERAS)
+    return 1.0 - min(usual / max(float(departures @ leave), 1e-9), SURE_MAX)
+
+
+def missed_shares(gone: Floats, leave: Floats, rate: Floats, lag_max: float) -> Floats:
+    """Return the probability (zones,) that a path of all that leave would not have been found.
+
+    gone (zones,): number of departures of each zone that are said to leave.
+    leave (zones,): share of them in all departures.
+    rate (zones, 1/s): rate of arrivals at each zone that no departure explains.
+    lag_max (seconds): longest lag.
+    """
+    # The evidence of such a path, by the spread of its transit times: each transition competes with
+    # the arrivals of a usual zone within the spread.
+    spread = np.geomspace(1.0, lag_max, SPREAD_STEPS)
+    chance = spread * (rate @ rate) / max(float(rate.sum()), 1e-9)
+    share = leave[:, None] / (leave[:, None] + np.maximum(chance, 1e-6))
+    evidence = gone[:, None] * (-np.log1p(-share) - share)
+
+    # The probability that it falls short of what tells a path from all others that are possible;
+    # the variance of a log likelihood ratio is about twice its mean.
+    needed = np.log(len(rate) * lag_max / spread)
+    short = (needed - evidence) / np.sqrt(2.0 * evidence + 1.0)
+    missed: Floats = np.vectorize(NormalDist().cdf, otypes=[float])(short).mean(axis=1)
+    return missed

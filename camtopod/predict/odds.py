@@ -154,17 +154,6 @@ class Site:
         number = {camera: k for k, camera in enumerate(self.cameras)}
         self.camera_of = np.array([number[zone.camera] for zone in self.zones], np.intp)
         """(zones,) number of each zone's camera."""
-        entering = {row.zone: row.arrival_rate for row in model.zones}
-        rate = np.array([entering.get(zone.id, 0.0) for zone in self.zones])
-        self.entering = np.bincount(self.camera_of, rate, minlength=len(self.cameras))
-        """(cameras, 1/s) rate of arrivals that no departure explains."""
-        by_rate = np.argsort(rate, kind="stable")
-        self.busiest = np.zeros(len(self.cameras), np.intp)
-        """(cameras,) index of the zone of each camera with the most such arrivals."""
-        self.busiest[self.camera_of[by_rate]] = by_rate
-        unknown = {row.zone: row.unknown for row in model.onward or []}
-        self.unknown = np.array([unknown.get(zone.id, 0.0) for zone in self.zones])
-        """(zones,) share of the objects said to leave that may appear again, anywhere."""
         share = {row.camera: row.share for row in model.cameras}
         self.event_share = np.array([share.get(camera, 0.0) for camera in self.cameras])
         """(cameras,) share of each camera in all events of the site."""

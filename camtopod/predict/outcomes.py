@@ -14,7 +14,7 @@ import numpy as np
 
 from camtopod.arrays import Bools, Floats, Singles
 from camtopod.records import CameraPath, Zone
-from camtopod.topology import LagBins, student_share
+from camtopod.topology import REACH_WIDTHS, LagBins, student_share
 
 FLOOR = 1e-6
 """Least probability of leaving the site, and rate (1/s) that is added to the learned one of
@@ -22,8 +22,6 @@ arrivals from outside, so that some outcome is always possible.
 """
 PATHS_WEIGHT_MAX = 0.5
 """Weight of the paths between cameras where no link of the zone is published."""
-REACH_WIDTHS = 5.0
-"""Widths before its place at which the lags of a path begin."""
 
 
 class Outcomes(NamedTuple):
@@ -53,6 +51,14 @@ class Outcomes(NamedTuple):
     """As ``leave``, of the second opinion; 0 if there is none."""
     paths_weight: float = 0.0
     """Weight of the second opinion."""
+
+    @property
+    def leaving(self) -> tuple[float, float]:
+        """Share of the departures after which objects leave, by each opinion.
+
+        Transitions that may be spurious are included.
+        """
+        return self.leave + float(self.share @ self.doubt), self.leave_by_paths
 
     @property
     def weight(self) -> Floats:
@@ -136,8 +142,5 @@ def with_paths(
 
 def _lags(path: CameraPath, bins: LagBins) -> tuple[Floats, float]:
     """Return the mass of the lags of a path, (bins,), and the delay to be added to these lags."""
-    if not path.width:
-        after = bins.edges[1:] > 0
-        return after / after.sum(), 0.0
     delay = max(path.place - REACH_WIDTHS * path.width, 0.0)
     return np.diff(student_share(bins.edges, path.place - delay, path.width)), delay

@@ -21,7 +21,7 @@ import numpy as np
 from msgspec import Struct
 
 from camtopod.arrays import Floats, Rows
-from camtopod.predict.anywhere import NEXT_PROBABILITY_MIN, anywhere
+from camtopod.predict.anywhere import NEXT_PROBABILITY_MIN, Anywhere
 from camtopod.predict.contexts import ContextMultipliers
 from camtopod.predict.hand_over import HandOver, cameras_to_watch
 from camtopod.predict.hazards import Hazards
@@ -82,6 +82,7 @@ class Predictor:
         self._hand_over = HandOver(topology)
         self._lookup = ZoneLookup(self.zones)
         self.site = Site(topology, self._hazards)
+        self.anywhere = Anywhere(topology, self.site)
         longest = {
             camera: self._hazards.longest_dwell(zones)
             for camera, zones in self._lookup.of_camera.items()
@@ -190,7 +191,7 @@ class Predictor:
         here = self.zones[zone]
         table = self.site.table(zone)
         if table is None:
-            leave, next_ = anywhere(self.site, zone, 1.0, [], t, now)
+            leave, next_ = self.anywhere.shared_out(zone, 1.0, [], t, now)
             return self._prediction(here, t, track, leave, next_, passage)
 
         # Odds at the exit.
@@ -233,7 +234,7 @@ class Predictor:
             NextCamera(table.targets[k].camera, table.targets[k].id, probability, *window)
             for k, probability, window in zip(order.tolist(), probabilities, windows, strict=True)
         ]
-        leave, next_ = anywhere(self.site, zone, leave / total, next_, t, now)
+        leave, next_ = self.anywhere.shared_out(zone, leave / total, next_, t, now)
         return self._prediction(here, t, track, leave, next_, passage if now is None else None)
 
     def _prediction(

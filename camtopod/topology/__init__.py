@@ -65,6 +65,7 @@ from camtopod.topology.site_names import (
 )
 from camtopod.topology.student_t import (
     DEGREES as DEGREES,
+    REACH_WIDTHS as REACH_WIDTHS,
     student_density as student_density,
     student_share as student_share,
 )

@@ -8,6 +8,8 @@ from camtopod.arrays import Floats
 
 DEGREES = 5.0
 """Degrees of freedom: tails heavier than those of a normal distribution."""
+REACH_WIDTHS = 5.0
+"""Lags farther than this many widths from the place of a path do not belong to it."""
 
 
 def student_density(x: Floats, place: Floats, width: Floats) -> Floats:

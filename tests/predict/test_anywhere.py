@@ -8,23 +8,19 @@ from msgspec.structs import replace
 from test_predictor import EXIT, any_topology, chances, sound
 
 from camtopod.predict.predictor import Predictor
-from camtopod.records import Prediction, Topology
-
-
-def topology_with(unknown: float, seed: int = 3) -> Topology:
-    """Return any topology, with the given part of all that leave unknown."""
-    topology = any_topology(np.random.default_rng(seed))
-    model = topology.model
-    assert model is not None
-    onward = [replace(row, unknown=unknown) for row in model.onward or []]
-    zones = [replace(zone, arrival_rate=0.01 * (1 + k)) for k, zone in enumerate(model.zones)]
-    return replace(topology, model=replace(model, onward=onward, zones=zones))
+from camtopod.records import CameraPath, Prediction
 
 
 def asked(unknown: float, seed: int = 3, after: float | None = None) -> Prediction:
-    """Predict an exit at a/1."""
+    """Predict an exit at a/1, with the given part of all that leave unknown."""
+    topology = any_topology(np.random.default_rng(seed))
+    model = topology.model
+    assert model is not None
+    zones = [replace(zone, arrival_rate=0.01 * (1 + k)) for k, zone in enumerate(model.zones)]
+    predictor = Predictor(replace(topology, model=replace(model, zones=zones)))
+    predictor.anywhere.unknown[:] = unknown
     now = None if after is None else EXIT.t + after
-    prediction = Predictor(topology_with(unknown, seed)).predict(EXIT, now)
+    prediction = predictor.predict(EXIT, now)
     sound(prediction)
     return prediction
 
@@ -48,3 +44,19 @@ def test_who_has_not_come_for_long_has_left() -> None:
         for one, k in zip(late, (0.1, 0.5, 0.9, 2.0), strict=True)
     ]
     assert ratio == pytest.approx([0.55, 0.75, 0.95, 1.0], abs=2e-3)
+
+
+def test_what_paths_do_not_explain_may_be_anywhere_on_a_large_site() -> None:
+    """Two opinions say that all leave; of the second it is not known."""
+    topology = any_topology(np.random.default_rng(3))
+    model = topology.model
+    assert model is not None
+    zones = [replace(zone, arrival_rate=1e-5, departures=900) for zone in model.zones]
+    cameras = [replace(topology.cameras[0], id=f"{k}") for k in range(36)]
+    unknown = []
+    for paths in (None, [CameraPath("b", "c", 0.5, 300.0, 1.0)]):
+        bare = replace(model, zones=zones, onward=[], contexts=[], paths=paths)
+        predictor = Predictor(replace(topology, cameras=cameras, links=[], model=bare))
+        unknown.append(predictor.anywhere.unknown[2])
+    assert unknown[0] < 0.01
+    assert 0.2 < unknown[1] < 0.4

@@ -22,10 +22,17 @@ from test_predictor import (
 )
 
 from bench.support.prediction_scores import PredictionScore, score_predictions
+from camtopod.predict import anywhere
 from camtopod.predict.predictor import Predictor
 from camtopod.records import Event, Pace, Prediction, Topology, Way
 
 AT_B = Event("b", "entry", 1008.0, 0.5, 0.5)
+
+
+@pytest.fixture(autouse=True)
+def _everything_is_known(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Let nothing be anywhere; that is tested in test_anywhere."""
+    monkeypatch.setattr(anywhere, "surplus", lambda departures, leave, cameras: 0.0)
 
 
 def later(seconds: float, events: list[Event], topology: Topology = THREE) -> Prediction:

@@ -15,7 +15,7 @@ from msgspec.structs import replace
 from bench.support.prediction_scores import score_predictions
 from camtopod.learn.learner import Learner
 from camtopod.learn.settings import Settings
-from camtopod.predict import open_passages, predictor as module, recent_events
+from camtopod.predict import anywhere, open_passages, predictor as module, recent_events
 from camtopod.predict.odds import RATE_MIN
 from camtopod.predict.predictor import NEXT_PROBABILITY_MIN, Predictor
 from camtopod.records import (
@@ -52,6 +52,12 @@ from camtopod.topology.shared_constants import (
 COV = [[0.001, 0.0], [0.0, 0.001]]
 STAY = [float(k) for k in range(11)]
 """Deciles of passages of 0 to 10 s."""
+
+
+@pytest.fixture(autouse=True)
+def _everything_is_known(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Let nothing be anywhere; that is tested in test_anywhere."""
+    monkeypatch.setattr(anywhere, "surplus", lambda departures, leave, cameras: 0.0)
 
 
 def link(

@@ -12,7 +12,6 @@ appear next at the second, and the hazard (rate of appearing by lag). In the ord
 * `contexts`: the zone of entry, the place of exit and the previous camera of a departure
 * `sampling`: Monte Carlo samples of which departure caused which arrival, against overconfidence
 * `spurious`: the share of each pair's transitions that may be made by chance
-* `unknown`: the share of the departures without explanation that may appear again
 """
 
 from __future__ import annotations
@@ -28,8 +27,4 @@ from camtopod.learn.next_camera.overlapping_views import (
     find_overlapping as find_overlapping,
     overlap_table as overlap_table,
     views_of as views_of,
-)
-from camtopod.learn.next_camera.unknown import (
-    LEAVING_CAMERAS as LEAVING_CAMERAS,
-    unknown_shares as unknown_shares,
 )

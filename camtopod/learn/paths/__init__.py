@@ -10,7 +10,7 @@ predicts better than either. In the order to read:
 * `camera_lags`: the candidates of each pair of cameras, by lag
 * `dictionary`: peaks of these lags; most are no paths, and the fit decides
 * `path_fit`: joint EM over all paths
-* `opinion`: when it is asked for; what no path explains; the rows that are published
+* `opinion`: when it is asked for; the rows that are published
 """
 
 from __future__ import annotations

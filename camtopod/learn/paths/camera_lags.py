@@ -16,12 +16,6 @@ from camtopod.learn.traffic import Arrivals, Departures, local_rates
 
 LAG_SECONDS_MAX = 900.0
 """Longest lag."""
-LAG_SECONDS_LEAST = 60.0
-"""Longest lag where traffic is heavy; with more candidates only the newest events count."""
-
-RESOLUTION_SECONDS = 0.5
-WHOLE_RESOLUTION_SECONDS = 1.0
-"""Resolution of lags: usually, and where the times of each camera are whole seconds."""
 
 
 class CameraLags(NamedTuple):
@@ -53,19 +47,8 @@ class CameraLags(NamedTuple):
     """Least lag, seconds."""
     lag_max: float
     """Longest lag, seconds."""
-    resolution: float
-    """Seconds by which lags are told apart: more if the times of each camera are whole seconds."""
     until: float
     """Time up to which arrivals are known, seconds."""
-
-    def take(self, kept: Rows) -> CameraLags:
-        """Return the lags with the candidates of given rows, ascending, only."""
-        return self._replace(
-            departure=self.departure[kept],
-            arrival=self.arrival[kept],
-            lag=self.lag[kept],
-            key=self.key[kept],
-        )
 
     def within(self, pair: Longs, low: Floats, high: Floats) -> tuple[Rows, Rows]:
         """Return the candidates (n,) with lags in given ranges, and the number of each one's range.
@@ -88,16 +71,14 @@ def keys(pair: Longs, lag: Floats, lag_min: float, lag_max: float) -> Floats:
 def camera_lags(
     departures: Departures, arrivals: Arrivals, cameras: int, lag_min: float, until: float
 ) -> CameraLags:
-    """Return the candidates of a window, `PATH_CANDIDATES_MAX` at most.
+    """Return the candidates of a window, `PATH_CANDIDATES_MAX` at most, of its newest events.
 
     cameras: number of cameras.
     lag_min (seconds): least lag; an arrival is not before the entry of the departing object either.
     until: time up to which arrivals are known, seconds.
     """
-    # The longest lag with few enough candidates, but at most half of the window.
     span = max(until - float(min(departures.t[0], arrivals.t[0])), 1.0)
-    few = PATH_CANDIDATES_MAX / (len(departures.t) * len(arrivals.t) / span)
-    lag_max = min(LAG_SECONDS_MAX, 0.5 * span, max(LAG_SECONDS_LEAST, few))
+    lag_max = min(LAG_SECONDS_MAX, 0.5 * span)
 
     # Arrivals in reach of each departure, of the newest departures.
     first, end = _reach(departures, arrivals, lag_min, lag_max)
@@ -132,16 +113,8 @@ def camera_lags(
         cameras,
         lag_min,
         lag_max,
-        WHOLE_RESOLUTION_SECONDS if _are_whole(arrivals) else RESOLUTION_SECONDS,
         until,
     )
-
-
-def _are_whole(arrivals: Arrivals) -> bool:
-    """Return True if all arrivals at each camera are whole seconds after its first one."""
-    _, first, of = np.unique(arrivals.camera, return_index=True, return_inverse=True)
-    after = arrivals.t - arrivals.t[first][of]
-    return bool(np.all(np.abs(after - np.round(after)) < 1e-6))
 
 
 def _reach(

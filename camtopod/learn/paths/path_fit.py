@@ -3,7 +3,7 @@
 Every arrival has one source, a departure by one of the paths or the outside, and every departure
 one outcome, an arrival or nothing. The E step approximates the marginals of this assignment by
 sum-product messages (Williams and Lau 2014), as the joint fit does (`association.em`), on the
-candidates near a path only. The M step estimates shares with a sparse prior, places, and widths,
+candidates near a path only. The M step estimates shares, places, and widths,
 which shrink to the site's own usual width (empirical Bayes).
 """
 
@@ -14,34 +14,18 @@ from typing import NamedTuple
 import numpy as np
 from scipy.special import digamma
 
-from camtopod.arrays import Bools, Floats, Longs, Rows
+from camtopod.arrays import Floats, Longs, Rows
 from camtopod.learn.paths.camera_lags import CameraLags
-from camtopod.learn.paths.dictionary import Peaks
-from camtopod.topology import DEGREES, student_density
+from camtopod.learn.paths.dictionary import RESOLUTION_SECONDS, Peaks
+from camtopod.topology import DEGREES, LEAVE_FLOOR, REACH_WIDTHS, student_density
 
 SWEEPS = 2
 """Sweeps of messages in each iteration."""
-REACH_WIDTHS = 5.0
-"""Lags farther than this many widths from the place of a path do not belong to it."""
-ROOM = 2.0
-"""Candidates up to this many times as far from a peak may belong to its path in time."""
 ITERATIONS = 30
-FREE_FROM = 8
-"""EM iterations, and the first one that moves places and widths."""
-PRUNED_EVERY = 5
-LEFT_OUT_UNTIL = 24
-TRANSITIONS_LEAST = 0.15
-"""Paths with fewer expected transitions are left out after every fifth iteration."""
-SHARE_PRIOR = 0.9
-"""Concentration of the Dirichlet prior of the shares; below 1, it prefers few paths."""
+"""EM iterations."""
 WIDTH_PRIOR_SECONDS = 4.0
-WIDTH_PRIOR_PATHS = 4.0
 WIDTH_PRIOR_TRANSITIONS = 3.0
-"""The usual width: at first, weight of this in transitions; and its weight in a path's width."""
-WIDTH_LEAST_SECONDS = 0.5
-"""Least width of a path, as the times of some cameras are whole seconds."""
-OUTSIDE_LEAST = 0.02
-"""Least share of arrivals from outside, and least probability of a departure without arrival."""
+"""The usual width at first; weight, in transitions, of this, and of the usual width in a path's."""
 
 
 class Paths(NamedTuple):
@@ -56,10 +40,6 @@ class Paths(NamedTuple):
     width: Floats
     """(K,) scale of the lags, which have Student's t distribution with 5 degrees, seconds."""
 
-    def take(self, kept: Bools) -> Paths:
-        """Return the paths of a mask (K,)."""
-        return Paths(self.pair[kept], self.share[kept], self.place[kept], self.width[kept])
-
 
 class PathFit:
     """The fit in progress.
@@ -69,9 +49,7 @@ class PathFit:
     """
 
     def __init__(self, lags: CameraLags, peaks: Peaks) -> None:
-        near = ROOM * REACH_WIDTHS * peaks.width
-        row, _ = lags.within(peaks.pair, peaks.place - near, peaks.place + near)
-        self.lags = lags = lags.take(np.unique(row))
+        self.lags = lags
         self.departures = np.bincount(lags.source, minlength=lags.cameras).astype(float)
         self.arrivals = np.bincount(lags.target, minlength=lags.cameras).astype(float)
 
@@ -84,24 +62,12 @@ class PathFit:
         self._usual_width = WIDTH_PRIOR_SECONDS
 
     def run(self) -> None:
-        """Iterate; the first iterations estimate the shares alone."""
-        for iteration in range(ITERATIONS):
-            transitions = self._iterate(iteration >= FREE_FROM)
-            if iteration % PRUNED_EVERY == 4 and FREE_FROM < iteration < LEFT_OUT_UNTIL:
-                self.paths = self.paths.take(transitions > TRANSITIONS_LEAST)
+        """Run the iterations."""
+        for _ in range(ITERATIONS):
+            self._iterate()
 
-    def unexplained(self) -> Floats:
-        """Return the share (cameras,) of each camera's departures that no path explains."""
-        source = self.paths.pair // self.lags.cameras
-        explained = np.bincount(source, self.paths.share, minlength=self.lags.cameras)
-        unexplained: Floats = np.maximum(1.0 - explained, OUTSIDE_LEAST)
-        return unexplained
-
-    def _iterate(self, free: bool) -> Floats:
-        """Do one E step and one M step; return the expected transitions (K,) of each path.
-
-        free: True to estimate places and widths, too.
-        """
+    def _iterate(self) -> None:
+        """Do one E step and one M step."""
         # The rate of each path at the candidates near it. A candidate may be near several.
         lags = self.lags
         pair, share, place, width = self.paths
@@ -121,13 +87,11 @@ class PathFit:
         transitions: Floats = np.bincount(path, part, minlength=len(pair)).astype(float)
         target = lags.target[lags.arrival[rows]]
         explained = np.bincount(target, responsibility, minlength=lags.cameras)
-        self.outside = np.maximum(1.0 - explained / np.maximum(self.arrivals, 1.0), OUTSIDE_LEAST)
+        self.outside = np.maximum(1.0 - explained / np.maximum(self.arrivals, 1.0), LEAVE_FLOOR)
 
         # M step: places and widths, then shares.
-        if free and len(pair):
-            place, width = self._moved(lag, path, part, transitions)
+        place, width = self._moved(lag, path, part, transitions)
         self.paths = Paths(pair, self._shares(transitions), place, width)
-        return transitions
 
     def _responsibility(self, rows: Rows, rate: Floats) -> Floats:
         """Return the responsibility (n,) of candidates.
@@ -163,7 +127,7 @@ class PathFit:
             unseen[of] -= share[mine].sum()
             unseen[of] += _above(place[mine], share[mine], lags.until - lags.left[of])
             unseen[of] += _above(-place[mine] - width[mine], share[mine], lags.dwell[of])
-        return np.maximum(unseen, OUTSIDE_LEAST)
+        return np.maximum(unseen, LEAVE_FLOOR)
 
     def _moved(
         self, lag: Floats, path: Rows, part: Floats, transitions: Floats
@@ -185,29 +149,26 @@ class PathFit:
         squares = summed(weight * (lag - moved[path]) ** 2)
         prior = WIDTH_PRIOR_TRANSITIONS
         spread = np.sqrt((squares + prior * self._usual_width**2) / (transitions + prior))
-        spread = np.maximum(spread, WIDTH_LEAST_SECONDS)
+        spread = np.maximum(spread, RESOLUTION_SECONDS)
         known = transitions > 1e-3
         place, width = np.where(known, moved, place), np.where(known, spread, width)
 
-        # The usual width of the paths that are well known.
-        many = np.maximum(transitions - 2.0, 0.0)
-        logs = many @ np.log(width) + WIDTH_PRIOR_PATHS * np.log(WIDTH_PRIOR_SECONDS)
-        self._usual_width = float(np.exp(logs / (many.sum() + WIDTH_PRIOR_PATHS)))
+        # The usual width of the paths.
+        logs = transitions @ np.log(width) + prior * np.log(WIDTH_PRIOR_SECONDS)
+        self._usual_width = float(np.exp(logs / (transitions.sum() + prior)))
         return place, width
 
     def _shares(self, transitions: Floats) -> Floats:
         """Return the shares (K,) of the departures that take each path.
 
-        They are geometric means of the posterior under the Dirichlet prior.
+        They are geometric means of the posterior under a uniform prior, which prefers few paths.
         """
         cameras = self.lags.cameras
         source = self.paths.pair // cameras
         of = np.bincount(source, minlength=cameras)
-        departures = np.maximum(self.departures, 1.0) + 1.0 + SHARE_PRIOR * of
-        known = np.maximum(transitions, 1e-3) + SHARE_PRIOR
-        share = np.exp(digamma(known) - digamma(departures)[source])
+        share = np.exp(digamma(transitions + 1.0) - digamma(self.departures + 1.0 + of)[source])
         total = np.bincount(source, share, minlength=cameras)
-        scaled: Floats = share / np.maximum(total / (1.0 - OUTSIDE_LEAST), 1.0)[source]
+        scaled: Floats = share / np.maximum(total / (1.0 - LEAVE_FLOOR), 1.0)[source]
         return scaled
 
 

