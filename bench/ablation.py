@@ -1,12 +1,11 @@
 """Measure the worth of each mechanism of the learner: all figures with it and without it.
 
     python -m bench ablation [--data FOLDER] [--constants] [--mechanisms a,b] [--regimes a,b]
-                             [--seeds N] [--scale X] [--sampling-seeds N] [--jobs 2] [--json FILE]
+                             [--seeds N] [--scale X] [--jobs 2] [--json FILE]
 
 The networks are the real ones of `bench real` (skipped without data) and simulated ones of
-`support.regimes`. Each is learned in one fit of its first 70 % and scored on the rest. As the seed
-of the sampler alone moves the figures of a small network, each is measured with several seeds and
-averaged. A difference is paired by network: without the mechanism, less with all. For log loss and
+`support.regimes`. Each is learned in one fit of its first 70 % and scored on the rest. A difference
+is paired by network: without the mechanism, less with all. For log loss and
 calibration error a positive difference is worse, for links and top-1 a negative one. A mechanism
 earns its place if leaving it out costs more than two standard errors on the real networks, or more
 than `REGIME_COST` and more than two standard errors on one kind of simulated network.
@@ -75,7 +74,6 @@ class Task(Struct, frozen=True):
     mechanism: str
     kind: str
     network: str
-    sampling_seed: int
     scale: float
 
 
@@ -116,8 +114,7 @@ MECHANISMS = [
     ),
     Mechanism("prior: paths are two-way", {"learn.next_camera.prior:RETURNING": 0.0}),
     Mechanism("prior: zones of a view", {"learn.next_camera.prior:POOLING": 0.0}),
-    Mechanism("sampling", {"learn.next_camera.fit:PosteriorFitter.sample": lambda self: None}),
-    Mechanism("faint transitions", {"learn.next_camera.sampling:FAINT_TRANSITIONS": 0.0}),
+    Mechanism("faint transitions", {"learn.next_camera.fit:FAINT_TRANSITIONS": 0.0}),
     Mechanism(
         "spurious transitions",
         {
@@ -178,8 +175,7 @@ CONSTANTS = (
     ("BACK_OFF_DEPARTURES", ("learn.next_camera.contexts", "predict.contexts")),
     ("POOLING", ("learn.next_camera.prior",)),
     ("RETURNING", ("learn.next_camera.prior",)),
-    ("FAINT_TRANSITIONS", ("learn.next_camera.sampling",)),
-    ("SAMPLES_SHARE", ("learn.next_camera.fit",)),
+    ("FAINT_TRANSITIONS", ("learn.next_camera.fit",)),
     ("SPREAD_MIN", ("learn.next_camera.spurious",)),
     ("CHANCE_PRIOR", ("learn.next_camera.spurious",)),
     ("CHANCE_TRANSITIONS", ("learn.next_camera.spurious",)),
@@ -242,40 +238,36 @@ def main(argv: Sequence[str]) -> int:
     if not folders:
         print("bench ablation: no real networks are measured (set --data or CAMTOPOD_REAL_DATA)")
 
-    # Measure, and average over the seeds of the sampler.
+    # Measure.
     tasks = [
-        Task(name, kind, network, seed, arguments.scale)
-        for kind, network in networks
-        for name in names
-        for seed in range(arguments.sampling_seeds)
+        Task(name, kind, network, arguments.scale) for kind, network in networks for name in names
     ]
-    figures = dict(zip(tasks, map_tasks(measure, tasks, arguments.jobs), strict=True))
-    averaged: dict[tuple[str, str, str], list[list[float]]] = defaultdict(list)
-    for task, row in figures.items():
-        averaged[task.mechanism, task.kind, task.network].append(row)
-    means = {key: np.array(rows).mean(axis=0) for key, rows in averaged.items()}
+    figures = {
+        (task.mechanism, task.kind, task.network): np.array(row)
+        for task, row in zip(tasks, map_tasks(measure, tasks, arguments.jobs), strict=True)
+    }
 
     # Report.
     print(
         "\n".join(
             table(
-                means,
+                figures,
                 names[1:],
                 "worse than as it is" if arguments.constants else "earns its place",
             )
         )
     )
     if arguments.constants:
-        print("\n".join(chosen_on_the_others(means)))
+        print("\n".join(chosen_on_the_others(figures)))
     if arguments.json is not None:
-        rows = [[*key, *row.tolist()] for key, row in means.items()]
+        rows = [[*key, *row.tolist()] for key, row in figures.items()]
         arguments.json.write_text(json.dumps(rows, indent=1) + "\n")
     return 0
 
 
 def measure(task: Task) -> list[float]:
     """Return the `FIGURES` of one network without one mechanism; nan where one does not apply."""
-    with without(task.mechanism, task.sampling_seed):
+    with without(task.mechanism):
         if task.kind == REAL:
             return _real(Path(task.network))
         regime = REGIMES[task.kind]
@@ -310,9 +302,9 @@ def _real(folder: Path) -> list[float]:
 
 
 @contextlib.contextmanager
-def without(mechanism: str, sampling_seed: int) -> Iterator[None]:
-    """Replace a mechanism ("": none) and the seed of the sampler while the block runs."""
-    replaced = {"learn.next_camera.fit:SAMPLING_SEED": sampling_seed}
+def without(mechanism: str) -> Iterator[None]:
+    """Replace a mechanism ("": none) while the block runs."""
+    replaced: dict[str, Any] = {}
     for one in (*MECHANISMS, *SCALED):
         if one.name == mechanism:
             replaced |= one.replaced
@@ -328,16 +320,16 @@ def without(mechanism: str, sampling_seed: int) -> Iterator[None]:
 
 
 def table(
-    means: dict[tuple[str, str, str], Any], names: Sequence[str], verdict: str = "earns its place"
+    figures: dict[tuple[str, str, str], Any], names: Sequence[str], verdict: str = "earns its place"
 ) -> list[str]:
     """Return one block a kind of network with one row a mechanism, then the significant costs."""
-    kinds = list(dict.fromkeys(kind for _, kind, _ in means))
+    kinds = list(dict.fromkeys(kind for _, kind, _ in figures))
     lines, earns = [], defaultdict[str, list[str]](list)
     for kind in kinds:
         # Means with all mechanisms.
-        networks = [network for name, one, network in means if one == kind and name == ""]
+        networks = [network for name, one, network in figures if one == kind and name == ""]
         whole = [
-            _mean([means["", kind, network][k] for network in networks])
+            _mean([figures["", kind, network][k] for network in networks])
             for k in range(len(FIGURES))
         ]
         lines += ["", _row(f"{kind}, {len(networks)} networks", *FIGURES)]
@@ -345,7 +337,7 @@ def table(
         for name in names:
             # Paired differences without one mechanism, with standard errors.
             apart = np.array(
-                [means[name, kind, network] - means["", kind, network] for network in networks]
+                [figures[name, kind, network] - figures["", kind, network] for network in networks]
             )
             cells = []
             for column, figure in enumerate(FIGURES):
@@ -370,19 +362,21 @@ def table(
     ]
 
 
-def chosen_on_the_others(means: dict[tuple[str, str, str], Any]) -> list[str]:
+def chosen_on_the_others(figures: dict[tuple[str, str, str], Any]) -> list[str]:
     """Return one row a constant: the cost of choosing its value on the other real networks.
 
     The cost is the log loss of each real network with the value that is best for the others, less
     that with the present value.
     """
-    networks = [network for name, kind, network in means if kind == REAL and name == ""]
+    networks = [network for name, kind, network in figures if kind == REAL and name == ""]
     lines = ["", _row("real, one network left out", "log loss")]
     for constant, _ in CONSTANTS:
         names = ["", *(_times(constant, factor) for factor in FACTORS)]
-        if len(networks) < 2 or any((name, REAL, networks[0]) not in means for name in names):
+        if len(networks) < 2 or any((name, REAL, networks[0]) not in figures for name in names):
             continue
-        loss = np.array([[means[name, REAL, network][0] for network in networks] for name in names])
+        loss = np.array(
+            [[figures[name, REAL, network][0] for network in networks] for name in names]
+        )
         others = loss.sum(axis=1, keepdims=True) - loss
         apart = loss[others.argmin(axis=0), np.arange(len(networks))] - loss[0]
         error = float(apart.std(ddof=1) / math.sqrt(len(networks)))
@@ -421,9 +415,6 @@ def _parse(argv: Sequence[str]) -> argparse.Namespace:
     parser.add_argument("--seeds", type=int, default=3, help="networks per regime (default 3)")
     parser.add_argument(
         "--scale", type=float, default=0.3, help="length of the simulated recordings (default 0.3)"
-    )
-    parser.add_argument(
-        "--sampling-seeds", type=int, default=2, help="seeds of the sampler (default 2)"
     )
     parser.add_argument("--jobs", type=int, default=2, help="processes (default 2)")
     parser.add_argument("--json", type=Path, metavar="FILE")

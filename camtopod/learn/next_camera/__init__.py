@@ -10,7 +10,6 @@ appear next at the second, and the hazard (rate of appearing by lag). In the ord
 * `overlapping_views` and `entry_kernels`: objects that appear in the next view before they leave
   this one
 * `contexts`: the zone of entry, the place of exit and the previous camera of a departure
-* `sampling`: Monte Carlo samples of which departure caused which arrival, against overconfidence
 * `spurious`: the share of each pair's transitions that may be made by chance
 """
 

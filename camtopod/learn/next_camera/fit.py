@@ -1,7 +1,7 @@
 """The fit for prediction: where objects appear next, all weak evidence included (METHOD 10).
 
 It extends EM over candidates (`association.em.Em`) by entry kernels, a prior over pairs of zones,
-contexts of departures, samples, and the spurious share of each pair; the head of the package names
+contexts of departures, and the spurious share of each pair; the head of the package names
 their modules. `followed_of` selects the candidates with a few iterations,
 `fit_followed` runs the whole fit; both use `PosteriorFitter`, whose methods are in the order of the
 steps.
@@ -18,9 +18,8 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from camtopod.arrays import Floats, Ints, Singles
+from camtopod.arrays import Floats, Ints, Singles, row_slices
 from camtopod.learn.association import (
-    NOTHING,
     Candidates,
     Em,
     EmModel,
@@ -32,7 +31,6 @@ from camtopod.learn.association import (
 from camtopod.learn.next_camera.contexts import ContextCounts, ContextLevel, Contexts, multipliers
 from camtopod.learn.next_camera.entry_kernels import EntryKernels
 from camtopod.learn.next_camera.prior import Prior
-from camtopod.learn.next_camera.sampling import Sources, add_prior_transitions
 from camtopod.learn.next_camera.spurious import spurious_shares
 from camtopod.topology import LEAVE_FLOOR
 
@@ -48,17 +46,11 @@ NEGLIGIBLE = 1e-4
 """Least responsibility, after these iterations, of a candidate that is selected."""
 ITERATIONS = 8
 """EM iterations with contexts; contexts are estimated after every other one."""
-SWEEPS_MIN = 12
-SWEEPS_MAX = 30
-"""Limits of the number of samples, or sweeps; the first half of the sweeps is burn-in."""
-DRAWN_ARRIVALS = 200_000
-"""Number of arrivals drawn over all sweeps, as fewer sweeps are enough for many arrivals."""
-SAMPLES_SHARE = 0.5
-"""Weight of the samples in the posterior; the other weight is that of the fit."""
-SAMPLING_SEED = 2011
-"""Seed of the samples, fixed so that versions are reproducible."""
-CONTEXTS_EVERY = 3
-"""Sweeps between estimates of the contexts."""
+FAINT_TRANSITIONS = 0.2
+"""Transitions of every pair of zones that are added in iterations with contexts, spread evenly over
+the lag bins after the exit. With little data a converged fit is overconfident, as it reinforces its
+own first guesses.
+"""
 
 
 class Posterior(NamedTuple):
@@ -111,7 +103,6 @@ def fit_followed(problem: Problem, followed: Candidates, evidence: Floats) -> Po
     """
     fitter = PosteriorFitter(problem, followed)
     fitter.learn()
-    fitter.sample()
     return fitter.posterior(evidence)
 
 
@@ -172,40 +163,6 @@ class PosteriorFitter:
         self.entering.share = share[live][self.entering.rows]
         self.entering.learn(em.responsibility)
 
-    def sample(self) -> None:
-        """Average the fit with samples of which departure caused which arrival (`sampling`).
-
-        Afterwards, responsibilities, hazards and the shares of the entry kernels are averages.
-        """
-        em = self.em
-        entering = self.entering
-        fitted = em.responsibility.copy()
-        arrivals = len(self.problem.arrivals.t)
-        sources = Sources(em.candidates.arrival, arrivals, SAMPLING_SEED)
-        believed = np.zeros(len(fitted), np.float32)
-        entered = np.zeros(len(entering.rows))
-        sweeps = min(max(DRAWN_ARRIVALS // max(arrivals, 1), SWEEPS_MIN), SWEEPS_MAX)
-        burn_in = sweeps // 2
-
-        for sweep in range(sweeps):
-            # Estimate hazards and kernels from one draw, then the responsibilities under these.
-            em.believe(sources.draw(em.responsibility))
-            hazard = self._with_faint(em.maximise())
-            em.expect(hazard)
-            if sweep % CONTEXTS_EVERY == 0:
-                self._learn_contexts()
-
-            # Sum over the sweeps after burn-in.
-            if sweep >= burn_in:
-                believed += em.responsibility
-                entered += em.responsibility[entering.rows] * entering.share
-
-        # Shares of the kernels on average, and responsibilities averaged with those of the fit.
-        entering.share = entered / np.maximum(believed[entering.rows], NOTHING)
-        samples = believed * np.float32(SAMPLES_SHARE / (sweeps - burn_in))
-        em.believe(samples + fitted * np.float32(1.0 - SAMPLES_SHARE))
-        self.hazard = self._with_faint(em.maximise())
-
     def posterior(self, evidence: Floats) -> Posterior:
         """Return the result of the fit, which is over with this.
 
@@ -239,15 +196,25 @@ class PosteriorFitter:
         for iteration in range(iterations):
             self.em.expect(self.hazard)
             self.hazard = self.em.maximise()
-            if contexts and iteration % 2 == 0:
-                self._learn_contexts()
+            if contexts:
+                self.hazard = self._with_faint()
+                if iteration % 2 == 0:
+                    self._learn_contexts()
 
-    def _with_faint(self, hazard: Singles) -> Singles:
-        """Return the hazards (P, bins) with faint transitions added at every lag (`sampling`)."""
+    def _with_faint(self) -> Singles:
+        """Return the hazards (P, bins) with `FAINT_TRANSITIONS` of every pair of zones added."""
         em = self.em
-        return add_prior_transitions(
-            hazard, em.exposure_at_least_one, em.range_of, self.problem.bins
-        )
+        bins = self.problem.bins
+        after = bins.edges[1:] > 0
+        faint = FAINT_TRANSITIONS * after / (after.sum() * bins.widths)
+        more = FAINT_TRANSITIONS * np.bincount(em.range_of, minlength=len(em.exposure))
+
+        hazard = np.empty_like(self.hazard)
+        for rows in row_slices(em.pairs):
+            at = em.range_of[rows]
+            exposed = em.exposure_at_least_one[at]
+            hazard[rows] = (self.hazard[rows] * exposed + faint) / (exposed + more[at][:, None])
+        return hazard
 
     def _learn_contexts(self) -> None:
         """Estimate the factor on each candidate's rate by the context of its departure."""

@@ -10,7 +10,8 @@ from synthetic_events import Views, fit_posterior
 
 from camtopod.learn.association.candidates import Candidates, find_candidates
 from camtopod.learn.association.joint_fit import fit_jointly
-from camtopod.learn.next_camera.fit import Posterior, PosteriorFitter
+from camtopod.learn.next_camera import fit as module
+from camtopod.learn.next_camera.fit import FAINT_TRANSITIONS, Posterior, PosteriorFitter
 from camtopod.learn.traffic.events import Arrivals, Departures
 from camtopod.topology.lag_bins import LagBins
 
@@ -126,7 +127,19 @@ def test_views_that_do_not_overlap_take_nothing_ahead_of_the_exit() -> None:
     assert (together.fit.candidates.lag < 0).any()
 
 
-# --- candidates that are left out ---
+def test_a_little_of_every_path_is_kept(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Objects come after 8 s; that they may take a minute is not ruled out."""
+    problem = one_way(4, 300, 4000.0).problem(BINS)
+    late = BINS.edges[:-1] > 60.0
+    known = fit_posterior(problem)
+    monkeypatch.setattr(module, "FAINT_TRANSITIONS", 0.0)
+    sure = fit_posterior(problem)
+    faint, none = (
+        float((one.fit.hazard * BINS.widths)[one.fit.candidates.target == 1][:, late].sum())
+        for one in (known, sure)
+    )
+    after = BINS.edges[1:] > 0
+    assert faint - none > 0.5 * FAINT_TRANSITIONS / 300 * late.sum() / after.sum()
 
 
 # --- entry kernels, against their slow twins ---
