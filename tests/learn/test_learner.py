@@ -167,7 +167,7 @@ def test_the_moment_of_the_recording_does_not_matter() -> None:
     """A recording from zero gives the same links as one of today, or from before 1970."""
     found = []
     for start in (1_700_000_000.0, 0.0, -1_700_000_000.0):
-        learner = learn(walk(60, start=start), QUICK)
+        learner = learn(walk(40, start=start), QUICK)
         found.append(
             [
                 (
@@ -231,7 +231,7 @@ def test_what_is_too_old_is_forgotten() -> None:
     """Zones equal those of a learner that never had the old events, apart from their numbers."""
     old = elsewhere(walk(100, start=0.0))
     new = walk(100, seed=1, start=100_000.0)
-    rules = Settings(version_seconds=10.0, window_hours=2.0)
+    rules = Settings(version_seconds=10.0, window_hours=2.0, refit_share=0.6)
     both, fresh = learn([*old, *new], rules), learn(new, rules)
     assert both.statistics()["window"] == fresh.statistics()["window"] == len(new)
     assert both.topology is not None
@@ -254,7 +254,7 @@ def between(topology: Topology) -> list[Link]:
 
 
 def changed(**change: object) -> list[Event]:
-    return [msgspec.structs.replace(event, **change) for event in walk(60)]
+    return [msgspec.structs.replace(event, **change) for event in walk(40)]
 
 
 ODD = {
@@ -263,33 +263,33 @@ ODD = {
     "neither": changed(x=None, y=None, track=None),
     "one camera": changed(camera="a"),
     "one camera, no tracks": changed(camera="a", track=None),
-    "one event": walk(60)[:1],
-    "one exit": [e for e in walk(60) if e.kind == "exit"][:1],
-    "two events": walk(60)[:2],
+    "one event": walk(40)[:1],
+    "one exit": [e for e in walk(40) if e.kind == "exit"][:1],
+    "two events": walk(40)[:2],
     "one spot": changed(x=0.5, y=0.5),
     "one corner": changed(x=1.0, y=1.0),
     "one moment": changed(t=5.0),
     "one moment and spot": changed(t=5.0, x=0.0, y=0.0),
-    "only exits": [e for e in walk(60) if e.kind == "exit"],
-    "only entries": [e for e in walk(60) if e.kind == "entry"],
-    "a camera with only exits": [e for e in walk(60) if e.camera != "a" or e.kind == "exit"],
-    "a camera with only entries": [e for e in walk(60) if e.camera != "b" or e.kind == "entry"],
+    "only exits": [e for e in walk(40) if e.kind == "exit"],
+    "only entries": [e for e in walk(40) if e.kind == "entry"],
+    "a camera with only exits": [e for e in walk(40) if e.camera != "a" or e.kind == "exit"],
+    "a camera with only entries": [e for e in walk(40) if e.camera != "b" or e.kind == "entry"],
     "positions now and then": [
-        msgspec.structs.replace(e, x=None, y=None) if k % 3 else e for k, e in enumerate(walk(60))
+        msgspec.structs.replace(e, x=None, y=None) if k % 3 else e for k, e in enumerate(walk(40))
     ],
-    "far past": walk(60, start=-9.9e10),
-    "far future": walk(60, start=9.9e10),
+    "far past": walk(40, start=-9.9e10),
+    "far future": walk(40, start=9.9e10),
     "from one end of time to the other": [
         Event("a", "entry", -1e11),
-        *walk(60),
+        *walk(40),
         Event("b", "exit", 1e11),
     ],
     "exits before entries": [
-        msgspec.structs.replace(e, kind="entry" if e.kind == "exit" else "exit") for e in walk(60)
+        msgspec.structs.replace(e, kind="entry" if e.kind == "exit" else "exit") for e in walk(40)
     ],
     "machines": [
         Event(camera, kind, 20.0 * k + dt, 0.5, 0.5, str(k))  # type: ignore[arg-type]
-        for k in range(100)
+        for k in range(60)
         for camera, kind, dt in (
             ("a", "entry", 0.0),
             ("a", "exit", 4.0),
@@ -298,7 +298,7 @@ ODD = {
         )
     ],
     "one track for all": changed(track="1"),
-    "a wide clock": [msgspec.structs.replace(e, clock_sd=1e6) for e in walk(60)],
+    "a wide clock": [msgspec.structs.replace(e, clock_sd=1e6) for e in walk(40)],
 }
 
 
@@ -408,7 +408,7 @@ def unrelated(seed: int, rhythm: float) -> list[Event]:
     events = []
     for k in range(6):
         own, _ = simulate(
-            SimSettings(cameras=6, hours=2.0, seed=seed + k, rhythm=rhythm, rhythm_hours=6.0)
+            SimSettings(cameras=6, hours=1.2, seed=seed + k, rhythm=rhythm, rhythm_hours=6.0)
         )
         events += [event for event in own if event.camera == f"cam{k + 1:02d}"]
     return sorted(events, key=lambda event: event.t)

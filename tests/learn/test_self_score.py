@@ -81,7 +81,7 @@ def marked() -> tuple[list[Event], Learner, Told]:
         )
     )
     following = next_entries(events, truth)
-    learner = Learner(Settings(refit_share=0.3))
+    learner = Learner(Settings(refit_share=0.5))
     told = Told(
         learner,
         {

@@ -11,6 +11,7 @@ platoon then explains itself, but for its beginning.
 from __future__ import annotations
 
 import numpy as np
+from scipy.fft import next_fast_len, rfft
 from scipy.special import gammaincinv
 
 from camtopod.arrays import Floats, Ints, rows_by_group
@@ -64,7 +65,7 @@ def _cycles(t: Floats, zone: Ints, zones: int) -> Floats:
     step = shortest / (4 * HARMONICS)
     since = t - t[0]
     bins = int(since[-1] / step) + 1
-    size = 4 * bins
+    size = next_fast_len(4 * bins, real=True)
     band = np.arange(-(-size * step // longest), size * step // shortest + 1)
     band = band[band > 0].astype(np.intp)
     orders = np.arange(1, HARMONICS + 1)
@@ -78,7 +79,7 @@ def _cycles(t: Floats, zone: Ints, zones: int) -> Floats:
         # Power over the harmonics of each frequency, in units of the noise: that of other
         # frequencies, as clumps of arrivals have more than Poisson noise.
         counts = np.bincount((since[rows] / step).astype(np.intp), minlength=bins)
-        power = np.abs(np.fft.rfft(counts, size)) ** 2
+        power = np.abs(rfft(counts, size)) ** 2
         power = power[np.minimum(np.outer(orders, band), size // 2)].sum(axis=0)
         power *= gammaincinv(HARMONICS, 0.5) / max(float(np.median(power)), 1e-9)
         best = int(power.argmax())

@@ -78,7 +78,7 @@ def test_where_waiting_does_not_help_nothing_is_said(
 
 def test_what_is_forecast_is_published_about_then() -> None:
     """Half of the forecasts are right within a factor of 2.5, and most come true."""
-    learner, versions = Learner(), list[Topology]()
+    learner, versions = Learner(Settings(refit_share=0.3)), list[Topology]()
     for event in simulate(SimSettings(cameras=6, hours=2.0, seed=4, objects_per_second=0.05))[0]:
         learner.receive(event)
         versions += learner.updates()
