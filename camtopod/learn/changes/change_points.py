@@ -25,7 +25,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import chdtri
 
-from camtopod.arrays import Floats, Longs, rows_by_group
+from camtopod.arrays import Floats, rows_by_group
 from camtopod.learn.association import Fit, Problem
 from camtopod.learn.links import TRANSITIONS_MIN, WEIGHT_MIN, LinkTable, log_likelihood_ratio
 from camtopod.learn.traffic import Departures
@@ -34,19 +34,12 @@ FALSE_ALARM = 5e-3
 """Theoretical probability of any false change in one window. The measured probability is far
 smaller, as uncertain arrivals vary less than the theory assumes.
 """
-FACTORS = np.concatenate(([0.0], np.geomspace(0.03, 100.0, 25)))
+FACTORS = np.concatenate(([0.0], np.geomspace(0.01, 100.0, 27)))
 """Factors that are tried: share in a stretch of time over the share in the whole window."""
 SPLIT_DEPARTURES_MIN = 4
 """Least number of departures before a change, and after it."""
-SPLIT_RATIO = 1.15
-"""Ratio between the numbers of departures after successive splits that are tried. Splits are tried
-with 4, 4.6, 5.3, ... departures after them, so that the resolution is proportional to the age of a
-change.
-"""
 BLOCKS = 16
-"""Number of blocks of the window from whose counts the overdispersion is estimated."""
-CHANGES_MAX = 4
-"""Largest number of changes of one pair within a window that are looked for."""
+"""Number of blocks on either side of a change from whose counts the overdispersion is estimated."""
 RESPONSIBILITY_MAX = 0.99
 """Upper bound on the responsibility of an arrival, so that a single arrival does not prove that a
 path is open.
@@ -140,8 +133,7 @@ def _linked(fit: Fit, departures: Departures, pair: int, since: float, factor: f
     rows = np.flatnonzero(fit.candidates.pair == pair)
     rows = rows[departures.t[fit.candidates.departure[rows]] >= since]
     one = np.zeros(len(rows), np.int32)
-    share = fit.responsibility[rows]
-    share = factor * share / (1.0 - share + factor * share)
+    share = _scaled(fit.responsibility[rows], factor)
     return float(log_likelihood_ratio(one, share, fit.flat[rows], 1)[0])
 
 
@@ -203,32 +195,18 @@ def latest_change(trials: Trials, threshold: float) -> tuple[float, float, float
     trials: departures of one zone and the transitions to test.
     threshold (nats): least evidence of a change; None is returned if there is no such change.
     """
+    if trials.weight.sum() == 0 or trials.share.sum() == 0:
+        return None
     n = len(trials.t)
-    if n < 2 * SPLIT_DEPARTURES_MIN or trials.weight.sum() == 0 or trials.share.sum() == 0:
-        return None
-
-    # The latest change: look for another change after each one that is found.
     table = _Table(trials)
-    start = 0
-    split = 0
-    nats = 0.0
-    for _ in range(CHANGES_MAX):
-        later, more = table.change(split, n, threshold)
-        if later is None:
-            break
-        start = split
-        split = later
-        nats = more
-    if split == 0:
+    changes = table.changes(0, n, threshold)
+    if not changes:
         return None
 
-    # The share before the latest change holds since the change before that, so look for it.
-    for _ in range(CHANGES_MAX):
-        begun, _ = table.change(start, split, threshold)
-        if begun is None:
-            break
-        start = begun
-    return float(trials.t[split]), table.share(start, split), table.share(split, n), nats
+    # The share before the latest change holds since the change before that.
+    begun = changes[-2][0] if len(changes) > 1 else 0
+    split, nats = changes[-1]
+    return float(trials.t[split]), table.share(begun, split), table.share(split, n), nats
 
 
 class _Table:
@@ -240,71 +218,50 @@ class _Table:
 
     def __init__(self, trials: Trials) -> None:
         self.weight = np.concatenate(([0.0], np.cumsum(trials.weight)))
-        self.rate = float(trials.share.sum()) / self.weight[-1]
-        """Share of the departures that are transitions, over the whole window."""
+        rate = float(trials.share.sum()) / self.weight[-1]
+        self.factors = FACTORS[FACTORS * rate <= max(1.0, rate)][:, None]
+        """(F, 1) factors with which the share is at most 1."""
         self.at = np.append(np.searchsorted(trials.moved, trials.t), len(trials.moved))
         """(n + 1,) number of transitions before each departure, and in all."""
-        log = np.log1p((FACTORS[:, None] - 1.0) * trials.share)
-        self.log = np.concatenate((np.zeros((len(FACTORS), 1)), np.cumsum(log, axis=1)), axis=1)
+        log = np.log1p((self.factors - 1.0) * trials.share).cumsum(axis=1)
+        log = np.concatenate((np.zeros((len(log), 1)), log), axis=1)
+        self.log = log[:, self.at] - (self.factors - 1.0) * rate * self.weight
+        """(F, n + 1) log likelihood of every factor up to each departure."""
         self.shares = trials.share
-        self.possible = FACTORS * self.rate <= max(1.0, self.rate)
 
-    def likelihood(self, begin: Longs, end: Longs) -> Floats:
-        """Return the log likelihood (factors, S) of every factor over S stretches of departures.
-
-        begin, end (S,): first departure of each stretch, and one past the last.
-        """
-        expected = self.rate * (self.weight[end] - self.weight[begin])
-        log: Floats = self.log[:, self.at[end]] - self.log[:, self.at[begin]]
-        log -= (FACTORS[:, None] - 1.0) * expected
-        log[~self.possible] = -np.inf
-        return log
-
-    def change(self, begin: int, end: int, threshold: float) -> tuple[int | None, float]:
-        """Return the first departure after a change within a stretch, and the evidence (nats).
+    def changes(self, begin: int, end: int, threshold: float) -> list[tuple[int, float]]:
+        """Return the changes within a stretch: first departure after each, and evidence (nats).
 
         begin, end: first departure of the stretch, and one past the last.
-        threshold (nats): least evidence; with less, the result is None and 0.
+        threshold (nats): least evidence.
         """
-        # Best split on the coarse grid, then among all between its neighbours.
-        splits = _splits(begin, end)
-        if len(splits) == 0 or self.weight[end] == self.weight[begin]:
-            return None, 0.0
-        best = int(np.argmax(self._gain(begin, splits, end)))
-        near = np.arange(splits[min(best + 1, len(splits) - 1)], splits[max(best - 1, 0)] + 1)
-        gain = self._gain(begin, near, end)
-        split = int(near[np.argmax(gain)])
+        # By how many nats two factors explain the stretch better than one, by split.
+        splits = np.arange(begin + SPLIT_DEPARTURES_MIN, end - SPLIT_DEPARTURES_MIN + 1)
+        if len(splits) == 0:
+            return []
+        first, last = self.log[:, [begin]], self.log[:, [end]]
+        at = self.log[:, splits]
+        gain = (at - first).max(axis=0) + (last - at).max(axis=0) - (last - first).max()
 
-        # Evidence, corrected for overdispersion.
-        if gain.max() <= threshold:
-            return None, 0.0
-        nats = float(gain.max()) / self.overdispersion(begin, split, end)
+        # The best split, its evidence corrected for overdispersion; then on either side of it.
+        split = int(splits[np.argmax(gain)])
+        nats = float(gain.max())
+        if nats > threshold:
+            nats /= self.overdispersion(begin, split, end)
         if nats <= threshold:
-            return None, 0.0
-        return split, nats
+            return []
+        before, after = (self.changes(*part, threshold) for part in ((begin, split), (split, end)))
+        return [*before, (split, nats), *after]
 
-    def _gain(self, begin: int, splits: Longs, end: int) -> Floats:
-        """Return by how many nats two factors explain a stretch better than one, by split, (S,).
-
-        splits (S,): first departure after each split of the stretch from ``begin`` to ``end``.
-        """
-        first = np.full_like(splits, begin)
-        last = np.full_like(splits, end)
-        apart = self.likelihood(first, splits).max(axis=0) + self.likelihood(splits, last).max(
-            axis=0
-        )
-        whole = self.likelihood(first[:1], last[:1]).max()
-        gain: Floats = apart - whole
-        return gain
-
-    def factor(self, begin: int, end: int) -> float:
-        """Return the likeliest factor for a stretch."""
-        return float(FACTORS[np.argmax(self.likelihood(np.array([begin]), np.array([end])))])
+    def moved(self, begin: int, end: int) -> Floats:
+        """Return the responsibilities in a stretch with its likeliest factor."""
+        factor = float(self.factors[np.argmax(self.log[:, end] - self.log[:, begin]), 0])
+        return _scaled(self.shares[self.at[begin] : self.at[end]], factor)
 
     def share(self, begin: int, end: int) -> float:
         """Return the likeliest share in a stretch: one EM step from the best factor on the grid."""
         trials = max(float(self.weight[end] - self.weight[begin]), 1e-9)
-        return min(float(self._moved(begin, end, self.factor(begin, end)).sum()) / trials, 1.0)
+        return min(float(self.moved(begin, end).sum()) / trials, 1.0)
 
     def overdispersion(self, begin: int, split: int, end: int) -> float:
         """Return the variance of the transitions per block over that of the null model, at least 1.
@@ -312,41 +269,22 @@ class _Table:
         begin, end: first departure of the stretch, and one past the last.
         split: first departure after the change, on either side of which the share is constant.
         """
-        # Blocks, cut at the change, too.
-        edges = np.unique(np.linspace(begin, end, BLOCKS + 1).astype(np.int64))
-        edges = np.unique(np.append(edges, split))
-
         # Squared deviations from a constant share on either side, and their expectation.
         square = chance = 0.0
         for low, high in ((begin, split), (split, end)):
-            inside = edges[(edges >= low) & (edges <= high)]
-            each = self._moved(low, high, self.factor(low, high))
+            edges = np.linspace(low, high, min(BLOCKS, high - low) + 1).astype(np.int64)
+            each = self.moved(low, high)
             moved = np.concatenate(([0.0], np.cumsum(each)))
-            count = np.diff(moved[self.at[inside] - self.at[low]])
-            trials = np.diff(self.weight[inside])
+            count = np.diff(moved[self.at[edges] - self.at[low]])
+            trials = np.diff(self.weight[edges])
             square += float(((count - trials * count.sum() / max(trials.sum(), 1e-9)) ** 2).sum())
-            chance += float((each**2).sum()) * (1.0 - 1.0 / max(len(count), 1))
+            chance += float((each**2).sum()) * (1.0 - 1.0 / len(count))
         return max(1.0, square / max(chance, 1e-9)) if chance > 0 else 1.0
 
-    def _moved(self, begin: int, end: int, factor: float) -> Floats:
-        """Return the responsibilities in a stretch if the share were ``factor`` times as large."""
-        share = self.shares[self.at[begin] : self.at[end]]
-        return factor * share / (1.0 - share + factor * share)
 
-
-def _splits(begin: int, end: int) -> Longs:
-    """Return the splits of the stretch from ``begin`` to ``end`` that are tried, latest first.
-
-    A split is given by the first departure after it.
-    """
-    n = end - begin
-    if n < 2 * SPLIT_DEPARTURES_MIN:
-        return np.zeros(0, np.int64)
-    steps = (
-        int(math.log((n - SPLIT_DEPARTURES_MIN) / SPLIT_DEPARTURES_MIN) / math.log(SPLIT_RATIO)) + 1
-    )
-    late = np.unique((SPLIT_DEPARTURES_MIN * SPLIT_RATIO ** np.arange(steps)).astype(np.int64))
-    return (end - late[late <= n - SPLIT_DEPARTURES_MIN]).astype(np.int64)
+def _scaled(share: Floats, factor: float) -> Floats:
+    """Return responsibilities if the share of their pair were ``factor`` times as large."""
+    return factor * share / (1.0 - share + factor * share)
 
 
 def present(table: LinkTable, changes: list[Change], zones: int, share_min: float) -> LinkTable:

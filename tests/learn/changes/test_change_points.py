@@ -7,6 +7,7 @@ import pytest
 from scipy.optimize import minimize_scalar
 
 from camtopod.arrays import Floats
+from camtopod.learn.changes import change_points
 from camtopod.learn.changes.change_points import (
     Change,
     Trials,
@@ -118,12 +119,15 @@ def slow_gain(given: Trials) -> float:
 
 
 @pytest.mark.parametrize("seed", range(4))
-def test_the_quick_search_finds_what_the_slow_one_does(seed: int) -> None:
+def test_the_quick_search_finds_what_the_slow_one_does(
+    seed: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(change_points, "BLOCKS", 1)  # no overdispersion, which has no slow twin
     given = trials(two(0.6, 0.1 * seed, 120, 40), seed)
     slow = slow_gain(given)
     found = latest_change(given, 0.7 * slow)
     assert found is not None
-    assert found[3] == pytest.approx(slow, rel=0.1)
+    assert found[3] == pytest.approx(slow, rel=0.1, abs=0.7)  # as coarse as the factors
 
 
 # --- what they do to the links ---
