@@ -3,8 +3,8 @@
 Every arrival has one source, a departure by one of the paths or the outside, and every departure
 one outcome, an arrival or nothing. The E step approximates the marginals of this assignment by
 sum-product messages (Williams and Lau 2014), as the joint fit does (`association.em`), on the
-candidates near a path only. The M step estimates shares, places, and widths,
-which shrink to the site's own usual width (empirical Bayes).
+candidates near a path only. The M step estimates shares, places, and widths, which shrink to the
+usual width of paths on real sites.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ ITERATIONS = 30
 """EM iterations."""
 WIDTH_PRIOR_SECONDS = 4.0
 WIDTH_PRIOR_TRANSITIONS = 3.0
-"""The usual width at first; weight, in transitions, of this, and of the usual width in a path's."""
+"""The usual width, and its weight in that of a path, in transitions."""
 
 
 class Paths(NamedTuple):
@@ -59,7 +59,6 @@ class PathFit:
         self.paths = Paths(peaks.pair, share, peaks.place, peaks.width)
         self.outside = np.ones(lags.cameras)
         self._demand = lags.rate
-        self._usual_width = WIDTH_PRIOR_SECONDS
 
     def run(self) -> None:
         """Run the iterations."""
@@ -148,15 +147,8 @@ class PathFit:
         moved = (summed(weight * lag) + 1e-3 * place) / (summed(weight) + 1e-3)
         squares = summed(weight * (lag - moved[path]) ** 2)
         prior = WIDTH_PRIOR_TRANSITIONS
-        spread = np.sqrt((squares + prior * self._usual_width**2) / (transitions + prior))
-        spread = np.maximum(spread, RESOLUTION_SECONDS)
-        known = transitions > 1e-3
-        place, width = np.where(known, moved, place), np.where(known, spread, width)
-
-        # The usual width of the paths.
-        logs = transitions @ np.log(width) + prior * np.log(WIDTH_PRIOR_SECONDS)
-        self._usual_width = float(np.exp(logs / (transitions.sum() + prior)))
-        return place, width
+        spread = np.sqrt((squares + prior * WIDTH_PRIOR_SECONDS**2) / (transitions + prior))
+        return moved, np.maximum(spread, RESOLUTION_SECONDS)
 
     def _shares(self, transitions: Floats) -> Floats:
         """Return the shares (K,) of the departures that take each path.
