@@ -113,7 +113,6 @@ MECHANISMS = [
         "speed", {"learn.association.em:estimate_persistence": lambda *arguments: NO_PERSISTENCE}
     ),
     Mechanism("prior: paths are two-way", {"learn.next_camera.prior:RETURNING": 0.0}),
-    Mechanism("prior: zones of a view", {"learn.next_camera.prior:POOLING": 0.0}),
     Mechanism("faint transitions", {"learn.next_camera.fit:FAINT_TRANSITIONS": 0.0}),
     Mechanism(
         "spurious transitions",
@@ -173,7 +172,6 @@ MECHANISMS = [
 
 CONSTANTS = (
     ("BACK_OFF_DEPARTURES", ("learn.next_camera.contexts", "predict.contexts")),
-    ("POOLING", ("learn.next_camera.prior",)),
     ("RETURNING", ("learn.next_camera.prior",)),
     ("FAINT_TRANSITIONS", ("learn.next_camera.fit",)),
     ("SPREAD_MIN", ("learn.next_camera.spurious",)),

@@ -25,9 +25,6 @@ Indices = NDArray[np.signedinteger[Any]]
 """Integers of any width."""
 Bools = NDArray[np.bool_]
 
-ALL_KEYS_MAX = 1000
-"""Up to this many keys, `table_rows` gives every key a row, whether it occurs or not."""
-
 
 def rows_by_group(label: Indices, groups: int) -> list[NDArray[np.intp]]:
     """Return the rows of each group, ascending.
@@ -37,28 +34,6 @@ def rows_by_group(label: Indices, groups: int) -> list[NDArray[np.intp]]:
     order = np.argsort(label, kind="stable")
     ends = np.cumsum(np.bincount(label, minlength=groups))
     return np.split(order, ends[:-1])[:groups]
-
-
-def table_rows(key: Indices, keys: int) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """Return the keys that get a row of a table, ascending, and the row of each ``key`` (n,).
-
-    These are all keys from 0 to ``keys`` - 1 where that is at most `ALL_KEYS_MAX`, else only those
-    that occur.
-    """
-    if keys <= ALL_KEYS_MAX:
-        return np.arange(keys), key.astype(np.int64)
-    present, row = np.unique(key, return_inverse=True)
-    return present.astype(np.int64), row.astype(np.int64)
-
-
-def sum_by_group(rows: Floats, group: Indices, groups: int) -> Floats:
-    """Return the sums (groups, columns) of the rows of each group."""
-    result = np.zeros((groups, rows.shape[1]))
-    order = np.argsort(group, kind="stable")
-    present, first = np.unique(group[order], return_index=True)
-    if len(present):
-        result[present] = np.add.reduceat(rows[order], first, axis=0)
-    return result
 
 
 def find_rows(keys: Indices, wanted: Indices) -> tuple[NDArray[np.intp], NDArray[np.bool_]]:

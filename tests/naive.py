@@ -364,28 +364,6 @@ def joint_fit(
     return responsibility, counts, hazard, outside
 
 
-def pooled(counts, camera, exposure, came, steps):
-    """Return transitions per exposed departure of each pair of zones if only the cameras counted.
-
-        counts: (u, v) -> (bins,).
-        came: arrivals by zone, at least 1.
-
-    See `PriorTransitions.of`.
-    """
-    size, zones, result = exposure.shape[1], range(len(camera)), {}
-    for u, v in counts:
-        alike = [
-            row
-            for (s, t), row in counts.items()
-            if (camera[s], camera[t]) == (camera[u], camera[v])
-        ]
-        total, _ = smoothed([sum(row[k] for row in alike) for k in range(size)], steps)
-        left = [sum(exposure[z, k] for z in zones if camera[z] == camera[u]) for k in range(size)]
-        share = came[v] / sum(came[z] for z in zones if camera[z] == camera[v])
-        result[u, v] = [share * total[k] / max(left[k], 1.0) for k in range(size)]
-    return result
-
-
 def returning(rates):
     """Return what each pair of zones would have if it equalled the opposite direction.
 

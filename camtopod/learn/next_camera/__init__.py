@@ -5,8 +5,7 @@ result is a `Posterior`: for every pair of zones, the share of the departures at
 appear next at the second, and the hazard (rate of appearing by lag). In the order to read:
 
 * `fit`: the fit for prediction, which extends the joint fit (`association`) by what follows
-* `prior`: where data are few, pairs of zones get transitions from other zones of the view and from
-  return traffic
+* `prior`: where data are few, pairs of zones get transitions from return traffic
 * `overlapping_views` and `entry_kernels`: objects that appear in the next view before they leave
   this one
 * `contexts`: the zone of entry, the place of exit and the previous camera of a departure

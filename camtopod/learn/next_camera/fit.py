@@ -134,8 +134,7 @@ class PosteriorFitter:
         """Give the EM model its entry kernels and prior, for the present candidates."""
         em = self.em
         self.entering = EntryKernels(self.problem, em.candidates, self.contexts.entry)
-        view = em.camera if self.problem.ranges is None else self.problem.ranges.view
-        prior = Prior(em.candidates, view, em.range_of, em.exposure, em.arrivals_of_zone)
+        prior = Prior(em.candidates, em.range_of, self.problem.zones)
         em.assume(EmModel(entering=self.entering, prior=prior))
 
     def scout(self) -> None:

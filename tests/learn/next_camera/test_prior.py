@@ -1,4 +1,4 @@
-"""The prior of the posterior: zones of a view share destinations, and paths are two-way."""
+"""The prior of the posterior: paths are two-way."""
 
 from __future__ import annotations
 
@@ -10,8 +10,8 @@ from synthetic_events import Views, fit_posterior
 
 from camtopod.learn.association.candidates import find_candidates
 from camtopod.learn.next_camera.fit import PosteriorFitter
-from camtopod.learn.next_camera.prior import POOLING, RETURNING, TWO_WAY_TRANSITIONS, Prior
-from camtopod.topology.lag_bins import SMOOTHING_SD_BINS, LagBins
+from camtopod.learn.next_camera.prior import RETURNING, TWO_WAY_TRANSITIONS, Prior
+from camtopod.topology.lag_bins import LagBins
 
 SHORT = LagBins(-3.0, 8.0)
 
@@ -32,25 +32,20 @@ def unrelated(seed: int, camera: list[int]) -> PosteriorFitter:
 @settings(max_examples=20, deadline=None)
 @given(st.integers(0, 10**6))
 def test_it_equals_its_slow_twins(seed: int) -> None:
-    fitter = unrelated(seed, camera := [0, 0, 1, 3])
-    came = [max(int((fitter.problem.arrivals.zone == zone).sum()), 1) for zone in range(4)]
-    em = fitter.em
-    prior = Prior(em.candidates, np.array(camera), em.range_of, em.exposure, np.array(came, float))
+    fitter = unrelated(seed, [0, 0, 1, 3])
+    prior = Prior(fitter.em.candidates, fitter.em.range_of, 4)
     named = list(
         zip(fitter.em.candidates.source.tolist(), fitter.em.candidates.target.tolist(), strict=True)
     )
     counts, rates = np.random.default_rng(seed).random((2, len(named), SHORT.size))
-    pooled = naive.pooled(
-        dict(zip(named, counts, strict=True)), camera, fitter.em.exposure, came, SMOOTHING_SD_BINS
-    )
     returning = naive.returning(dict(zip(named, rates, strict=True)))
     number = dict(zip(named, counts.sum(axis=1).tolist(), strict=True))
     back = RETURNING * naive.two_way(number, TWO_WAY_TRANSITIONS)
-    expected = [POOLING * np.array(pooled[pair]) + back * returning[pair] for pair in named]
+    expected = [back * returning[pair] for pair in named]
     found = prior.expected(counts)
     transitions = found.of(slice(0, len(named)), rates.__getitem__)
     assert transitions == pytest.approx(np.array(expected).reshape(-1, SHORT.size))
-    assert found.departures == pytest.approx(POOLING + back)
+    assert found.departures == pytest.approx(back)
 
 
 def test_what_comes_back_tells_what_goes_there() -> None:
