@@ -58,7 +58,6 @@ from camtopod.learn.links import (
     shortfall_of,
     significant,
     tabulate,
-    transition_slowness,
     transitions_of,
     visible_transitions,
     with_monte_carlo_variance,
@@ -226,9 +225,8 @@ def refit(
     share_min = settings.publish_probability_min
     between = present(all_pairs, changes, zones, share_min)
     likely_now = present(likely_pairs, changes, zones, share_min)
-    camera_of = np.array([zone.camera for zone in scene.zones], np.intp)
     found = significant(between, settings)
-    certain = without_missed_detections(between, through, found, camera_of, settings)
+    certain = without_missed_detections(between, through, found, settings)
     published = with_monte_carlo_variance(between.rows(np.flatnonzero(certain)), bins)
     visible = through.rows(np.flatnonzero(significant(through, settings)))
     weak = select_weak_links(likely_now, published, zones)
@@ -313,8 +311,7 @@ def find_evidence(
         exposed_departures(problem),
         problem.bins,
         problem.zones,
-        transition_slowness(problem, fit),
-        problem.ranges,
+        ranges=problem.ranges,
     )
     between = between.with_evidence(evidence, problem.zones**2)
 

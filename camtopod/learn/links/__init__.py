@@ -26,7 +26,6 @@ from camtopod.learn.links.link_table import (
     select_weak_links as select_weak_links,
     significant as significant,
     tabulate as tabulate,
-    transition_slowness as transition_slowness,
     transitions_of as transitions_of,
     with_monte_carlo_variance as with_monte_carlo_variance,
     zone_pairs_of as zone_pairs_of,

@@ -3,7 +3,7 @@
 The window is cut into stretches of time, which are assigned in turn to eight parts. The hazards of
 all pairs of zones are fitted from scratch on the first part and judged on the second: how much
 better are its arrivals predicted with the pair than without it? Then hazards are fitted on the
-first two parts and judged on the third, and so on (`BETS`).
+first two parts and judged on the next two, and those of the first half on the other half.
 
 If two zones are unrelated, the product of these likelihood ratios has a mean of at most 1, whatever
 the shape of the fit (a test martingale; Shafer and others, Statistical Science 26(1), 2011).
@@ -32,9 +32,7 @@ from camtopod.learn.links.link_table import TRANSITIONS_MIN
 from camtopod.learn.links.significance import FLAT_MAX
 
 PARTS = 8
-"""Number of parts of the window."""
-BETS = ((1, 2), (2, 3), (3, 5), (5, 8))
-"""Pairs (a, b): fit on parts 0 to a - 1, judge on parts a to b - 1, in the order of use."""
+"""Number of parts of the window, a power of two."""
 STRETCHES = 32
 """Approximate number of stretches that the window is cut into."""
 STRETCH_SECONDS_MAX = 3600.0
@@ -82,9 +80,11 @@ def _products(parts: WindowParts, order: Longs) -> list[Floats]:
     The product is against the stronger of the two null models.
     """
     evidence = np.zeros((len(EVEN_SHARES), 2, len(parts.fit.candidates.source)))
-    for known, upto in BETS:
+    known = 1
+    while known < PARTS:
         rest = parts.take(order[:known])
-        judged = parts.take(order[known:upto])
+        judged = parts.take(order[known : 2 * known])
+        known *= 2
         hazard = _fitted(rest)
         for number, share in enumerate(EVEN_SHARES):
             evidence[number] += _evidence(judged, judged.hedged(hazard, share), rest.outside)

@@ -17,9 +17,8 @@ from camtopod.arrays import Floats, Ints, row_slices
 from camtopod.learn.association import Fit, LagRanges, Problem, exposures
 from camtopod.learn.links import mahalanobis, monte_carlo
 from camtopod.learn.links.significance import log_likelihood_ratio, q_values
-from camtopod.learn.links.transit_time import MEDIAN_ERROR, TransitFigures, transit_figures
+from camtopod.learn.links.transit_time import TransitFigures, transit_figures
 from camtopod.learn.settings import Settings
-from camtopod.learn.traffic import mean_slowness
 from camtopod.topology import LagBins, smooth
 
 TRANSITIONS_MIN = 2.0
@@ -86,41 +85,6 @@ def exposed_departures(problem: Problem) -> Floats:
     return np.where(problem.bins.edges[1:] > 0, exposed, every)
 
 
-class TransitionSlowness(NamedTuple):
-    """Slowness of the objects of M possible transitions, scaled to its effect on the log lag."""
-
-    slow: Floats
-    """(M,) scaled slowness of each transition's object: log of the factor on its lag; nan if
-    unknown.
-    """
-    left: Floats
-    """(zones,) standard error of the usual log dwell time before departures from a zone, scaled."""
-    came: Floats
-    """(zones,) standard error of the usual log dwell time after arrivals at a zone, scaled."""
-
-
-def transition_slowness(problem: Problem, fit: Fit) -> TransitionSlowness | None:
-    """Return the slowness of the objects of a fit's candidates; None if it does not affect lags."""
-    departures, arrivals, _, zones, *_ = problem
-    scaling, _, sd = fit.persistence
-    if scaling <= 0:
-        return None
-
-    # Slowness of each candidate, scaled to its effect on lags.
-    c = fit.candidates
-    slow = scaling * mean_slowness(departures.slow[c.departure], arrivals.slow[c.arrival])
-
-    # Standard error of a median, from the number of events with a known slowness.
-    number = (
-        np.bincount(ends.zone[np.isfinite(ends.slow)], minlength=zones)
-        for ends in (departures, arrivals)
-    )
-    error_before, error_after = (
-        scaling * MEDIAN_ERROR * sd / np.sqrt(np.maximum(n, 1)) for n in number
-    )
-    return TransitionSlowness(slow, error_before, error_after)
-
-
 class LinkTable(NamedTuple):
     """Figures of P pairs of zones; columns are (P,) unless stated otherwise."""
 
@@ -176,7 +140,6 @@ def tabulate(
     departures: Floats,
     bins: LagBins,
     zones: int,
-    pace: TransitionSlowness | None = None,
     ranges: LagRanges | None = None,
 ) -> LinkTable:
     """Return the figures of every pair of zones that occurs among possible transitions.
@@ -184,7 +147,6 @@ def tabulate(
     departures (R, bins): departures of each range of lags to which probabilities refer
         (`exposed_departures`); (R, 1) if they do not depend on the lag.
     zones: number of zones.
-    pace: slowness of the objects of the transitions; None if it does not affect lags.
     ranges: `Problem.ranges`.
     """
     # Number the pairs of zones that occur.
@@ -210,13 +172,8 @@ def tabulate(
     density = smooth(counts)[0]
     density /= bins.widths
 
-    # Transit times, corrected for slowness.
-    slow, error = (
-        (None, None)
-        if pace is None
-        else (pace.slow, 0.5 * np.hypot(pace.left[source], pace.came[target]))
-    )
-    transit = transit_figures(pair, transitions.lag, transitions.weight, density, bins, slow, error)
+    # Transit times.
+    transit = transit_figures(pair, transitions.lag, transitions.weight, density, bins)
     transit = transit._replace(mode=transit.mode + later)
 
     # Evidence, Var(d) and transition probability.

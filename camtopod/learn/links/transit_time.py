@@ -3,8 +3,7 @@
 `transit_figures` computes them for every pair of zones from possible transitions, each with its lag
 and the probability that it is a transition as its weight. Lag bins are wider for longer lags, so
 the mode is the peak of the density per second, on a smoothed histogram, placed between bins by a
-parabola. The median combines two estimates by their standard errors: the median of the lags, and
-that of the lags that objects of usual speed would have had, which is often more exact.
+parabola.
 """
 
 from __future__ import annotations
@@ -41,9 +40,6 @@ SYSTEMATIC_ERROR = 0.015
 """Relative error of a median or mean that does not shrink with the number of lags. It comes from
 spurious transitions. The value was found on simulated networks.
 """
-ERRORS_CORRELATION = 0.7
-"""Correlation of the errors of the two estimates of the median, as both use the same transitions.
-"""
 
 
 class TransitFigures(NamedTuple):
@@ -73,8 +69,6 @@ def transit_figures(
     weight: Floats,
     density: Floats,
     bins: LagBins,
-    slow: Floats | None = None,
-    slow_error: Floats | None = None,
 ) -> TransitFigures:
     """Return the figures of the transit times of P pairs of zones.
 
@@ -82,17 +76,15 @@ def transit_figures(
     lag (M, seconds): from departure to arrival.
     weight (M,): probability that it is a transition.
     density (P, bins): smoothed density of the lags of each pair, per second, for the mode.
-    slow (M,): log of the factor that the object's slowness puts on its lag; nan if unknown. None if
-        slowness does not affect lags.
-    slow_error (P,): standard error of ``slow`` that all transitions of a pair have in common.
     """
-    # Quantiles and the first estimate of the median.
+    # Quantiles, the median's standard error, and the spread from the quartiles.
     pairs = len(density)
     total: Floats = np.bincount(pair, weight, minlength=pairs).astype(float)
     quantiles, quartiles = np.hsplit(
         weighted_quantiles(pair, lag, weight, pairs, QUANTILES + QUARTILES), 2
     )
-    median, error, spread = _median(quartiles, total)
+    low, median, high = quartiles.T
+    spread = np.maximum((high - low) / NORMAL_QUARTILES, SPREAD_MIN_SECONDS)
 
     # Mean and sd of the lags near the median.
     near = np.abs(lag - median[pair]) <= FAR_SD * spread[pair]
@@ -109,53 +101,8 @@ def transit_figures(
         mean_error = np.hypot(
             np.maximum(sd, SPREAD_MIN_SECONDS) * few / np.sqrt(sure), SYSTEMATIC_ERROR * mean
         )
-        error = np.hypot(error, SYSTEMATIC_ERROR * median)
-
-        # The second estimate of the median, at usual speed; the quantiles move with the median.
-        if slow is not None and slow_error is not None:
-            usual = np.isfinite(slow)
-            known = np.bincount(pair[usual], weight[usual], minlength=pairs).astype(float)
-            at_usual = lag[usual] * np.exp(-slow[usual])
-            at_quartiles = weighted_quantiles(
-                pair[usual], at_usual, weight[usual], pairs, QUARTILES
-            )
-            other, other_error, _ = _median(at_quartiles, known)
-            other_error = np.hypot(other_error, np.hypot(slow_error, SYSTEMATIC_ERROR) * other)
-            both, error = _weighed(median, error, other, other_error)
-            quantiles = quantiles + (both - median)[:, None]
+        error = np.hypot(MEDIAN_ERROR * spread / np.sqrt(total), SYSTEMATIC_ERROR * median)
     return TransitFigures(total, peak(density, bins), mean, sd, quantiles, ahead, error, mean_error)
-
-
-def _median(quartiles: Floats, total: Floats) -> tuple[Floats, Floats, Floats]:
-    """Return the median of the lags of each pair, its standard error, and their spread, (P,) each.
-
-    quartiles (P, 3): quartiles of the lags of each pair, seconds.
-    total (P,): number of transitions of each pair.
-
-    The spread is a standard deviation, estimated from the quartiles.
-    """
-    low, middle, high = quartiles.T
-    spread = np.maximum((high - low) / NORMAL_QUARTILES, SPREAD_MIN_SECONDS)
-    return middle, MEDIAN_ERROR * spread / np.sqrt(total), spread
-
-
-def _weighed(
-    one: Floats, one_error: Floats, other: Floats, other_error: Floats
-) -> tuple[Floats, Floats]:
-    """Return the mean of two estimates, weighted by inverse variance, and its standard error, (P,).
-
-    one, other (P,): the two estimates. Where ``other`` is missing (nan), the result is ``one``.
-    one_error, other_error (P,): their standard errors.
-    """
-    # Weights by variance; the error takes into account that the two are correlated.
-    share = one_error**2 / (one_error**2 + other_error**2)
-    a = (1.0 - share) * one_error
-    b = share * other_error
-    error = np.sqrt(a * a + b * b + 2.0 * ERRORS_CORRELATION * a * b)
-    both_known = np.isfinite(share)
-    return np.where(both_known, one + share * (other - one), one), np.where(
-        both_known, error, one_error
-    )
 
 
 def weighted_quantiles(

@@ -13,7 +13,9 @@ from camtopod.learn.links.link_table import (
     tabulate,
 )
 from camtopod.learn.links.missed_detections import (
-    find_skipped_paths,
+    ODDS_QUANTILE,
+    odds_of_others,
+    skipped_paths,
     without_missed_detections,
 )
 from camtopod.learn.settings import Settings
@@ -56,7 +58,7 @@ def kept(
     """Return the pairs that remain of these rows."""
     between = table(*rows)
     found = np.ones(len(between.source), bool)
-    stays = without_missed_detections(between, through, found, CAMERA, settings)
+    stays = without_missed_detections(between, through, found, settings)
     assert found.all()
     return {
         (int(u), int(v))
@@ -116,7 +118,7 @@ def test_ways_equal_three_loops(seed: int, links: int, passages: int) -> None:
     seen = [(*pick[k], 5.0, 3 + int(k) % 9) for k in rng.integers(0, len(pick), passages)]
     between, through = table(*row), table(*seen)
     found = np.flatnonzero(rng.random(len(between.source)) < 0.7)
-    expected = []
+    expected = np.zeros((9, 9))
     for k in found:
         for j in range(len(through.source)):
             for m in found:
@@ -127,15 +129,21 @@ def test_ways_equal_three_loops(seed: int, links: int, passages: int) -> None:
                     total, stays = between.transit.total, through.transit.total
                     share = stays[j] / stays[through.source == through.source[j]].sum()
                     share /= stays[through.target == through.target[j]].sum()
-                    pair = between.source[k] * 9 + between.target[m]
-                    expected.append((pair, CAMERA[between.target[k]], total[k] * share * total[m]))
-    ways = find_skipped_paths(between, through, found, CAMERA)
-    actual = list(zip(*ways, strict=True))
-    assert len(actual) == len(expected)
-    if expected:
-        # to nine digits, as sums in another order may put equal ways in another one
-        rounded = [
-            sorted(tuple(np.round(np.array(way, float), 9)) for way in ways)
-            for ways in (actual, expected)
-        ]
-        assert np.array(rounded[0]) == pytest.approx(np.array(rounded[1]))
+                    pair = between.source[k], between.target[m]
+                    expected[pair] += total[k] * share * total[m]
+    *pair, odd = skipped_paths(between, through, np.isin(np.arange(len(between.source)), found))
+    ways = np.zeros((9, 9))
+    ways[tuple(pair)] = odd
+    assert ways == pytest.approx(expected)
+
+
+@given(st.lists(st.tuples(st.integers(0, 20), st.integers(1, 40)), max_size=12))
+def test_odds_are_a_quantile_of_the_others(pairs: list[tuple[int, int]]) -> None:
+    seen, expected = np.array(pairs, float).reshape(-1, 2).T
+    for k, odds in enumerate(odds_of_others(seen, expected)):
+        others = sorted((s / e, e) for j, (s, e) in enumerate(pairs) if j != k)
+        reached = np.cumsum([e for _, e in others])
+        slow = np.inf
+        if others:
+            slow = others[int(np.argmax(reached >= ODDS_QUANTILE * reached[-1]))][0]
+        assert odds == slow
