@@ -36,6 +36,16 @@ def rows_by_group(label: Indices, groups: int) -> list[NDArray[np.intp]]:
     return np.split(order, ends[:-1])[:groups]
 
 
+def ranges(first: Indices, length: Indices) -> tuple[Rows, Rows]:
+    """Return the number of the range and the value of each element of k ranges of integers.
+
+    first, length (k,): first element and number of elements of each range.
+    """
+    at = np.repeat(np.arange(len(first)), length)
+    element = np.arange(len(at)) + np.repeat(first - (np.cumsum(length) - length), length)
+    return at, element
+
+
 def find_rows(keys: Indices, wanted: Indices) -> tuple[NDArray[np.intp], NDArray[np.bool_]]:
     """Return the index among ``keys`` of each of the ``wanted`` (n,), and whether it is there.
 

@@ -458,87 +458,69 @@ def chain(zones, links):
 # --- screening ---
 
 
-def standing_out(departures, arrivals, zone, bins, exposure, chance, seen_min, widths):
-    """Return how far lags from each zone to ``zone`` exceed the null model, standard deviations.
+def standing_out(departures, arrivals, source, target, bins, exposure, chance, wide):
+    """Return how far lags from one zone to another exceed the null model, standard deviations.
 
-    It is the largest excess over all lags; 0 for pairs seen fewer than ``seen_min`` times.
-    ``chance``: (sources, targets) -> rates, per second.
+    It is the largest excess over every two wide bins in a row, at least 0. Within one camera, only
+    bins after the exit count. ``chance``: rate of arrivals, per second. ``wide``: lag bins in one
+    wide bin; one of them begins at 0.
     """
-    zones, result = len(exposure), []
-    pairs = [
-        (d, a)
+    camera = {**dict(zip(departures.zone, departures.camera, strict=True))}
+    camera.update(zip(arrivals.zone, arrivals.camera, strict=True))
+    at = [
+        lag_bin(arrivals.t[a] - departures.t[d], bins.lag_min, bins.lag_max, bins.scale, bins.step)
         for d, a in candidates(departures, arrivals, bins.lag_min, bins.lag_max)
-        if arrivals.zone[a] == zone
+        if (departures.zone[d], arrivals.zone[a]) == (source, target)
     ]
-    for u in range(zones):
-        seen = np.zeros(bins.size)
-        for d, a in pairs:
-            lag = arrivals.t[a] - departures.t[d]
-            seen[lag_bin(lag, bins.lag_min, bins.lag_max, bins.scale, bins.step)] += (
-                departures.zone[d] == u
-            )
-        usual = chance(np.array([u]), np.array([zone]))[0] * exposure[u] * bins.widths
-        most = 0.0
-        for width in widths:
-            kernel = smoothing_kernel(bins.size, width)
-            for k in range(bins.size):
-                noise = sum(kernel[k, j] ** 2 * max(usual[j], 0.5) for j in range(bins.size))
-                most = max(
-                    most,
-                    sum(kernel[k, j] * (seen[j] - usual[j]) for j in range(bins.size))
-                    / np.sqrt(noise),
-                )
-        result.append(most if sum(seen) >= seen_min else 0.0)
-    return result
+    groups = {}
+    for k in range(bins.size):
+        groups.setdefault((k + bins.first) // wide, []).append(k)
+    most = 0.0
+    for number in groups:
+        both = groups[number] + groups.get(number + 1, [])
+        if number + 1 not in groups:
+            continue
+        if number < 0 and camera.get(source) == camera.get(target):
+            continue
+        expected = sum(chance * exposure[source, k] * bins.widths[k] for k in both)
+        most = max(most, (sum(k in both for k in at) - expected) / np.sqrt(expected + 1.0))
+    return most
 
 
-def likely(
-    departures, arrivals, zone, sources, bins, exposure, chance, first, smoothing, constants
-):
+def likely(departures, arrivals, followed, bins, exposure, chance, first, start_floor, least):
     """Compute `camtopod.learn.association.screening._likely`: (departure, arrival) -> probability.
 
-    ``first``: `excess` of a histogram.
+    ``followed``: pairs of zones. ``first``: `excess` of a histogram.
     """
-    rounds, outside_first, start_floor, least = constants
     pairs = [
         (d, a)
         for d, a in candidates(departures, arrivals, bins.lag_min, bins.lag_max)
-        if arrivals.zone[a] == zone and departures.zone[d] in sources
+        if (departures.zone[d], arrivals.zone[a]) in followed
     ]
+    ends = [(int(departures.zone[d]), int(arrivals.zone[a])) for d, a in pairs]
     lags = [arrivals.t[a] - departures.t[d] for d, a in pairs]
     at = [lag_bin(lag, bins.lag_min, bins.lag_max, bins.scale, bins.step) for lag in lags]
 
     # Initial hazards, from the excess over the null model.
     hazard = {}
-    for u in sources:
+    for u, v in followed:
         seen = np.zeros(bins.size)
-        for (d, _), k in zip(pairs, at, strict=True):
-            seen[k] += departures.zone[d] == u
-        usual = chance(np.array([u]), np.array([zone]))[0] * exposure[u] * bins.widths
+        for end, k in zip(ends, at, strict=True):
+            seen[k] += end == (u, v)
+        usual = chance(np.array([u]), np.array([v]))[0] * exposure[u] * bins.widths
         above = first(seen[None, :], usual[None, :])[0]
-        hazard[u] = [
+        hazard[u, v] = [
             max(above[k], start_floor * seen[k])
             / max(exposure[u, k] * bins.widths[k], bins.widths[k])
             for k in range(bins.size)
         ]
 
-    # EM rounds.
+    # Share each arrival.
+    weight = [hazard[end][k] for end, k in zip(ends, at, strict=True)]
     share = []
-    for _ in range(rounds):
-        weight = [hazard[departures.zone[d]][k] for (d, _), k in zip(pairs, at, strict=True)]
-        share = []
-        for c, (_, a) in enumerate(pairs):
-            rivals = sum(w for w, (_, b) in zip(weight, pairs, strict=True) if b == a)
-            share.append(weight[c] / (outside_first * arrivals.rate[a] + rivals))
-        moved = {u: np.zeros(bins.size) for u in sources}
-        for (d, _), k, own in zip(pairs, at, share, strict=True):
-            total = sum(other for other, (e, _) in zip(share, pairs, strict=True) if e == d)
-            moved[departures.zone[d]][k] += own / max(total, 1.0)
-        for u in sources:
-            spread, _ = smoothed(moved[u], smoothing)
-            hazard[u] = [
-                spread[k] / (max(exposure[u, k], 1.0) * bins.widths[k]) for k in range(bins.size)
-            ]
+    for c, (_, a) in enumerate(pairs):
+        rivals = sum(w for w, (_, b) in zip(weight, pairs, strict=True) if b == a)
+        share.append(weight[c] / (arrivals.rate[a] + rivals))
     return {pair: own for pair, own in zip(pairs, share, strict=True) if own > least}
 
 

@@ -14,12 +14,10 @@ from numpy.typing import NDArray
 
 Counts = NDArray[np.intp]
 
-ZONE_SCREEN_PAIRS_PER_EVENT_MAX = 400
-"""Event pairs counted when one zone of arrival is screened, per event of the window."""
-WEIGHED_MAX = 64_000_000
+WEIGHED_MAX = 128_000_000
 """Event pairs that screening weighs in one fit, over all followed pairs of zones."""
-WEIGHED_AT_ONCE = 8_000_000
-"""Event pairs of one zone of arrival that screening weighs together, at 50 bytes each."""
+WEIGHED_AT_ONCE = 1_000_000
+"""Event pairs that screening lists together, at 100 bytes each."""
 JUDGED_MAX = 6_000_000
 """Event pairs from which cross-validation estimates the evidence for links in one fit."""
 PATH_CANDIDATES_MAX = 4_000_000
@@ -28,9 +26,6 @@ PATH_CAMERAS_MAX = 128
 """Cameras of a site for which paths are learned: the search grows with the pairs of cameras."""
 ZONES_PER_CAMERA_MAX = 32
 """Zones of one camera; of more, those with the most events count."""
-ZONE_PAIRS_MAX = 20_000
-ZONE_PAIRS_PER_CAMERA_MAX = 250
-"""Pairs of zones that screening follows on a site: in all, or for each camera if that is more."""
 ENTRY_PAIRS_MAX = 20_000
 ENTRY_PAIRS_PER_CAMERA_MAX = 600
 """Entry kernels of a site (`next_camera.entry_kernels`): in all, or for each camera if that is

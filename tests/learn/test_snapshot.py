@@ -130,8 +130,8 @@ def test_restored_anywhere_the_versions_are_the_same(name: str) -> None:
 
 def test_restored_with_screening_the_versions_are_the_same(monkeypatch: pytest.MonkeyPatch) -> None:
     """Candidates depend on when each zone was last screened; only a few zones are in each fit."""
-    monkeypatch.setattr(screening, "LOOKS_MIN", 1)
-    monkeypatch.setattr(screening, "LOOKS_PER_EVENT", 3)
+    monkeypatch.setattr(screening, "LOOK_SHARE", 0.05)
+    monkeypatch.setattr(screening, "SOURCES_PER_ZONE_MAX", 3)
     rules = msgspec.structs.replace(SETTINGS, candidates_max=10_000, refit_share=0.3)
     events = events_of("usual")
 

@@ -7,13 +7,12 @@ computes the first hazards of a fit from the histogram of lags of each pair (`in
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from camtopod.arrays import Floats, Indices, Ints, Rows, Singles, row_slices
+from camtopod.arrays import Floats, Indices, Ints, Rows, Singles, ranges, row_slices
 from camtopod.learn.association.problem import Problem
 from camtopod.topology import LagBins, lag_smoothing_matrix
 
@@ -97,83 +96,76 @@ def departures_in_reach(
     return low, high
 
 
-def possible(
-    problem: Problem,
-    arrival_rows: Rows,
-    departure_rows: Rows | None = None,
-) -> Iterator[tuple[Rows, Rows, Floats]]:
-    """Yield the candidates of given arrivals, part by part: departure, arrival, lag.
+def reach(problem: Problem) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
+    """Return the range of departures within the lags of each arrival, (m,), or their delayed lags.
 
-    arrival_rows: rows of the arrivals.
-    departure_rows: rows of the departures to consider, ascending; None for all.
-
-    Each part has about `CANDIDATES_AT_ONCE` candidates, as three arrays (n,): row of the departure,
-    index of the arrival in ``arrival_rows``, and seconds from the departure to the arrival.
+    The two results are as those of `departures_in_reach`.
     """
-    # Find the departures in reach of each arrival.
     departures, arrivals, bins, *_ = problem
-    t = departures.t if departure_rows is None else departures.t[departure_rows]
-    arrived = arrivals.t[arrival_rows]
-    longest = bins.lag_max + (0.0 if problem.ranges is None else problem.ranges.delay.max())
-    low = np.searchsorted(t, arrived - longest, side="left")
-    high = np.searchsorted(t, arrived - bins.lag_min, side="right")
-    reached = np.concatenate(([0], np.cumsum(high - low)))
+    low, high = departures_in_reach(departures.t, arrivals.t, bins)
+    if problem.ranges is not None:
+        longest = bins.lag_max + problem.ranges.delay.max()
+        low = np.searchsorted(departures.t, arrivals.t - longest, side="left")
+    return low, high
+
+
+def possible(problem: Problem, departure: Rows, arrival: Rows, lag: Floats) -> NDArray[np.bool_]:
+    """Return a mask (n,) of the departures and arrivals that may be of one object.
+
+    departure, arrival (n,): rows of the departures and of the arrivals.
+    lag (n, seconds): from the departure to the arrival.
+
+    A negative lag is possible only where two views see the object at once: the cameras must differ,
+    and the passage that ends with the departure must have begun before the arrival. Of two passages
+    that begin at the same instant, the one that ends first counts as the earlier.
+    """
+    departures, arrivals, bins, *_ = problem
+    delayed = lag - problem.delays(departures.zone[departure], arrivals.zone[arrival])
+    result = (delayed >= bins.lag_min) & (delayed <= bins.lag_max)
+    ahead = np.flatnonzero(lag <= 0)
+    departed = departure[ahead]
+    came = arrival[ahead]
+    entered = arrivals.t[came]
+    since = departures.since[departed]
+    elsewhere = departures.camera[departed] != arrivals.camera[came]
+    result[ahead] &= elsewhere & (entered >= since)
 
     # For each arrival, the departure that ends the passage that begins with it; if unknown, the
     # number of departures.
-    ends = np.full(len(arrivals.t) + 1, len(departures.t), np.intp)
-    ends[departures.own] = np.arange(len(departures.t))
-
-    # List the departures and arrivals within the lags, at least one arrival at a time.
-    first = 0
-    while first < len(arrival_rows):
-        most = reached[first] + CANDIDATES_AT_ONCE
-        stop = max(int(np.searchsorted(reached, most, side="right")) - 1, first + 1)
-        n = high[first:stop] - low[first:stop]
-        at = np.repeat(np.arange(first, stop), n)
-        departure = np.arange(len(at)) + np.repeat(low[first:stop] - (np.cumsum(n) - n), n)
-        if departure_rows is not None:
-            departure = departure_rows[departure]
-
-        lag = arrived[at] - departures.t[departure]
-        delay = problem.delays(departures.zone[departure], arrivals.zone[arrival_rows[at]])
-        is_possible = (lag - delay >= bins.lag_min) & (lag - delay <= bins.lag_max)
-
-        # A negative lag is possible only where two views see the object at once: the cameras must
-        # differ, and the passage that ends with the departure must have begun before the arrival.
-        # Of two passages that begin at the same instant, the one that ends first counts as the
-        # earlier.
-        ahead = np.flatnonzero(lag <= 0)
-        departed = departure[ahead]
-        arrival = arrival_rows[at[ahead]]
-        entered = arrivals.t[arrival]
-        since = departures.since[departed]
-        begun = (entered > since) | ((entered == since) & (departed < ends[arrival]))
-        is_possible[ahead] &= begun & (departures.camera[departed] != arrivals.camera[arrival])
-
-        kept = np.flatnonzero(is_possible)
-        yield departure[kept], at[kept], lag[kept]
-        first = stop
-
-
-def listed(
-    problem: Problem, arrival_rows: Rows, departure_rows: Rows | None = None
-) -> tuple[Ints, Ints, Floats]:
-    """Return all candidates of given arrivals: departure, arrival, lag; see `possible`."""
-    none = np.zeros(0, np.int32)
-    parts = [(none, none, np.zeros(0))]
-    for departure, at, lag in possible(problem, arrival_rows, departure_rows):
-        parts.append((departure.astype(np.int32), at.astype(np.int32), lag))
-    departures, arrivals, lags = (np.concatenate(column) for column in zip(*parts, strict=True))
-    return departures, arrivals, lags
+    tied = np.flatnonzero(elsewhere & (entered == since))
+    if len(tied):
+        ends = np.full(len(arrivals.t) + 1, len(departures.t), np.intp)
+        ends[departures.own] = np.arange(len(departures.t))
+        result[ahead[tied]] &= departed[tied] < ends[came[tied]]
+    return result
 
 
 def find_candidates(problem: Problem) -> Candidates:
     """Return all candidates of a problem."""
     departures, arrivals, _, zones, *_ = problem
-    departure, arrival, lag = listed(problem, np.arange(len(arrivals.t)))
+    low, high = reach(problem)
+    reached = np.concatenate(([0], np.cumsum(high - low)))
+
+    # List the departures within the lags of some arrivals at a time, of at least one.
+    none = np.zeros(0, np.int32)
+    parts = [(none, none, np.zeros(0, np.float32))]
+    first = 0
+    while first < len(arrivals.t):
+        most = reached[first] + CANDIDATES_AT_ONCE
+        stop = max(int(np.searchsorted(reached, most, side="right")) - 1, first + 1)
+        at, departure = ranges(low[first:stop], (high - low)[first:stop])
+        arrival = at + first
+        lag = arrivals.t[arrival] - departures.t[departure]
+        kept = np.flatnonzero(possible(problem, departure, arrival, lag))
+        rows = departure[kept].astype(np.int32), arrival[kept].astype(np.int32)
+        parts.append((*rows, lag[kept].astype(np.float32)))
+        first = stop
+
+    lefts, comes, lags = zip(*parts, strict=True)
+    departure = np.concatenate(lefts)
+    arrival = np.concatenate(comes)
     pair, source, target = number_pairs(departures.zone[departure], arrivals.zone[arrival], zones)
-    return Candidates(departure, arrival, pair, lag.astype(np.float32), source, target)
+    return Candidates(departure, arrival, pair, np.concatenate(lags), source, target)
 
 
 def excess_over_null(observed: Floats, expected: Floats, bins: LagBins, noise_sd: float) -> Floats:

@@ -2,93 +2,67 @@
 
 On a large site two cheaper steps go before the joint fit (`CandidateScreen.find`):
 
-* *Looks, now and then.* A look at a zone of arrival compares the lag histogram from every zone of
-  departure with the null model (Makris, Ellis and Black 2004). The zones of departure that stand
-  out most are *followed* until the next look. Each fit looks at as many zones of arrival as its
-  number of events allows, those with the oldest look first.
-* *Weighing, in every fit.* Candidates along the followed pairs of zones are weighed by a few rounds
-  of EM within one zone of arrival. Improbable candidates are dropped.
+* *Looks, now and then.* A look at a zone of arrival counts its arrivals after the departures from
+  every zone, in wide lag bins, and compares the counts with the null model (Makris, Ellis and Black
+  2004). The zones of departure that stand out most are *followed* until the next look. Each fit
+  looks at new zones of arrival and at a share of the others, those with the oldest look first.
+* *Weighing, in every fit.* Candidates along the followed pairs of zones are weighed by the hazards
+  with which EM begins. Improbable candidates are dropped.
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from msgspec import Struct
 from numpy.typing import NDArray
+from scipy.sparse import csr_matrix
 
-from camtopod.arrays import Bools, Floats, Ints, Longs, Rows, Singles, rows_by_group
+from camtopod.arrays import (
+    Bools,
+    Floats,
+    Indices,
+    Ints,
+    Longs,
+    Rows,
+    Singles,
+    find_rows,
+    ranges,
+)
 from camtopod.learn.association.candidates import (
-    EXCESS_SMOOTHING_SD_BINS,
     RESPONSIBILITY_MAX,
     Candidates,
     departures_in_reach,
-    excess_over_null,
     find_candidates,
-    listed,
+    initial_hazards,
     number_pairs,
+    possible,
+    reach,
 )
-from camtopod.learn.association.em import START_FLOOR
+from camtopod.learn.association.em import START_FLOOR, START_NOISE_SD
 from camtopod.learn.association.exposure import exposures
 from camtopod.learn.association.problem import Problem
-from camtopod.learn.limits import (
-    JUDGED_MAX,
-    WEIGHED_AT_ONCE,
-    WEIGHED_MAX,
-    ZONE_PAIRS_MAX,
-    ZONE_PAIRS_PER_CAMERA_MAX,
-    ZONE_SCREEN_PAIRS_PER_EVENT_MAX,
-    arrivals_within,
-)
+from camtopod.learn.limits import JUDGED_MAX, WEIGHED_AT_ONCE, WEIGHED_MAX, arrivals_within
 from camtopod.learn.traffic import NullRates
-from camtopod.topology import LagBins, lag_smoothing_matrix, smooth
-
-Part = tuple[Ints, Ints, Singles, Singles]
-"""Part of the candidates, as columns (n,): row of the departure, row of the arrival, lag in
-seconds, probability.
-"""
 
 PAIRS_FEW = 20_000
 """Number of pairs of zones up to which candidates are not screened, unless they are too many."""
+LOOK_SHARE = 0.125
+"""Share of the zones of arrival that each fit looks at again."""
+ZONES_AT_ONCE = 64
+"""Zones of arrival that are looked at together."""
+WIDE_BINS = 4
+"""Lag bins in a wide bin. A look compares every two wide bins in a row with the null model."""
 SOURCES_PER_ZONE_MAX = 32
 """Largest number of zones of departure that are followed for one zone of arrival."""
-SEEN_MIN = 3
-"""Least number of candidates, in a look, of a pair of zones that is followed."""
-STANDS_OUT_SD = 2.0
-"""Least excess over the null model, in standard deviations, of a pair of zones that is followed."""
-WIDE_BINS = 4
-"""Lag bins that are taken together for a first look, which tells which zones of departure to look
-at more closely.
-"""
-CLOSER_LOOKS = 16
-"""Zones of departure that are looked at closely for each that may be followed."""
-LOOKS_PER_EVENT = 400
-"""Budget of a fit for looks, per event of the window. The unit is a candidate counted or a cell of
-a histogram. `ZONE_SCREEN_PAIRS_PER_EVENT_MAX` limits a single look.
-"""
-LOOKS_MIN = 20_000_000
-"""Least budget of a fit for looks, in the unit of `LOOKS_PER_EVENT`; takes about a second."""
-ROUNDS = 2
-"""Rounds of EM within one zone of arrival, when candidates are weighed."""
-NOISE_SD = 0.5
-"""Standard deviations of the null model subtracted from lag histograms for the first hazards, when
-candidates are weighed.
-"""
-OUTSIDE_FIRST = 0.5
-"""Share of the arrivals that come from outside; it is not estimated when candidates are weighed."""
 OVERLAP_FALSE = 0.05
 """Probability that `negative_without_overlap` finds any overlap on a site without overlaps."""
 LIKELY_MIN = 0.001
 """Probability, after weighing, up to which candidates are dropped."""
-LIKELY_MAX = 3_000_000
-LIKELY_PER_ARRIVAL = 8
-"""Limits of the candidates kept for the joint fit, the likeliest: in all, or for each arrival if
-that is more.
-"""
-
-_NO_ROWS = np.zeros(0, np.int32)
+LIKELY_PER_ARRIVAL = 16
+"""Number of candidates that are kept for each arrival of the site, the likeliest."""
 
 
 class FollowedSources(Struct):
@@ -98,22 +72,6 @@ class FollowedSources(Struct):
     """Keys (`place`) of these zones of departure."""
     looked: int
     """Number of events learned at the last look at the zone of arrival; -1 if there was none."""
-
-
-class ScreenInput(NamedTuple):
-    """A problem, prepared for looks and weighing (`screen_input`)."""
-
-    problem: Problem
-    leaving: list[Rows]
-    """(zones,) rows of the departures from each zone."""
-    coming: list[Rows]
-    """(zones,) rows of the arrivals at each zone."""
-    exposure: Floats
-    """(zones, bins) exposed departures."""
-    exposed_wide: Floats
-    """(zones, wide bins) exposed departures times seconds, in wide bins (`WIDE_BINS`)."""
-    chance: NullRates
-    """Rates of arrivals under the null model."""
 
 
 class CandidateScreen:
@@ -153,74 +111,166 @@ class CandidateScreen:
         if not self.is_needed(problem, candidates_max):
             self.followed = {}
             return find_candidates(problem)
+        traffic = Traffic(problem)
+        self._look(traffic, places, learned, everywhere)
+        pairs = ZonePairs(problem, *self._pairs(places))
+        blocks = pairs.blocks(WEIGHED_MAX)
+        departure, arrival, _, lag = _joined(_likely(traffic, pairs, block) for block in blocks)
+        zone_left = problem.departures.zone[departure]
+        pair, source, target = number_pairs(
+            zone_left, problem.arrivals.zone[arrival], problem.zones
+        )
+        return Candidates(departure, arrival, pair, lag, source, target)
 
-        # Look at the zones whose turn it is.
-        departures, arrivals, bins, *_ = problem
-        low, high = departures_in_reach(departures.t, arrivals.t, bins)
-        ends = screen_input(problem)
-        self._look(ends, places, learned, high - low, everywhere)
-        sources_of = self._sources(places)
-
-        # Count the departures in reach of each arrival; beyond the limit, the arrivals with the
-        # fewest are kept.
-        reach = np.zeros(len(arrivals.t), np.intp)
-        departure_times = [departures.t[rows] for rows in ends.leaving]
-        for zone, sources in sources_of.items():
-            arrival_rows = ends.coming[zone]
-            reach[arrival_rows] = _reach(
-                [departure_times[source] for source in sources], arrivals.t[arrival_rows], bins
-            )
-        kept = arrivals_within(reach, WEIGHED_MAX)
-
-        # Weigh the candidates of one zone of arrival at a time, in blocks.
-        def parts() -> Iterator[Part]:
-            for zone, sources in sources_of.items():
-                arrival_rows = ends.coming[zone][kept[ends.coming[zone]]]
-                block = (np.cumsum(reach[arrival_rows]) - 1) // WEIGHED_AT_ONCE
-                for arrivals_of_block in np.split(arrival_rows, np.flatnonzero(np.diff(block)) + 1):
-                    if len(arrivals_of_block):
-                        yield _likely(ends, zone, sources, arrivals_of_block)
-
-        return _joined(parts(), problem)
-
-    def _sources(self, places: Longs) -> dict[int, Longs]:
-        """Return, by zone of arrival, the zones of departure that are followed, ascending.
-
-        places (zones,): key of each zone (`place`). Zones without any source are left out.
-        """
-        row_of = {place: zone for zone, place in enumerate(places.tolist())}
-        result = {}
-        for zone, place in enumerate(places.tolist()):
-            known = (row_of.get(source) for source in self.followed[place].sources.tolist())
-            sources = np.array(sorted(row for row in known if row is not None), np.int64)
-            if len(sources):
-                result[zone] = sources
-        return result
-
-    def _look(
-        self, ends: ScreenInput, places: Longs, learned: int, reach: Rows, everywhere: bool
-    ) -> None:
-        """Look at the zones of arrival with the oldest looks, as far as the budget goes.
-
-        Zones that exist no more are forgotten.
-
-        reach (m,): number of departures within the lags of each arrival, the cost of looking at it.
-        """
+    def _look(self, traffic: Traffic, places: Longs, learned: int, everywhere: bool) -> None:
+        """Look at zones of arrival; forget zones that exist no more."""
         never = FollowedSources(np.zeros(0, np.int64), -1)
         self.followed = {place: self.followed.get(place, never) for place in places.tolist()}
 
-        cameras = len(np.unique(places >> 32))
-        pairs_max = max(ZONE_PAIRS_MAX, ZONE_PAIRS_PER_CAMERA_MAX * cameras)
-        departures, arrivals, bins, *_ = ends.problem
-        budget = max(LOOKS_MIN, LOOKS_PER_EVENT * (len(departures.t) + len(arrivals.t)))
-        for zone in sorted(
-            range(len(places)), key=lambda zone: self.followed[int(places[zone])].looked
-        ):
-            if budget <= 0 and not everywhere:
-                break
-            sources = find_sources(ends, zone, pairs_max)
-            self.followed[int(places[zone])] = FollowedSources(places[sources], learned)
-            budget -= int(reach[ends.coming[zone]].sum()) + len(places) * bins.size
+        # All new zones, and a share of all zones at least.
+        looked = np.array([known.looked for known in self.followed.values()])
+        share = int(np.ceil((1.0 if everywhere else LOOK_SHARE) * len(places)))
+        targets = np.argsort(looked, kind="stable")[: max(share, int((looked < 0).sum()))]
+
+        # The sources that stand out most.
+        for at_once in np.split(targets, range(ZONES_AT_ONCE, len(targets), ZONES_AT_ONCE)):
+            above = traffic.excess(at_once)
+            most = min(SOURCES_PER_ZONE_MAX, len(above))
+            best = np.sort(np.argpartition(above, -most, axis=0)[-most:], axis=0)
+            for target, sources, excess in zip(at_once, best.T, above.T, strict=True):
+                found = places[sources[excess[sources] > 0]]
+                self.followed[int(places[target])] = FollowedSources(found, learned)
+
+    def _pairs(self, places: Longs) -> tuple[Rows, Rows]:
+        """Return the sources and the targets of the followed pairs of zones, by target."""
+        known = [followed.sources for followed in self.followed.values()]
+        target = np.repeat(np.arange(len(places)), [len(sources) for sources in known])
+        source, exists = find_rows(places, np.concatenate(known))
+        return source[exists], target[exists]
+
+
+class Block(NamedTuple):
+    """Candidates of some arrivals, from `ZonePairs`: columns (n,), ordered by arrival and pair."""
+
+    arrivals: Rows
+    """(k,) rows of the arrivals."""
+    at: Rows
+    """Index of each candidate's arrival in `arrivals`."""
+    departure: Rows
+    """Row of each candidate's departure."""
+    pair: Rows
+    """Number of each candidate's pair of zones, as in `ZonePairs`."""
+    lag: Floats
+    """Seconds from the departure to the arrival."""
+
+
+class ZonePairs:
+    """Lists the candidates of some pairs of zones.
+
+    source, target (P,): zones of departure and of arrival of the pairs, ordered by target.
+    """
+
+    def __init__(self, problem: Problem, source: Indices, target: Indices) -> None:
+        departures, arrivals, _, zones, *_ = problem
+        self.problem = problem
+        self.source = source
+        self.target = target
+        self._first = np.searchsorted(target, np.arange(zones + 1))
+
+        # Departures by zone, each as a row and as one number of zone and row.
+        self._by_zone = np.argsort(departures.zone, kind="stable")
+        self._key = departures.zone[self._by_zone] * np.int64(len(departures.t)) + self._by_zone
+        self._low, self._high = reach(problem)
+
+        # Expected number of candidates of each arrival.
+        share = np.bincount(departures.zone, minlength=zones) / len(departures.t)
+        followed = np.bincount(target, share[source], minlength=zones)
+        self._reach = np.ceil((self._high - self._low) * followed[arrivals.zone]).astype(np.intp)
+
+    def blocks(self, most: int) -> Iterator[Block]:
+        """Yield the candidates, those of a few zones of arrival at a time.
+
+        most: limit of the candidates; beyond it, the arrivals with the fewest are kept. A zone of
+            arrival with more than `WEIGHED_AT_ONCE` has several blocks.
+        """
+        # Arrivals by zone.
+        zone = self.problem.arrivals.zone
+        rows = np.argsort(zone, kind="stable")
+        rows = rows[(arrivals_within(self._reach, most) & (self._reach > 0))[rows]]
+        if not len(rows):
+            return
+
+        # Cut them into blocks.
+        before = np.cumsum(self._reach[rows]) - self._reach[rows]
+        before_zone = before[np.searchsorted(zone[rows], zone[rows])]
+        block = np.stack((before_zone, before - before_zone)) // WEIGHED_AT_ONCE
+        for arrivals in np.split(rows, np.flatnonzero(np.diff(block).any(axis=0)) + 1):
+            yield self._of(arrivals)
+
+    def _of(self, rows: Rows) -> Block:
+        """Return the candidates of the arrivals ``rows``."""
+        # Every arrival with every source of its zone, and the departures from there in reach.
+        departures, arrivals, *_ = self.problem
+        zone = arrivals.zone[rows]
+        first = self._first[zone]
+        at, pair = ranges(first, self._first[zone + 1] - first)
+        nearest = self.source[pair] * np.int64(len(departures.t))
+        low, high = (
+            np.searchsorted(self._key, nearest + end[rows][at]) for end in (self._low, self._high)
+        )
+        which, position = ranges(low, high - low)
+
+        # Those that are possible.
+        departure = self._by_zone[position]
+        at = at[which]
+        lag = arrivals.t[rows][at] - departures.t[departure]
+        kept = np.flatnonzero(possible(self.problem, departure, rows[at], lag))
+        return Block(rows, at[kept], departure[kept], pair[which[kept]], lag[kept])
+
+
+def _joined(blocks: Iterable[Block]) -> tuple[Ints, Ints, Ints, Singles]:
+    """Return departure, arrival, pair and lag of all candidates, ordered by arrival and departure.
+
+    The columns are those of `Candidates`.
+    """
+    none = np.zeros(0, np.int32)
+    parts = [(none, none, none, np.zeros(0, np.float32))]
+    for block in blocks:
+        rows = block.departure, block.arrivals[block.at], block.pair
+        departure, arrival, pair = (row.astype(np.int32) for row in rows)
+        parts.append((departure, arrival, pair, block.lag.astype(np.float32)))
+    departure, arrival, pair, lag = (np.concatenate(column) for column in zip(*parts, strict=True))
+    order = np.lexsort((departure, arrival))
+    return departure[order], arrival[order], pair[order], lag[order]
+
+
+def _likely(traffic: Traffic, pairs: ZonePairs, block: Block) -> Block:
+    """Weigh the candidates of a block, and return the probable ones."""
+    _, arrivals, bins, *_ = pairs.problem
+    first = int(block.pair.min(initial=len(pairs.source)))
+    number = block.pair - first
+    size = int(number.max(initial=-1)) + 1
+    source, target = (ends[first : first + size] for ends in (pairs.source, pairs.target))
+    cell = number * bins.size + bins.index(block.lag)
+
+    # Initial hazards (pairs, bins): the excess over the null model.
+    counts = np.bincount(cell, minlength=size * bins.size).reshape(-1, bins.size).astype(float)
+    rates = traffic.null_model.rates_of(source, target)
+    exposure = traffic.exposure
+    hazard = initial_hazards(counts, rates, exposure, source, bins, START_NOISE_SD, START_FLOOR)
+
+    # Share each arrival among its candidates and the null model.
+    weight = hazard.ravel()[cell]
+    unrelated = arrivals.rate[block.arrivals]
+    total = unrelated + np.bincount(block.at, weight, minlength=len(unrelated))
+    share = weight / total[block.at]
+
+    # Drop improbable candidates.
+    most = LIKELY_PER_ARRIVAL * len(unrelated)
+    least = np.partition(share, -most)[-most] if len(share) > most else 0.0
+    kept = share > max(least, LIKELY_MIN)
+    at, departure, pair = block.at[kept], block.departure[kept], block.pair[kept]
+    return Block(block.arrivals, at, departure, pair, block.lag[kept])
 
 
 def candidates_of_pairs(problem: Problem, candidates: Candidates, pairs: Rows) -> Candidates:
@@ -233,49 +283,90 @@ def candidates_of_pairs(problem: Problem, candidates: Candidates, pairs: Rows) -
     candidates: the screened candidates, whose numbering of pairs is kept.
     pairs (k,): numbers of the pairs.
     """
-    departures, arrivals, bins, zones, *_ = problem
-
-    # Group events by zone, and pairs by zone of arrival.
-    leaving = rows_by_group(departures.zone, zones)
-    coming = rows_by_group(arrivals.zone, zones)
-    pairs_to = {
-        zone: pairs[rows]
-        for zone, rows in enumerate(rows_by_group(candidates.target[pairs], zones))
-        if len(rows)
-    }
-
-    # Count the departures in reach of each arrival; beyond the limit, the arrivals with the fewest
-    # are kept.
-    reach = np.zeros(len(arrivals.t), np.intp)
-    for zone, pairs_here in pairs_to.items():
-        departure_times = [
-            departures.t[leaving[source]] for source in candidates.source[pairs_here]
-        ]
-        reach[coming[zone]] = _reach(departure_times, arrivals.t[coming[zone]], bins)
-    clear = arrivals_within(reach, JUDGED_MAX)
-
-    # List the candidates of one zone of arrival at a time.
-    parts = [(_NO_ROWS, _NO_ROWS, _NO_ROWS, np.zeros(0, np.float32))]
-    for zone, pairs_here in pairs_to.items():
-        number = np.full(zones, -1, np.int32)
-        number[candidates.source[pairs_here]] = pairs_here
-        departure_rows = _among(leaving, candidates.source[pairs_here])
-        arrival_rows = coming[zone][clear[coming[zone]]]
-        departure, at, lag = listed(problem, arrival_rows, departure_rows)
-        pair = number[departures.zone[departure]]
-        arrival = arrival_rows[at].astype(np.int32)
-        parts.append((departure, arrival, pair, lag.astype(np.float32)))
-
-    # Order by arrival. Each part has its own arrivals, ordered by arrival and departure.
-    lefts, cames, pairings, lags = zip(*parts, strict=True)
-    arrival = np.concatenate(cames)
-    order = np.argsort(arrival, kind="stable")
+    pairs = pairs[np.argsort(candidates.target[pairs], kind="stable")]
+    listed = ZonePairs(problem, candidates.source[pairs], candidates.target[pairs])
+    departure, arrival, pair, lag = _joined(listed.blocks(JUDGED_MAX))
     return candidates._replace(
-        departure=np.concatenate(lefts)[order],
-        arrival=arrival[order],
-        pair=np.concatenate(pairings)[order],
-        lag=np.concatenate(lags)[order],
+        departure=departure, arrival=arrival, pair=pairs[pair].astype(np.int32), lag=lag
     )
+
+
+class Traffic:
+    """Compares the arrivals after the departures from every zone with the null model.
+
+    problem: departures and arrivals, not empty.
+    """
+
+    def __init__(self, problem: Problem) -> None:
+        departures, arrivals, bins, zones, *_ = problem
+        self.problem = problem
+        self.exposure = exposures(problem)
+        """(zones, bins) exposed departures."""
+        self.null_model = NullRates(departures.t, departures.zone, arrivals.t, arrivals.zone, zones)
+
+        # Wide bins to which any departure is exposed; one begins at a lag of 0. (zones, wide bins)
+        wide = np.unique(np.append(0, np.arange(-bins.first % WIDE_BINS, bins.size, WIDE_BINS)))
+        exposed = np.add.reduceat(self.exposure * bins.widths, wide, axis=1).astype(np.float32)
+        is_exposed = exposed.any(axis=0)
+        self._exposed = exposed[:, is_exposed]
+        self._edges = np.append(np.array(bins.limits)[wide[is_exposed]], bins.limits[-1])
+
+        # Departures by zone. The first arrival after each of them with a lag past each edge.
+        by_zone = np.argsort(departures.zone, kind="stable")
+        self._first = np.searchsorted(departures.zone[by_zone], np.arange(zones + 1))
+        t = departures.t[by_zone]
+        since = departures.since[by_zone]
+        self._passed = [
+            np.searchsorted(arrivals.t, np.maximum(since, t + edge)) for edge in self._edges
+        ]
+
+        # Camera of each zone; integers that hold the number of candidates of any pair of zones.
+        self._camera = np.zeros(zones, np.int32)
+        self._camera[departures.zone] = departures.camera
+        self._camera[arrivals.zone] = arrivals.camera
+        most = np.bincount(departures.zone).max() * np.bincount(arrivals.zone).max()
+        self._kind: type = np.uint16 if most < 1 << 16 else np.float32
+
+    def excess(self, targets: Rows) -> Singles:
+        """Return by how much the arrivals at k zones exceed the null model, (zones, k).
+
+        targets (k,): the zones of arrival.
+
+        The result is by zone of departure, in standard deviations of the null model at the lags
+        with the largest excess, and at least 0. The null model has one expected arrival more: by
+        chance alone, one arrival after few departures is no excess.
+        """
+        # For each arrival at any of these zones in turn, the number of earlier ones at each.
+        departures, arrivals, _, zones, *_ = self.problem
+        column = np.full(zones, -1)
+        column[targets] = np.arange(len(targets))
+        at = column[arrivals.zone]
+        rows = np.flatnonzero(at >= 0)
+        number = np.append(0, np.cumsum(at >= 0)).astype(np.int32)
+        came: NDArray[Any] = np.zeros((len(rows) + 1, len(targets)), self._kind)
+        came[np.arange(1, len(came)), at[rows]] = 1
+        np.cumsum(came, axis=0, dtype=self._kind, out=came)
+
+        # Arrivals before each edge, added up over the departures from each zone.
+        each: NDArray[Any] = np.ones(len(departures.t), self._kind)
+        size = (zones, len(came))
+        before = [
+            csr_matrix((each, number[passed], self._first), shape=size) @ came
+            for passed in self._passed
+        ]
+
+        # The excess of every two wide bins in a row. Before the exit, no object is in another view
+        # of the same camera.
+        rates = self.null_model.rates_to(targets)
+        same = self._camera[:, None] == self._camera[targets]
+        result = np.zeros(rates.shape, np.float32)
+        for k, edge in enumerate(self._edges[:-2]):
+            expected = rates * self._exposed[:, k : k + 2].sum(axis=1, keepdims=True)
+            above = (before[k + 2] - before[k] - expected) / np.sqrt(expected + 1.0)
+            if edge < 0:
+                above[same] = 0.0
+            np.maximum(result, above, out=result)
+        return result
 
 
 def negative_without_overlap(
@@ -332,222 +423,3 @@ def place(camera: int, number: int) -> int:
     number: number of the zone among the camera's zones.
     """
     return camera << 32 | number
-
-
-def screen_input(problem: Problem) -> ScreenInput:
-    """Prepare a problem for looks and weighing."""
-    departures, arrivals, bins, zones, *_ = problem
-    exposure = exposures(problem)
-    wide = np.arange(0, bins.size, WIDE_BINS)
-    return ScreenInput(
-        problem,
-        rows_by_group(departures.zone, zones),
-        rows_by_group(arrivals.zone, zones),
-        exposure,
-        np.add.reduceat(exposure * bins.widths, wide, axis=1),
-        NullRates(departures.t, departures.zone, arrivals.t, arrivals.zone, zones),
-    )
-
-
-def find_sources(ends: ScreenInput, zone: int, pairs_max: int = ZONE_PAIRS_MAX) -> Rows:
-    """Look at a zone of arrival: return the zones of departure that stand out most, ascending.
-
-    ends: departures and arrivals of the window.
-    zone: the zone of arrival.
-    pairs_max: largest number of pairs of zones that are followed on the whole site. The result has
-        at most an equal share of it, and at most `SOURCES_PER_ZONE_MAX` zones.
-    """
-    above = excess_by_source(ends, zone)
-    best = np.argsort(-above, kind="stable")[: min(SOURCES_PER_ZONE_MAX, pairs_max // len(above))]
-    return np.sort(best[above[best] > STANDS_OUT_SD])
-
-
-def excess_by_source(ends: ScreenInput, zone: int) -> Floats:
-    """Return by how much the lag histogram from each zone to one zone exceeds the null model.
-
-    ends: departures and arrivals of the window.
-    zone: the zone of arrival.
-
-    The result (zones,) is by zone of departure, in standard deviations of the null model at the lag
-    with the largest excess; -inf where there are fewer than `SEEN_MIN` candidates.
-    """
-    departures, arrivals, bins, zones, *_ = ends.problem
-    arrival_rows = ends.coming[zone]
-    low, high = departures_in_reach(departures.t, arrivals.t[arrival_rows], bins)
-
-    # Beyond the limit, count the candidates of every second arrival only, or every third, and so
-    # on.
-    most = ZONE_SCREEN_PAIRS_PER_EVENT_MAX * (len(departures.t) + len(arrivals.t))
-    thinned = slice(None, None, -(-int((high - low).sum()) // most) or 1)
-    counts = _lag_histograms(ends, arrival_rows[thinned])
-
-    # Expected candidates under the null model, thinned like the arrivals.
-    enough = np.flatnonzero(counts.sum(axis=1) >= SEEN_MIN)
-    share = len(arrival_rows[thinned]) / max(len(arrival_rows), 1)
-    rate = share * ends.chance.rates_of(enough, np.full(len(enough), zone))[:, None]
-
-    # Compare the histograms in wide bins first; those that exceed the null model most, in lag bins.
-    wide = np.arange(0, bins.size, WIDE_BINS)
-    observed = np.add.reduceat(counts[enough], wide, axis=1)
-    expected = rate * ends.exposed_wide[enough]
-    roughly = ((observed - expected) / np.sqrt(np.maximum(expected, 0.5))).max(axis=1, initial=0.0)
-    best = np.argsort(-roughly, kind="stable")[: CLOSER_LOOKS * SOURCES_PER_ZONE_MAX]
-    closer = enough[best]
-    result = np.full(zones, -np.inf)
-    usual = rate[best] * ends.exposure[closer] * bins.widths
-    result[closer] = _above(counts[closer], usual, bins)
-    return result
-
-
-def _lag_histograms(ends: ScreenInput, arrival_rows: Rows) -> Floats:
-    """Return the lag histograms (zones, bins) of the candidates of arrivals, by zone of departure.
-
-    arrival_rows: rows of arrivals at one zone.
-
-    The departures with lags of one bin are a range of rows, so hardly any lag is computed.
-    """
-    departures, arrivals, bins, zones, *_ = ends.problem
-    first_cell = departures.zone.astype(np.intp) * bins.size
-    arrived = arrivals.t[arrival_rows]
-    low, high = departures_in_reach(departures.t, arrived, bins)
-
-    # Lags after the exit: the departures of each bin, from the longest lag to the shortest.
-    after = np.flatnonzero(bins.edges[:-1] >= 0)[::-1]
-    ends_at = np.searchsorted(departures.t, arrived[:, None] - bins.edges[after], side="right")
-    ends_at[:, -1] = left = np.searchsorted(departures.t, arrived, side="left")
-    times = np.diff(ends_at, axis=1, prepend=low[:, None])
-    cell = np.repeat(np.tile(after, len(arrived)), times.ravel())
-    cell += np.concatenate(
-        [first_cell[:0], *(first_cell[a:b] for a, b in zip(low, left, strict=True))]
-    )
-    counts = np.bincount(cell, minlength=zones * bins.size)
-
-    # Lags before the exit: only passages that had begun in the view of another camera.
-    camera = arrivals.camera[arrival_rows]
-    for here, t, a, b in zip(camera, arrived, left, high, strict=True):
-        begun = (departures.since[a:b] <= t) & (departures.camera[a:b] != here)
-        in_view = a + np.flatnonzero(begun)
-        np.add.at(counts, first_cell[in_view] + bins.index(t - departures.t[in_view]), 1)
-    return counts.reshape(zones, bins.size).astype(float)
-
-
-def _above(observed: Floats, expected: Floats, bins: LagBins) -> Floats:
-    """Return the largest excess of each lag histogram over the null model, in its sd, (P,).
-
-    observed, expected (P, bins): observed counts, and expected counts under the null model.
-    """
-    most = np.zeros(len(observed))
-    for sd_bins in EXCESS_SMOOTHING_SD_BINS:
-        spread = lag_smoothing_matrix(bins.size, sd_bins)
-        noise = np.sqrt(np.maximum(expected, 0.5) @ (spread**2).T)
-        most = np.maximum(most, (((observed - expected) @ spread.T) / noise).max(axis=1))
-    return most
-
-
-def _reach(departure_times: list[Floats], arrival_times: Floats, bins: LagBins) -> Rows:
-    """Return the number (n,) of departures within the lags of each of n arrivals.
-
-    departure_times: times of the departures from each of several zones, seconds, ascending.
-    arrival_times (n,): times of the arrivals, seconds.
-    """
-    reach = np.zeros(len(arrival_times), np.intp)
-    for times in departure_times:
-        low, high = departures_in_reach(times, arrival_times, bins)
-        reach += high - low
-    return reach
-
-
-def _among(leaving: list[Rows], sources: Longs | Ints) -> Rows:
-    """Return the rows of the departures from the zones ``sources``, ascending.
-
-    leaving (zones,): rows of the departures from each zone.
-    """
-    return np.sort(np.concatenate([leaving[source] for source in sources]), kind="stable")
-
-
-def _likely(ends: ScreenInput, zone: int, sources: Longs, arrival_rows: Rows) -> Part:
-    """Weigh the candidates of some arrivals at one zone, and return the probable ones.
-
-    zone: the zone of arrival.
-    sources: the zones of departure that are followed, ascending.
-    arrival_rows: rows of the arrivals.
-    """
-    departures, arrivals, bins, *_ = ends.problem
-    departure_rows = _among(ends.leaving, sources)
-    number = np.zeros(len(ends.leaving), np.int64)
-    number[sources] = np.arange(len(sources))
-
-    # List the candidates: departure, index of the arrival, lag, and cell (source and lag bin).
-    departure, at, lag = listed(ends.problem, arrival_rows, departure_rows)
-    cell = number[departures.zone[departure]] * bins.size + bins.index(lag)
-
-    # Initial hazards (sources, bins): the excess over the null model.
-    size = len(sources) * bins.size
-    exposed = ends.exposure[sources] * bins.widths
-    usual = ends.chance.rates_of(sources, np.full(len(sources), zone))[:, None] * exposed
-    counts = np.bincount(cell, minlength=size).reshape(-1, bins.size).astype(float)
-    hazard = np.maximum(
-        excess_over_null(counts, usual, bins, NOISE_SD), START_FLOOR * counts
-    ) / np.maximum(exposed, bins.widths)
-
-    # A few rounds of EM. E step: share each arrival among its candidates and the outside, and each
-    # departure among at most one arrival. M step: count, smooth, divide by exposure.
-    outside = OUTSIDE_FIRST * arrivals.rate[arrival_rows]
-    share = np.zeros(0)
-    for _ in range(ROUNDS):
-        weight = hazard.ravel()[cell]
-        share = weight / (outside + np.bincount(at, weight, minlength=len(arrival_rows)))[at]
-        once = share / np.maximum(np.bincount(departure, share), 1.0)[departure]
-        moved = np.bincount(cell, once, minlength=size).reshape(-1, bins.size).astype(float)
-        hazard = smooth(moved)[0] / (np.maximum(ends.exposure[sources], 1.0) * bins.widths)
-
-    # Drop improbable candidates.
-    kept = share > LIKELY_MIN
-    return (
-        departure[kept],
-        arrival_rows[at[kept]].astype(np.int32),
-        lag[kept].astype(np.float32),
-        share[kept].astype(np.float32),
-    )
-
-
-def _joined(parts: Iterable[Part], problem: Problem) -> Candidates:
-    """Return the likeliest candidates of all parts, ordered by arrival."""
-    departures, arrivals, _, zones, *_ = problem
-    most = max(LIKELY_MAX, LIKELY_PER_ARRIVAL * len(arrivals.t))
-
-    # Collect the parts; now and then, reduce them to the likeliest candidates to limit memory.
-    held: list[Part] = []
-    n = 0
-    for part in parts:
-        held.append(part)
-        n += len(part[0])
-        if n > 2 * most:  # a candidate that is not among the likeliest now cannot be later
-            held = [_likeliest(held, most, most + most // 2)]
-            n = len(held[0][0])
-
-    # Order by arrival. Each part has its own arrivals, ordered by arrival and departure.
-    departure, arrival, lag, _ = _likeliest(held, most, most)
-    order = np.argsort(arrival, kind="stable")
-    departure = departure[order]
-    arrival = arrival[order]
-    lag = lag[order]
-    pair, source, target = number_pairs(departures.zone[departure], arrivals.zone[arrival], zones)
-    return Candidates(departure, arrival, pair, lag, source, target)
-
-
-def _likeliest(parts: list[Part], most: int, room: int) -> Part:
-    """Return the ``most`` likeliest candidates of some parts.
-
-    Candidates as likely as the last of them are returned, too, as long as there are at most
-    ``room`` in all.
-    """
-    nothing = (_NO_ROWS, _NO_ROWS, np.zeros(0, np.float32), np.zeros(0, np.float32))
-    departure, arrival, lag, share = (
-        np.concatenate(column) for column in zip(nothing, *parts, strict=True)
-    )
-    if len(share) <= most:
-        return departure, arrival, lag, share
-    least = np.partition(share, len(share) - most)[len(share) - most]
-    kept = np.flatnonzero(share >= least)[:room]
-    return departure[kept], arrival[kept], lag[kept], share[kept]

@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from camtopod.arrays import Floats, Singles, rows_by_group
+from camtopod.arrays import Floats, Singles, row_slices, rows_by_group
 
 RATE_HALF_WINDOW_SECONDS = 600.0
 """Half the width, in seconds, of the window around an arrival in which its local rate is counted.
@@ -22,11 +22,6 @@ RATE_PRIOR_EVENTS = 2.0
 """Weight, in events, of a zone's mean rate in its local rates."""
 CHANCE_BIN_SECONDS = 300.0
 """Width of the time bins in which `NullRates` counts departures and arrivals."""
-TABLE_ZONES_MAX = 2000
-"""Largest number of zones for which `NullRates` computes the rates of all pairs at once (32 MB)."""
-PAIRS_AT_ONCE = 500
-"""Pairs of zones whose rates are computed together if there are more than `TABLE_ZONES_MAX` zones.
-"""
 
 
 def local_rates(t: Floats, zone: NDArray[np.int32], zones: int) -> Floats:
@@ -92,12 +87,7 @@ class NullRates:
         bins[-1] -= 1.0
         self._seconds = CHANCE_BIN_SECONDS * np.maximum(bins, 1.0)
 
-        # Mean rate of arrivals over the departures, for all pairs of zones.
         self._number = np.maximum(self._departures.sum(axis=1, dtype=float), 1.0)
-        self._table = None
-        if zones <= TABLE_ZONES_MAX:
-            rate = self._around / self._seconds
-            self._table = (self._departures.astype(float) @ rate.T) / self._number[:, None]
 
     def rates_of(
         self, source: NDArray[np.signedinteger[Any]], target: NDArray[np.signedinteger[Any]]
@@ -106,16 +96,21 @@ class NullRates:
 
         source, target (P,): zones of departure and of arrival of P pairs.
         """
-        if self._table is not None:
-            known: Floats = self._table[source, target]
-            return known
         rates: Floats = np.zeros(len(source))
-        for k in range(0, len(source), PAIRS_AT_ONCE):
-            part = slice(k, k + PAIRS_AT_ONCE)
+        for part in row_slices(len(source)):
             departures = self._departures[source[part]].astype(float)
             rate = self._around[target[part]] / self._seconds
             rates[part] = np.einsum("pn,pn->p", departures, rate)
         rates /= self._number[source]
+        return rates
+
+    def rates_to(self, target: NDArray[np.signedinteger[Any]]) -> Singles:
+        """Return these rates from all zones to some, (zones, k).
+
+        target (k,): the zones of arrival.
+        """
+        rate = (self._around[target] / self._seconds).astype(np.float32)
+        rates: Singles = self._departures @ rate.T / self._number[:, None].astype(np.float32)
         return rates
 
 
