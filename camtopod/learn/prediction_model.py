@@ -15,6 +15,7 @@ from camtopod.arrays import Floats, rows_by_group
 from camtopod.event_time import MICROSECONDS
 from camtopod.learn.assemble import STAY_DECILES, zone_id
 from camtopod.learn.changes import Change
+from camtopod.learn.links import NEXT_ZONES_MAX
 from camtopod.learn.next_camera import LEVELS, OverlappingViews, Posterior
 from camtopod.learn.traffic import Persistence, Scene, usual_dwell_times
 from camtopod.learn.window import Window
@@ -33,10 +34,6 @@ from camtopod.records import (
 )
 from camtopod.topology import LagBins, offset_bins, round_significant, step_histogram
 
-OUTCOMES_PER_ZONE_MAX = 24
-"""Largest number of next zones listed for one zone of departure, the likeliest first."""
-ENTRY_KERNELS_PER_ZONE_MAX = 16
-"""Largest number of entry kernels listed for one zone of entry, those with the most mass first."""
 SHARE_MIN = 1e-4
 """Least share of a listed next zone, and least mass of a listed entry kernel."""
 CONTEXT_DEPARTURES_MIN = 0.5
@@ -180,7 +177,7 @@ def _onward(ids: list[str], posterior: Posterior, now: Floats, bins: LagBins) ->
     likely = np.flatnonzero(share > SHARE_MIN)
     for zone, members in enumerate(rows_by_group(c.source[likely], len(ids))):
         pairs = likely[members]
-        pairs = pairs[np.argsort(-share[pairs], kind="stable")][:OUTCOMES_PER_ZONE_MAX]
+        pairs = pairs[np.argsort(-share[pairs], kind="stable")][:NEXT_ZONES_MAX]
         mass = posterior.fit.hazard[pairs] * bins.widths * now[pairs, None]
         outcomes = [
             Outcome(
@@ -207,7 +204,7 @@ def _entered(ids: list[str], posterior: Posterior, bins: LagBins) -> list[EntryK
     likely = np.flatnonzero(total > SHARE_MIN)
     for zone, members in enumerate(rows_by_group(p.entry_source[likely], len(ids))):
         pairs = likely[members]
-        pairs = pairs[np.argsort(-total[pairs], kind="stable")][:ENTRY_KERNELS_PER_ZONE_MAX]
+        pairs = pairs[np.argsort(-total[pairs], kind="stable")][:NEXT_ZONES_MAX]
         rows += [
             EntryKernel(ids[zone], ids[p.entry_target[k]], step_histogram(mass[k], bins))
             for k in pairs.tolist()

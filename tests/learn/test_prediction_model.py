@@ -9,7 +9,7 @@ from synthetic_events import Views, fit_posterior
 from camtopod.learn.association.problem import Problem
 from camtopod.learn.changes.change_points import Change
 from camtopod.learn.next_camera.fit import Posterior
-from camtopod.learn.prediction_model import OUTCOMES_PER_ZONE_MAX, build_model
+from camtopod.learn.prediction_model import NEXT_ZONES_MAX, build_model
 from camtopod.learn.traffic.labelled_events import Passages, Scene, ZoneRef
 from camtopod.learn.window.sliding_window import Window
 from camtopod.predict.hazards import Hazards
@@ -137,7 +137,7 @@ def test_without_a_posterior_only_the_zones(learned: tuple[Scene, Posterior]) ->
 def test_only_so_many_outcomes_are_kept(
     learned: tuple[Scene, Posterior], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    assert OUTCOMES_PER_ZONE_MAX >= 3
-    monkeypatch.setattr("camtopod.learn.prediction_model.OUTCOMES_PER_ZONE_MAX", 1)
+    assert NEXT_ZONES_MAX >= 3
+    monkeypatch.setattr("camtopod.learn.prediction_model.NEXT_ZONES_MAX", 1)
     first = (made(learned).onward or [])[0]
     assert [outcome.to for outcome in first.next_] == ["b/1"]

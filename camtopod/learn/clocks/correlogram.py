@@ -48,9 +48,6 @@ PEAK_BINS = 3.0
 """Standard deviation, in bins, of the smoothing of correlograms in which peaks are looked for."""
 NOISE_SD = 2.5
 """Standard deviations of the null model subtracted from every peak; lower peaks count as none."""
-HIGHEST_LAGS = 400
-HIGHEST_WIDTH = 5
-"""Largest lag (either way) at which `highest_peaks` looks, and the width of its peaks, in bins."""
 NEAR_BINS = 100.0
 """Lag in bins beyond which a peak weighs less, the less the longer its lag is."""
 
@@ -165,18 +162,4 @@ def significant_peaks(counts: Counts, usual: Counts) -> Counts:
     noise = NOISE_SD / np.sqrt(2.0 * np.sqrt(np.pi) * PEAK_BINS)
     near = 1.0 / np.sqrt(1.0 + (np.arange(-LAGS, LAGS + 1) / NEAR_BINS) ** 2)
     peaks: Counts = np.maximum(smooth - noise, 0.0) * near.astype(np.float32)
-    return peaks
-
-
-def highest_peaks(counts: Counts) -> Floats:
-    """Return the height (P,) of the highest peak of each correlogram, quickly and at one width.
-
-    counts (P, lags): the correlograms.
-
-    The unit is standard deviations of one bin under the null model.
-    """
-    rows = counts[:, LAGS - HIGHEST_LAGS : LAGS + HIGHEST_LAGS + 1]
-    usual = null_expectation(rows)
-    above = uniform_filter1d(rows - usual, HIGHEST_WIDTH, axis=1, mode="constant") / np.sqrt(usual)
-    peaks: Floats = above.max(axis=1).astype(np.float64)
     return peaks

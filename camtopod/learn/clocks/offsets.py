@@ -24,7 +24,8 @@ from camtopod.learn.clocks.correlogram import (
     ROWS_AT_ONCE,
     Correlograms,
     cache_friendly_order,
-    highest_peaks,
+    null_expectation,
+    significant_peaks,
 )
 from camtopod.learn.clocks.two_way_paths import find_two_way_paths
 from camtopod.learn.traffic import Arrivals, Departures, Scene
@@ -230,9 +231,9 @@ def _promising(
     order = cache_friendly_order(a, b, pair_counts.at_once)
     for k in range(0, len(a), ROWS_AT_ONCE):
         rows = order[k : k + ROWS_AT_ONCE]
-        peak[rows] = np.minimum(
-            highest_peaks(pair_counts.between(a[rows], b[rows])),
-            highest_peaks(pair_counts.between(b[rows], a[rows])),
+        both = (pair_counts.between(*ends) for ends in ((a[rows], b[rows]), (b[rows], a[rows])))
+        peak[rows] = np.min(
+            [significant_peaks(one, null_expectation(one)).max(axis=1) for one in both], axis=0
         )
 
     # The best ones within the limit.

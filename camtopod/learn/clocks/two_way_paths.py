@@ -31,17 +31,15 @@ from camtopod.learn.clocks.correlogram import (
 PEAK_MIN = 3.0
 """Least match, as defined at `best_shift`, that the best shift must have."""
 PEAK_WIDTH_BINS = 60
-"""Half the width of the peak of the match around the best shift, in bins."""
+"""Half the width of the peak of the match around the best shift, in bins; and largest width
+(standard deviation) of the window around a peak.
+"""
 RUNNER_UP_MAX = 0.2
 """Largest match of any shift outside the peak of the best shift, as a share of the best match."""
 SHARE_MIN = 0.02
 """Least match of a pair of zones at the best shift, as a share of the best match."""
-WIDTHS_BINS = (3.0, 60.0)
-"""Limits of the width (standard deviation, bins) of the window around a peak."""
 ROUNDS = 12
 """Iterations of the mean shift."""
-PEAK_VARIANCE_MIN = 0.3
-"""Least variance of a peak, bins squared: a little more than that of counting in bins."""
 EVENTS_MIN = 8.0
 """Least events above the null model within the window, in each direction."""
 
@@ -149,12 +147,12 @@ def _refine(counts: Counts, usual: Counts, lags: Floats) -> TwoWayPath | None:
             return None
         error = np.sqrt(np.sum(np.sum(window**2 * counts * squared, axis=1) / number**2))
         within = float(np.sum(above * squared) / number.sum())
-        within = min(max(within, PEAK_VARIANCE_MIN), 0.9 * width**2)
+        within = min(max(within, 0.0), 0.9 * width**2)
 
         # The width of a normal peak that the window has made narrower.
         narrowing = 1.0 - within / width**2
         spread = float(np.sqrt(within / narrowing))
-        width = float(np.clip(1.5 * spread, *WIDTHS_BINS))
+        width = float(np.clip(1.5 * spread, PEAK_BINS, PEAK_WIDTH_BINS))
 
     # Half the difference of the two lags is the offset.
     forth, back = centres.tolist()

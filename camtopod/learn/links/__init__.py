@@ -18,6 +18,7 @@ from camtopod.learn.links import mahalanobis as mahalanobis, monte_carlo as mont
 from camtopod.learn.links.cross_validation import cross_evidence as cross_evidence
 from camtopod.learn.links.link_table import (
     MONTE_CARLO_SEED as MONTE_CARLO_SEED,
+    NEXT_ZONES_MAX as NEXT_ZONES_MAX,
     TRANSITIONS_MIN as TRANSITIONS_MIN,
     WEAK_TRANSITIONS_MIN as WEAK_TRANSITIONS_MIN,
     LinkTable as LinkTable,

@@ -33,12 +33,8 @@ from camtopod.learn.links.significance import FLAT_MAX
 
 PARTS = 8
 """Number of parts of the window, a power of two."""
-STRETCHES = 32
-"""Approximate number of stretches that the window is cut into."""
-STRETCH_SECONDS_MAX = 3600.0
-"""Longest stretch, seconds."""
-STRETCH_LAGS_MIN = 4.0
-"""Shortest stretch, in multiples of the longest transit time, unless the window is too short."""
+STRETCH_LAGS = 4.0
+"""Length of a stretch, in multiples of the longest transit time, unless the window is too short."""
 BET_SPARSITY = 0.5
 """Transitions that the sparse prior takes off each pair of zones in the fit for a bet. They are
 fewer than in the fit of the whole window, as a part of the window has few transitions.
@@ -104,11 +100,7 @@ class WindowParts:
 
         # Length of the stretches, seconds.
         span = max(problem.until - first, 1.0)
-        self.stretch = min(
-            max(span / STRETCHES, STRETCH_LAGS_MIN * problem.bins.lag_max),
-            STRETCH_SECONDS_MAX,
-            span / PARTS,
-        )
+        self.stretch = min(STRETCH_LAGS * problem.bins.lag_max, span / PARTS)
 
         # Part of each event, exposure of each part, and the speed-adjusted candidates.
         self._departure_part = self._of(problem.departures.t)

@@ -25,8 +25,8 @@ TRANSITIONS_MIN = 2.0
 """Least expected number of transitions of a published link."""
 WEAK_TRANSITIONS_MIN = 0.2
 """Least expected number of transitions of a weak link."""
-WEAK_LINKS_PER_ZONE_MAX = 24
-"""Largest number of weak links from one zone."""
+NEXT_ZONES_MAX = 24
+"""Largest number of weak links from one zone, and of next zones that prediction reads."""
 LEFT_OVER_MIN = 0.05
 """Lower bound on the share of a zone's departures that published links leave over in the posterior.
 It prevents a division by 0.
@@ -251,4 +251,4 @@ def select_weak_links(likely: LinkTable, published: LinkTable, zones: int) -> Li
     source = likely.source[rows]
     starts = np.diff(source, prepend=-1) != 0
     rank = np.arange(len(rows)) - np.maximum.accumulate(np.where(starts, np.arange(len(rows)), 0))
-    return likely.rows(rows[rank < WEAK_LINKS_PER_ZONE_MAX])
+    return likely.rows(rows[rank < NEXT_ZONES_MAX])

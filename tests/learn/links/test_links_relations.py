@@ -9,8 +9,8 @@ from hypothesis import given, strategies as st
 from synthetic_events import Views
 
 from camtopod.learn.links.link_table import (
+    NEXT_ZONES_MAX,
     TRANSITIONS_MIN,
-    WEAK_LINKS_PER_ZONE_MAX,
     WEAK_TRANSITIONS_MIN,
     LinkTable,
     Transitions,
@@ -151,7 +151,7 @@ def test_weak_links_are_the_likeliest_of_the_rest(seed: int) -> None:
             and likely.transit.total[k] >= WEAK_TRANSITIONS_MIN
         ]
         found = weak.target[weak.source == zone].tolist()
-        assert found == [target for _, target in sorted(rest)][:WEAK_LINKS_PER_ZONE_MAX]
+        assert found == [target for _, target in sorted(rest)][:NEXT_ZONES_MAX]
 
 
 @pytest.mark.parametrize("seed", range(5))
