@@ -90,24 +90,16 @@ def _without_levels(*levels: int) -> Callable[..., Any]:
 
 MECHANISMS = [
     Mechanism(
-        "context: zone of entry",
+        "context: entry and block",
         {"learn.next_camera.contexts:Contexts._contexts": _without_levels(0)},
     ),
     Mechanism(
-        "context: block of exit",
+        "context: camera before",
         {"learn.next_camera.contexts:Contexts._contexts": _without_levels(1)},
     ),
     Mechanism(
-        "context: entry and block",
-        {"learn.next_camera.contexts:Contexts._contexts": _without_levels(2)},
-    ),
-    Mechanism(
-        "context: camera before",
-        {"learn.next_camera.contexts:Contexts._contexts": _without_levels(3)},
-    ),
-    Mechanism(
         "contexts, all",
-        {"learn.next_camera.contexts:Contexts._contexts": _without_levels(0, 1, 2, 3)},
+        {"learn.next_camera.contexts:Contexts._contexts": _without_levels(0, 1)},
     ),
     Mechanism(
         "speed", {"learn.association.em:estimate_persistence": lambda *arguments: NO_PERSISTENCE}
@@ -150,6 +142,7 @@ MECHANISMS = [
     Mechanism("over-relaxed EM", {"learn.association.em:STRIDE": 1.0}),
     Mechanism("sparse prior", {"learn.association.joint_fit:SPARSITY": 0.0}),
     Mechanism("second opinion", {"learn.refit:is_wanted": lambda *arguments: False}),
+    Mechanism("anywhere", {"predict.anywhere:surplus": lambda *arguments: 0.0}),
     Mechanism("long paths", {"learn.long_paths:find_long_paths": lambda *arguments: []}),
     Mechanism(
         "usual dwell times",

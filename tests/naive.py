@@ -566,7 +566,7 @@ def contexts(departures, arrivals, pairs, responsibility, share, gone, leave, ba
 
     # Level by level: key of each departure, and how sure it is.
     levels = []
-    for name in ("entry", "block", "entry+block", "previous"):
+    for name in ("entry+block", "previous"):
         key, told = [], []
         for d in range(n):
             first, block, certain = -1, -1, 1.0
@@ -837,8 +837,8 @@ def predicted(topology, seen, asked, zone_of, constants, now=None):
     )
     known = {(row.zone, row.entry, row.block, row.previous): row for row in model.contexts}
     both = None if entry is None or block is None else (entry, block, None)
-    asks = [(entry, None, None), (None, block, None), both, (None, None, previous)]
-    for key, told in zip(asks, (1.0, 1.0, 1.0, sure), strict=True):
+    asks = [both, (None, None, previous)]
+    for key, told in zip(asks, (1.0, sure), strict=True):
         row = (
             known.get((zones[u].id, *key))
             if key and any(part is not None for part in key)

@@ -78,16 +78,14 @@ class ContextMultipliers:
         if numbers is None:
             return np.ones(len(outcomes.targets)), outcomes.leave
 
-        # Contexts that apply, from coarse to fine, each with the probability that it does.
-        # What is unknown makes a key that no context has, or one that is there already.
+        # Contexts that apply, each with the probability that it does. What is unknown makes a key
+        # that no context has.
         keys: dict[Key, float] = {
-            (entry, None, None): 1.0,
-            (None, block, None): 1.0,
             (entry, block, None): 1.0,
             (None, None, previous): min(sure, 1.0),
         }
 
-        # Each context backs off to the coarser ones before it; unknown contexts change nothing.
+        # Each context backs off to the one before it; unknown contexts change nothing.
         targets = np.array(outcomes.targets)
         share = outcomes.share
         leave = outcomes.leave

@@ -82,10 +82,8 @@ def test_the_posterior_as_it_is(learned: tuple[Scene, Posterior], known: bool) -
     assert [row.zone for row in model.onward or []] == ["a/1", "b/1", "c/1"]
     found = chances(model, known)
     assert (found["b"], found["c"], found[""]) == pytest.approx((0.6, 0.3, 0.1), abs=0.05)
-    assert {(row.entry, row.block) for row in model.contexts or [] if row.zone == "a/1"} >= {
-        ("a/1", 5),
-        (None, 5),
-    }
+    contexts = {(row.entry, row.block) for row in model.contexts or [] if row.zone == "a/1"}
+    assert ("a/1", 5) in contexts
     assert model.zones[0].stay == pytest.approx([4.0] * 11)
     assert [(c.camera, c.share, c.last_event) for c in model.cameras] == [
         ("a", 0.333333, 0.0),

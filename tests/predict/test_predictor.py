@@ -348,8 +348,6 @@ def any_topology(rng: np.random.Generator) -> Topology:
             if n[0] != name[0] and rng.random() < 0.5
         ]
         for entry, block, previous in (
-            ("a/2", None, None),
-            (None, 19, None),
             ("a/2", 19, None),
             (None, None, "b"),
         ):

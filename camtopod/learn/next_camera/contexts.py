@@ -1,8 +1,8 @@
 """Contexts of a departure: other known facts about the object, and where such objects appear next.
 
-Departures from one zone are told apart by their *context*: the zone where the passage began, the
-block of the image where the object left, and the camera that it probably came from (`LEVELS`). The
-probability p of a next zone is smoothed by *back-off* to the level before: ``p = (f N + k p') /
+Departures from one zone are told apart by their *context*: the zone where the passage began with
+the block of the image where the object left, and the camera that it probably came from (`LEVELS`).
+The probability p of a next zone is smoothed by *back-off* to the level before: ``p = (f N + k p') /
 (f n + k)`` (Jelinek and Mercer 1980), with n departures in the context, N of their transitions to
 the zone, p' the probability at the level before, and k `BACK_OFF_DEPARTURES`. As objects are
 anonymous, the *certain share* ``f`` of transitions (the mean responsibility of a transition) scales
@@ -24,7 +24,7 @@ from camtopod.learn.association import NOTHING, Candidates, Problem
 from camtopod.learn.limits import CONTEXT_CELLS_MAX, CONTEXT_CELLS_PER_CAMERA_MAX
 from camtopod.topology import BACK_OFF_DEPARTURES, MULTIPLIER_MAX
 
-LEVELS = ("entry", "block", "entry+block", "previous")
+LEVELS = ("entry+block", "previous")
 """Levels of context; each backs off to the one before. ``entry``: zone of entry. ``block``: block
 of the image where the object left. ``previous``: camera that the object came from.
 """
@@ -125,12 +125,8 @@ class Contexts:
         self.entry = np.where(departures.own >= 0, arrivals.zone[departures.own], -1).astype(
             np.int64
         )
-        nothing = np.full(len(zone), -1)
-        self._fixed = [
-            _numbered(zone, first, second)
-            for first, second in ((self.entry, nothing), (nothing, block), (self.entry, block))
-        ]
-        self._known = [self.entry >= 0, block >= 0, (self.entry >= 0) & (block >= 0)]
+        self._way = _numbered(zone, self.entry, block)
+        self._way_known = ((self.entry >= 0) & (block >= 0)).astype(float)
 
     def count(
         self, candidates: Candidates, responsibility: Singles, gone: Floats, leave: Floats
@@ -244,7 +240,6 @@ class Contexts:
         They are the number of each departure's context, the keys of the C contexts
         (`ContextCounts`), and the probability that the departure is in its context.
         """
-        certainty = [known.astype(float) for known in self._known]
         camera, sure = self._previous(candidates, responsibility)
         present, number = np.unique(
             self._zone * self.cameras + np.maximum(camera, 0), return_inverse=True
@@ -253,7 +248,7 @@ class Contexts:
             (present // self.cameras, present % self.cameras, np.full(len(present), -1))
         )
         previous = (number.astype(np.int64), keys)
-        return list(zip([*self._fixed, previous], [*certainty, sure], strict=True))
+        return [(self._way, self._way_known), (previous, sure)]
 
     def _previous(self, candidates: Candidates, responsibility: Singles) -> tuple[Longs, Floats]:
         """Return the most probable previous camera of each departure and its probability, (n,).
