@@ -67,7 +67,7 @@ def log_share(n, prior):
 
 def clutter_rates(count, constants):
     """Compute `camtopod.learn.zones.clutter.clutter_rates` cell by cell, always in all rounds."""
-    width, denser, denser_max, alike, rounds = constants
+    width, denser, alike, rounds = constants
     rows, columns = count.shape
     mean = float(np.mean(count))
     for _ in range(rounds):
@@ -75,7 +75,7 @@ def clutter_rates(count, constants):
         if abs(below - mean) < 1e-6:
             break
         mean = below
-    rate = np.full(count.shape, denser_max * mean)
+    rate = np.full(count.shape, denser * mean)
     for _ in range(rounds):
         kept = count <= denser * rate + 3 * np.sqrt(rate) + 1
         around = rate.copy()
@@ -88,21 +88,19 @@ def clutter_rates(count, constants):
     return rate
 
 
-def dense_cells(count, rate, chance, contrast, widths):
+def dense_cells(count, rate, chance, contrast, width):
     """Compute `camtopod.learn.zones.clutter.dense_cells` cell by cell."""
     rows, columns = count.shape
     dense = np.zeros(count.shape)
     for r in range(rows):
         for c in range(columns):
-            chances = []
             far = (np.arange(rows)[:, None] - r) ** 2 + (np.arange(columns) - c) ** 2
-            for width in widths:
-                near = np.exp(-far / (2 * width**2))
-                scale = near.sum() / (near**2).sum()
-                seen, expected = (near * count).sum() * scale, (near * rate).sum() * scale
-                chances.append(scipy.special.gammainc(max(seen, 1e-9), expected))
+            near = np.exp(-far / (2 * width**2))
+            scale = near.sum() / (near**2).sum()
+            seen, expected = (near * count).sum() * scale, (near * rate).sum() * scale
+            by_chance = scipy.special.gammainc(max(seen, 1e-9), expected)
             above = count[r, c] > max(rate[r, c] + 2 * np.sqrt(rate[r, c]), contrast * rate[r, c])
-            if above and min(chances) < chance:
+            if above and by_chance < chance:
                 dense[r, c] = max(count[r, c] - rate[r, c], 0.5)
     return dense
 
@@ -129,7 +127,7 @@ def _valley_ratio(positions, grid, b, c, f, g):
     inside = max(((positions > grid[b]) & (positions <= grid[c])).sum(), 1e-9)
     flank = max(((positions > grid[f]) & (positions <= grid[g])).sum(), 1e-9)
     rate, flank_rate = inside / (c - b), flank / (g - f)
-    if rate >= 0.85 * flank_rate:
+    if rate >= flank_rate:
         return 0.0
     together = (inside + flank) / (c - b + g - f)
     return inside * np.log(rate / together) + flank * np.log(flank_rate / together)

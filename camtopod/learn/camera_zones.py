@@ -6,6 +6,7 @@ import numpy as np
 
 from camtopod.event_time import MICROSECONDS
 from camtopod.learn.changes import find_move
+from camtopod.learn.limits import ZONES_PER_CAMERA_MAX
 from camtopod.learn.snapshot import CameraState, LearnerState, RetiredCamera
 from camtopod.learn.window import Window
 from camtopod.learn.zones import (
@@ -17,10 +18,6 @@ from camtopod.learn.zones import (
     refresh_zones,
 )
 
-GONE_ZONES_MAX = 32
-"""Largest number of vanished zones that are remembered for each camera. A zone that returns to its
-place gets its number back.
-"""
 MOVE_EVENTS = 25
 """New events of a camera after which it is tested again for having been turned."""
 ZONES_REFRESH_SHARE = 0.1
@@ -98,6 +95,6 @@ def refresh_camera_zones(state: LearnerState, window: Window, anew: bool = False
 
 
 def _vanished(known: tuple[ZoneShape, ...], now: ZoneMap) -> tuple[ZoneShape, ...]:
-    """Return the known zones that are not in the present map, `GONE_ZONES_MAX` at most."""
+    """Return the known zones that are not in the present map, `ZONES_PER_CAMERA_MAX` at most."""
     numbers = {zone.number for zone in now.zones}
-    return tuple(zone for zone in known if zone.number not in numbers)[:GONE_ZONES_MAX]
+    return tuple(zone for zone in known if zone.number not in numbers)[:ZONES_PER_CAMERA_MAX]

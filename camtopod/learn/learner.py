@@ -31,30 +31,17 @@ from camtopod.learn.assemble import (
     with_provisional,
     zone_id,
 )
-from camtopod.learn.camera_zones import (
-    GONE_ZONES_MAX,
-    find_moved_cameras,
-    refresh_camera_zones,
-)
+from camtopod.learn.camera_zones import find_moved_cameras, refresh_camera_zones
 from camtopod.learn.changes import BEFORE_MIN, AlarmLog, News
+from camtopod.learn.limits import ZONES_PER_CAMERA_MAX
 from camtopod.learn.links import zone_pairs_of
 from camtopod.learn.refit import Known, Refit, dwell_bins, lag_bins, refit
-from camtopod.learn.retired_cameras import (
-    LEFT_CAMERAS_MAX,
-    camera_to_replace,
-    cameras_to_retire,
-    renumber_followed,
-)
+from camtopod.learn.retired_cameras import camera_to_replace, cameras_to_retire, renumber_followed
 from camtopod.learn.self_score import Scorer
 from camtopod.learn.settings import Settings
 from camtopod.learn.snapshot import LearnerState, RetiredCamera
-from camtopod.learn.traffic import Scene, label_events
-from camtopod.learn.window import (
-    FORGOTTEN,
-    ReorderBuffer,
-    Window,
-)
-from camtopod.learn.zones import ZoneMap
+from camtopod.learn.traffic import label_events
+from camtopod.learn.window import FORGOTTEN, ReorderBuffer, Window
 from camtopod.predict import Predictor
 from camtopod.publishers import RETURNS_MIN, Publisher
 from camtopod.records import Event, Topology
@@ -189,8 +176,10 @@ class Learner:
         """
         known = names & {*self._window.cameras, *self._intake.state.newest, *self.state.retired}
         self._intake.drop_held(names)
-        self.forget(names)
+        self._forget(names)
         self._alarms.erase(names)
+        for name in names & self.state.retired.keys():
+            del self.state.retired[name]
         return bool(known)
 
     def make_version(self) -> None:
@@ -212,17 +201,6 @@ class Learner:
         self.state.done_us = microseconds(t) // self._tick_us * self._tick_us
         self._refit(self.state.done_us)
         self.state.fitted_us = None  # the next version is due with the first events
-
-    def forget(self, names: Set[str]) -> None:
-        """Forget cameras and their events; the next version is without them.
-
-        Their events that still wait for the watermark are kept, and so is the evidence of their
-        events about other cameras.
-        """
-        self._forget(names)
-        self._alarms.forget(names)
-        for name in names & self.state.retired.keys():
-            del self.state.retired[name]
 
     def begin_epoch(self, epoch: str) -> None:
         """Begin an epoch: the learned state stays, versions count from 1 again."""
@@ -291,7 +269,7 @@ class Learner:
                 continue
             if self.only_last:
                 refresh_camera_zones(self.state, self._window)
-                self._note_version(tick)
+                self.state.since_fit = 0
             else:
                 self._refit(tick)
         self.state.done_us = reached
@@ -325,15 +303,15 @@ class Learner:
         # Remember the zones.
         for name, camera in zip(self._window.cameras, self.state.cameras, strict=False):
             if name in names:
-                zones = (camera.zones.zones + camera.vanished)[:GONE_ZONES_MAX]
+                zones = (camera.zones.zones + camera.vanished)[:ZONES_PER_CAMERA_MAX]
                 self.state.retired[name] = RetiredCamera(zones, camera.zones.next_number)
 
         # Forget the rest, and the cameras retired first if there are too many.
         self._forget(names)
-        while len(self.state.retired) > LEFT_CAMERAS_MAX:
+        while len(self.state.retired) > self.settings.cameras_max:
             first = next(iter(self.state.retired))
             del self.state.retired[first]
-            self._alarms.forget({first})
+            self._alarms.erase({first})
 
     def _forget(self, names: Set[str]) -> None:
         """Forget cameras in every part of the learner that numbers or names cameras."""
@@ -369,13 +347,13 @@ class Learner:
         if self.only_last:
             enough = max(BEFORE_MIN * len(self._window.cameras), len(self._window) // 2)
             return self.state.since_fit >= enough
-        if self.state.since_fit == 0:
-            return False
-        if self.state.fitted_us is None or self.state.since_fit >= self._events_for_version():
-            return True
-        if self.state.moved or self.state.doubled:
-            return True
-        return tick_us - self.state.fitted_us >= microseconds(self.settings.refit_hours * 3600.0)
+        if self.state.since_fit == 0 or self.state.fitted_us is None:
+            return self.state.since_fit > 0
+        return (
+            self.state.since_fit >= self._events_for_version()
+            or bool(self.state.moved or self.state.doubled)
+            or tick_us - self.state.fitted_us >= microseconds(self.settings.refit_hours * 3600.0)
+        )
 
     def _events_for_version(self) -> float:
         """Return the number of new events that make a new version due."""
@@ -384,41 +362,32 @@ class Learner:
     def _refit(self, tick_us: int) -> None:
         """Make a version as of ``tick_us``: refresh the zones, estimate the clocks, refit."""
         if not len(self._window):  # all cameras were forgotten
-            self._publish(
-                self._completed(empty_topology(self.settings, lag_bins(self.settings)), tick_us)
-            )
-            self._note_version(tick_us)
+            self._publish(empty_topology(self.settings, lag_bins(self.settings)), tick_us)
             return
         self.on_step("zones")
         refresh_camera_zones(self.state, self._window, anew=self.only_last)
+
+        # Label the events by their zones, in time corrected by the clock offsets.
         self.on_step("clocks")
-        scene = self._corrected(label_events(self._window, self._maps()))
+        maps = [camera.zones for camera in self.state.cameras]
+        scene = label_events(self._window, maps)
+        self.state.clocks.update(scene, len(self._window.cameras), self.state.learned)
+        clocks = self.state.clocks.clocks
+        if clocks.offset.any():
+            scene = label_events(self._window, maps, clocks.offset)
 
         # Fit, and score earlier predictions by the fit.
         known = Known(
             self.state.followed, self.state.learned, self.only_last, self.state.scorer.waiting
         )
-        clocks = self.state.clocks.clocks
         found = refit(scene, self._window, clocks, known, self.settings, self.on_step)
         self.state.followed = found.followed
         self._scorer.mark(found.happened)
 
-        self._publish(self._version_of(found, tick_us))
-        self._note_version(tick_us)
+        self._publish(self._topology_of(found, tick_us), tick_us)
 
-    def _note_version(self, tick_us: int) -> None:
-        """Note that a version was made, or would have been, as of ``tick_us``."""
-        self.state.fitted_us = tick_us
-        self.state.since_fit = 0
-
-    def _publish(self, version: Topology) -> None:
-        """Hand out a new version, and predict with it from here on."""
-        self.state.topology = version
-        self._scorer.use(version, self._events_for_version())
-        self._updates.append(version)
-
-    def _version_of(self, found: Refit, tick_us: int) -> Topology:
-        """Return the version that follows from a refit, with site, number, alarms and score."""
+    def _topology_of(self, found: Refit, tick_us: int) -> Topology:
+        """Return the topology that follows from a refit; raise the alarms of its changes."""
         # The records of links and zones; those of cameras that repeat themselves are provisional.
         cameras = self._window.cameras
         now = tick_us / MICROSECONDS
@@ -440,17 +409,19 @@ class Learner:
             weak_links=with_provisional(weak, repeats),
         )
 
-        # Alarms, and the fields that the learner adds.
-        self._report(found, topology, self._next_version, now, news)
-        return self._completed(topology, tick_us)
+        self._report(found, topology, now, news)
+        return topology
 
     @property
     def _next_version(self) -> int:
         return 1 if self.topology is None else self.topology.version + 1
 
-    def _completed(self, topology: Topology, tick_us: int) -> Topology:
-        """Return a topology with the fields that only the learner knows."""
-        return with_digest(
+    def _publish(self, topology: Topology, tick_us: int) -> None:
+        """Hand out a version: a topology with the fields that only the learner knows.
+
+        From here on the learner predicts with it.
+        """
+        version = with_digest(
             replace(
                 topology,
                 site=self.site,
@@ -463,10 +434,13 @@ class Learner:
                 evidence=evidence_for_links(topology, self.topology),
             )
         )
+        self.state.topology = version
+        self.state.fitted_us = tick_us
+        self.state.since_fit = 0
+        self._scorer.use(version, self._events_for_version())
+        self._updates.append(version)
 
-    def _report(
-        self, found: Refit, topology: Topology, version: int, now: float, news: list[News]
-    ) -> None:
+    def _report(self, found: Refit, topology: Topology, now: float, news: list[News]) -> None:
         """Raise an alarm for each change that this version is the first to show.
 
         news: those that are known already.
@@ -500,7 +474,7 @@ class Learner:
             news.append(
                 ("camera_doubled", name, f"two programs publish it at the same time, {boots}")
             )
-        self._alarms.add(version, now, news)
+        self._alarms.add(self._next_version, now, news)
         self.state.moved = []
         self.state.doubled = []
 
@@ -517,13 +491,3 @@ class Learner:
             publisher = self.state.publishers.setdefault(event.camera, Publisher(event.boot))
             if publisher.note_boot(event.boot) and publisher.returns == RETURNS_MIN:
                 self.state.doubled.append(event.camera)
-
-    def _maps(self) -> list[ZoneMap]:
-        """Return the zones of each camera, by its index in the window."""
-        return [camera.zones for camera in self.state.cameras]
-
-    def _corrected(self, scene: Scene) -> Scene:
-        """Estimate the clock offsets, and return the scene with its times corrected by them."""
-        self.state.clocks.update(scene, len(self._window.cameras), self.state.learned)
-        offset = self.state.clocks.clocks.offset
-        return label_events(self._window, self._maps(), offset) if offset.any() else scene

@@ -35,13 +35,13 @@ from camtopod.records import (
 from camtopod.topology import LagBins, offset_bins, round_significant, step_histogram
 
 SHARE_MIN = 1e-4
-"""Least share of a listed next zone, and least mass of a listed entry kernel."""
+"""Least share of a listed next zone, and least mass of a listed entry kernel. A share in the window
+that is less counts as this where a changed share is divided by it.
+"""
 CONTEXT_DEPARTURES_MIN = 0.5
 """Least certain departures (see `next_camera.contexts`) of a listed context."""
 CONTEXT_TRANSITIONS_MIN = 0.05
 """Least certain transitions of a context to a next zone that is listed."""
-SHARE_FLOOR = 1e-3
-"""Lower bound on a share in the window where a changed share is divided by it."""
 
 
 def build_model(
@@ -153,7 +153,7 @@ def _presently(posterior: Posterior, changes: list[Change]) -> Floats:
     factor = np.ones(len(c.source))
     for k, pair in enumerate(zip(c.source.tolist(), c.target.tolist(), strict=True)):
         if pair in after:
-            factor[k] = after[pair] / max(float(posterior.share[k]), SHARE_FLOOR)
+            factor[k] = after[pair] / max(float(posterior.share[k]), SHARE_MIN)
     return factor
 
 

@@ -1,10 +1,10 @@
 """Retire cameras that no longer report, as every name costs memory and counts towards the limit.
 
-A camera is retired when its last event is more than a week old and older than the window
-(`cameras_to_retire`). As nothing that is learned depends on it any more, it is forgotten, except
-for the shapes of its zones: a camera that returns gets its zone numbers back. When the limit of
-cameras is reached, a new camera replaces the one with the fewest events in the window among those
-silent for an hour (`camera_to_replace`).
+A camera is retired when its last event is older than the window (`cameras_to_retire`). As nothing
+that is learned depends on it any more, it is forgotten, except for the shapes of its zones: a
+camera that returns gets its zone numbers back. When the limit of cameras is reached, a new camera
+replaces the one with the fewest events in the window among those silent for an hour
+(`camera_to_replace`).
 """
 
 from __future__ import annotations
@@ -16,10 +16,6 @@ from camtopod.event_time import MICROSECONDS
 from camtopod.learn.association import FollowedSources
 from camtopod.learn.window import FORGOTTEN, ReorderBuffer, Window
 
-RETIRED_AFTER_SECONDS = 7 * 86_400.0
-"""Least time, in seconds of event time, without events after which a camera is retired."""
-LEFT_CAMERAS_MAX = 10_000
-"""Retired cameras whose zones are remembered; beyond, the one retired first is forgotten."""
 REPLACEABLE_AFTER_SECONDS = 3600.0
 """Time, in seconds of event time, without events after which a new camera may replace a camera."""
 _CAMERA_SHIFT = 32
@@ -38,7 +34,7 @@ def cameras_to_retire(
     window_us (microseconds): length of the window.
     """
     newest = reorder_buffer.state.newest
-    t_us = now_us - max(window_us, round(RETIRED_AFTER_SECONDS * MICROSECONDS))
+    t_us = now_us - window_us
     return {name for name in (*newest, *window.cameras) if newest.get(name, t_us - 1) < t_us}
 
 

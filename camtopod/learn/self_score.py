@@ -23,9 +23,9 @@ from camtopod.records import Event, Prediction, SelfScore, Topology
 EXITS_PER_VERSION = 100
 """Approximate number of exits that are predicted between two versions, evenly spread."""
 SCORED_MAX = 2000
-"""Number of the newest scored predictions over which the score is the mean."""
-PENDING_MAX = 2000
-"""Largest number of predictions that wait for their outcome; beyond, the oldest is dropped."""
+"""Number of the newest scored predictions over which the score is the mean, and largest number of
+predictions that wait for their outcome: beyond, the oldest is dropped.
+"""
 PROBABILITY_FLOOR = 1e-4
 """Lower bound on a predicted probability in the log loss."""
 
@@ -61,7 +61,7 @@ class ScorerState(Struct):
     exits: int = 0
     """Number of exits so far."""
     waiting: list[ScoredPrediction] = []
-    """Predictions that wait for their outcome, at most `PENDING_MAX`, oldest first."""
+    """Predictions that wait for their outcome, at most `SCORED_MAX`, oldest first."""
     marks: list[Scores] = []
     """Scores of the newest scored predictions, at most `SCORED_MAX`, oldest first."""
 
@@ -109,7 +109,7 @@ class Scorer:
                             t_us / MICROSECONDS, event.camera, version, predicted, baseline
                         )
                     )
-                    del state.waiting[:-PENDING_MAX]
+                    del state.waiting[:-SCORED_MAX]
             predictor.observe(event)
 
     def use(self, topology: Topology, events_due: float) -> None:

@@ -31,8 +31,6 @@ refused; the state is learned again from the journal.
 """
 BYTES_MAX = 1 << 30
 """Largest size of an uncompressed snapshot in bytes; a snapshot that unpacks to more is damaged."""
-_COMPRESSION = 1
-"""Level of zlib compression, the fastest."""
 
 
 class SnapshotError(ValueError):
@@ -108,7 +106,7 @@ class _Snapshot(Struct):
 def pack(state: LearnerState) -> bytes:
     """Return a learner's state as compressed bytes."""
     raw = msgspec.Raw(_encoder.encode(state))
-    return zlib.compress(_encoder.encode(_Snapshot(FORMAT, raw)), _COMPRESSION)
+    return zlib.compress(_encoder.encode(_Snapshot(FORMAT, raw)), zlib.Z_BEST_SPEED)
 
 
 def unpack(blob: bytes) -> LearnerState:

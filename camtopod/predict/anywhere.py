@@ -134,7 +134,7 @@ def missed_shares(gone: Floats, leave: Floats, rate: Floats, lag_max: float) -> 
 
     # The probability that it falls short of what tells a path from all others that are possible;
     # the variance of a log likelihood ratio is about twice its mean.
-    needed = np.log(len(rate) * lag_max / spread)
+    needed = np.log(max(len(rate), 1) * lag_max / spread)
     short = (needed - evidence) / np.sqrt(2.0 * evidence + 1.0)
     missed: Floats = np.vectorize(NormalDist().cdf, otypes=[float])(short).mean(axis=1)
     return missed

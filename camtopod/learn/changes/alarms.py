@@ -27,19 +27,14 @@ from camtopod.learn.traffic import Scene
 from camtopod.records import Alarm, Camera
 from camtopod.topology import ALARMS_KEPT_MAX, mentions
 
-SUBJECTS_MAX = 10_000
-"""Links and zones whose last report is remembered; beyond, the oldest is forgotten."""
+SETTLING_SECONDS = 1800.0
+"""Seconds after the first event in which no change is reported, as objects that were on the site
+before have not been recorded yet; and seconds around the beginning and the end of a camera's
+silence in which no link change is reported: objects that pass the silent camera seem to go from the
+camera before it straight to the camera after it.
+"""
 SHARE_CHANGE_MIN = 0.1
 """Least change in the share of an open link for an alarm; smaller changes only affect the link."""
-STARTING_SECONDS = 1800.0
-"""Seconds after the first event in which no change is reported. Objects that were on the site
-before have not been recorded yet.
-"""
-SILENCE_SLACK_SECONDS = 900.0
-"""Seconds around the beginning and the end of a camera's silence in which no link change is
-reported. Such changes are an effect of the silence: objects that pass the silent camera seem to go
-from the camera before it straight to the camera after it.
-"""
 CLOCK_CHANGE_SECONDS_MIN = 0.5
 """Least change of a clock offset that is reported, seconds."""
 GONE_RATIO = 0.05
@@ -58,7 +53,8 @@ class AlarmState(Struct):
     newest: list[Alarm] = []
     """The newest alarms, at most `ALARMS_KEPT_MAX`, oldest first."""
     reported: dict[str, float] = {}
-    """Subject of an alarm (a zone, or a link as ``from->to``) -> time of its last report, seconds.
+    """Subject of an alarm (a zone, or a link as ``from->to``) -> time of its last report, seconds,
+    while that is in the window.
     """
     joined: set[str] = set()
     """Links that were published and not reported as closed."""
@@ -79,25 +75,15 @@ class AlarmLog:
     def __init__(self, state: AlarmState) -> None:
         self.state = state
 
-    def forget(self, names: Set[str]) -> None:
-        """Forget whether these cameras are silent or repeat themselves, and their clock offsets."""
-        self.state.silent -= names
-        self.state.repeats = {
-            name: one for name, one in self.state.repeats.items() if name not in names
-        }
-        for name in names & self.state.clock.keys():
-            del self.state.clock[name]
-
     def erase(self, names: Set[str]) -> None:
         """Forget these cameras, and everything that was reported of them and of their links."""
-        self.forget(names)
-        self.state.newest = [
-            alarm for alarm in self.state.newest if not mentions(alarm.subject, names)
-        ]
-        self.state.reported = {
-            subject: t for subject, t in self.state.reported.items() if not mentions(subject, names)
-        }
-        self.state.joined = {link for link in self.state.joined if not mentions(link, names)}
+        state = self.state
+        state.newest = [alarm for alarm in state.newest if not mentions(alarm.subject, names)]
+        state.joined = {link for link in state.joined if not mentions(link, names)}
+        state.silent -= names
+        for known in (state.reported, state.clock, state.repeats):
+            for subject in [subject for subject in known if mentions(subject, names)]:
+                del known[subject]
 
     def join(self, zones: list[str], links: set[tuple[int, int]]) -> None:
         """Note links that existed without being published, so that their closing is reported.
@@ -136,7 +122,13 @@ class AlarmLog:
         published: pairs (zone of departure, zone of arrival) of the links of this version.
         share_min: least share of the departures at a zone that makes a pair of zones a link.
         """
-        begun = scene.first + STARTING_SECONDS
+        # What the window can no longer show again is forgotten.
+        state = self.state
+        state.reported = {one: at for one, at in state.reported.items() if at >= scene.first}
+        state.joined = {link for link in state.joined if {*link.split("->")} <= {*zones}}
+
+        # Cameras and zones.
+        begun = scene.first + SETTLING_SECONDS
         yield from self.cameras(silences, cameras, begun)
         for index, (since, before, after) in zone_changes(scene).items():
             kind = "zone_new" if after > before else "zone_gone"
@@ -151,7 +143,7 @@ class AlarmLog:
         link_changes = [
             c
             for c in changes
-            if c.since >= begun and not np.any(np.abs(edges - c.since) < SILENCE_SLACK_SECONDS)
+            if c.since >= begun and not np.any(np.abs(edges - c.since) < SETTLING_SECONDS)
         ]
         yield from self.links(t, link_changes, zones, published, share_min)
 
@@ -188,8 +180,6 @@ class AlarmLog:
                 joined.discard(subject)
 
         # Remember which links are open.
-        if len(joined) > SUBJECTS_MAX:
-            joined.clear()
         self.join(zones, published)
 
     def cameras(
@@ -253,14 +243,9 @@ class AlarmLog:
 
         t, since (seconds): event time of the version, and time of the change.
         """
-        reported = self.state.reported
-        if since <= reported.get(subject, -np.inf):
-            return
-        reported.pop(subject, None)
-        reported[subject] = t
-        if len(reported) > SUBJECTS_MAX:
-            del reported[next(iter(reported))]
-        yield kind, subject, detail
+        if since > self.state.reported.get(subject, -np.inf):
+            self.state.reported[subject] = t
+            yield kind, subject, detail
 
 
 def zone_changes(scene: Scene) -> dict[int, tuple[float, float, float]]:

@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from camtopod.arrays import Floats
-from camtopod.learn.zones import CONTRAST_MIN, kernel_1d
+from camtopod.learn.zones import CELLS, CONTRAST_MIN, kernel_1d
 from camtopod.topology import GRID_COLUMNS, GRID_ROWS
 
 FALSE_ALARM = 1e-9
@@ -35,11 +35,10 @@ _WIDTH = 1.0
 """Standard deviation of the kernels, grid steps."""
 _EVENTS_EVEN = 2.0
 """Weight, in events, of a uniform density in the kernel density."""
-_ROWS = kernel_1d(GRID_ROWS, _WIDTH)
-_COLUMNS = kernel_1d(GRID_COLUMNS, _WIDTH)
-_ROWS = _ROWS / _ROWS.sum(axis=1, keepdims=True)
-_COLUMNS = _COLUMNS / _COLUMNS.sum(axis=1, keepdims=True)
-_CELLS = GRID_ROWS * GRID_COLUMNS
+_ROWS, _COLUMNS = (
+    kernel / kernel.sum(axis=1, keepdims=True)
+    for kernel in (kernel_1d(size, _WIDTH) for size in (GRID_ROWS, GRID_COLUMNS))
+)
 
 
 class Move(NamedTuple):
@@ -69,7 +68,7 @@ def find_move(cell: NDArray[np.int64], zones: NDArray[np.int16]) -> Move | None:
             break
 
         # Condition 1: the known zones are silent.
-        part = _known_zones(np.bincount(cell[:-length], minlength=_CELLS), zones.ravel())
+        part = _known_zones(np.bincount(cell[:-length], minlength=CELLS), zones.ravel())
         if not part.any():
             continue
         kept = _left(cell[:-length], cell[-length:], part)
@@ -90,7 +89,7 @@ def _left(before: NDArray[np.int64], newest: NDArray[np.int64], part: NDArray[np
     part (cells,): known zone of each cell, from 1; 0 outside.
     """
     share_before, share_now = (
-        _smooth(np.bincount(cell, minlength=_CELLS))[part > 0] / len(cell)
+        _smooth(np.bincount(cell, minlength=CELLS))[part > 0] / len(cell)
         for cell in (before, newest)
     )
     return float(np.minimum(share_before, share_now).sum() / share_before.sum())
@@ -106,7 +105,7 @@ def _moved(
     left: share of their traffic that the known zones have kept.
     """
     # Log likelihood ratio of the kernel density over the known places.
-    smooth = _smooth(np.bincount(before, minlength=_CELLS))
+    smooth = _smooth(np.bincount(before, minlength=CELLS))
     parts = int(part.max()) + 1
     had, has = (np.bincount(part[cell], minlength=parts) / len(cell) for cell in (before, newest))
     within = np.log(smooth / np.bincount(part, smooth, parts)[part])[newest]
@@ -148,7 +147,7 @@ def _known_zones(count: NDArray[np.int64], zones: NDArray[np.int16]) -> NDArray[
 def _smooth(count: NDArray[np.int64]) -> Floats:
     """Return event counts (cells,) smoothed over the grid; no count is zero."""
     return np.asarray(
-        (_ROWS.T @ (count + 1 / _CELLS).reshape(GRID_ROWS, GRID_COLUMNS) @ _COLUMNS).ravel()
+        (_ROWS.T @ (count + 1 / CELLS).reshape(GRID_ROWS, GRID_COLUMNS) @ _COLUMNS).ravel()
     )
 
 
@@ -165,4 +164,4 @@ def _foretold(cell: NDArray[np.int64], earlier: bool) -> Floats:
     if earlier:
         near = np.tril(near, -1)
         events = np.arange(len(cell))
-    return np.asarray(np.log((near.sum(axis=1) + _EVENTS_EVEN / _CELLS) / (events + _EVENTS_EVEN)))
+    return np.asarray(np.log((near.sum(axis=1) + _EVENTS_EVEN / CELLS) / (events + _EVENTS_EVEN)))

@@ -22,10 +22,6 @@ LONGER_THAN_BEFORE = 2.0
 """Least ratio of a lasting silence to the camera's longest earlier gap for an alarm. Some cameras
 have quiet nights of their own.
 """
-EVENTS_MIN = 10
-"""Least number of events of a camera in the window for its gaps to be tested."""
-PASSES = 2
-"""Number of estimates of a camera's share of the traffic; later ones leave its silences out."""
 
 
 class CameraSilences(NamedTuple):
@@ -55,17 +51,14 @@ def _silences(t: Floats, own: NDArray[np.intp]) -> CameraSilences:
     t (n, seconds): times of the events of all cameras, ascending.
     own (k,): rows of the camera's own events.
     """
-    if len(own) < EVENTS_MIN:
+    if len(own) == 0:
         return CameraSilences([], False)
 
     # Gaps between the camera's events, in events of other cameras. A gap is a silence if its
     # probability, given the camera's share of the traffic, is below the limit.
     gaps = np.diff(np.append(own, len(t))) - 1
-    silent = np.zeros(len(gaps), bool)
-    for _ in range(PASSES):
-        events = len(own) + int(gaps[~silent].sum())
-        nats = -math.log1p(-min(len(own) / max(events, 1), 0.5)) * gaps / EVENTS_PER_PASSAGE
-        silent = nats > math.log(len(own) / FALSE_ALARM)
+    share = min(len(own) / (len(own) + int(gaps.sum())), 0.5)
+    silent = -math.log1p(-share) * gaps / EVENTS_PER_PASSAGE > math.log(len(own) / FALSE_ALARM)
 
     # Convert gaps to intervals.
     ends = np.append(t[own[1:]], np.inf)

@@ -21,6 +21,7 @@ from camtopod.learn.zones.clutter import CONTRAST_MIN as CONTRAST_MIN
 from camtopod.learn.zones.daspec import kernel_1d as kernel_1d
 from camtopod.learn.zones.mixture import ZoneShape as ZoneShape
 from camtopod.learn.zones.zone_map import (
+    CELLS as CELLS,
     ZoneMap as ZoneMap,
     cell_sums as cell_sums,
     cells_of as cells_of,

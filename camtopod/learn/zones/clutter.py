@@ -23,28 +23,22 @@ from camtopod.topology import GRID_COLUMNS, GRID_ROWS
 Labels = NDArray[np.intp]
 Counts = NDArray[np.int64] | Floats
 
+DASPEC_RUNS_MAX = 3
+"""Most runs of DaSpec, each on the cells that no eigenvector kept so far reaches."""
 CONTRAST_MIN = 2.5
 """Least ratio of a zone's density to the density of the clutter around it."""
 FLOOR_PROBABILITY = 0.01
 """A cell is kept for DaSpec if clutter alone would put as many events into its surroundings with
 less than this probability.
 """
-SEARCH_PROBABILITY = 0.0001
-"""Value of `FLOOR_PROBABILITY` for the later search among events that were taken for clutter."""
-FLOOR_WIDTHS = (0.75, 1.75)
-"""Standard deviations of the kernels that define a cell's surroundings, grid steps. The smaller one
-suits a single door, the larger one a zone of few events.
-"""
-DASPEC_RUNS_MAX = 3
-"""Most runs of DaSpec, each on the cells that no eigenvector kept so far reaches."""
+FLOOR_WIDTH = 1.75
+"""Standard deviation of the kernel that defines a cell's surroundings, grid steps."""
 WIDTH = 4.0
 """Standard deviation, grid steps, of the kernel that averages clutter; larger than a zone."""
 DENSER = 2.0
 """A cell counts as clutter up to this multiple of the local rate of clutter, plus three standard
 deviations of Poisson noise and one event.
 """
-DENSER_MAX = 4.0
-"""Largest local rate of clutter, as a multiple of its mean over the image."""
 EVENTS_ALIKE = 30.0
 """Weight, in events, of the rate of the whole image in the local rate of clutter."""
 ROUNDS = 8
@@ -53,23 +47,8 @@ _WIDE_ROWS = kernel_1d(GRID_ROWS, WIDTH)
 _WIDE_COLUMNS = kernel_1d(GRID_COLUMNS, WIDTH)
 
 
-def _surroundings(width: float) -> tuple[Floats, Floats, Floats]:
-    """Return the Gaussian kernels by which events around each cell are summed.
-
-    width: standard deviation, grid steps.
-
-    The results are the kernels K along rows and along columns, and (sum K) / (sum K^2) of each
-    cell, by which a kernel-weighted sum of Poisson counts is scaled to one Poisson count.
-    """
-    rows = kernel_1d(GRID_ROWS, width)
-    columns = kernel_1d(GRID_COLUMNS, width)
-    area = np.outer(rows.sum(axis=0), columns.sum(axis=0))
-    return rows, columns, area / np.outer((rows**2).sum(axis=0), (columns**2).sum(axis=0))
-
-
-_ROWS, _COLUMNS, _SCALES = (
-    np.array(parts) for parts in zip(*map(_surroundings, FLOOR_WIDTHS), strict=True)
-)
+_ROWS = kernel_1d(GRID_ROWS, FLOOR_WIDTH)
+_COLUMNS = kernel_1d(GRID_COLUMNS, FLOOR_WIDTH)
 
 
 def clutter_rate(count: Counts) -> float:
@@ -94,13 +73,13 @@ def clutter_rates(count: Counts) -> Floats:
 
     count (rows, columns): events of each cell.
 
-    Clutter is denser where people walk or light flickers. The rates start at `DENSER_MAX` times
+    Clutter is denser where people walk or light flickers. The rates start at `DENSER` times
     the `clutter_rate` of the whole image and fall from iteration to iteration, until the set of
     cells that count as clutter no longer changes.
     """
     n = np.asarray(count, dtype=np.float64)
     mean = clutter_rate(count)
-    rate = np.full(n.shape, DENSER_MAX * mean)
+    rate = np.full(n.shape, DENSER * mean)
     kept = np.zeros(n.shape, dtype=np.bool_)
     for _ in range(ROUNDS):
         before = kept
@@ -112,37 +91,18 @@ def clutter_rates(count: Counts) -> Floats:
     return rate
 
 
-def _clutter_probability(count: Counts, rate: Floats, which: NDArray[np.bool_]) -> Floats:
-    """Return the probability that clutter alone makes as many events around a cell, (n,).
-
-    count, rate (rows, columns): events of each cell, and expected events of clutter.
-    which (rows, columns): mask of the n cells to test.
-
-    Large probabilities are returned as 1. Of the probabilities for the two sizes of the
-    surroundings (`FLOOR_WIDTHS`) the smaller counts.
-    A kernel-weighted sum of Poisson counts is distributed approximately like one count over
-    (sum K)^2 / (sum K^2) cells.
-    """
-    inside, expected = (_ROWS @ np.array((count, rate))[:, None] @ _COLUMNS * _SCALES)[:, :, which]
-    # Up to a standard deviation above the expectation the probability is at least about 1/7, far
-    # above any threshold in use.
-    above = inside > expected + np.sqrt(expected)
-    chances = np.ones(inside.shape)
-    chances[above] = gammainc(np.maximum(inside[above], 1e-9), expected[above])
-    return np.asarray(chances.min(axis=0))
-
-
-def dense_cells(count: Counts, rate: Floats, chance: float) -> Floats:
+def dense_cells(count: Counts, rate: Floats) -> Floats:
     """Return the events beyond the expected clutter in cells that stand out, 0 in all others.
 
     count, rate (rows, columns): events of each cell, and expected events of clutter.
-    chance: a cell stands out if clutter alone would make as many events around it with a
-        probability below this.
+
+    A kernel-weighted sum of Poisson counts is distributed approximately like one count over
+    (sum K)^2 / (sum K^2) cells.
     """
     keep = (count > rate + 2 * np.sqrt(rate)) & (count > CONTRAST_MIN * rate)
-    if not keep.any():
-        return np.zeros(keep.shape)
-    keep[keep] = _clutter_probability(count, rate, keep) < chance
+    cells = _ROWS @ np.ones(keep.shape) @ _COLUMNS / (_ROWS**2 @ np.ones(keep.shape) @ _COLUMNS**2)
+    inside, expected = (_ROWS @ np.array((count, rate)) @ _COLUMNS * cells)[:, keep]
+    keep[keep] = gammainc(np.maximum(inside, 1e-9), expected) < FLOOR_PROBABILITY
     return np.where(keep, np.maximum(count - rate, 0.5), 0.0)
 
 

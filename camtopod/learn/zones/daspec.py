@@ -27,8 +27,6 @@ POINTS_NEAR_MIN = 5
 """
 BANDWIDTH_MIN = 0.75
 """Least bandwidth, grid steps; a narrower kernel resolves the grid instead of the points."""
-EIGENVECTORS_MAX = 48
-"""Largest number of eigenvectors considered, and so of groups."""
 _CHI_95 = float(np.sqrt(2.0 * gammaincinv(1.0, 0.95)))
 """Root of the 95 % quantile of chi-squared with two degrees of freedom."""
 
@@ -97,12 +95,11 @@ def data_spectroscopy(counts: NDArray[np.generic], bandwidth: float) -> Spectrum
     root = np.sqrt(weights / n)
     matrix = rows[np.ix_(r, r)] * columns[np.ix_(c, c)] * root[:, None] * root
 
-    # The largest eigenvalues and their eigenvectors, per point. Up to about 400 cells, computing
-    # all of them is faster than computing the largest ones only.
+    # The eigenvalues, the largest first, and their eigenvectors, per point. Up to about 400 cells,
+    # computing all of them is faster than computing the largest ones only.
     values, vectors = np.linalg.eigh(matrix)
-    values = values[: -EIGENVECTORS_MAX - 1 : -1]
-    vectors = vectors[:, : -EIGENVECTORS_MAX - 1 : -1]
-    vectors = vectors / np.sqrt(weights)[:, None]
+    values = values[::-1]
+    vectors = vectors[:, ::-1] / np.sqrt(weights)[:, None]
     # Even a group of one point has an eigenvalue of at least 1/n; smaller ones are rounding errors.
     real = values >= min(0.5 / n, values[0])
     values = values[real]

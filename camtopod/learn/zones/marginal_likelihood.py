@@ -26,8 +26,6 @@ _FREEDOM = 4.0
 """Degrees of freedom of the inverse Wishart prior."""
 _SCALE = 5 * ZONE_SD**2
 """Scale of the inverse Wishart prior, the same along both axes."""
-SHARE_PRIOR = 1.0
-"""Concentration of the Dirichlet prior of the zones' shares of the events."""
 
 
 def moments(groups: Floats) -> tuple[Floats, Floats]:
@@ -68,7 +66,7 @@ def log_zone(n: Floats, scatter: Floats) -> Floats:
     scatter (3, ...): as returned by `moments`.
 
     The result is the log marginal likelihood of the group plus the group's term in the log prior of
-    the partition (`log_zones`). With these values of `_FREEDOM` and `SHARE_PRIOR` the gamma
+    the partition (`log_zones`). With this value of `_FREEDOM` the gamma
     functions of the two reduce, by the duplication formula, to powers of two times the same
     factorial.
     """
@@ -89,7 +87,7 @@ def log_zones(zones: int, total: Floats) -> Floats:
     It is a Dirichlet multinomial over unordered zones. The terms of the single zones (see
     `log_zone`) and of the clutter (log factorial of its events) are left out.
     """
-    weight = SHARE_PRIOR * zones + 1
+    weight = zones + 1
     result: Floats = gammaln(zones + 1) + gammaln(weight) - gammaln(total + weight)
     return result
 

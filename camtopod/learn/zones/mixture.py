@@ -17,8 +17,8 @@ from camtopod.arrays import Floats
 from camtopod.topology import GRID_COLUMNS, GRID_ROWS
 
 _LOG_TAU = float(np.log(2 * np.pi))
-_X = (np.arange(GRID_COLUMNS) + 0.5) / GRID_COLUMNS
-_Y = ((np.arange(GRID_ROWS) + 0.5) / GRID_ROWS)[:, None]
+CELL_X = (np.arange(GRID_COLUMNS) + 0.5) / GRID_COLUMNS
+CELL_Y = ((np.arange(GRID_ROWS) + 0.5) / GRID_ROWS)[:, None]
 
 
 class ZoneShape(Struct, frozen=True):
@@ -55,8 +55,8 @@ def classify_cells(zones: Sequence[ZoneShape], clutter: float | Floats) -> NDArr
         x, y, xx, xy, yy, weight = figures.T[:, :, None, None]
         xx = xx + 1 / (12 * GRID_COLUMNS**2)
         yy = yy + 1 / (12 * GRID_ROWS**2)
-        dx = _X - x
-        dy = _Y - y
+        dx = CELL_X - x
+        dy = CELL_Y - y
         determinant = xx * yy - xy * xy
         # x varies along columns and y along rows only: just the last line works on all cells.
         of_x = (-0.5 * yy / determinant) * dx * dx - (_LOG_TAU + 0.5 * np.log(determinant))

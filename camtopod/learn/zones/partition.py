@@ -21,9 +21,6 @@ from scipy.special import gammaln
 
 from camtopod.arrays import Floats
 from camtopod.learn.zones.clutter import (
-    CONTRAST_MIN,
-    FLOOR_PROBABILITY,
-    SEARCH_PROBABILITY,
     daspec_groups,
     dense_cells,
 )
@@ -34,7 +31,8 @@ from camtopod.learn.zones.marginal_likelihood import (
     log_zones,
     moments,
 )
-from camtopod.learn.zones.separation import are_far_apart, discriminant, sd_along, valley_log_ratio
+from camtopod.learn.zones.mixture import CELL_X, CELL_Y
+from camtopod.learn.zones.separation import discriminant, sd_along, valley_log_ratio
 from camtopod.topology import GRID_COLUMNS, GRID_ROWS
 
 Labels = NDArray[np.intp]
@@ -68,21 +66,12 @@ HOLD = 1.5
 many times the usual evidence, and a held zone is dropped only if its evidence is this many times
 smaller than a new zone would need. So zones do not come and go.
 """
-HOLD_GAIN = 3.0
-"""Least gain of log posterior of a change when an earlier partition is held; otherwise it is 0."""
 _ROUNDS_MAX = 6
 """Largest number of rounds of moves."""
-_GAIN_HOPELESS = -10.0
-"""Gain of log posterior up to which a cut is not tested for a valley, to save time."""
-_X = (np.arange(GRID_COLUMNS) + 0.5) / GRID_COLUMNS
-_Y = ((np.arange(GRID_ROWS) + 0.5) / GRID_ROWS)[:, None]
-_CELL_SPREAD = np.array([[1 / GRID_COLUMNS**2], [0.0], [1 / GRID_ROWS**2]]) / 12
+_CELL_SPREAD = np.array([[1 / (12 * GRID_COLUMNS**2)], [0.0], [1 / (12 * GRID_ROWS**2)]])
 """Covariance (xx, xy, yy) of a uniform distribution over one cell, image units."""
-_ANGLES = np.arange(6) * np.pi / 6
-_DIRECTIONS = np.stack([np.cos(_ANGLES), np.sin(_ANGLES)], axis=1)
+_DIRECTIONS = np.array([(np.cos(angle), np.sin(angle)) for angle in np.arange(6) * np.pi / 6])
 """Unit vectors (x, y) perpendicular to the cuts of groups."""
-_CUTS_TRIED = 2
-"""Number of cuts of a group that are tested for a valley, best first."""
 
 
 class Cells(NamedTuple):
@@ -123,17 +112,8 @@ def partition(
     if count.sum() < EVENTS_MIN:
         return one_zone
 
-    # Improve the held partition, or start from nothing: density floor, DaSpec.
-    if held is not None and held.max() >= 0:
-        labels = _Partition(cells, held, rates, held=True).improve()
-    else:
-        dense = dense_cells(count, rates, FLOOR_PROBABILITY)
-        if not dense.any():
-            dense = count.astype(np.float64)
-        labels = _Partition(cells, daspec_groups(dense)[cells.index], rates).improve()
-    if labels.max() < 0:
-        return one_zone
-    return labels
+    labels = _Partition(cells, one_zone - 1 if held is None else held, rates).improve()
+    return labels if labels.max() >= 0 else one_zone
 
 
 class _Partition:
@@ -145,15 +125,14 @@ class _Partition:
     clutter: number of events outside all groups.
     as_clutter (K,): log likelihood of each group's events under the density of clutter.
     density (cells of the grid,): expected clutter in each cell over its mean.
-    hold, hold_gain: `HOLD` and `HOLD_GAIN` if the first partition is held, else 1 and 0.
+    hold: `HOLD` if the first partition is held, else 1.
     valleys: cached results of `_valley_between`, by the sums of the two groups.
     uncut: sums of groups that could not be split.
-    tried: sums of groups that were tried as zones in `_find_among_clutter`.
     """
 
-    def __init__(self, cells: Cells, labels: Labels, rates: Floats, held: bool = False) -> None:
+    def __init__(self, cells: Cells, labels: Labels, rates: Floats) -> None:
         self.cells = cells
-        self.hold, self.hold_gain = (HOLD, HOLD_GAIN) if held else (1.0, 0.0)
+        self.hold = HOLD if labels.max() >= 0 else 1.0
         self.rates = rates
 
         # Density of clutter relative to a uniform one.
@@ -169,7 +148,6 @@ class _Partition:
         self.total = float(cells.sums[0].sum())
         self.valleys: dict[bytes, float] = {}
         self.uncut: set[bytes] = set()
-        self.tried: set[bytes] = set()
         self._set(labels)
 
     def _set(self, labels: Labels) -> None:
@@ -192,45 +170,43 @@ class _Partition:
 
     def improve(self) -> Labels:
         """Move until no move improves the partition, at most `_ROUNDS_MAX` rounds; return it."""
+        is_held = len(self.zones) > 0
+        if not is_held:
+            self._find()
         for _ in range(_ROUNDS_MAX):
             self._merge()
             self._drop()
             if self._assign():
                 self._assign()
-            if not self._split() and not self._find_among_clutter():
+            if not self._split() and not (is_held and self._find()):
                 return self.labels
         self._merge()
         self._drop()
         return self.labels
 
-    def _find_among_clutter(self) -> bool:
-        """Run DaSpec on the clutter and add groups that are zones; return True if there are any.
+    def _find(self) -> bool:
+        """Add the DaSpec groups of the cells outside all groups; return True if there are any.
 
-        Such groups exist where DaSpec had joined a zone with a bigger one: the Gaussian of both did
-        not explain the cells of the smaller zone, which then became clutter.
+        If there are zones, only groups that stand out from clutter clearly are added.
         """
-        # Run DaSpec on the clutter.
+        # The cells outside that stand out; at the start, where none does, all of them.
         outside = self.labels < 0
-        if len(self.zones) == 0 or not outside.any():
-            return False
-        count = np.zeros(GRID_ROWS * GRID_COLUMNS)
-        count[self.cells.index[outside]] = self.cells.sums[0, outside]
-        labels = self.labels
+        count = np.zeros(self.rates.shape)
+        count.flat[self.cells.index[outside]] = self.cells.sums[0, outside]
         known = len(self.zones)
-        dense = dense_cells(count.reshape(GRID_ROWS, GRID_COLUMNS), self.rates, SEARCH_PROBABILITY)
+        dense = dense_cells(count, self.rates)
         if not dense.any():
-            return False
-        groups = daspec_groups(dense)[self.cells.index]
+            if known:
+                return False
+            dense = count
 
-        # Add the groups, and remove those that are not zones or were tried before.
-        self._set(np.where(groups >= 0, groups + known, labels))
-        keys = [zone.tobytes() for zone in self.zones[known:]]
-        for k in range(len(self.zones) - 1, known - 1, -1):
+        # Add their groups, and remove those that are not zones.
+        groups = daspec_groups(dense)[self.cells.index]
+        self._set(np.where(groups >= 0, groups + known, self.labels))
+        for k in range(len(self.zones) - 1, known - 1, -1) if known else ():
             enough = self.zones[k, 0] >= ZONE_EVENTS_MIN
-            is_zone = enough and self._drop_gain(np.array([k]), self.hold)[0] < -self.hold_gain
-            if keys[k - known] in self.tried or not is_zone or self._is_tail(k):
+            if not enough or self._drop_gain(np.array([k]), self.hold)[0] >= 0 or self._is_tail(k):
                 self._remove(k)
-        self.tried.update(keys)
         return len(self.zones) > known
 
     def _is_tail(self, k: int) -> bool:
@@ -265,20 +241,17 @@ class _Partition:
             zones = np.arange(len(self.zones))
             a, b = np.nonzero(zones[:, None] < zones)
             two = np.stack((a, b))
-            sides = self.zones[two, 0], self.mean[:, two], self.scatter[:, two]
-            gain, clear = self._two_zones_gain(
-                *sides, self.zones.T[:, two].sum(axis=1), slice(None), -self.hold_gain
-            )
+            both = self.zones.T[:, two].sum(axis=1)
+            gain, unlike = self._two_zones_gain(self.zones[two, 0], self.scatter[:, two], both)
 
             # The pair with the least gain that is not two zones.
-            wanted = np.where(gain > -self.hold_gain, VALLEY_MIN, VALLEY_ALONE) / self.hold
             for pair in gain.argsort(kind="stable"):
-                i = int(a[pair])
-                j = int(b[pair])
+                i, j = int(a[pair]), int(b[pair])
                 inside = (self.labels == i) | (self.labels == j)
+                wanted = (VALLEY_MIN if gain[pair] > 0 else VALLEY_ALONE) / self.hold
                 if (
-                    not clear[pair]
-                    and self._valley_between(self.zones[i], self.zones[j], inside) < wanted[pair]
+                    not unlike[pair]
+                    and self._valley_between(self.zones[i], self.zones[j], inside) < wanted
                 ):
                     break
             else:
@@ -300,7 +273,7 @@ class _Partition:
             gain = self._drop_gain(np.arange(len(self.zones)), 1 / self.hold)
             gain[self.zones[:, 0] < ZONE_EVENTS_MIN] = np.inf
             k = int(gain.argmax())
-            if gain[k] <= self.hold_gain:
+            if gain[k] <= 0:
                 return
             self._remove(k)
 
@@ -310,9 +283,8 @@ class _Partition:
         which (z,): the groups.
         hold: factor on `EXCESS_MIN`.
 
-        Two corrections: the gain is negative if the group stands out from clutter by more than
-        ``hold`` times `EXCESS_MIN`, and positive if the group is less than `CONTRAST_MIN` times as
-        dense as the clutter around it.
+        The gain is negative if the group stands out from the clutter around it by more than
+        ``hold`` times `EXCESS_MIN`.
         """
         # The marginal likelihoods.
         n = self.zones[which, 0]
@@ -325,11 +297,10 @@ class _Partition:
         )
         gain += gammaln(self.clutter + n + 1) - gammaln(self.clutter + 1) + self.as_clutter[which]
 
-        # The corrections.
-        inside, expected = self._inside(which)
-        surplus, contrast = _log_surplus(inside, np.array((expected, CONTRAST_MIN * expected)))
-        gain = np.where(gain > 0, np.minimum(gain, EXCESS_MIN * hold - surplus), gain)
-        return np.asarray(np.maximum(gain, -contrast))
+        # The log likelihood ratio that the Poisson mean of the events there is beyond the expected.
+        n, expected = self._inside(which)
+        surplus = (n * np.log(n / expected) - n + expected) * np.sign(n - expected)
+        return np.where(gain > 0, np.minimum(gain, EXCESS_MIN * hold - surplus), gain)
 
     def _inside(self, which: Labels) -> tuple[Floats, Floats]:
         """Return the number of events around each of some zones, and the expected clutter, (z,).
@@ -341,8 +312,8 @@ class _Partition:
         # The cells around each zone (z, cells of the grid).
         xx, xy, yy = (self.cov[:, which] + _CELL_SPREAD)[:, :, None, None]
         x, y = self.mean[:, which, None, None]
-        dx = _X - x
-        dy = _Y - y
+        dx = CELL_X - x
+        dy = CELL_Y - y
         square = yy * dx * dx - 2 * xy * dx * dy + xx * dy * dy
         inside = (square < 4 * (xx * yy - xy * xy)).reshape(len(which), -1)
 
@@ -358,62 +329,26 @@ class _Partition:
         return np.maximum(n, 1e-9), np.maximum(expected, self.density.min()) * scale
 
     def _two_zones_gain(
-        self,
-        n: Floats,
-        mean: Floats,
-        scatter: Floats,
-        both: Floats,
-        of: Labels | slice,
-        least: float,
+        self, n: Floats, scatter: Floats, both: Floats
     ) -> tuple[Floats, NDArray[np.bool_]]:
-        """Return the gain of log posterior of two zones over one, and where it is sufficient.
+        """Return the gain of log posterior of two zones over one, and where no valley is needed.
 
         n (2, ..., m): number of events of the two groups of each pair.
-        mean (2, 2, ..., m), scatter (3, 2, ..., m): `moments` of the two groups of each pair.
-        both (6, wholes): sums of the two groups together; several pairs may share one union.
-        of (m,): index of each pair's union in ``both``.
-        least: least gain that is sufficient.
+        scatter (3, 2, ..., m): `moments` of the two groups of each pair.
+        both (6, m): sums of the two groups together.
 
-        A gain above ``least`` is sufficient, even without a valley, if the two groups are far apart
-        or if the gain per event of the smaller group exceeds `UNLIKE_GAIN_PER_EVENT`. Of groups
-        that are not far apart, the gain is limited by `PAIR_EVENTS`.
-
-        Both results are (..., m).
+        No valley is needed if the gain per event of the smaller group exceeds
+        `UNLIKE_GAIN_PER_EVENT`. Both results are (..., m).
         """
-        # The union as one zone, with limited evidence and without the limit.
-        well_apart = are_far_apart(n, mean, scatter)
-        weigh = 1 / (1 + both[0] / PAIR_EVENTS)
-        weights = np.array((weigh, np.ones_like(weigh)))
-        wholes = self._one_zone(both[:, None] * weights, self.total * weights)[:, of]
-        weight = weigh[of]
-        whole = wholes[0]
-
-        # The evidence of pairs that are far apart is not limited.
-        if well_apart.any():
-            weight = np.where(well_apart, 1.0, weight)
-            whole = np.where(well_apart, wholes[1], whole)
-
-        # The gain, and where it is sufficient.
+        # Terms of the prior that are the same for one and two zones are left out.
+        weight = 1 / (1 + both[0] / PAIR_EVENTS)
+        count = len(self.zones)
+        total = self.total * weight
+        whole = log_zone(both[0] * weight, moments(both * weight)[1])
+        whole += log_zones(count, total) - log_zones(count + 1, total)
         first, second = log_zone(n * weight, scatter * weight)
         gain = first + second - whole
-        unlike = gain > UNLIKE_GAIN_PER_EVENT * np.minimum(*n) * weight
-        return gain, (gain > least) & (well_apart | unlike)
-
-    def _one_zone(self, groups: Floats, total: Floats) -> Floats:
-        """Return the log posterior (...) of groups as one zone, for comparison with two zones each.
-
-        groups (6, ...): sums of each group.
-        total: number of events of the camera, scaled like the sums.
-
-        The prior of one zone more is subtracted; terms that are the same for one and two zones are
-        left out.
-        """
-        count = len(self.zones)
-        return (
-            log_zone(groups[0], moments(groups)[1])
-            + log_zones(count, total)
-            - log_zones(count + 1, total)
-        )
+        return gain, gain > UNLIKE_GAIN_PER_EVENT * np.minimum(*n) * weight
 
     def _valley_between(self, a: Floats, b: Floats, inside: NDArray[np.bool_]) -> float:
         """Return the log likelihood ratio of a valley between two groups; results are cached.
@@ -518,26 +453,11 @@ class _Partition:
         first = np.cumsum(self.cells.sums[:, order], axis=2)[:, :, :-1]
         sides = np.stack((first, both[:, None] - first), axis=1)
 
-        # The gain of every cut, and the best cut that makes two zones.
-        one = np.zeros(len(cells) - 1, np.intp)
-        gain, clear = self._two_zones_gain(sides[0], *moments(sides), both, one, self.hold_gain)
-        best = gain.max(axis=1)
-        inside = self.labels == zone
-        for angle in best.argsort(kind="stable")[::-1][:_CUTS_TRIED].tolist():
-            if best[angle] > _GAIN_HOPELESS:
-                at = int(gain[angle].argmax())
-                wanted = (VALLEY_MIN if best[angle] > self.hold_gain else VALLEY_ALONE) * self.hold
-                left, right = sides[:, :, angle, at].T
-                if clear[angle, at] or self._valley_between(left, right, inside) >= wanted:
-                    return order[angle, at + 1 :]
+        # The best cut, if it makes two zones.
+        gain, unlike = self._two_zones_gain(sides[0], moments(sides)[1], both)
+        angle, at = np.unravel_index(int(gain.argmax()), gain.shape)
+        wanted = (VALLEY_MIN if gain[angle, at] > 0 else VALLEY_ALONE) * self.hold
+        left, right = sides[:, :, angle, at].T
+        if unlike[angle, at] or self._valley_between(left, right, self.labels == zone) >= wanted:
+            return order[angle, at + 1 :]
         return None
-
-
-def _log_surplus(n: Floats, expected: Floats) -> Floats:
-    """Return the log likelihood ratio that the Poisson mean is ``n`` and not ``expected``.
-
-    n, expected (...): observed and expected numbers of events.
-
-    The sign is negative where there are fewer events than expected.
-    """
-    return np.asarray((n * np.log(n / expected) - n + expected) * np.sign(n - expected))

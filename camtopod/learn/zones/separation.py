@@ -1,8 +1,7 @@
 """Evidence that two groups of events in a view are separate, for `partition`.
 
-Both tests look along the line that discriminates the two groups best (`discriminant`). Two groups
-are separate if their centres are far apart (`are_far_apart`), or if there is a *valley*, a stretch
-of low density, between them (`valley_log_ratio`).
+Two groups are separate if there is a *valley*, a stretch of low density, between them
+(`valley_log_ratio`), on the line that discriminates the two best (`discriminant`).
 """
 
 from __future__ import annotations
@@ -11,44 +10,11 @@ from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.special import ndtr
 
 from camtopod.arrays import Floats
-from camtopod.learn.zones.marginal_likelihood import covariance
 
 _Parts = Sequence[Any] | Floats
-
-FAR = 3.0
-"""Distance of two centres beyond which two groups are separate without a valley. The unit is the
-sum of the two groups' standard deviations along the discriminating line.
-"""
-
-
-def are_far_apart(n: Floats, mean: Floats, scatter: Floats) -> NDArray[np.bool_]:
-    """Return a mask (...) of the pairs of groups whose centres are more than `FAR` apart.
-
-    n (2, ...): number of events of the two groups of each pair.
-    mean (2, 2, ...), scatter (3, 2, ...): `moments` of the groups; the second axis is that of the
-        two groups of a pair.
-    """
-    cov = covariance(n, scatter)
-    difference = mean[:, 1] - mean[:, 0]
-    (xx, xy, yy) = cov.sum(axis=1)
-    (x, y) = difference
-    # The distance along any line is at most the Mahalanobis distance, which is quicker to compute.
-    result: NDArray[np.bool_] = (yy * x - 2 * xy * y) * x + xx * y * y > 0.999 * FAR**2 * (
-        xx * yy - xy * xy
-    )
-
-    # For the pairs that remain, the distance along the best line.
-    if result.any():
-        far_cov = cov[:, :, result]
-        difference = difference[:, result]
-        line = discriminant(far_cov.sum(axis=1), difference)
-        apart = line[0] * difference[0] + line[1] * difference[1]
-        result[result] = apart > FAR * sd_along(far_cov, line).sum(axis=0)
-    return result
 
 
 def discriminant(cov: _Parts, difference: _Parts) -> tuple[Any, Any]:
@@ -78,10 +44,6 @@ def sd_along(cov: _Parts, line: _Parts) -> Any:
     return (xx * x * x + 2 * xy * x * y + yy * y * y + 1e-6) ** 0.5
 
 
-DEPTH = 0.85
-"""Largest density of a valley relative to the density of each of its flanks. A stretch that is less
-deep is a ripple, not a valley, however significant it is.
-"""
 _STEPS = 18
 """Number of grid points along the line."""
 _STEP = np.arange(_STEPS)
@@ -126,8 +88,7 @@ def valley_log_ratio(n: Floats, position: Floats, sd: Floats, low: float, high: 
     log_likelihood = (inside * np.log(rate)).ravel()
     ratio = log_likelihood[_VALLEYS] + log_likelihood[_FLANKS] - log_likelihood[_WHOLES]
     rate = rate.ravel()
-    # A stretch that is not clearly less dense than its flank is no valley.
-    ratio *= rate[_VALLEYS] < DEPTH * rate[_FLANKS]
+    ratio *= rate[_VALLEYS] < rate[_FLANKS]
 
     # The best flank on either side, the worse of the two sides, and the best valley.
     best = np.maximum.reduceat(ratio, _STARTS)

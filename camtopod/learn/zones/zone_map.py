@@ -23,11 +23,12 @@ from camtopod.learn.zones.clutter import clutter_rates
 from camtopod.learn.zones.marginal_likelihood import ZONE_SD
 from camtopod.learn.zones.mixture import ZoneShape, classify_cells
 from camtopod.learn.zones.partition import Cells, partition
-from camtopod.learn.zones.separation import FAR
 from camtopod.topology import GRID_COLUMNS, GRID_ROWS, POSITION_ONE
 
 ANEW_EVENTS_MAX = 4000
 """A map that was learned from nothing with at least this many events is only adapted later."""
+FAR = 3.0
+"""Distance, in standard deviations, beyond which two zones are not at the same place."""
 CELLS = GRID_ROWS * GRID_COLUMNS
 """Number of cells of the grid."""
 NO_CELL = -1

@@ -14,9 +14,9 @@ from camtopod.learn.zones import (
     separation as valley_module,
 )
 from camtopod.learn.zones.clutter import clutter_rates, dense_cells
-from camtopod.learn.zones.marginal_likelihood import SHARE_PRIOR, gaussians, log_zone, moments
+from camtopod.learn.zones.marginal_likelihood import log_zone, moments
 from camtopod.learn.zones.mixture import ZoneShape
-from camtopod.learn.zones.separation import are_far_apart, valley_log_ratio
+from camtopod.learn.zones.separation import valley_log_ratio
 from camtopod.learn.zones.zone_map import (
     ZoneMap,
     cell_sums,
@@ -198,17 +198,14 @@ def test_clutter_and_what_stands_out_of_it_equal_their_slow_twins(
     constants = (
         clutter_module.WIDTH,
         clutter_module.DENSER,
-        clutter_module.DENSER_MAX,
         clutter_module.EVENTS_ALIKE,
         clutter_module.ROUNDS,
     )
     assert rates == pytest.approx(naive.clutter_rates(count, constants), rel=1e-9)
-    for chance in (clutter_module.FLOOR_PROBABILITY, clutter_module.SEARCH_PROBABILITY):
-        slow = naive.dense_cells(
-            count, rates, chance, clutter_module.CONTRAST_MIN, clutter_module.FLOOR_WIDTHS
-        )
-        assert dense_cells(count, rates, chance) == pytest.approx(slow, rel=1e-9)
-        assert zones == 0 or slow.any()
+    chance, contrast = clutter_module.FLOOR_PROBABILITY, clutter_module.CONTRAST_MIN
+    slow = naive.dense_cells(count, rates, chance, contrast, clutter_module.FLOOR_WIDTH)
+    assert dense_cells(count, rates) == pytest.approx(slow, rel=1e-9)
+    assert zones == 0 or slow.any()
 
 
 @pytest.mark.parametrize("seed", range(4))
@@ -236,30 +233,8 @@ def test_a_zone_at_once_is_its_evidence_and_its_share() -> None:
     )
     for weight in (1.0, 0.3, 0.01):
         weighed = groups * weight
-        both = log_evidence(weighed) + naive.log_share(weighed[0], SHARE_PRIOR)
+        both = log_evidence(weighed) + naive.log_share(weighed[0], 1.0)
         assert log_zone(weighed[0], moments(weighed)[1]) == pytest.approx(both, rel=1e-12, abs=1e-8)
-
-
-def test_far_apart_is_by_the_line_that_tells_best() -> None:
-    rng = np.random.default_rng(1)
-    n = rng.integers(1, 500, (2, 400)).astype(float)
-    mean, root = rng.random((2, 2, 400)), rng.standard_normal((2, 2, 2, 400)) * 0.05
-    xx, yy = (root[k, 0] ** 2 + root[k, 1] ** 2 for k in (0, 1))
-    scatter = n * np.array((xx, root[0, 0] * root[1, 0] + root[0, 1] * root[1, 1], yy))
-    expected = []
-    for k in range(n.shape[1]):
-        sums = [
-            np.array((m, *(m * c), *(s + m * np.outer(c, c)[(0, 0, 1), (0, 1, 1)])))
-            for m, c, s in zip(n[:, k], mean[:, :, k].T, scatter[:, :, k].T, strict=True)
-        ]
-        (one, a), (other, b) = (gaussians(own) for own in sums)
-        a, b = (np.array(((own[0], own[1]), (own[1], own[2]))) for own in (a, b))
-        line = np.linalg.solve(a + b, other - one)
-        line /= np.hypot(*line)
-        sd = np.sqrt(line @ a @ line + 1e-6) + np.sqrt(line @ b @ line + 1e-6)
-        expected.append(line @ (other - one) > 3 * sd)
-    assert are_far_apart(n, mean, scatter).tolist() == expected
-    assert 20 < sum(expected) < 380
 
 
 @pytest.mark.parametrize("seed", [5, 20, 33])
