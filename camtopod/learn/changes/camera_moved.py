@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from camtopod.arrays import Floats
-from camtopod.learn.zones import CELLS, CONTRAST_MIN, kernel_1d
+from camtopod.learn.zones import BANDWIDTH_MIN, CELLS, CONTRAST_MIN, kernel_1d
 from camtopod.topology import GRID_COLUMNS, GRID_ROWS
 
 FALSE_ALARM = 1e-9
@@ -31,13 +31,11 @@ LEFT_MAX = 0.35
 standard deviations are added to the estimate of the share before it is compared. Cells whose
 traffic has increased count as unchanged.
 """
-_WIDTH = 1.0
-"""Standard deviation of the kernels, grid steps."""
 _EVENTS_EVEN = 2.0
 """Weight, in events, of a uniform density in the kernel density."""
 _ROWS, _COLUMNS = (
     kernel / kernel.sum(axis=1, keepdims=True)
-    for kernel in (kernel_1d(size, _WIDTH) for size in (GRID_ROWS, GRID_COLUMNS))
+    for kernel in (kernel_1d(size, BANDWIDTH_MIN) for size in (GRID_ROWS, GRID_COLUMNS))
 )
 
 

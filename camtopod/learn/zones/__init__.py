@@ -18,7 +18,7 @@ Last, `mixture` assigns every cell of the grid to one of the zones found, or to 
 from __future__ import annotations
 
 from camtopod.learn.zones.clutter import CONTRAST_MIN as CONTRAST_MIN
-from camtopod.learn.zones.daspec import kernel_1d as kernel_1d
+from camtopod.learn.zones.daspec import BANDWIDTH_MIN as BANDWIDTH_MIN, kernel_1d as kernel_1d
 from camtopod.learn.zones.mixture import ZoneShape as ZoneShape
 from camtopod.learn.zones.zone_map import (
     CELLS as CELLS,

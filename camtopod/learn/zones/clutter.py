@@ -23,8 +23,6 @@ from camtopod.topology import GRID_COLUMNS, GRID_ROWS
 Labels = NDArray[np.intp]
 Counts = NDArray[np.int64] | Floats
 
-DASPEC_RUNS_MAX = 3
-"""Most runs of DaSpec, each on the cells that no eigenvector kept so far reaches."""
 CONTRAST_MIN = 2.5
 """Least ratio of a zone's density to the density of the clutter around it."""
 FLOOR_PROBABILITY = 0.01
@@ -41,8 +39,8 @@ deviations of Poisson noise and one event.
 """
 EVENTS_ALIKE = 30.0
 """Weight, in events, of the rate of the whole image in the local rate of clutter."""
-ROUNDS = 8
-"""Most iterations of the clutter estimates."""
+ROUNDS_MAX = 8
+"""Most iterations of the clutter estimates, and most rounds of moves of `partition`."""
 _WIDE_ROWS = kernel_1d(GRID_ROWS, WIDTH)
 _WIDE_COLUMNS = kernel_1d(GRID_COLUMNS, WIDTH)
 
@@ -59,7 +57,7 @@ def clutter_rate(count: Counts) -> float:
     n = np.sort(count, axis=None).astype(np.float64)
     upto = np.cumsum(n)
     rate = float(upto[-1]) / len(n)
-    for _ in range(ROUNDS):
+    for _ in range(ROUNDS_MAX):
         below = int(np.searchsorted(n, rate + 3 * math.sqrt(rate) + 1, side="right"))
         before = rate
         rate = float(upto[below - 1]) / below
@@ -81,7 +79,7 @@ def clutter_rates(count: Counts) -> Floats:
     mean = clutter_rate(count)
     rate = np.full(n.shape, DENSER * mean)
     kept = np.zeros(n.shape, dtype=np.bool_)
-    for _ in range(ROUNDS):
+    for _ in range(ROUNDS_MAX):
         before = kept
         kept = n <= DENSER * rate + 3 * np.sqrt(rate) + 1
         if (kept == before).all():
@@ -116,7 +114,7 @@ def daspec_groups(dense: Floats) -> Labels:
     width = max(bandwidth(dense) / 2, BANDWIDTH_MIN)
     labels = np.full(dense.size, -1, dtype=np.intp)
     groups = 0
-    for _ in range(DASPEC_RUNS_MAX):
+    while dense.any():
         # Keep the groups of the cells that the eigenvectors of this run reach.
         found = data_spectroscopy(dense, width)
         entry = found.vectors[np.arange(len(found.cells)), found.labels]
@@ -126,6 +124,6 @@ def daspec_groups(dense: Floats) -> Labels:
 
         # Run again on the other cells.
         dense.ravel()[found.cells[reached]] = 0
-        if not dense.any():
+        if not reached.any():
             break
     return labels

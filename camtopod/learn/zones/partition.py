@@ -21,9 +21,11 @@ from scipy.special import gammaln
 
 from camtopod.arrays import Floats
 from camtopod.learn.zones.clutter import (
+    ROUNDS_MAX,
     daspec_groups,
     dense_cells,
 )
+from camtopod.learn.zones.daspec import POINTS_NEAR_MIN
 from camtopod.learn.zones.marginal_likelihood import (
     covariance,
     gaussians,
@@ -37,8 +39,6 @@ from camtopod.topology import GRID_COLUMNS, GRID_ROWS
 
 Labels = NDArray[np.intp]
 
-EVENTS_MIN = 5
-"""Least number of events of a camera for more than one zone; with fewer, all its cells are one."""
 ZONE_EVENTS_MIN = 3
 """Least number of events of a zone if a camera has several. Where there is hardly any clutter, two
 events are unlikely to coincide by chance, but two points have no extent in the second dimension.
@@ -66,8 +66,6 @@ HOLD = 1.5
 many times the usual evidence, and a held zone is dropped only if its evidence is this many times
 smaller than a new zone would need. So zones do not come and go.
 """
-_ROUNDS_MAX = 6
-"""Largest number of rounds of moves."""
 _CELL_SPREAD = np.array([[1 / (12 * GRID_COLUMNS**2)], [0.0], [1 / (12 * GRID_ROWS**2)]])
 """Covariance (xx, xy, yy) of a uniform distribution over one cell, image units."""
 _DIRECTIONS = np.array([(np.cos(angle), np.sin(angle)) for angle in np.arange(6) * np.pi / 6])
@@ -109,7 +107,7 @@ def partition(
         None to start from nothing.
     """
     one_zone = np.zeros(len(cells.index), dtype=np.intp)
-    if count.sum() < EVENTS_MIN:
+    if count.sum() < POINTS_NEAR_MIN:
         return one_zone
 
     labels = _Partition(cells, one_zone - 1 if held is None else held, rates).improve()
@@ -169,11 +167,11 @@ class _Partition:
         self.clutter = self.total - float(self.zones[:, 0].sum())
 
     def improve(self) -> Labels:
-        """Move until no move improves the partition, at most `_ROUNDS_MAX` rounds; return it."""
+        """Move until no move improves the partition, at most `ROUNDS_MAX` rounds; return it."""
         is_held = len(self.zones) > 0
         if not is_held:
             self._find()
-        for _ in range(_ROUNDS_MAX):
+        for _ in range(ROUNDS_MAX):
             self._merge()
             self._drop()
             if self._assign():

@@ -199,7 +199,7 @@ def test_clutter_and_what_stands_out_of_it_equal_their_slow_twins(
         clutter_module.WIDTH,
         clutter_module.DENSER,
         clutter_module.EVENTS_ALIKE,
-        clutter_module.ROUNDS,
+        clutter_module.ROUNDS_MAX,
     )
     assert rates == pytest.approx(naive.clutter_rates(count, constants), rel=1e-9)
     chance, contrast = clutter_module.FLOOR_PROBABILITY, clutter_module.CONTRAST_MIN
