@@ -42,8 +42,6 @@ CHANCE_BINS = 301
 """Width, in bins, of the moving average that makes the null model of a correlogram. The average is
 local, so that a rhythm common to all zones is part of the null model.
 """
-CHANCE_MIN = 0.02
-"""Least count per bin under the null model."""
 PEAK_BINS = 3.0
 """Standard deviation, in bins, of the smoothing of correlograms in which peaks are looked for."""
 NOISE_SD = 2.5
@@ -142,10 +140,11 @@ def cache_friendly_order(a: Ints, b: Ints, at_once: int) -> NDArray[np.intp]:
 def null_expectation(counts: Counts) -> Counts:
     """Return the expectation of correlograms under the null model, (P, lags).
 
-    counts (P, lags): the correlograms, from which the null model is computed by a moving average.
+    counts (P, lags): the correlograms, from which the null model is computed by a moving average
+        (at least that of one count).
     """
     smooth = uniform_filter1d(counts, CHANCE_BINS, axis=1, mode="nearest")
-    result: Counts = np.maximum(smooth, np.float32(CHANCE_MIN))
+    result: Counts = np.maximum(smooth, np.float32(1.0 / CHANCE_BINS))
     return result
 
 

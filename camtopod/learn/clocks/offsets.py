@@ -27,8 +27,8 @@ from camtopod.learn.clocks.correlogram import (
     null_expectation,
     significant_peaks,
 )
-from camtopod.learn.clocks.two_way_paths import find_two_way_paths
-from camtopod.learn.traffic import Arrivals, Departures, Scene
+from camtopod.learn.clocks.two_way_paths import ROUNDS, find_two_way_paths
+from camtopod.learn.traffic import EVENT_SD_SECONDS, Arrivals, Departures, Scene
 
 SCREENING_BIN_SECONDS = 4.0
 """Width of the bins of the correlograms of camera pairs, by which large networks are screened."""
@@ -40,9 +40,6 @@ ASYMMETRIES = (0.32, 0.16, 0.08, 0.04, 0.02, 0.01)
 """Values that are tried for the asymmetry of the paths of a site; the likeliest is used. Asymmetry
 is half the difference of the transit times in both directions, as a share of the transit time, on
 average over paths.
-"""
-SD_MIN_SECONDS = 0.25
-"""Least standard deviation of a difference of two clocks: cameras do not tell events equally late.
 """
 SPREAD_SHARE_MAX = 0.75
 """Largest standard deviation of transit times, as a share of the transit time. Beyond, there are
@@ -61,8 +58,6 @@ OUTLIER_SD = 3.0
 """Disagreement, in standard deviations, at which a difference has half its usual weight; also the
 degrees of freedom of Student's t in `solve_offsets`.
 """
-ROUNDS = 20
-"""Iterations of the robust least squares."""
 CLEAR_SD = 4.0
 """Least offset of a wrong clock, in standard deviations of the offset."""
 REFRESH_SHARE = 0.2
@@ -203,7 +198,7 @@ def find_differences(
         for path in find_two_way_paths(pair_counts.between(u, v), pair_counts.between(v, u)):
             if path.spread > SPREAD_SHARE_MAX * max(path.transit, SHORT_SECONDS / BIN_SECONDS):
                 continue
-            sd = max(path.sd * BIN_SECONDS, SD_MIN_SECONDS)
+            sd = max(path.sd * BIN_SECONDS, EVENT_SD_SECONDS)
             found.append(Difference(a, b, path.ahead * BIN_SECONDS, sd, path.transit * BIN_SECONDS))
     return sorted(found, key=lambda difference: (difference.a, difference.b))
 

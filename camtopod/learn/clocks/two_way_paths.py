@@ -39,7 +39,7 @@ RUNNER_UP_MAX = 0.2
 SHARE_MIN = 0.02
 """Least match of a pair of zones at the best shift, as a share of the best match."""
 ROUNDS = 12
-"""Iterations of the mean shift."""
+"""Iterations of the mean shift, and of robust least squares."""
 EVENTS_MIN = 8.0
 """Least events above the null model within the window, in each direction."""
 

@@ -27,10 +27,6 @@ WEAK_TRANSITIONS_MIN = 0.2
 """Least expected number of transitions of a weak link."""
 NEXT_ZONES_MAX = 24
 """Largest number of weak links from one zone, and of next zones that prediction reads."""
-LEFT_OVER_MIN = 0.05
-"""Lower bound on the share of a zone's departures that published links leave over in the posterior.
-It prevents a division by 0.
-"""
 MONTE_CARLO_SEED = 2011
 """Seed of the Monte Carlo observations, fixed so that versions are reproducible."""
 
@@ -241,8 +237,12 @@ def select_weak_links(likely: LinkTable, published: LinkTable, zones: int) -> Li
     )
     known = np.isin(key, done)
     taken = np.bincount(published.source, published.probability, minlength=zones)
-    before = np.bincount(likely.source[known], likely.probability[known], minlength=zones)
-    scale = np.maximum(1.0 - taken, 0.0) / np.maximum(1.0 - before, LEFT_OVER_MIN)
+    before, others = (
+        np.bincount(likely.source[rows], likely.probability[rows], minlength=zones)
+        for rows in (known, ~known)
+    )
+    left_over = np.maximum(np.maximum(1.0 - before, others), 1e-9)
+    scale = np.maximum(1.0 - taken, 0.0) / left_over
     likely = likely._replace(probability=np.minimum(likely.probability * scale[likely.source], 1.0))
 
     # Order the unpublished pairs by source and probability, and keep the first of each source.

@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from scipy.special import ndtri
 
 from camtopod.arrays import Floats
+from camtopod.learn.traffic import EVENT_SD_SECONDS
 from camtopod.topology import LagBins
 
 QUANTILES = (0.1, 0.5, 0.9)
@@ -34,8 +35,6 @@ FAR_SD = 4.5
 """Largest distance from the median, in standard deviations, of lags that count for mean and sd.
 Lags further away are spurious.
 """
-SPREAD_MIN_SECONDS = 0.2
-"""Lower bound on the spread of lags, seconds; entries and exits are not detected more exactly."""
 SYSTEMATIC_ERROR = 0.015
 """Relative error of a median or mean that does not shrink with the number of lags. It comes from
 spurious transitions. The value was found on simulated networks.
@@ -84,7 +83,7 @@ def transit_figures(
         weighted_quantiles(pair, lag, weight, pairs, QUANTILES + QUARTILES), 2
     )
     low, median, high = quartiles.T
-    spread = np.maximum((high - low) / NORMAL_QUARTILES, SPREAD_MIN_SECONDS)
+    spread = np.maximum((high - low) / NORMAL_QUARTILES, EVENT_SD_SECONDS)
 
     # Mean and sd of the lags near the median.
     near = np.abs(lag - median[pair]) <= FAR_SD * spread[pair]
@@ -99,7 +98,7 @@ def transit_figures(
         sure = np.bincount(pair, inner * weight, minlength=pairs)
         few = np.sqrt(number / np.maximum(number - 1.0, 0.5))
         mean_error = np.hypot(
-            np.maximum(sd, SPREAD_MIN_SECONDS) * few / np.sqrt(sure), SYSTEMATIC_ERROR * mean
+            np.maximum(sd, EVENT_SD_SECONDS) * few / np.sqrt(sure), SYSTEMATIC_ERROR * mean
         )
         error = np.hypot(MEDIAN_ERROR * spread / np.sqrt(total), SYSTEMATIC_ERROR * median)
     return TransitFigures(total, peak(density, bins), mean, sd, quantiles, ahead, error, mean_error)

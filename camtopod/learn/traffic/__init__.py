@@ -16,7 +16,11 @@ from camtopod.learn.traffic.background_rate import (
     NullRates as NullRates,
     local_rates as local_rates,
 )
-from camtopod.learn.traffic.events import Arrivals as Arrivals, Departures as Departures
+from camtopod.learn.traffic.events import (
+    EVENT_SD_SECONDS as EVENT_SD_SECONDS,
+    Arrivals as Arrivals,
+    Departures as Departures,
+)
 from camtopod.learn.traffic.labelled_events import (
     Scene as Scene,
     ZoneRef as ZoneRef,

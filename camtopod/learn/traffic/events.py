@@ -13,6 +13,9 @@ from numpy.typing import NDArray
 
 from camtopod.arrays import Floats, Indices, Ints, Singles
 
+EVENT_SD_SECONDS = 0.25
+"""Least standard deviation of times between two events: cameras do not tell them more exactly."""
+
 
 class Departures(NamedTuple):
     """Departures (exits from zones) sorted by time; each column has shape (n,).
