@@ -100,7 +100,9 @@ class PathFit:
         """
         lags = self.lags
         departure, arrival = lags.departure[rows], lags.arrival[rows]
-        unseen = self._unseen()[departure]
+        source = self.paths.pair // lags.cameras
+        explained = np.bincount(source, self.paths.share, minlength=lags.cameras)
+        unseen = np.maximum(1.0 - explained, LEAVE_FLOOR)[lags.source][departure]
         background = self.outside[lags.target] * lags.rate
         message = 1.0 / np.maximum(self._demand, background)[arrival]
         for _ in range(SWEEPS):
@@ -110,23 +112,6 @@ class PathFit:
             message = 1.0 / np.maximum(self._demand[arrival] - offer, 1e-12)
         responsibility: Floats = offer / self._demand[arrival]
         return responsibility
-
-    def _unseen(self) -> Floats:
-        """Return the probability (n,) that each departure has no arrival by any path.
-
-        A path does not count where its arrival would be after the window, or before the entry.
-        """
-        lags = self.lags
-        pair, share, place, width = self.paths
-        source = pair // lags.cameras
-        unseen = np.ones(len(lags.left))
-        for camera in range(lags.cameras):
-            mine = source == camera
-            of = lags.source == camera
-            unseen[of] -= share[mine].sum()
-            unseen[of] += _above(place[mine], share[mine], lags.until - lags.left[of])
-            unseen[of] += _above(-place[mine] - width[mine], share[mine], lags.dwell[of])
-        return np.maximum(unseen, LEAVE_FLOOR)
 
     def _moved(
         self, lag: Floats, path: Rows, part: Floats, transitions: Floats
@@ -162,11 +147,3 @@ class PathFit:
         total = np.bincount(source, share, minlength=cameras)
         scaled: Floats = share / np.maximum(total / (1.0 - LEAVE_FLOOR), 1.0)[source]
         return scaled
-
-
-def _above(values: Floats, share: Floats, bounds: Floats) -> Floats:
-    """Return the sum of the shares (k,) whose values (k,) are above each of the bounds (n,)."""
-    order = np.argsort(values)
-    below = np.concatenate(([0.0], np.cumsum(share[order])))
-    above: Floats = below[-1] - below[np.searchsorted(values[order], bounds, side="right")]
-    return above
