@@ -461,7 +461,7 @@ class Learner:
                 zone_pairs_of(found.published),
                 self.settings.publish_probability_min,
             ),
-            *self._alarms.clocks(topology.cameras),
+            *self._alarms.clocks(topology.cameras, self.settings.overlap_tolerance_seconds),
         ]
 
         # Cameras that were turned, and those that two programs publish.

@@ -17,6 +17,7 @@ from msgspec import Struct
 
 from camtopod.event_time import MICROSECONDS
 from camtopod.learn.outcomes import Happened, ScoredPrediction
+from camtopod.learn.prediction_model import SHARE_MIN
 from camtopod.predict import Predictor, PredictorState
 from camtopod.records import Event, Prediction, SelfScore, Topology
 
@@ -26,8 +27,6 @@ SCORED_MAX = 2000
 """Number of the newest scored predictions over which the score is the mean, and largest number of
 predictions that wait for their outcome: beyond, the oldest is dropped.
 """
-PROBABILITY_FLOOR = 1e-4
-"""Lower bound on a predicted probability in the log loss."""
 
 
 class Scores(NamedTuple):
@@ -204,9 +203,11 @@ def _loss(shares: dict[str, float], outcomes: dict[str, float]) -> float:
 
     shares: predicted probability of each outcome.
     outcomes: probability that each outcome has happened.
+
+    A camera that is not predicted counts with the least share that a model lists.
     """
     return -sum(
-        r * math.log(max(shares.get(camera, 0.0), PROBABILITY_FLOOR))
+        r * math.log(max(shares.get(camera, 0.0), SHARE_MIN))
         for camera, r in outcomes.items()
         if r > 0
     )

@@ -9,9 +9,9 @@ import pytest
 from bench.support.prediction_scores import next_entries
 from camtopod.learn.learner import Learner
 from camtopod.learn.outcomes import ScoredPrediction
+from camtopod.learn.prediction_model import SHARE_MIN
 from camtopod.learn.self_score import (
     EXITS_PER_VERSION,
-    PROBABILITY_FLOOR,
     SCORED_MAX,
     Scorer,
     ScorerState,
@@ -31,7 +31,7 @@ def test_a_plain_outcome_is_marked_as_it_is() -> None:
     mark = marks(GUESS, {"b": 1.0})
     assert (mark.followed, mark.top1, mark.top3, mark.baseline_top1) == (1.0, 1.0, 1.0, 0.0)
     assert mark.loss == pytest.approx(-math.log(0.5))
-    assert mark.baseline_loss == pytest.approx(-math.log(PROBABILITY_FLOOR))
+    assert mark.baseline_loss == pytest.approx(-math.log(SHARE_MIN))
 
 
 def test_a_doubtful_outcome_counts_in_parts() -> None:

@@ -35,12 +35,6 @@ camera before it straight to the camera after it.
 """
 SHARE_CHANGE_MIN = 0.1
 """Least change in the share of an open link for an alarm; smaller changes only affect the link."""
-CLOCK_CHANGE_SECONDS_MIN = 0.5
-"""Least change of a clock offset that is reported, seconds."""
-GONE_RATIO = 0.05
-"""Largest ratio, for a zone to be reported as new or gone, of its share of the camera's events
-before a change and its share after, the smaller over the larger.
-"""
 
 
 News = tuple[str, str, str]
@@ -120,7 +114,8 @@ class AlarmLog:
         silences: of each camera.
         changes: of links.
         published: pairs (zone of departure, zone of arrival) of the links of this version.
-        share_min: least share of the departures at a zone that makes a pair of zones a link.
+        share_min: least share of the departures at a zone that makes a pair of zones a link; a zone
+            is gone with less of its earlier share.
         """
         # What the window can no longer show again is forgotten.
         state = self.state
@@ -130,7 +125,7 @@ class AlarmLog:
         # Cameras and zones.
         begun = scene.first + SETTLING_SECONDS
         yield from self.cameras(silences, cameras, begun)
-        for index, (since, before, after) in zone_changes(scene).items():
+        for index, (since, before, after) in zone_changes(scene, share_min).items():
             kind = "zone_new" if after > before else "zone_gone"
             shares = f"{before:.2f} of the camera's entries or exits until {utc_text(since)}"
             if since >= begun:
@@ -216,10 +211,11 @@ class AlarmLog:
                 self.state.repeats[name] = before[name]
         return news
 
-    def clocks(self, cameras: list[Camera]) -> Iterator[News]:
+    def clocks(self, cameras: list[Camera], change_min: float) -> Iterator[News]:
         """Yield cameras whose clock has moved against the others.
 
         cameras: records of the new version, with clock offsets.
+        change_min (seconds): least change that is reported.
 
         A clock offset that is estimated for the first time is no change. Later estimates are
         compared with it, until a change is reported or an estimate is more than twice as exact.
@@ -230,7 +226,7 @@ class AlarmLog:
             if sd is None:
                 continue
             before, before_sd = self.state.clock.get(camera.id, (now, np.inf))
-            least = max(CLOCK_CHANGE_SECONDS_MIN, CLEAR_SD * np.hypot(sd, before_sd))
+            least = max(change_min, CLEAR_SD * np.hypot(sd, before_sd))
             is_clear = abs(now - before) >= least
             if is_clear:
                 detail = f"ahead by {before:.2f} s before, by {now:.2f} s now"
@@ -248,8 +244,10 @@ class AlarmLog:
             yield kind, subject, detail
 
 
-def zone_changes(scene: Scene) -> dict[int, tuple[float, float, float]]:
+def zone_changes(scene: Scene, ratio_max: float) -> dict[int, tuple[float, float, float]]:
     """Find zones that are used since a moment within the window, or no longer.
+
+    ratio_max: largest ratio of the shares before and after, the smaller over the larger.
 
     Return (time of the change in seconds, share before, share after) by index of the zone. The
     share is that of the zone among its camera's entries, or among its exits if the zone has more of
@@ -283,6 +281,6 @@ def zone_changes(scene: Scene) -> dict[int, tuple[float, float, float]]:
         )
         if change is not None:
             since, before, after, _ = change
-            if min(before, after) <= GONE_RATIO * max(before, after):
+            if min(before, after) <= ratio_max * max(before, after):
                 found[index] = since, before, after
     return found

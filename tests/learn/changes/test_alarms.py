@@ -127,7 +127,7 @@ def test_a_clock_is_told_when_it_moves_and_not_when_it_becomes_known() -> None:
         start=1,
     ):
         cameras = [Camera("a", [], offset, sd), Camera("b", [], 0.0, sd)]
-        log.add(version, 10.0 * version, log.clocks(cameras))
+        log.add(version, 10.0 * version, log.clocks(cameras, 0.45))
     assert said(log) == [(6, "clock_changed", "a")]
 
 
