@@ -5,22 +5,26 @@ same kind and place. Only the agreement within tenths of a second is evidence: a
 such as a timetable, a guard's round or traffic lights, may be exact. So without a loop, an event
 that has a match within `RHYTHM_SECONDS` of a lag finds it anywhere in that time.
 
-The evidence for a lag is a log likelihood ratio over the stretch of newest events that speaks most
-for it: chance reaches x nats with a probability of exp(-x) at most. A camera repeats itself if two
-lags, so this is the third play at least, are clear enough for `FALSE_ALARM` together, and one
-period alone is more than chance: a sign that is switched each minute is no recording.
+A *repetition* is a lag with the stretch of newest events that speaks most for it. Its evidence is a
+log likelihood ratio: chance reaches x nats with a probability of exp(-x) at most, for each stretch
+and lag. A camera repeats itself if its repetitions together are clear enough for `FALSE_ALARM`, and
 
-After a random pause a recording has another lag; the newest events, if they are enough, have two.
+* half of the newest period has two of them, so this is the third play at least;
+* one period alone is more than chance: a sign that is switched each minute is no recording;
+* the events do not come in between as well, less exactly, as those of a rhythm do.
+
+After a random pause a recording has another lag; its stretches end with each play.
 """
 
 from __future__ import annotations
 
 import math
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from camtopod.arrays import Bools, Floats, Indices
+from camtopod.arrays import Bools, Floats, Indices, Rows
 from camtopod.event_time import MICROSECONDS
 from camtopod.learn.changes.camera_moved import FALSE_ALARM
 from camtopod.learn.window import Window
@@ -34,12 +38,33 @@ PLACE = 0.05 * POSITION_ONE
 """Largest difference of two positions, in x and in y, that count as the same place."""
 AGREE_SECONDS = 0.4
 """Range of lags that count as the same: a grabber sees each event up to a frame later."""
-RHYTHM_SECONDS = 2.0
-"""Deviation from a lag within which all lags are equally likely without a loop; the least lag.
-Events within this time of each other count as one: a group, a lamp, a short passage.
-"""
+RHYTHM_SECONDS = 5.0
+"""Deviation from a lag within which all lags are equally likely without a loop; the least lag."""
+TOGETHER_SECONDS = 2.0
+"""Events within this time of each other count as one: a group, a lamp, a short passage."""
 MATCHED = 0.9
 """Probability that an event of a recording has a match in an earlier play."""
+_CHANCE_NATS = math.log(KNOWN_MAX * JUDGED_MAX)
+"""Evidence that chance reaches about once among all stretches and lags of a camera."""
+_WHOLE_SECONDS = 1e-3
+"""Deviation from whole seconds up to which times have no tenths that could be compared."""
+
+
+class _Matches(NamedTuple):
+    """Judged events with an earlier match, lags (seconds) and evidence (nats), by event and lag."""
+
+    event: Rows
+    lag: Floats
+    gain: Floats
+
+
+class _Repetition(NamedTuple):
+    """Evidence (nats), lag (seconds), and matched events, ascending, with the evidence of each."""
+
+    evidence: float
+    lag: float
+    events: Rows
+    gain: Floats
 
 
 def find_repeats(window: Window) -> list[str]:
@@ -59,48 +84,124 @@ def repeats_of(t: Floats, entry: Bools, px: Indices, py: Indices) -> str:
     t (n, seconds): ascending.
     entry, px, py (n,): True for an entry, False for an exit; position in fixed point.
     """
-    if len(t) < 2 or not (t % 1.0).any():  # whole seconds have no tenths to compare
+    if len(t) < 2 or np.abs(t - np.round(t)).max() < _WHOLE_SECONDS:
+        return ""
+    first = max(len(t) - JUDGED_MAX, 0)
+    judged = t[first:]
+    weight = 1.0 / _count_within(judged, TOGETHER_SECONDS)
+    matches = _matches(t, entry, px, py, first, weight)
+    cost = -math.log(1.0 - MATCHED) * weight
+    found = _separate([one for phase in (0.0, 0.5) for one in _repetitions(matches, cost, phase)])
+
+    # Together they must be clear, each at the price of the choice of its lag.
+    evidence = sum(one.evidence - math.log(len(t)) for one in found)
+    if evidence < math.log(len(t) / FALSE_ALARM):
         return ""
 
-    # Matches of the newest events, newest first: event, lag (seconds), evidence (nats).
-    times = t[-JUDGED_MAX:][::-1]
-    lags = times[:, None] - t[::-1]  # ascending in each row
-    like = lags > RHYTHM_SECONDS
-    for value, most in ((entry.astype(np.int8), 0), (px, PLACE), (py, PLACE)):
-        like &= (np.abs(value[-JUDGED_MAX:, None] - value) <= most)[::-1, ::-1]
+    # Number of earlier plays of each event, and the lag of the nearest one of its stretch.
+    plays = np.zeros(len(judged), np.intp)
+    nearest = np.full(len(judged), np.inf)
+    for one in found:
+        plays[one.events] += 1
+        stretch = slice(one.events[0], one.events[-1] + 1)
+        nearest[stretch] = np.minimum(nearest[stretch], one.lag)
+    newest = judged > judged[-1] - nearest.min() + AGREE_SECONDS
+    if (
+        2 * np.count_nonzero(plays[newest] >= 2) < np.count_nonzero(newest)
+        or max(one.gain[newest[one.events]].sum() for one in found) < _CHANCE_NATS
+        or _is_rhythm(matches, found, nearest)
+    ):
+        return ""
+
+    # Usual least and most time from one play to the next.
+    least, most = np.quantile(nearest[plays > 0], (0.1, 0.9))
+    every = f"{least:.1f}"
+    if most - least > AGREE_SECONDS:
+        every += f" to {most:.1f}"
+    return f"repeats itself every {every} s: a recording in a loop?"
+
+
+def _matches(
+    t: Floats, entry: Bools, px: Indices, py: Indices, first: int, weight: Floats
+) -> _Matches:
+    """Return the matches of the judged events: those from row ``first``, with a weight each."""
+    lag = (t[first:, None] - t)[:, ::-1]  # ascending
+    like = (lag > RHYTHM_SECONDS) & (entry[first:, None] == entry)[:, ::-1]
+    for p in (px, py):
+        like &= (np.abs(p[first:, None] - p) <= PLACE)[:, ::-1]
     event, other = np.nonzero(like)
-    lag = lags[event, other]
-    apart = lags.max() + RHYTHM_SECONDS  # lags of two events are further apart
-    near = _count_within(event * apart + lag, RHYTHM_SECONDS)
+    lags = lag[event, other]
+    apart = lags.max(initial=0.0) + RHYTHM_SECONDS  # lags of two events are further apart
+    near = _count_within(event * apart + lags, RHYTHM_SECONDS)
     by_chance = near * AGREE_SECONDS / (2 * RHYTHM_SECONDS)
-    weight = 1.0 / _count_within(times[::-1], RHYTHM_SECONDS)[::-1]
-    gain = weight[event] * np.log(np.maximum(MATCHED / by_chance, 1.0))
+    return _Matches(event, lags, weight[event] * np.log(np.maximum(MATCHED / by_chance, 1.0)))
 
-    # The evidence for each range of lags that may have enough.
-    chance = math.log(len(t) * len(times))
+
+def _repetitions(matches: _Matches, cost: Floats, phase: float) -> list[_Repetition]:
+    """Return the best stretch of each range of lags, if it has more evidence than chance.
+
+    cost (m,): evidence against a loop of each judged event without a match, nats.
+    phase: offset of the ranges of lags, as a share of `AGREE_SECONDS`.
+    """
+    # The best match of each event in each range; the ranges one after the other.
+    part = np.floor(matches.lag / AGREE_SECONDS + phase).astype(np.int64)
+    order = np.lexsort((-matches.gain, matches.event, part))
+    key = part[order] * JUDGED_MAX + matches.event[order]
+    order = order[np.diff(key, prepend=-1) > 0]
+    part = part[order]
+    event = matches.event[order]
+    gain = matches.gain[order]
+
+    # Evidence of the best stretch that ends with each match: the running sum of gains and costs,
+    # less its least value before, in the same range.
+    costs = np.cumsum(cost)
+    after = np.cumsum(gain + cost[event]) - costs[event]
+    before = after - gain
+    begins = np.diff(part, prepend=-1) > 0
+    down = (after.max(initial=0.0) - before.min(initial=0.0) + 1.0) * np.cumsum(begins)
+    evidence = after - down - np.minimum.accumulate(before - down)
+
+    # The best of each range.
+    starts = np.flatnonzero(begins)
+    ends = np.append(starts[1:], len(part))
+    clear = np.maximum.reduceat(evidence, starts) > _CHANCE_NATS if len(part) else begins
     found = []
-    for phase in (0.0, 0.5):
-        _, number = np.unique(np.floor(lag / AGREE_SECONDS + phase), return_inverse=True)
-        for one in np.flatnonzero(np.bincount(number, gain) > chance):
-            rows = np.flatnonzero(number == one)
-            each = math.log(1.0 - MATCHED) * weight
-            order = rows[np.argsort(gain[rows])]
-            each[event[order]] = gain[order]  # the best match of each event
-            evidence = float(np.cumsum(each).max())
-            if evidence > chance:
-                period = float(np.median(lag[rows]))
-                own = each[times > times[0] - period + AGREE_SECONDS]
-                found.append((evidence, period, float(own[own > 0].sum())))
+    for start, end in zip(starts[clear], ends[clear], strict=True):
+        last = start + int(np.argmax(evidence[start:end]))
+        begin = start + int(np.argmin(before[start : last + 1]))
+        rows = slice(begin, last + 1)
+        lag = float(np.median(matches.lag[order[rows]]))
+        found.append(_Repetition(float(evidence[last]), lag, event[rows], gain[rows]))
+    return found
 
-    # Two lags must be clear together, each at the price of its choice, and one period by itself.
-    best, at, _ = max(found, default=(0.0, 0.0, 0.0))
-    second = max((one[0] for one in found if abs(one[1] - at) > RHYTHM_SECONDS), default=0.0)
-    if best + second < math.log(len(t) ** 3 / FALSE_ALARM):
-        return ""
-    period, alone = min(one[1:] for one in found if one[0] >= second)
-    if alone < chance:
-        return ""
-    return f"repeats itself every {period:.1f} s: a recording in a loop?"
+
+def _separate(found: list[_Repetition]) -> list[_Repetition]:
+    """Return repetitions without those that share events and lag with one of more evidence."""
+    kept: list[_Repetition] = []
+    for one in sorted(found, key=lambda one: -one.evidence):
+        if not any(
+            abs(one.lag - other.lag) < RHYTHM_SECONDS and np.isin(one.events, other.events).any()
+            for other in kept
+        ):
+            kept.append(one)
+    return kept
+
+
+def _is_rhythm(matches: _Matches, found: list[_Repetition], nearest: Floats) -> bool:
+    """Return True if half of the events come before their ``nearest`` repetition, less exactly.
+
+    What a busy view shows at any lag does not count.
+    """
+    events = 0
+    between = 0.0
+    for one in found:
+        if np.count_nonzero(nearest[one.events] == one.lag) * 2 >= len(one.events):
+            events += len(one.events)
+            rows = np.isin(matches.event, one.events) & (matches.lag < one.lag - TOGETHER_SECONDS)
+            lags = np.sort(matches.lag[rows])
+            most = _count_within(lags, TOGETHER_SECONDS / 2).max(initial=0)
+            between += most - len(lags) * TOGETHER_SECONDS / one.lag
+    return 2 * between >= events
 
 
 def _count_within(values: Floats, reach: float) -> NDArray[np.intp]:
