@@ -172,6 +172,7 @@ CONSTANTS = (
     ("CHANCE_TRANSITIONS", ("learn.next_camera.spurious",)),
     ("DEPARTURES_TO_TELL", ("learn.next_camera.spurious",)),
     ("FIRST_NOISE_SD", ("learn.next_camera.fit",)),
+    ("BET_SPARSITY", ("learn.links.cross_validation",)),
     ("FALSE_PROBABILITY", ("learn.long_paths",)),
     ("OVERLAP_FALSE", ("learn.association.screening",)),
 )

@@ -27,7 +27,6 @@ from camtopod.learn.association.em import (
 )
 from camtopod.learn.association.exposure import exposures as exposures
 from camtopod.learn.association.joint_fit import (
-    SPARSITY as SPARSITY,
     Fit as Fit,
     fit_jointly as fit_jointly,
     result as result,

@@ -20,7 +20,6 @@ import numpy as np
 from camtopod.arrays import Floats, Longs, Singles
 from camtopod.learn.association import (
     RESPONSIBILITY_MAX,
-    SPARSITY,
     Candidates,
     Em,
     EmModel,
@@ -36,6 +35,10 @@ PARTS = 8
 """Number of parts of the window, a power of two."""
 STRETCH_LAGS = 4.0
 """Length of a stretch, in multiples of the longest transit time, unless the window is too short."""
+BET_SPARSITY = 0.5
+"""Transitions that the sparse prior takes off each pair of zones in the fit for a bet. They are
+fewer than in the fit of the whole window, as a part of the window has few transitions.
+"""
 EVEN_SHARES = (0.0, 0.3)
 """Shares of a hazard that are spread evenly over all lags before a bet. With a sharp hazard alone,
 each arrival outside its peak costs much evidence. The mean of the products of bets over these
@@ -163,7 +166,7 @@ class WindowParts:
 def _fitted(fitter: Em) -> Singles:
     """Return hazards (P, bins) fitted from scratch, with the sparse prior in the last run only."""
     hazard = fitter.run(fitter.start())
-    fitter.assume(fitter.model._replace(sparsity=SPARSITY))
+    fitter.assume(fitter.model._replace(sparsity=BET_SPARSITY))
     result = np.zeros_like(hazard)
     left = fitter.keep(fitter.live())
     result[left] = fitter.run(hazard[left])
