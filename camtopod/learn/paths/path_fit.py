@@ -21,7 +21,7 @@ from camtopod.topology import DEGREES, LEAVE_FLOOR, REACH_WIDTHS, student_densit
 
 SWEEPS = 2
 """Sweeps of messages in each iteration."""
-ITERATIONS = 30
+ITERATIONS = 15
 """EM iterations."""
 WIDTH_PRIOR_SECONDS = 4.0
 WIDTH_PRIOR_TRANSITIONS = 3.0
