@@ -28,14 +28,11 @@ from typing import NamedTuple
 
 import numpy as np
 
-from camtopod.arrays import Floats
 from camtopod.event_time import MICROSECONDS
 from camtopod.learn.association import (
-    Candidates,
     CandidateScreen,
     FollowedSources,
     Problem,
-    fit_jointly,
     place,
 )
 from camtopod.learn.changes import (
@@ -67,11 +64,12 @@ from camtopod.learn.links import (
 from camtopod.learn.long_paths import long_ranges
 from camtopod.learn.next_camera import (
     OverlappingViews,
+    Posterior,
     find_overlapping,
-    fit_followed,
-    followed_of,
+    fit_window,
     overlap_table,
     views_of,
+    with_doubt,
 )
 from camtopod.learn.outcomes import Happened, ScoredPrediction, outcomes_of
 from camtopod.learn.paths import is_wanted, second_opinion
@@ -143,16 +141,14 @@ class Associated(NamedTuple):
     between: every pair of zones with expected transitions, with its held-out evidence.
     changes: links that opened, closed or changed their share.
     problem: departures and arrivals, with the ranges of their lags.
-    possible: the candidates that are neither unlikely nor impossible.
-    evidence (pairs,): held-out evidence of the pairs of zones of the joint fit, nats.
+    posterior: where objects appear next, all weak evidence included.
     followed: `Known.followed` for the next refit.
     """
 
     between: LinkTable
     changes: list[Change]
     problem: Problem
-    possible: Candidates
-    evidence: Floats
+    posterior: Posterior
     followed: dict[int, FollowedSources]
 
 
@@ -279,33 +275,17 @@ def associate(
         everywhere=known.everywhere,
     )
     overlap = overlap_table(overlapping, len(window.cameras))
-    likely, is_possible = followed_of(problem, candidates, overlap)
-    del candidates
 
-    # 4. to 6. Joint fit, evidence, changes.
-    between, changes, evidence = find_evidence(problem, likely, silences, on_step)
-    possible = likely.take(is_possible)
-    return Associated(between, changes, problem, possible, evidence, screen.followed)
-
-
-def find_evidence(
-    problem: Problem,
-    candidates: Candidates,
-    silences: list[CameraSilences],
-    on_step: Callable[[str], None],
-) -> tuple[LinkTable, list[Change], Floats]:
-    """Do steps 4 to 6; return the table of pairs of zones, the changes, the evidence (pairs, nats).
-
-    candidates: candidates of the problem.
-    """
     # 4. The joint fit: each arrival has one cause at most, each departure one effect at most.
     on_step("joint fit")
-    fit = fit_jointly(problem, candidates)
+    posterior, fit = fit_window(problem, candidates, overlap)
+    del candidates
 
     # 5. Evidence: each part of the window is judged by a fit of other parts.
     on_step("evidence")
     first = float(min(problem.departures.t[0], problem.arrivals.t[0]))
     evidence = cross_evidence(problem, fit, first)
+    posterior = with_doubt(posterior, problem, evidence)
     between = tabulate(
         transitions_of(fit),
         exposed_departures(problem),
@@ -318,7 +298,7 @@ def find_evidence(
     # 6. Links that have opened or closed; departures during a camera's silence do not count.
     on_step("changes")
     changes = find_changes(problem, fit, [silence.intervals for silence in silences])
-    return between, changes, evidence
+    return Associated(between, changes, problem, posterior, screen.followed)
 
 
 def predict_next(
@@ -336,11 +316,11 @@ def predict_next(
 
     associated: result of steps 3 to 6.
     """
-    # The fit for prediction, and its table of pairs of zones.
+    # The posterior, and its table of pairs of zones.
     problem = associated.problem
     cameras = window.cameras
     bins = problem.bins
-    posterior = fit_followed(problem, associated.possible, associated.evidence)
+    posterior = associated.posterior
 
     transitions = transitions_of(posterior.fit, WEAK_TRANSITIONS_MIN)
     exposed = exposed_departures(problem)

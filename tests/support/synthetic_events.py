@@ -5,7 +5,7 @@ import numpy as np
 from camtopod.learn.association.candidates import Candidates, find_candidates
 from camtopod.learn.association.problem import Problem
 from camtopod.learn.learner import Learner
-from camtopod.learn.next_camera.fit import Posterior, fit_followed, followed_of
+from camtopod.learn.next_camera.fit import Posterior, fit_window, with_doubt
 from camtopod.learn.traffic.background_rate import local_rates
 from camtopod.learn.traffic.events import Arrivals, Departures
 from camtopod.records import TOPOLOGY_SCHEMA, Camera, Event, Link, Topology, Zone
@@ -120,5 +120,5 @@ def fit_posterior(problem: Problem, candidates: Candidates | None = None) -> Pos
     """Return the posterior of some candidates of a problem, or all, with clear evidence."""
     cameras = 1 + max(int(ends.camera.max(initial=0)) for ends in problem[:2])
     apart = np.zeros((cameras, cameras), np.bool_)
-    likely, possible = followed_of(problem, candidates or find_candidates(problem), apart)
-    return fit_followed(problem, likely.take(possible), LINKED)
+    posterior, _ = fit_window(problem, candidates or find_candidates(problem), apart)
+    return with_doubt(posterior, problem, LINKED)

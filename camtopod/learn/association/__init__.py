@@ -29,6 +29,7 @@ from camtopod.learn.association.exposure import exposures as exposures
 from camtopod.learn.association.joint_fit import (
     Fit as Fit,
     fit_jointly as fit_jointly,
+    fit_sparsely as fit_sparsely,
     result as result,
 )
 from camtopod.learn.association.problem import (

@@ -11,7 +11,8 @@ in time, a rhythm common to all zones makes no links.
 (`Em.maximise`), which computes the hazards from the responsibilities. The E step is the sum-product
 approximation of the marginals of a one-to-one assignment with misses and clutter (Williams and Lau,
 IEEE Trans. AES 50(4), 2014), one sweep of *messages* an iteration. Each candidate is judged by the
-hazard that the other candidates make (leave one out). The outer loop is `joint_fit.fit_jointly`.
+hazard that the other candidates make (leave one out). The outer loops are in `joint_fit` and
+`next_camera.fit`.
 """
 
 from __future__ import annotations

@@ -2,9 +2,9 @@
 
 The thesis pairs the closest times of two zones (section 4.4), which is wrong as soon as two objects
 are between views, and tests each pair of zones alone, which cannot tell A -> C from A -> B -> C.
-Here `fit_jointly` runs an expectation-maximisation fit (`em`) that shares each arrival among its
-candidates. It first fits without, then with a sparse prior over pairs of zones, and adjusts
-candidates for the speed of objects in between (`speed_adjustment`).
+Here an expectation-maximisation fit (`em`) shares each arrival among its candidates. It goes on
+with a sparse prior over pairs of zones (`fit_sparsely`): from the fit for prediction
+(`next_camera.fit`), or from nothing (`fit_jointly`).
 """
 
 from __future__ import annotations
@@ -17,10 +17,8 @@ from camtopod.learn.association.em import Em, EmModel
 from camtopod.learn.association.problem import Problem
 from camtopod.learn.traffic import Persistence
 
-SPARSE_ROUNDS_MAX = 4
-"""Largest number of runs of EM with the sparse prior."""
-SETTLED = 0.03
-"""Largest change of any figure of the persistence of speed after which no further run is made."""
+SPARSE_RUNS = 2
+"""Runs of EM with the sparse prior; after each, pairs of zones without transitions are dropped."""
 SPARSITY = 1.0
 """Transitions that the sparse prior takes off each pair of zones, as most pairs are not linked.
 Without the prior, arrivals from outside would be shared out among thousands of pairs.
@@ -51,27 +49,19 @@ class Fit(NamedTuple):
 
 
 def fit_jointly(problem: Problem, candidates: Candidates) -> Fit:
-    """Estimate responsibilities and hazards of all candidates of a problem jointly.
-
-    Every fit begins from nothing. A fit that starts from the last one reinforces early mistakes and
-    is late to find that a link has opened.
-    """
+    """Estimate responsibilities and hazards of all candidates of a problem jointly."""
     em = Em(problem, candidates)
+    em.learn_speed(em.run(em.start()))
+    return fit_sparsely(em)
 
-    # First without, then with the sparse prior; pairs of zones without transitions are dropped.
-    hazard, _ = prune(em, em.learn_speed(em.run(em.start())))
-    hazard = em.run(hazard)
+
+def fit_sparsely(em: Em) -> Fit:
+    """Go on with a fit with the sparse prior instead of all other additions; return the result."""
     em.assume(EmModel(sparsity=SPARSITY))
-    hazard, counts = prune(em, em.run(hazard))
-
-    # Repeat until the persistence of speed has settled.
-    for _ in range(SPARSE_ROUNDS_MAX - 1):
-        before = em.persistence
-        hazard, counts = prune(em, em.run(em.learn_speed(hazard)))
-        changes = (abs(now - then) for now, then in zip(em.persistence, before, strict=True))
-        if max(changes) < SETTLED:
-            break
-
+    counts = em.transitions()
+    hazard = em.hazards(counts)
+    for _ in range(SPARSE_RUNS):
+        hazard, counts = prune(em, em.run(hazard))
     return result(em, hazard, counts)
 
 

@@ -17,8 +17,8 @@ from __future__ import annotations
 from camtopod.learn.next_camera.contexts import LEVELS as LEVELS
 from camtopod.learn.next_camera.fit import (
     Posterior as Posterior,
-    fit_followed as fit_followed,
-    followed_of as followed_of,
+    fit_window as fit_window,
+    with_doubt as with_doubt,
 )
 from camtopod.learn.next_camera.overlapping_views import (
     OverlappingViews as OverlappingViews,

@@ -2,9 +2,8 @@
 
 It extends EM over candidates (`association.em.Em`) by entry kernels, a prior over pairs of zones,
 contexts of departures, and the spurious share of each pair; the head of the package names
-their modules. `followed_of` selects the candidates with a few iterations,
-`fit_followed` runs the whole fit; both use `PosteriorFitter`, whose methods are in the order of the
-steps.
+their modules. `fit_window` runs it, with the methods of `PosteriorFitter` in the order of the
+steps, and goes on to the links.
 
 Entry kernels and hazards both start from the excess over the null model. If only hazards did, then
 where one view ends as another begins, departures from the former would be credited with arrivals in
@@ -25,6 +24,7 @@ from camtopod.learn.association import (
     EmModel,
     Fit,
     Problem,
+    fit_sparsely,
     negative_without_overlap,
     result,
 )
@@ -39,11 +39,11 @@ FIRST_NOISE_SD = 3.0
 """
 FIRST_ROUNDS = 3
 FIRST_ITERATIONS = 5
-"""Rounds without contexts, and EM iterations of each (and of `followed_of`); after each round,
-unlikely candidates are left out and speed is estimated.
+"""Rounds without contexts, and EM iterations of each; after each, unlikely candidates are left out
+and speed is estimated.
 """
 NEGLIGIBLE = 1e-4
-"""Least responsibility, after these iterations, of a candidate that is selected."""
+"""Least responsibility, after the first round, of a candidate that is kept."""
 ITERATIONS = 8
 """EM iterations with contexts; contexts are estimated after every other one."""
 FAINT_TRANSITIONS = 0.2
@@ -78,32 +78,36 @@ class Posterior(NamedTuple):
     """Departures and transitions by context, one table for each of `contexts.LEVELS`."""
 
 
-def followed_of(
+def fit_window(
     problem: Problem, candidates: Candidates, overlapping: NDArray[np.bool_]
-) -> tuple[Candidates, NDArray[np.bool_]]:
-    """Return the candidates that are worth using in fits, and which of them are possible, (n,).
+) -> tuple[Posterior, Fit]:
+    """Fit which departure and which arrival are of one object; return the posterior and the links.
 
     overlapping (cameras, cameras): True where two views are known to overlap.
+
+    The second result goes on from the first one, with a sparse prior (`fit_sparsely`), as a link
+    has to be significant. The posterior has no `Posterior.doubt` yet.
+
+    Every fit begins from nothing, as a fit that starts from the last window reinforces early
+    mistakes.
     """
-    scout = PosteriorFitter(problem, candidates)
-    scout.scout()
-    em = scout.em
-    likely = (em.responsibility > NEGLIGIBLE) & em.live()
-    impossible = negative_without_overlap(problem, candidates, em.responsibility, overlapping)
-    return candidates.take(likely), ~impossible[likely]
+    fitter = PosteriorFitter(problem, candidates)
+    del candidates  # most of them are given up early
+    fitter.learn(overlapping)
+    posterior = fitter.posterior()
+    return posterior, fit_sparsely(fitter.em)
 
 
-def fit_followed(problem: Problem, followed: Candidates, evidence: Floats) -> Posterior:
-    """Fit the posterior of the selected candidates.
+def with_doubt(posterior: Posterior, problem: Problem, evidence: Floats) -> Posterior:
+    """Return a posterior with the spurious share of each pair of zones.
 
-    followed: result of `followed_of`.
     evidence (k, nats): held-out evidence of k pairs of zones (`cross_evidence`).
-
-    Every fit begins from nothing, as a fit that starts from the last one reinforces early mistakes.
     """
-    fitter = PosteriorFitter(problem, followed)
-    fitter.learn()
-    return fitter.posterior(evidence)
+    departures = np.bincount(problem.departures.zone, minlength=problem.zones).astype(float)
+    fit = posterior.fit
+    pairs = len(posterior.share)
+    doubt = spurious_shares(fit.candidates.pair, fit.responsibility, pairs, evidence, departures)
+    return posterior._replace(doubt=doubt)
 
 
 class PosteriorFitter:
@@ -137,58 +141,56 @@ class PosteriorFitter:
         prior = Prior(em.candidates, em.range_of, self.problem.zones)
         em.assume(EmModel(entering=self.entering, prior=prior))
 
-    def scout(self) -> None:
-        """Run a few iterations, enough for `followed_of`."""
-        self._start()
-        self._iterate(FIRST_ITERATIONS, contexts=False)
+    def learn(self, overlapping: NDArray[np.bool_]) -> None:
+        """Run the fit: rounds without contexts, then iterations with contexts.
 
-    def learn(self) -> None:
-        """Run the fit: rounds without contexts, then iterations with contexts."""
-        self._start()
-        for _ in range(FIRST_ROUNDS):
+        overlapping (cameras, cameras): True where two views are known to overlap.
+        """
+        # First hazards and entry kernels, from the excess over the null model.
+        self.entering.start(FIRST_NOISE_SD)
+        self.hazard = self.em.start(FIRST_NOISE_SD)
+
+        # Rounds without contexts; impossible candidates are left out as soon as they show.
+        for first in range(FIRST_ROUNDS):
             self._iterate(FIRST_ITERATIONS, contexts=False)
-            self._keep_live()
+            self._keep(self.em.live() if first else self._possible(overlapping))
             self.hazard = self.em.learn_speed(self.hazard)
         self._iterate(ITERATIONS, contexts=True)
 
-    def _keep_live(self) -> None:
-        """Leave out unlikely candidates from here on."""
+    def _possible(self, overlapping: NDArray[np.bool_]) -> NDArray[np.bool_]:
+        """Return a mask (M,) of the candidates that are neither unlikely nor impossible."""
         em = self.em
-        live = em.live()
-        share = np.zeros(len(live))
+        impossible = negative_without_overlap(
+            self.problem, em.candidates, em.responsibility, overlapping
+        )
+        return (em.responsibility > NEGLIGIBLE) & em.live() & ~impossible
+
+    def _keep(self, kept: NDArray[np.bool_]) -> None:
+        """Leave out all candidates but those of the mask ``kept`` (M,) from here on."""
+        em = self.em
+        share = np.zeros(len(kept))
         share[self.entering.rows] = self.entering.share
-        self.hazard = self.hazard[em.keep(live)]
+        self.hazard = self.hazard[em.keep(kept)]
         self._extend()
-        self.entering.share = share[live][self.entering.rows]
+        self.entering.share = share[kept][self.entering.rows]
         self.entering.learn(em.responsibility)
 
-    def posterior(self, evidence: Floats) -> Posterior:
-        """Return the result of the fit, which is over with this.
-
-        evidence (k, nats): held-out evidence of k pairs of zones (`cross_evidence`).
-        """
+    def posterior(self) -> Posterior:
+        """Return the result of the fit, without doubt."""
         em = self.em
         levels = self.contexts.published_levels(em.candidates, self._count_contexts())
         found = result(em, self.hazard, np.zeros((0, self.problem.bins.size)))  # without counts
-        doubt = spurious_shares(
-            em.candidates.pair, found.responsibility, em.pairs, evidence, self._departures_of
-        )
         return Posterior(
             found,
             self.share,
             self.leave,
-            doubt,
+            np.zeros(em.pairs),
             self.entering.source,
             self.entering.target,
             self.entering.kernels(em.responsibility),
             self.problem.delays(em.candidates.source, em.candidates.target),
             levels,
         )
-
-    def _start(self) -> None:
-        """Set the first hazards and entry kernels, from the excess over the null model."""
-        self.entering.start(FIRST_NOISE_SD)
-        self.hazard = self.em.start(FIRST_NOISE_SD)
 
     def _iterate(self, iterations: int, contexts: bool) -> None:
         """Run EM iterations; with ``contexts``, estimate contexts after every other one."""
