@@ -3,7 +3,7 @@
 Among thousands of pairs of zones, chance makes a few transitions for each. They contribute far less
 evidence than transitions on the real paths of the site, which contribute about equally much. So
 `real_probability` compares each pair's *evidence per transition* with the site's usual value,
-allowing for the spread among the site's pairs and for pairs with few transitions.
+allowing for the spread among pairs and for pairs with few transitions.
 
 Where no pair of zones has significant evidence, the usual value has no meaning. So
 `any_link_probability` estimates from all pairs together whether the site has any link at all: the
@@ -18,26 +18,18 @@ from scipy.special import expit
 from camtopod.arrays import Floats, Ints
 from camtopod.learn.links import evidence_against_unrelated
 
-SPREAD_MIN = 0.7
-"""Least standard deviation, among real paths, of the log of the evidence per transition."""
+SPREAD = 0.7
+"""Standard deviation, among real paths, of the log of the evidence per transition."""
 NATS_TO_TELL = 3.0
 """Usual evidence of a pair's transitions, in nats, at which noise adds 1 to the variance of the log
 of its evidence per transition.
 """
-NORMAL_QUARTILE = 0.6745
-"""Upper quartile of the standard normal distribution."""
 CHANCE_PRIOR = 0.1
-"""Prior odds of being spurious for a pair with many transitions."""
-CHANCE_TRANSITIONS = 3.0
-"""Number of transitions of a pair at which its prior odds of being spurious are doubled, as chance
-makes few transitions of each pair.
-"""
+"""Prior odds of being spurious."""
 DEPARTURES_TO_TELL = 10.0
 """Scale of the number of departures of a zone that are enough to find a link from there. n
 departures are enough with probability ``1 - exp(-n / DEPARTURES_TO_TELL)``.
 """
-REAL_MIN = 0.07
-"""Lower bound on the share of a pair's transitions that is real."""
 
 
 def spurious_shares(
@@ -54,7 +46,7 @@ def spurious_shares(
     """
     transitions: Floats = np.bincount(pair, responsibility, minlength=pairs).astype(float)
     each = evidence_against_unrelated(pair, responsibility, pairs) / np.maximum(transitions, 1e-300)
-    real = np.where(transitions > 0, np.maximum(real_probability(each, transitions), REAL_MIN), 1.0)
+    real = np.where(transitions > 0, real_probability(each, transitions), 1.0)
     doubt: Floats = 1.0 - any_link_probability(evidence, departures) * real
     return doubt
 
@@ -65,26 +57,22 @@ def real_probability(each: Floats, transitions: Floats) -> Floats:
     each (P,): evidence per transition of each pair, nats.
     transitions (P,): number of transitions of each pair.
 
-    The usual evidence per transition is the median over the site's transitions. The spread among
-    pairs is estimated from the upper half, as that holds no spurious transitions.
+    The usual evidence per transition is the median over the site's transitions.
     """
     if not transitions.any():
         return np.ones(len(each))
 
-    # Median and upper quartile of the evidence per transition.
+    # Median of the evidence per transition.
     order = np.argsort(each, kind="stable")
     reached = np.cumsum(transitions[order])
-    half, upper = np.searchsorted(reached, (0.5 * reached[-1], 0.75 * reached[-1]))
-    usual, high = (max(float(each[order[k]]), 1e-12) for k in (half, upper))
+    usual = max(float(each[order[np.searchsorted(reached, 0.5 * reached[-1])]]), 1e-12)
 
     # Likelihood of a real path: log-normal below the usual value, 1 above it.
-    differ = (np.log(high / usual) / NORMAL_QUARTILE) ** 2 + SPREAD_MIN**2
-    variance = differ + NATS_TO_TELL / np.maximum(usual * transitions, 1e-12)
+    variance = SPREAD**2 + NATS_TO_TELL / np.maximum(usual * transitions, 1e-12)
     likely = np.exp(-0.5 * np.log(np.clip(each / usual, 1e-12, 1.0)) ** 2 / variance)
 
     # Posterior probability, scaled to 1 at the usual value.
-    chance = CHANCE_PRIOR * (1.0 + CHANCE_TRANSITIONS / np.maximum(transitions, 1e-12))
-    probability: Floats = (1.0 + chance) * likely / (likely + chance)
+    probability: Floats = (1.0 + CHANCE_PRIOR) * likely / (likely + CHANCE_PRIOR)
     return probability
 
 
