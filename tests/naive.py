@@ -459,11 +459,11 @@ def chain(zones, links):
 def standing_out(departures, arrivals, source, target, bins, exposure, chance, wide):
     """Return how far lags from one zone to another exceed the null model, standard deviations.
 
-    It is the largest excess over every two wide bins in a row, at least 0. Within one camera, only
-    bins after the exit count. ``chance``: rate of arrivals, per second. ``wide``: lag bins in one
-    wide bin; one of them begins at 0.
+    It is the largest excess over every two wide bins in a row, at least 0. Wide bins to which no
+    departure is exposed do not count; within one camera, only those after the exit do. ``chance``:
+    rate of arrivals, per second. ``wide``: lag bins in a wide bin; one of these begins at 0.
     """
-    camera = {**dict(zip(departures.zone, departures.camera, strict=True))}
+    camera = dict(zip(departures.zone, departures.camera, strict=True))
     camera.update(zip(arrivals.zone, arrivals.camera, strict=True))
     at = [
         lag_bin(arrivals.t[a] - departures.t[d], bins.lag_min, bins.lag_max, bins.scale, bins.step)
@@ -473,6 +473,7 @@ def standing_out(departures, arrivals, source, target, bins, exposure, chance, w
     groups = {}
     for k in range(bins.size):
         groups.setdefault((k + bins.first) // wide, []).append(k)
+    groups = {number: of for number, of in groups.items() if exposure[:, of].any()}
     most = 0.0
     for number in groups:
         both = groups[number] + groups.get(number + 1, [])
