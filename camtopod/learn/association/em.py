@@ -220,10 +220,6 @@ class Em:
         """Replace the model."""
         self.model = model
 
-    def believe(self, responsibility: Singles) -> None:
-        """Replace the responsibilities (M,)."""
-        self.responsibility = responsibility
-
     def live(self) -> Bools:
         """Return a mask (M,) of the likeliest candidates, with all but `DEAD_SHARE` of the mass.
 
