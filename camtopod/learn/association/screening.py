@@ -6,8 +6,8 @@ On a large site two cheaper steps go before the joint fit (`CandidateScreen.find
   every zone, in wide lag bins, and compares the counts with the null model (Makris, Ellis and Black
   2004). The zones of departure that stand out most are *followed* until the next look. Each fit
   looks at new zones of arrival and at a share of the others, those with the oldest look first.
-* *Weighing, in every fit.* Candidates along the followed pairs of zones are weighed by the hazards
-  with which EM begins. Improbable candidates are dropped.
+* *Weighing, in every fit.* Candidates along the followed pairs of zones are weighed by the excess
+  over the null model. Improbable candidates are dropped.
 """
 
 from __future__ import annotations
@@ -41,7 +41,7 @@ from camtopod.learn.association.candidates import (
     possible,
     reach,
 )
-from camtopod.learn.association.em import START_FLOOR, START_NOISE_SD
+from camtopod.learn.association.em import START_FLOOR
 from camtopod.learn.association.exposure import exposures
 from camtopod.learn.association.problem import Problem
 from camtopod.learn.limits import JUDGED_MAX, WEIGHED_AT_ONCE, WEIGHED_MAX, arrivals_within
@@ -57,6 +57,10 @@ WIDE_BINS = 4
 """Lag bins in a wide bin. A look compares every two wide bins in a row with the null model."""
 SOURCES_PER_ZONE_MAX = 32
 """Largest number of zones of departure that are followed for one zone of arrival."""
+NOISE_SD = 0.5
+"""Standard deviations of the null model subtracted from lag histograms for the hazards by which
+candidates are weighed.
+"""
 OVERLAP_FALSE = 0.05
 """Probability that `negative_without_overlap` finds any overlap on a site without overlaps."""
 LIKELY_MIN = 0.001
@@ -260,7 +264,7 @@ def _likely(traffic: Traffic, pairs: ZonePairs, block: Block) -> Block:
     counts = np.bincount(cell, minlength=size * bins.size).reshape(-1, bins.size).astype(float)
     rates = traffic.null_model.rates_of(source, target)
     exposure = traffic.exposure
-    hazard = initial_hazards(counts, rates, exposure, source, bins, START_NOISE_SD, START_FLOOR)
+    hazard = initial_hazards(counts, rates, exposure, source, bins, NOISE_SD, START_FLOOR)
 
     # Share each arrival among its candidates and the null model.
     weight = hazard.ravel()[cell]

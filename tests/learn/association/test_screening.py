@@ -13,7 +13,7 @@ from camtopod.learn.association.candidates import (
     excess_over_null,
     find_candidates,
 )
-from camtopod.learn.association.em import START_FLOOR, START_NOISE_SD
+from camtopod.learn.association.em import START_FLOOR
 from camtopod.learn.association.problem import Problem
 from camtopod.learn.association.screening import (
     CandidateScreen,
@@ -175,7 +175,7 @@ def test_likely_ones_equal_their_slow_twin(seed: int, left: int, came: int) -> N
         SHORT,
         traffic.exposure,
         traffic.null_model.rates_of,
-        lambda seen, usual: excess_over_null(seen, usual, SHORT, START_NOISE_SD),
+        lambda seen, usual: excess_over_null(seen, usual, SHORT, module.NOISE_SD),
         START_FLOOR,
         module.LIKELY_MIN,
     )
