@@ -16,7 +16,7 @@ Counts = NDArray[np.intp]
 
 WEIGHED_MAX = 128_000_000
 """Event pairs that screening weighs in one fit, over all followed pairs of zones."""
-WEIGHED_AT_ONCE = 1_000_000
+WEIGHED_AT_ONCE = 8_000_000
 """Event pairs that screening lists together, at 100 bytes each."""
 JUDGED_MAX = 6_000_000
 """Event pairs from which cross-validation estimates the evidence for links in one fit."""

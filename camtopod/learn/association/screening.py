@@ -260,8 +260,13 @@ def _likely(traffic: Traffic, pairs: ZonePairs, block: Block) -> Block:
     source, target = (ends[first : first + size] for ends in (pairs.source, pairs.target))
     cell = number * bins.size + bins.index(block.lag)
 
-    # Initial hazards (pairs, bins): the excess over the null model.
+    # Initial hazards (pairs, bins): the excess over the null model. The arrivals of the block stand
+    # for all arrivals at their zones.
     counts = np.bincount(cell, minlength=size * bins.size).reshape(-1, bins.size).astype(float)
+    zones = len(traffic.exposure)
+    came = np.bincount(arrivals.zone, minlength=zones)
+    weighed = np.bincount(arrivals.zone[block.arrivals], minlength=zones)
+    counts *= (came / np.maximum(weighed, 1))[target][:, None]
     rates = traffic.null_model.rates_of(source, target)
     exposure = traffic.exposure
     hazard = initial_hazards(counts, rates, exposure, source, bins, NOISE_SD, START_FLOOR)

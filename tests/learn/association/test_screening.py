@@ -154,6 +154,16 @@ def test_the_true_ones_among_many_are_kept(monkeypatch: pytest.MonkeyPatch) -> N
     assert sum(true_ones(found)) > 0.97 * sum(true_ones(every)) > 130
 
 
+def test_a_zone_in_several_blocks_keeps_the_true_ones(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Each block has some of the arrivals at a zone, beside the null model of all of them."""
+    monkeypatch.setattr(module, "LIKELY_MAX", 0)
+    ends = site(2)
+    every = true_ones(find_candidates(problem_of(ends, 40)))
+    monkeypatch.setattr(module, "WEIGHED_AT_ONCE", 8000)
+    found = found_by(CandidateScreen(), ends, in_reach(*ends) - 1, 40)
+    assert sum(true_ones(found)) > 0.9 * sum(every)
+
+
 # --- weighing ---
 
 
