@@ -546,6 +546,37 @@ class Prediction(Struct, frozen=True, omit_defaults=True, rename={"next_": "next
     others: float | None = None
 
 
+class MatchedPassage(Struct, frozen=True, omit_defaults=True):
+    """An earlier passage that an entry may continue.
+
+    t: time of its exit or, while it is under way, of its entry.
+    """
+
+    camera: str
+    t: float
+    probability: float
+    track: str | None = None
+
+
+class Match(Struct, frozen=True, omit_defaults=True, rename={"from_": "from"}):
+    """Which earlier passages the entry at ``camera`` and ``t`` may continue.
+
+    version: version of the topology that was used.
+    from_: the passages, by falling probability; with ``new`` they sum to 1. The JSON key is
+        ``from``.
+    new: probability that it continues none of them.
+    walk: name of the walk it belongs to: camera and time of the walk's first event.
+    """
+
+    camera: str
+    t: float
+    version: int
+    from_: list[MatchedPassage]
+    new: float
+    walk: str
+    track: str | None = None
+
+
 class Status(Struct, frozen=True):
     """State of the daemon or of the program that publishes a camera's events.
 

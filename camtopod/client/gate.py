@@ -18,42 +18,14 @@ from __future__ import annotations
 import math
 from collections import defaultdict
 from collections.abc import Sequence
-from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from camtopod.arrays import Floats
 from camtopod.client.errors import zone_at, zones_of
-from camtopod.predict import ExitTable, Predictor
+from camtopod.predict import Began, Predictor, Transitions
 from camtopod.records import Event, Topology
 from camtopod.topology import block_of
-
-OUTSIDE_SHARE_MIN = 0.05
-"""Smallest share of entries from outside at which a zone tells the duration of the window."""
-
-
-class _Began(NamedTuple):
-    """How a passage began: zone of entry and dwell time (seconds)."""
-
-    zone: int
-    stay: float
-
-
-class _Onward(NamedTuple):
-    """Where an object that left a zone appears next; all probabilities sum to 1.
-
-    table: of the zone; None if nobody who leaves there is seen again.
-    chance (targets, bins): probability of appearing at each target in each lag bin.
-    gone: probability of not being seen again.
-    early (targets,): factor of the rates before the exit that follow from the entry.
-    """
-
-    table: ExitTable | None
-    chance: Floats
-    gone: float
-    early: Floats
-    began: _Began | None
 
 
 class Gate:
@@ -69,9 +41,8 @@ class Gate:
         """Prepare the tables; ``predictor`` is one over the same topology, if there is one."""
         self.topology = topology
         self.predictor = predictor or Predictor(topology)
-        self._hazards = self.predictor.site.hazards
+        self._transitions = Transitions(self.predictor)
         self._ahead = self.predictor.site.clock_offset
-        self._new = self._rates_from_outside()
 
     def gate(
         self,
@@ -104,7 +75,9 @@ class Gate:
         lag = t_entry - self._ahead[to_camera] - left
         if not math.isfinite(lag):
             raise ValueError(f"t_exit {t_exit} and t_entry {t_entry}: finite numbers of seconds")
-        log_density = self._log_density(self._onward(source), zones, np.full(len(zones), lag))
+        log_density = self._transitions.log_density(
+            self._transitions.after(source), zones, np.full(len(zones), lag)
+        )
         return float(np.logaddexp.reduce(log_density))
 
     def gate_new(self, to_camera: str, to_zone: str | None = None) -> float:
@@ -114,7 +87,7 @@ class Gate:
         The rate is constant in time: the mean over the window that was learned from. Raises
         `UnknownPlace` (a KeyError).
         """
-        return math.log(self._new[self._zones(to_camera, to_zone)].sum())
+        return math.log(self._transitions.new[self._zones(to_camera, to_zone)].sum())
 
     def gate_gone(self, from_zone: str, seconds: float = math.inf) -> float:
         """Return ln of the probability that an object is unseen ``seconds`` after leaving a zone.
@@ -124,7 +97,11 @@ class Gate:
         """
         if math.isnan(seconds):
             raise ValueError("seconds is not a number")
-        return math.log(self._gone(self._onward(zone_at(self.topology, from_zone)), seconds))
+        return math.log(
+            self._transitions.gone(
+                self._transitions.after(zone_at(self.topology, from_zone)), seconds
+            )
+        )
 
     def affinity(
         self, exits: Sequence[Event], entries: Sequence[Event], now: float | None = None
@@ -171,7 +148,7 @@ class Gate:
         until = max([*left, *came.tolist()]) if now is None else now
 
         # Row of each exit: the transition against leaving the site and an arrival from outside.
-        new = np.log(self._new)[to]
+        new = np.log(self._transitions.new)[to]
         by_track = defaultdict(list)
         for entry in entries:
             if entry.track is not None:
@@ -180,16 +157,18 @@ class Gate:
             zone = self.predictor.zone_of(event)
             if zone is not None:
                 began = self._began(event, by_track[event.camera, str(event.track)])
-                onward = self._onward(zone, block_of(event.x, event.y), began)
-                gone = math.log(self._gone(onward, until - left[row]))
-                odds[row, known] = self._log_density(onward, to, came - left[row]) - new - gone
+                onward = self._transitions.after(zone, block_of(event.x, event.y), began)
+                gone = math.log(self._transitions.gone(onward, until - left[row]))
+                odds[row, known] = (
+                    self._transitions.log_density(onward, to, came - left[row]) - new - gone
+                )
         return odds
 
     def _corrected(self, event: Event) -> float:
         """Return the corrected time of an event; minus infinity for an unknown camera."""
         return event.t - self._ahead.get(event.camera, math.inf)
 
-    def _began(self, event: Event, entries: Sequence[Event]) -> _Began | None:
+    def _began(self, event: Event, entries: Sequence[Event]) -> Began | None:
         """Return how the passage of an exit began: with the latest entry before it, if any.
 
         entries: those of its track.
@@ -199,118 +178,10 @@ class Gate:
         zone = self.predictor.zone_of(newest)
         if newest is event or zone is None:
             return None
-        return _Began(zone, event.t - newest.t)
-
-    def _rates_from_outside(self) -> Floats:
-        """Return the rate (zones,) of objects from outside, per second.
-
-        The version has the rate of arrivals that no departure explains at all. Spurious transitions
-        (`Outcome.doubt`) count as "left the site" for their exits, so their entries count as from
-        outside. Expected arrivals then account for the entries counted.
-        """
-        rate = np.array(self._hazards.arrival_rate)
-        entries = np.array([float(zone.entries) for zone in self.topology.zones])
-
-        # Arrivals explained by departures, with and without spurious transitions.
-        explained = np.zeros(len(rate))
-        surely = np.zeros(len(rate))
-        for zone, outcomes in self._hazards.outcomes.items():
-            departures = self._hazards.departures[zone]
-            chance = self._onward(zone).chance.sum(axis=1)
-            np.add.at(explained, outcomes.targets, departures * outcomes.weight * outcomes.share)
-            np.add.at(surely, outcomes.targets, departures * chance)
-
-        # Duration of the window learned from, by zones with enough entries from outside.
-        some = entries - explained > OUTSIDE_SHARE_MIN * entries
-        if not some.any():
-            return rate
-        span = np.median((entries - explained)[some] / rate[some])  # seconds
-        balanced: Floats = np.maximum(rate, (entries - surely) / span)
-        return balanced
+        return Began(zone, event.t - newest.t)
 
     def _zones(self, camera: str, zone: str | None) -> list[int]:
         """Return the zones (indices) of a camera, or the one zone given."""
         if zone is not None:
             return [zone_at(self.topology, zone, camera)]
         return zones_of(self.topology, camera)
-
-    def _onward(self, zone: int, block: int | None = None, began: _Began | None = None) -> _Onward:
-        """Return what is expected right after an exit of which only zone and passage are known.
-
-        Equals the predictor's answer before anything has been seen since the exit.
-        """
-        table = self.predictor.site.table(zone)
-        if table is None:
-            return _Onward(None, np.zeros((0, 0)), 1.0, np.zeros(0), None)
-
-        # Exposure, and arrivals before the exit; a known entry says more about both.
-        outcomes = table.outcomes
-        entry = None
-        exposure = outcomes.exposure
-        early = np.zeros(len(outcomes.targets))
-        if began is not None:
-            entry = began.zone
-            exposure = self._hazards.exposure_of_passage(began.stay)
-            early = self._expected_early(outcomes.targets, began) * table.is_first
-
-        # Odds against leaving the site.
-        likelier, leave = self.predictor.surroundings.multipliers(
-            zone, outcomes, block, entry, None, 0.0
-        )
-        odds = outcomes.hazard * self._hazards.bins.widths * outcomes.exposure_by_row(exposure)
-        odds *= likelier[:, None]
-
-        # Spurious mass counts as "left the site".
-        sure = 1.0 - outcomes.doubt
-        every = odds.sum(axis=1) + early * likelier
-        leave += float(outcomes.doubt @ every)
-        chance, gone = outcomes.probabilities(sure * every, leave)
-        scale = chance / np.maximum(every, 1e-300)
-        return _Onward(table, odds * scale[:, None], gone, likelier * scale, began)
-
-    def _expected_early(self, targets: list[int], began: _Began) -> Floats:
-        """Return the arrivals (targets,) expected before the exit, given the entry alone."""
-        bins = self._hazards.bins
-        seconds = np.clip(began.stay - bins.edges[:-1], 0.0, bins.widths) * (bins.centres > 0)
-        some = np.flatnonzero(seconds)
-        expected = [
-            self._hazards.rates_entered(
-                began.zone, np.full(len(some), target, np.int32), bins.centres[some]
-            )
-            @ seconds[some]
-            for target in targets
-        ]
-        return np.array(expected)
-
-    def _gone(self, onward: _Onward, seconds: float) -> float:
-        """Return the probability of not having been seen ``seconds`` after the exit."""
-        if onward.table is None:
-            return onward.gone
-        bins = self._hazards.bins
-        still = bins.edges[1:] + onward.table.outcomes.delay[:, None] - seconds
-        return onward.gone + float((onward.chance * np.clip(still / bins.widths, 0.0, 1.0)).sum())
-
-    def _log_density(self, onward: _Onward, zones: NDArray[np.intp], lag: Floats) -> Floats:
-        """Return ln of the density (1/s) of appearing at zones (m,) with lags (m,) in seconds."""
-        # Density by lag bin.
-        density = np.zeros(len(zones))
-        if onward.table is not None:
-            bins = self._hazards.bins
-            row, which = onward.table.rows_of(zones)
-            at = bins.index(lag[which] - onward.table.outcomes.delay[row])
-            row, which, at = row[at >= 0], which[at >= 0], at[at >= 0]
-            np.add.at(density, which, onward.chance[row, at] / bins.widths[at])
-
-            # Before the exit, the rates that follow from the entry are added.
-            if onward.began is not None:
-                kept = (lag[which] <= 0) & onward.table.is_first[row]
-                row = row[kept]
-                before = which[kept]
-                entered = self._hazards.rates_entered(
-                    onward.began.zone,
-                    zones[before].astype(np.int32),
-                    onward.began.stay + lag[before],
-                )
-                density[before] += onward.early[row] * entered
-        with np.errstate(divide="ignore"):
-            return np.log(density)

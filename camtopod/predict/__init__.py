@@ -9,5 +9,5 @@ cameras that see the object at the exit.
 """
 
 from camtopod.predict.hand_over import seen_now as seen_now
-from camtopod.predict.odds import ExitTable as ExitTable
 from camtopod.predict.predictor import Predictor as Predictor, PredictorState as PredictorState
+from camtopod.predict.transitions import Began as Began, Transitions as Transitions

@@ -86,14 +86,27 @@ class Hazards:
 
         Return zones (m,) and hazards (m, 1/s) of the sources from which there is any hazard.
         """
-        found = [(sources[:0], lag[:0])]
+        which, _, rates = self.rates_by_row(sources, target, lag)
+        return sources.take(which), rates
+
+    def rates_by_row(self, sources: Ints, target: int, lag: Floats) -> tuple[Rows, Rows, Floats]:
+        """Return `rates` (m, 1/s) with the item of ``sources`` and the row of its outcomes.
+
+        The results are columns (m,): which of the n sources, row in its `outcomes`, hazard.
+        """
+        none = np.zeros(0, np.intp)
+        found = [(none, none, np.zeros(0))]
         for zones, rows in self._into.get(target, []):
             row = self._rows_of(zones, rows, sources)
-            [with_hazard] = row.nonzero()
-            rates = self._at(row.take(with_hazard), lag.take(with_hazard))
-            found.append((sources.take(with_hazard), rates))
-        zones_of, rates_of = zip(*found, strict=True)
-        return np.concatenate(zones_of), np.concatenate(rates_of)
+            [which] = row.nonzero()
+            row = row.take(which)
+            first = self._first_of_zone.take(sources.take(which))
+            found.append((which, row - first, self._at(row, lag.take(which))))
+        return tuple(np.concatenate(column) for column in zip(*found, strict=True))
+
+    def sources(self, target: int) -> list[int]:
+        """Return the zones from which objects appear next at a zone."""
+        return sorted({zone for zones, _ in self._into.get(target, []) for zone in zones.tolist()})
 
     def rates_from(self, source: int, targets: Ints, lag: Floats) -> Floats:
         """Return the hazards (n, 1/s) at which an object that left one zone appears at others.
@@ -298,6 +311,9 @@ class Hazards:
         )
         self._limits = np.array(self.bins.limits)
         self._row_of_zone = np.zeros(zones, np.int32)  # all 0 between calls
+        self._first_of_zone = np.zeros(zones, np.int32)
+        for zone, first in self._first_row.items():
+            self._first_of_zone[zone] = first
 
     def _rows_of(self, zones: list[int] | Ints, rows: Ints | Rows, wanted: Ints) -> Ints:
         """Return the row of each of the ``wanted`` zones (n,); 0 for zones without a row.

@@ -1,0 +1,346 @@
+"""Walks: which passages, from view to view, are of one object (contract: one match an entry).
+
+Each entry continues one of the earlier passages, or begins a walk. A passage has at most one
+successor in each other view while its object is in view, and one after its exit. So the entries of
+the recent past compete for the passages, as in the learner's joint fit: the marginals are those of
+the sum-product approximation (Williams and Lau, IEEE Trans. AES 50(4), 2014), over the entries that
+have a candidate in common with the new one. The rates are those of prediction (`transitions`,
+`hazards`).
+
+A passage belongs to the walk of its likeliest predecessor if that has more than one half; else it
+begins a walk, which is named by its camera and the time of its first event. `Walks.observe` answers
+each entry at once; `Walks.revised` answers once more where later events have changed the answer.
+"""
+
+from __future__ import annotations
+
+import itertools
+from bisect import bisect_right
+from collections import deque
+
+import numpy as np
+
+from camtopod.arrays import Floats
+from camtopod.predict.hazards import Hazards
+from camtopod.predict.predictor import Predictor
+from camtopod.predict.recent_events import moved_zones
+from camtopod.predict.transitions import Began, Transitions
+from camtopod.records import Event, Match, MatchedPassage, Topology
+from camtopod.topology import LEAVE_FLOOR, block_of, masses_on_bins
+
+PROBABILITY_MIN = 0.01
+"""Least probability of a passage that competes for an entry, and is listed."""
+CANDIDATES_MAX = 50
+"""Number of the newest exits of a zone, and of the newest open passages of a camera, that an entry
+may continue.
+"""
+SWEEPS = 3
+"""Sweeps of messages over the entries that compete."""
+REVISE_SECONDS = 10.0
+"""Seconds after an entry at which its match is looked at once more."""
+REVISE_CHANGE = 0.1
+"""Least change of a probability for which a match is given once more."""
+MEMORY_SECONDS = 3600.0
+"""Seconds after which a passage is forgotten."""
+STEPS_MAX = 100_000
+"""Largest number of passages that are remembered."""
+UNSEEN_IN_VIEW = 0.5
+"""Prior probability that an object in view has no successor in a given other view by then."""
+
+
+class Step:
+    """A passage as a step of a walk.
+
+    camera, track: as in its events; track None if they have none.
+    t (seconds): time of its entry by the camera's clock; of its exit if the entry is unknown.
+    name: name of the walk that it would begin.
+    entry: index of the zone of entry; None if unknown.
+    began (seconds): corrected time of the entry.
+    """
+
+    def __init__(
+        self, camera: str, track: str | None, t: float, name: str, entry: int | None, began: float
+    ) -> None:
+        self.camera = camera
+        self.track = track
+        self.t = t
+        self.name = name
+        self.entry = entry
+        self.began = began
+        self.walk = name
+        """Name of its walk."""
+        self.edges: list[Edge] = []
+        """Edges from the passages that it may continue."""
+        self.outside = 0.0
+        """Rate at which objects from outside enter where it does, 1/s."""
+        self.told: list[tuple[Edge, float]] = []
+        """The probabilities of its edges when its match was given."""
+        self.claims: dict[str, list[Edge]] = {}
+        """Edges to entries that may continue it: by their camera while in view, "" afterwards."""
+
+        # The exit.
+        self.ended: float | None = None
+        """Time of the exit by the camera's clock; None while the object is in view."""
+        self.left = began
+        """Corrected time of the exit, seconds."""
+        self.zone = -1
+        """Index of the zone of exit."""
+        self.scale: Floats = np.zeros(0)
+        """(rows,) factor on the hazards of that zone, by the context of this exit."""
+        self.unseen: list[float] = []
+        """Probability of not having been seen again by each edge of the lag bins."""
+
+
+class Edge:
+    """An entry, and an earlier passage that it may continue.
+
+    slot: key of `Step.claims`.
+    weight: rate at which the passage would cause the entry, 1/s.
+    """
+
+    def __init__(self, source: Step, entry: Step, slot: str, weight: float) -> None:
+        self.source = source
+        self.entry = entry
+        self.slot = slot
+        self.weight = weight
+        self.message = 1.0 / entry.outside
+        """Sum-product message from the entry, s."""
+        self.probability = 0.0
+
+
+class Walks:
+    """The walks of the last hour, by one version of the topology; events come in order of time."""
+
+    def __init__(self, topology: Topology, predictor: Predictor) -> None:
+        """Begin without passages; ``predictor`` is one over the same topology."""
+        self._zones = topology.zones
+        self._version = topology.version
+        self._predictor = predictor
+        self._hazards: Hazards = predictor.site.hazards
+        self._transitions = Transitions(predictor)
+        self._dwell = self._dwell_densities(topology)
+        self._steps: deque[Step] = deque()
+        """All remembered passages, oldest first."""
+        self._names: set[str] = set()
+        """Their names."""
+        self._open: dict[str, dict[str, Step]] = {}
+        """Passages in view by camera, then by track or name, oldest first."""
+        self._left: dict[int, deque[Step]] = {}
+        """The newest passages by zone of exit, oldest first."""
+        self._given: deque[Step] = deque()
+        """Entries whose match has been given once, oldest first."""
+
+    def take_over(self, older: Walks) -> None:
+        """Take over the passages from walks by an older version; this must be new."""
+        moved = moved_zones(older._zones, self._zones)
+        self._steps, self._names = older._steps, older._names
+        self._open, self._given = older._open, older._given
+        for step in self._steps:
+            step.entry = moved.get(-1 if step.entry is None else step.entry)
+        for zone, steps in older._left.items():
+            if zone in moved:
+                self._left[moved[zone]] = steps
+                for step in steps:
+                    self._expect(step, moved[zone], None)
+
+    def observe(self, event: Event) -> Match | None:
+        """Observe an event; return the match of an entry, None for an exit."""
+        self._forget(event.t)
+        zone = self._predictor.zone_of(event)
+        t = event.t - self._predictor.site.clock_offset.get(event.camera, 0.0)
+        if event.kind == "exit":
+            self._end(event, zone, t)
+            return None
+
+        # Match the entry with earlier passages.
+        step = self._step(event, zone, t)
+        if zone is not None:
+            step.outside = float(self._transitions.new[zone])
+            step.edges = self._likely(step, self._candidates(step, zone), t)
+            for edge in step.edges:
+                edge.source.claims.setdefault(edge.slot, []).append(edge)
+            self._settle(step, t)
+        self._open.setdefault(event.camera, {})[step.track or step.name] = step
+        self._given.append(step)
+        return self._match(step)
+
+    def revised(self, now: float) -> list[Match]:
+        """Return the matches that have changed since their entries, `REVISE_SECONDS` ago.
+
+        now (seconds): time up to which events have been observed. Each entry is looked at once.
+        """
+        found = []
+        while self._given and self._given[0].t + REVISE_SECONDS <= now:
+            step = self._given.popleft()
+            walk = step.walk
+            self._settle(step, step.began + REVISE_SECONDS)
+            moved = any(abs(edge.probability - told) > REVISE_CHANGE for edge, told in step.told)
+            match = self._match(step)
+            if moved or match.walk != walk:
+                found.append(match)
+        return found
+
+    # --- Passages ---
+
+    def _step(self, event: Event, entry: int | None, t: float) -> Step:
+        """Return a new passage that begins with an event, under a name of its own."""
+        first = f"{event.camera}@{event.t:.6f}".rstrip("0").rstrip(".")
+        names = itertools.chain([first], (f"{first}/{number}" for number in itertools.count(2)))
+        name = next(name for name in names if name not in self._names)
+        track = None if event.track is None else str(event.track)
+        step = Step(event.camera, track, event.t, name, entry, t)
+        self._steps.append(step)
+        self._names.add(name)
+        return step
+
+    def _end(self, event: Event, zone: int | None, t: float) -> None:
+        """End the passage of an exit; if its entry is unknown, the exit is all of it."""
+        in_view = self._open.get(event.camera, {})
+        key = str(event.track) if event.track is not None else self._through(in_view, zone, t)
+        step = in_view.pop(key, None) or self._step(event, None, t)
+        step.ended, step.left = event.t, t
+        if zone is not None:
+            self._expect(step, zone, block_of(event.x, event.y))
+            self._left.setdefault(zone, deque(maxlen=CANDIDATES_MAX)).append(step)
+
+    def _expect(self, step: Step, zone: int, block: int | None) -> None:
+        """Note what is expected of the object of a passage that has ended in a zone."""
+        known = step.entry is not None and step.left > step.began
+        began = (
+            Began(step.entry, step.left - step.began) if known and step.entry is not None else None
+        )
+        onward = self._transitions.after(zone, block, began)
+        step.zone, step.scale = zone, onward.scale
+        step.unseen = self._transitions.unseen(onward)
+
+    def _through(self, in_view: dict[str, Step], zone: int | None, t: float) -> str:
+        """Return the key of the passage without a track that ends in a zone; "" if none does."""
+        weights = {}
+        for key, step in in_view.items():
+            density = self._dwell.get((-1 if step.entry is None else step.entry, zone))
+            at = self._hazards.bins.bin_of(t - step.began)
+            if step.track is None and density is not None and at >= 0:
+                weights[key] = density[at]
+        best = max(weights, key=weights.__getitem__, default="")
+        return best if weights and weights[best] > 0.5 * sum(weights.values()) else ""
+
+    def _dwell_densities(self, topology: Topology) -> dict[tuple[int, int | None], list[float]]:
+        """Return the density (bins, 1/s) of the dwell times from zone of entry to zone of exit."""
+        number = {zone.id: k for k, zone in enumerate(topology.zones)}
+        bins = self._hazards.bins
+        return {
+            (number[link.from_], number[link.to]): (
+                link.probability
+                / max(link.transitions, 1e-9)
+                * masses_on_bins(link.histogram, bins)
+                / bins.widths
+            ).tolist()
+            for link in topology.links
+            if link.relation == "visible" and link.histogram is not None
+        }
+
+    def _forget(self, now: float) -> None:
+        """Forget the oldest passages."""
+        while self._steps and (
+            now - self._steps[0].t > MEMORY_SECONDS or len(self._steps) > STEPS_MAX
+        ):
+            step = self._steps.popleft()
+            self._names.discard(step.name)
+            in_view = self._open.get(step.camera, {})
+            key = step.track or step.name
+            if in_view.get(key) is step:
+                del in_view[key]
+            step.edges, step.told, step.claims = [], [], {}
+
+    # --- Matching ---
+
+    def _candidates(self, step: Step, zone: int) -> list[Edge]:
+        """Return the passages that the entry of a step may continue."""
+        # Passages that have ended.
+        t = step.began
+        longest = self._hazards.lag_max
+        left = [
+            one
+            for source in self._hazards.sources(zone)
+            for one in self._left.get(source, ())
+            if 0.0 <= t - one.left <= longest
+        ]
+        weights = np.zeros(len(left))
+        sources = np.array([one.zone for one in left], np.int32)
+        lag = t - np.array([one.left for one in left])
+        for which, row, rate in zip(
+            *(column.tolist() for column in self._hazards.rates_by_row(sources, zone, lag)),
+            strict=True,
+        ):
+            if rate:
+                weights[which] += rate * left[which].scale[row]
+        edges = [
+            Edge(one, step, "", weight)
+            for one, weight in zip(left, weights.tolist(), strict=True)
+            if weight > 0.0
+        ]
+
+        # Passages under way in other views.
+        for camera in self._hazards.cameras_before.get(zone, ()):
+            if camera == step.camera:
+                continue
+            before_exit = self._hazards.rate_before_exit(camera, zone)
+            for one in list(self._open.get(camera, {}).values())[-CANDIDATES_MAX:]:
+                if one.entry is not None:
+                    entered = self._hazards.rate_entered(one.entry, zone, t - one.began)
+                    if before_exit + entered > 0.0:
+                        edges.append(Edge(one, step, step.camera, before_exit + entered))
+        return edges
+
+    def _likely(self, step: Step, edges: list[Edge], t: float) -> list[Edge]:
+        """Return the edges that are likely enough, given what other entries claim."""
+        offers = [edge.weight / self._taken(edge, t) for edge in edges]
+        least = PROBABILITY_MIN * (step.outside + sum(offers))
+        return [edge for edge, offer in zip(edges, offers, strict=True) if offer >= least]
+
+    def _settle(self, step: Step, t: float) -> None:
+        """Update the probabilities of an entry, and the messages of those that compete with it.
+
+        t (seconds): corrected time of the question.
+        """
+        rivals = {id(step): step}
+        for edge in step.edges:
+            rivals |= {id(one.entry): one.entry for one in edge.source.claims[edge.slot]}
+        for _ in range(SWEEPS):
+            for rival in rivals.values():
+                offers = [edge.weight / self._taken(edge, t) for edge in rival.edges]
+                total = rival.outside + sum(offers)
+                for edge, offer in zip(rival.edges, offers, strict=True):
+                    edge.probability = offer / total
+                    edge.message = 1.0 / (total - offer)
+
+    def _taken(self, edge: Edge, t: float) -> float:
+        """Return the odds that a passage has no successor by ``t``, or another than that of an edge.
+
+        The weights with which others claim it are relative to the same.
+        """
+        source = edge.source
+        nobody = UNSEEN_IN_VIEW
+        if not edge.slot:
+            at = bisect_right(self._hazards.bins.limits, t - source.left)
+            nobody = max(source.unseen[min(at, len(source.unseen) - 1)], LEAVE_FLOOR)
+        claims = source.claims.get(edge.slot, ())
+        return nobody + sum(one.weight * one.message for one in claims if one is not edge)
+
+    def _match(self, step: Step) -> Match:
+        """Give a step its walk, and return its match."""
+        edges = sorted(step.edges, key=lambda edge: -edge.probability)
+        edges = [edge for edge in edges if edge.probability >= PROBABILITY_MIN]
+        is_known = bool(edges) and edges[0].probability > 0.5
+        step.walk = edges[0].source.walk if is_known else step.name
+        step.told = [(edge, edge.probability) for edge in step.edges]
+        rows = [_row(edge) for edge in edges]
+        new = 1.0 - sum(row.probability for row in rows)
+        return Match(step.camera, step.t, self._version, rows, new, step.walk, step.track)
+
+
+def _row(edge: Edge) -> MatchedPassage:
+    """Return the record of a passage that an entry may continue."""
+    one = edge.source
+    t = one.t if edge.slot or one.ended is None else one.ended
+    return MatchedPassage(one.camera, t, edge.probability, one.track)
