@@ -5,9 +5,11 @@ possible next zones after an exit, from the version and from the observed arriva
 `contexts`, `speed` and `time_windows` read the version: rates of appearing by lag, the effect of an
 exit's context, and time windows for an object of some speed. `recent_events` and `open_passages`
 store the observed events. `zone_lookup` finds the zone of an event, and `hand_over` the other
-cameras that see the object at the exit.
+cameras that see the object at the exit. `walks` tells which passages are of one object, by the
+`transitions` from each exit.
 """
 
 from camtopod.predict.hand_over import seen_now as seen_now
 from camtopod.predict.predictor import Predictor as Predictor, PredictorState as PredictorState
 from camtopod.predict.transitions import Began as Began, Transitions as Transitions
+from camtopod.predict.walks import Walks as Walks

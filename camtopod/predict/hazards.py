@@ -102,7 +102,8 @@ class Hazards:
             row = row.take(which)
             first = self._first_of_zone.take(sources.take(which))
             found.append((which, row - first, self._at(row, lag.take(which))))
-        return tuple(np.concatenate(column) for column in zip(*found, strict=True))
+        each, rows_of, rates = (np.concatenate(column) for column in zip(*found, strict=True))
+        return each, rows_of, rates
 
     def sources(self, target: int) -> list[int]:
         """Return the zones from which objects appear next at a zone."""

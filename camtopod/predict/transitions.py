@@ -32,7 +32,7 @@ class Onward(NamedTuple):
 
     table: of the zone; None if nobody who leaves there is seen again.
     chance (rows, bins): probability of appearing at each target in each lag bin.
-    scale (rows,): factor on `Hazards.rates` that makes them densities, by context and other outcomes.
+    scale (rows,): factor on `Hazards.rates` that makes densities of them, by the context.
     gone: probability of not being seen again.
     early (rows,): factor of the rates before the exit that follow from the entry.
     """
@@ -104,7 +104,7 @@ class Transitions:
         return onward.gone + float((onward.chance * np.clip(still / bins.widths, 0.0, 1.0)).sum())
 
     def unseen(self, onward: Onward) -> list[float]:
-        """Return, by edge of the lag bins, the probability of not having been seen again by then."""
+        """Return the probability of not having been seen again by each edge of the lag bins."""
         bins = self._hazards.bins
         seen = np.zeros(bins.size + 1)
         if onward.table is not None:

@@ -315,10 +315,7 @@ class Walks:
                     edge.message = 1.0 / (total - offer)
 
     def _taken(self, edge: Edge, t: float) -> float:
-        """Return the odds that a passage has no successor by ``t``, or another than that of an edge.
-
-        The weights with which others claim it are relative to the same.
-        """
+        """Return the odds that a passage has no successor by ``t``, or another than the edge's."""
         source = edge.source
         nobody = UNSEEN_IN_VIEW
         if not edge.slot:
