@@ -577,6 +577,30 @@ class Match(Struct, frozen=True, omit_defaults=True, rename={"from_": "from"}):
     track: str | None = None
 
 
+class SeenEvent(Struct, frozen=True, omit_defaults=True):
+    """An event of the last hour as a reader may see it: without its track.
+
+    zone: None if its camera has no zone yet.
+    """
+
+    t: float
+    camera: str
+    kind: Kind
+    zone: str | None = None
+    x: float | None = None
+    y: float | None = None
+
+
+class Recent(Struct, frozen=True):
+    """Events of the last hour, in the order in which they were received.
+
+    t: moment of the answer.
+    """
+
+    t: float
+    events: list[SeenEvent]
+
+
 class Status(Struct, frozen=True):
     """State of the daemon or of the program that publishes a camera's events.
 

@@ -1,6 +1,7 @@
 """Slow and obvious versions of fast functions, each by its definition. Arrays in, arrays out."""
 
 import functools
+import itertools
 
 import numpy as np
 import scipy.signal
@@ -870,3 +871,29 @@ def camera_lags(left, source, dwell, came, target, lag_min, lag_max):
         if max(lag_min, -dwell[d]) <= came[a] - left[d] <= lag_max
         and (came[a] > left[d] or target[a] != source[d])
     ]
+
+
+# --- walks ---
+
+
+def matching_marginals(weights, nobody, outside):
+    """Return the probability (exits, entries) that each exit caused each entry, by enumeration.
+
+    weights (exits, entries): rate at which each exit would cause each entry, relative to nobody.
+    nobody (exits,): probability that an exit causes no entry. outside (entries,): rate from outside.
+    """
+    exits, entries = weights.shape
+    found = np.zeros((exits, entries))
+    total = 0.0
+    for causes in itertools.product(range(-1, exits), repeat=entries):
+        used = [cause for cause in causes if cause >= 0]
+        if len(set(used)) < len(used):
+            continue
+        mass = np.prod([nobody[x] for x in range(exits) if x not in used])
+        for entry, cause in enumerate(causes):
+            mass *= outside[entry] if cause < 0 else weights[cause, entry]
+        total += mass
+        for entry, cause in enumerate(causes):
+            if cause >= 0:
+                found[cause, entry] += mass
+    return found / total

@@ -54,6 +54,8 @@ class SiteSettings(Struct, frozen=True, forbid_unknown_fields=True):
 
     name: Name = "site"
     """The second part of every key on the bus."""
+    walks: bool = True
+    """Tell which passages, from camera to camera, are of one object."""
 
 
 class TlsSettings(Struct, frozen=True, forbid_unknown_fields=True):

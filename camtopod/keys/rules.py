@@ -55,7 +55,15 @@ _EVERYTHING = (
     "declare_liveliness_subscriber",
     "liveliness_query",
 )
-READABLE = ("topology", "topology/delta", "prediction/*", "predict/*", "status/*")
+READABLE = (
+    "topology",
+    "topology/delta",
+    "prediction/*",
+    "predict/*",
+    "match/*",
+    "recent",
+    "status/*",
+)
 """Keys that a reader may subscribe to and query."""
 
 _LIMITS = (

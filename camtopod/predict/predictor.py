@@ -145,6 +145,11 @@ class Predictor:
         """Return the zone (index) that an event belongs to; None if its camera has no zone."""
         return self._lookup.zone_of(event)
 
+    def zone_id_of(self, event: Event) -> str | None:
+        """Return the id of the zone that an event belongs to; None if its camera has no zone."""
+        zone = self.zone_of(event)
+        return None if zone is None else self.zones[zone].id
+
     def predict(self, event: Event, now: float | None = None) -> Prediction:
         """Return the prediction where and when the object of an exit appears next.
 

@@ -17,6 +17,7 @@ from __future__ import annotations
 import itertools
 from bisect import bisect_right
 from collections import deque
+from typing import NamedTuple
 
 import numpy as np
 
@@ -85,10 +86,21 @@ class Step:
         """Corrected time of the exit, seconds."""
         self.zone = -1
         """Index of the zone of exit."""
-        self.scale: Floats = np.zeros(0)
-        """(rows,) factor on the hazards of that zone, by the context of this exit."""
-        self.unseen: list[float] = []
-        """Probability of not having been seen again by each edge of the lag bins."""
+        self.block: int | None = None
+        """Block of the image where the object left."""
+        self.expected: Expected | None = None
+        """What is expected after the exit; None until it is asked for."""
+
+
+class Expected(NamedTuple):
+    """What is expected after an exit.
+
+    scale (rows,): factor on the hazards of the zone of exit, by the context.
+    unseen (bins + 1): probability of not having been seen again by each edge of the lag bins.
+    """
+
+    scale: Floats
+    unseen: list[float]
 
 
 class Edge:
@@ -119,6 +131,10 @@ class Walks:
         self._hazards: Hazards = predictor.site.hazards
         self._transitions = Transitions(predictor)
         self._dwell = self._dwell_densities(topology)
+        self.forget()
+
+    def forget(self) -> None:
+        """Forget all passages; needed when event time has been taken back."""
         self._steps: deque[Step] = deque()
         """All remembered passages, oldest first."""
         self._names: set[str] = set()
@@ -141,7 +157,7 @@ class Walks:
             if zone in moved:
                 self._left[moved[zone]] = steps
                 for step in steps:
-                    self._expect(step, moved[zone], None)
+                    step.zone, step.expected = moved[zone], None
 
     def observe(self, event: Event) -> Match | None:
         """Observe an event; return the match of an entry, None for an exit."""
@@ -200,18 +216,18 @@ class Walks:
         step = in_view.pop(key, None) or self._step(event, None, t)
         step.ended, step.left = event.t, t
         if zone is not None:
-            self._expect(step, zone, block_of(event.x, event.y))
+            step.zone, step.block = zone, block_of(event.x, event.y)
             self._left.setdefault(zone, deque(maxlen=CANDIDATES_MAX)).append(step)
 
-    def _expect(self, step: Step, zone: int, block: int | None) -> None:
-        """Note what is expected of the object of a passage that has ended in a zone."""
-        known = step.entry is not None and step.left > step.began
-        began = (
-            Began(step.entry, step.left - step.began) if known and step.entry is not None else None
-        )
-        onward = self._transitions.after(zone, block, began)
-        step.zone, step.scale = zone, onward.scale
-        step.unseen = self._transitions.unseen(onward)
+    def _expected(self, step: Step) -> Expected:
+        """Return what is expected after a passage that has ended."""
+        if step.expected is None:
+            began = None
+            if step.entry is not None and step.left > step.began:
+                began = Began(step.entry, step.left - step.began)
+            onward = self._transitions.after(step.zone, step.block, began)
+            step.expected = Expected(onward.scale, self._transitions.unseen(onward))
+        return step.expected
 
     def _through(self, in_view: dict[str, Step], zone: int | None, t: float) -> str:
         """Return the key of the passage without a track that ends in a zone; "" if none does."""
@@ -273,7 +289,7 @@ class Walks:
             strict=True,
         ):
             if rate:
-                weights[which] += rate * left[which].scale[row]
+                weights[which] += rate * self._expected(left[which]).scale[row]
         edges = [
             Edge(one, step, "", weight)
             for one, weight in zip(left, weights.tolist(), strict=True)
@@ -319,8 +335,9 @@ class Walks:
         source = edge.source
         nobody = UNSEEN_IN_VIEW
         if not edge.slot:
+            unseen = self._expected(source).unseen
             at = bisect_right(self._hazards.bins.limits, t - source.left)
-            nobody = max(source.unseen[min(at, len(source.unseen) - 1)], LEAVE_FLOOR)
+            nobody = max(unseen[min(at, len(unseen) - 1)], LEAVE_FLOOR)
         claims = source.claims.get(edge.slot, ())
         return nobody + sum(one.weight * one.message for one in claims if one is not edge)
 

@@ -30,8 +30,7 @@ from camtopod.admin import Reset, Rewind
 from camtopod.config import Config
 from camtopod.event_time import EventTime, microseconds
 from camtopod.keys.rules import STATUS
-from camtopod.predict import Predictor
-from camtopod.records import CameraFigures, DaemonStatus, EventCounts, Topology
+from camtopod.records import CameraFigures, DaemonStatus, EventCounts, Match, Prediction, Topology
 from camtopod.redact import redact
 from camtopod.serve.admin_queries import Done, command_of
 from camtopod.serve.bus import (
@@ -63,7 +62,7 @@ from camtopod.serve.learner_process import (
     recent_events,
     recover,
 )
-from camtopod.serve.live_predictions import Live
+from camtopod.serve.live_predictions import Live, Reader
 from camtopod.serve.runtime import (
     LEARN_SECONDS,
     STALL_SECONDS,
@@ -354,9 +353,13 @@ class Daemon:
         limits = self._config.limits
 
         # Predictions, from the newest version until there is another.
-        self._live = Live(lambda one: bus.publish(f"prediction/{one.camera}", one, "prediction"))
+        def publish(answer: Prediction | Match) -> None:
+            kind = "match" if isinstance(answer, Match) else "prediction"
+            bus.publish(f"{kind}/{answer.camera}", answer, kind)
+
+        self._live = Live(publish, self._clock)
         if (newest := newest_topology(self._journal)) is not None:
-            self._live.use(Predictor(newest))
+            self._live.use(Reader(newest, self._config.site.walks))
             self.topology = replace(newest, model=None, weak_links=None)
 
         # Event time as the learner knows it; the newest events may be newer than the snapshot.
@@ -404,6 +407,7 @@ class Daemon:
         )
         bus.answer_queries("admin/*", self._administer, "done")
         bus.answer_queries("predict/*", self._live.answer, "prediction")
+        bus.answer_queries("recent", self._live.recent, "recent")
         bus.answer_queries(STATUS, lambda key, parameters: self.status(), "status")
         bus.subscribe("event/*", self._intake.inbox.on_event)
         bus.watch_alive("grabber", self._on_alive)
@@ -457,11 +461,11 @@ class Daemon:
             (version, codec.read(Topology, version.packed, pack=True))
             for version in progress.versions
         ]
-        predictor = Predictor(made[-1][1]) if made else None
+        reader = Reader(made[-1][1], self._config.site.walks) if made else None
 
         def publish() -> None:
-            if predictor is not None:
-                self._live.use(predictor)
+            if reader is not None:
+                self._live.use(reader)
             for version, topology in made:
                 self._announce(version, topology)
 

@@ -1,33 +1,65 @@
 """Predict where objects appear next, as they leave and before their events are stored.
 
-Neither a fit nor a slow disk delays a prediction.
+Neither a fit nor a slow disk delays a prediction. Each entry is matched with earlier passages as
+well (`camtopod.predict.Walks`). What is kept for this is in memory only, for an hour at most.
 """
 
 from __future__ import annotations
 
 import threading
 import time
+from collections import deque
 from collections.abc import Callable, Sequence
 
 from camtopod import codec
-from camtopod.predict import Predictor
-from camtopod.records import Event, Prediction
+from camtopod.predict import REVISE_SECONDS, Predictor, Walks
+from camtopod.records import Event, Match, Prediction, Recent, SeenEvent, Topology
 from camtopod.serve.bus import QueryError
 from camtopod.serve.ingest import Received
 
+FRESH_SECONDS = 30.0
+"""Age of an entry up to which its match is published; older ones are of a backlog."""
+RECENT_SECONDS = 3600.0
+"""How long events are remembered for ``recent``."""
+RECENT_EVENTS_MAX = 50_000
+"""Largest number of events that are remembered for ``recent``."""
 
-class Live:
-    """Publishes a prediction for each exit, and answers queries for predictions (any thread).
 
-    Events have to be passed in the order in which they are stored.
+class Reader:
+    """What reads one version for live answers: predictor and walks. Making it takes long.
 
-    publish: called with each prediction.
+    walks: True to match entries with earlier passages.
     """
 
-    def __init__(self, publish: Callable[[Prediction], None]) -> None:
+    def __init__(self, topology: Topology, walks: bool) -> None:
+        self.predictor = Predictor(topology)
+        self.walks = Walks(topology, self.predictor) if walks else None
+
+    def take_over(self, older: Reader) -> None:
+        """Take over the observed events from the reader of an older version; this must be new."""
+        self.predictor.take_over(older.predictor)
+        if self.walks is not None and older.walks is not None:
+            self.walks.take_over(older.walks)
+
+
+class Live:
+    """Publishes a prediction for each exit and a match for each entry, and answers queries.
+
+    Events have to be passed in the order in which they are stored. Queries may come from any
+    thread.
+
+    publish: called with each prediction and each match.
+    clock: returns the present moment (Unix seconds).
+    """
+
+    def __init__(
+        self, publish: Callable[[Prediction | Match], None], clock: Callable[[], float]
+    ) -> None:
         self._publish = publish
+        self._clock = clock
         self._mutex = threading.Lock()
-        self._predictor: Predictor | None = None
+        self._reader: Reader | None = None
+        self._recent: deque[SeenEvent] = deque(maxlen=RECENT_EVENTS_MAX)
         self.counts = {"predictions": 0, "predictions_skipped": 0, "questions_refused": 0}
 
     def see(self, batch: Sequence[Received], seconds_max: float) -> None:
@@ -35,8 +67,6 @@ class Live:
 
         After ``seconds_max`` the rest of the batch is skipped, and its exits are counted.
         """
-        if self._predictor is None:
-            return
         until = time.monotonic() + seconds_max
         events = [one.event for one in batch if one.event is not None]
         for number, event in enumerate(events):
@@ -45,34 +75,82 @@ class Live:
                 self.counts["predictions_skipped"] += sum(one.kind == "exit" for one in late)
                 return
 
-            # Predict an exit, observe the event, and publish the prediction.
-            prediction = None
+            # Predict an exit, observe the event, and publish the answer.
             with self._mutex:
-                if event.kind == "exit":
-                    prediction = self._predictor.predict(event)
-                self._predictor.observe(event)
-            if prediction is not None:
-                self._publish(prediction)
+                answers = self._answers(event)
+            self._tell(answers)
+
+        # Matches that have changed since.
+        with self._mutex:
+            walks = None if self._reader is None else self._reader.walks
+            revised = [] if walks is None else walks.revised(self._clock())
+        self._tell(revised)
+
+    def _answers(self, event: Event) -> list[Prediction | Match]:
+        """Observe an event; return the prediction of an exit, or the match of an entry."""
+        reader = self._reader
+        self._remember(event)
+        if reader is None:
+            return []
+        prediction = reader.predictor.predict(event) if event.kind == "exit" else None
+        reader.predictor.observe(event)
+        match = None if reader.walks is None else reader.walks.observe(event)
+        return [one for one in (prediction, match) if one is not None]
+
+    def _tell(self, answers: Sequence[Prediction | Match]) -> None:
+        """Publish answers, except matches of a backlog."""
+        for answer in answers:
+            if isinstance(answer, Prediction):
                 self.counts["predictions"] += 1
+            elif self._clock() - answer.t > FRESH_SECONDS + REVISE_SECONDS:
+                continue
+            self._publish(answer)
+
+    def _remember(self, event: Event) -> None:
+        """Remember an event for ``recent``."""
+        zone = None if self._reader is None else self._reader.predictor.zone_id_of(event)
+        self._recent.append(SeenEvent(event.t, event.camera, event.kind, zone, event.x, event.y))
 
     def remember(self, events: Sequence[Event]) -> None:
-        """Observe events from before the start, so that the first predictions consider them."""
-        if self._predictor is not None:
+        """Observe events from before the start, so that the first answers consider them."""
+        with self._mutex:
             for event in events:
-                self._predictor.observe(event)
+                self._remember(event)
+                if self._reader is not None:
+                    self._reader.predictor.observe(event)
+                    if self._reader.walks is not None:
+                        self._reader.walks.observe(event)
 
     def forget(self) -> None:
         """Forget all observed events, as event time has been set back."""
         with self._mutex:
-            if self._predictor is not None:
-                self._predictor.forget()
+            self._recent.clear()
+            if self._reader is not None:
+                self._reader.predictor.forget()
+                if self._reader.walks is not None:
+                    self._reader.walks.forget()
 
-    def use(self, predictor: Predictor) -> None:
-        """Predict with a newer version from now on; the observed events are kept."""
+    def use(self, reader: Reader) -> None:
+        """Answer by a newer version from now on; the observed events are kept."""
         with self._mutex:
-            if self._predictor is not None:
-                predictor.take_over(self._predictor)
-            self._predictor = predictor
+            if self._reader is not None:
+                reader.take_over(self._reader)
+            self._reader = reader
+
+    def recent(self, key: str, parameters: dict[str, str]) -> Recent:
+        """Answer a query on ``recent``: the events of the last hour, or later than ``since``.
+
+        Raises `QueryError`.
+        """
+        now = self._clock()
+        try:
+            since = float(parameters.get("since", "-inf"))
+        except ValueError:
+            self.counts["questions_refused"] += 1
+            raise QueryError("since is a number, Unix seconds") from None
+        with self._mutex:
+            oldest = max(since, now - RECENT_SECONDS)
+            return Recent(now, [event for event in self._recent if event.t > oldest])
 
     def answer(self, key: str, parameters: dict[str, str]) -> Prediction:
         """Answer a query on ``predict/{camera}``: for an exit at x, y at t, or from a zone.
@@ -87,9 +165,9 @@ class Live:
 
     def _predicted(self, camera: str, parameters: dict[str, str]) -> Prediction:
         with self._mutex:
-            predictor = self._predictor
-            if predictor is None:
+            if self._reader is None:
                 raise QueryError("nothing has been learned yet")
+            predictor = self._reader.predictor
             event, now = asked_exit(camera, parameters, predictor.as_of)
             try:
                 if "zone" not in parameters:

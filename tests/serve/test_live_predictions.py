@@ -8,9 +8,9 @@ from serving import closing_event, numbered, walkers
 
 from camtopod.learn.learner import Learner
 from camtopod.predict.predictor import Predictor
-from camtopod.records import Event, Prediction, Topology
+from camtopod.records import Event, Match, Prediction, Topology
 from camtopod.serve.ingest import Received
-from camtopod.serve.live_predictions import Live
+from camtopod.serve.live_predictions import Live, Reader
 from camtopod.serve.storage import Entry
 
 EVENTS = [*numbered(walkers(60)), closing_event()]
@@ -31,13 +31,13 @@ def learned() -> Topology:
 
 
 def test_exits_are_predicted_by_the_version_in_use(learned: Topology) -> None:
-    made: list[Prediction] = []
-    live = Live(made.append)
+    made: list[Prediction | Match] = []
+    live = Live(made.append, lambda: EXIT.t)
     live.see([received(EXIT)], 60.0)
     assert made == [], "no version is in use yet"
 
     for number in (1, 2):
-        live.use(Predictor(replace(learned, version=number)))
+        live.use(Reader(replace(learned, version=number), walks=False))
         live.see([received(EXIT)], 60.0)
 
     assert [one.version for one in made] == [1, 2]
@@ -45,13 +45,14 @@ def test_exits_are_predicted_by_the_version_in_use(learned: Topology) -> None:
 
 def test_a_new_version_keeps_what_was_observed(learned: Topology) -> None:
     """Predictions equal those of a predictor of the new version that observed all events."""
-    made: list[Prediction] = []
-    live, alone = Live(made.append), Predictor(learned)
-    live.use(Predictor(learned))
+    made: list[Prediction | Match] = []
+    live = Live(made.append, lambda: EXIT.t)
+    alone = Predictor(learned)
+    live.use(Reader(learned, walks=False))
     expected = []
     for number, event in enumerate(EVENTS[:-1]):
         if number == len(EVENTS) // 2:
-            live.use(Predictor(replace(learned, version=learned.version + 1)))
+            live.use(Reader(replace(learned, version=learned.version + 1), walks=False))
         live.see([received(event)], 60.0)
         if event.kind == "exit":
             expected.append(alone.predict(event))

@@ -40,7 +40,7 @@ CALLBACKS_SECONDS_MAX = 2.0
 """Longest wait, at the end of a session, for the ends of its requests."""
 _REPLIES_MAX = 4096
 """Most answers to one query that are kept; closing the channel drops the rest."""
-_PROMPT = ("prediction", "status")
+_PROMPT = ("prediction", "match", "status")
 """Schemas of small and urgent messages, which never wait behind a topology on the same link."""
 
 # Priorities, each a queue of its own on every link.

@@ -154,9 +154,9 @@ class Intake:
                 ready = self.event_clock.note_quiet(wall, now)
 
             # 4. Predict, and leave the rest to `store_waiting`.
+            busy = self.merger.waiting > BUSY_EVENTS
+            self._see(ready, PREDICT_SECONDS_BUSY if busy else PREDICT_SECONDS_MAX)
             if ready:
-                busy = self.merger.waiting > BUSY_EVENTS
-                self._see(ready, PREDICT_SECONDS_BUSY if busy else PREDICT_SECONDS_MAX)
                 self.queue.put(ready)
 
     def store_waiting(

@@ -37,8 +37,8 @@ log = logging.getLogger(__name__)
 DEATHS_MAX = 2
 """Number of deaths of the learner at one entry, or at its state, after which that is left out."""
 RECENT_EVENTS = 4_000
-"""Maximum number of events that predictions remember at a start."""
-RECENT_SECONDS = 600.0
+"""Maximum number of events that predictions and walks remember at a start."""
+RECENT_SECONDS = 3600.0
 """Maximum age of these, in seconds before the newest one."""
 
 

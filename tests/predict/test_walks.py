@@ -1,0 +1,160 @@
+"""Walks: each entry continues one earlier passage at most, with probabilities that sum to 1."""
+
+from __future__ import annotations
+
+import naive
+import numpy as np
+import pytest
+from msgspec.structs import replace
+from serving import T0, closing_event, walkers
+
+from camtopod.learn.learner import Learner
+from camtopod.predict import Predictor, Walks
+from camtopod.predict.walks import (
+    MEMORY_SECONDS,
+    REVISE_CHANGE,
+    REVISE_SECONDS,
+    UNSEEN_IN_VIEW,
+    Edge,
+    Step,
+)
+from camtopod.records import Event, Match, Topology
+
+T = T0 + 1e6
+"""A time without other events."""
+
+
+@pytest.fixture(scope="module")
+def learned() -> Topology:
+    """Objects cross the view of a, and nine seconds later that of b or c."""
+    learner = Learner(epoch="E")
+    for event in [*walkers(400), closing_event()]:
+        learner.receive(event)
+    assert learner.topology is not None
+    return learner.topology
+
+
+@pytest.fixture
+def walks(learned: Topology) -> Walks:
+    return Walks(learned, Predictor(learned))
+
+
+def entry(camera: str, t: float, track: str | None) -> Event:
+    return Event(camera, "entry", t, 0.12, 0.5, track)
+
+
+def exit_(camera: str, t: float, track: str | None) -> Event:
+    return Event(camera, "exit", t, 0.88, 0.5, track)
+
+
+def matched(walks: Walks, events: list[Event]) -> list[Match]:
+    return [match for event in events if (match := walks.observe(event)) is not None]
+
+
+def test_an_entry_continues_the_passage_that_fits(walks: Walks) -> None:
+    events = [entry("a", T, "1"), exit_("a", T + 4, "1"), entry("b", T + 13, "2")]
+    first, second = matched(walks, events)
+    assert first.walk == f"a@{T:g}" or first.walk == f"a@{T:.0f}"
+    assert first.from_ == []
+    assert first.new == 1.0
+    assert (second.from_[0].camera, second.from_[0].track, second.from_[0].t) == ("a", "1", T + 4)
+    assert second.from_[0].probability > 0.9
+    assert second.walk == first.walk
+
+
+def test_probabilities_sum_to_one(learned: Topology, walks: Walks) -> None:
+    for match in matched(walks, walkers(200, seed=5)):
+        assert match.new + sum(one.probability for one in match.from_) == pytest.approx(1.0)
+        assert 0.0 <= match.new <= 1.0
+        assert match.version == learned.version
+
+
+def test_most_walks_are_right(walks: Walks) -> None:
+    """Tracks of `walkers` are those of objects: an entry at b or c continues that at a."""
+    matches = matched(walks, walkers(100, seed=7))
+    later = [one for one in matches if one.camera != "a"]
+    right = [one for one in later if one.from_ and one.from_[0].track == one.track]
+    assert len(right) > 0.8 * len(later)
+
+
+def test_one_passage_has_one_successor(walks: Walks) -> None:
+    """The second of two entries cannot continue the passage that the first one continues."""
+    events = [exit_("a", T, "1"), entry("b", T + 9, "2")]
+    alone = matched(walks, events)[-1]
+    later = matched(walks, [entry("c", T + 9.5, "3")])[0]
+    assert alone.from_[0].probability > 0.9
+    assert later.new > 0.5
+    assert later.walk != alone.walk
+
+
+def test_a_later_entry_changes_an_earlier_match(walks: Walks) -> None:
+    """A match is given once more if a later entry fits its passage better, and never again."""
+    matched(walks, [exit_("a", T, "1")])
+    early = matched(walks, [entry("b", T + 6.6, "2")])[0]
+    assert early.walk == f"a@{T:.0f}"
+    matched(walks, [entry("c", T + 9, "3")])
+    assert walks.revised(T + 6.6 + REVISE_SECONDS - 0.1) == []
+
+    [again] = walks.revised(T + 6.6 + REVISE_SECONDS)
+    assert again.from_[0].probability < early.from_[0].probability - REVISE_CHANGE
+    assert walks.revised(T + 1000) == []
+
+
+def test_passages_without_tracks_are_tied_by_dwell_times(walks: Walks) -> None:
+    events = [
+        entry("a", T, None),
+        exit_("a", T + 4.5, None),
+        entry("b", T + 13.5, None),
+        exit_("b", T + 18, None),
+    ]
+    first, second = matched(walks, events)
+    assert second.walk == first.walk
+    assert second.track is None
+    assert second.from_[0].t == T + 4.5
+
+
+def test_two_walks_of_one_instant_have_two_names(walks: Walks) -> None:
+    first, second = matched(walks, [entry("a", T + 0.25, "1"), entry("a", T + 0.25, "2")])
+    assert first.walk == f"a@{T:.0f}.25"
+    assert second.walk == f"a@{T:.0f}.25/2"
+
+
+def test_passages_are_forgotten_after_an_hour(walks: Walks) -> None:
+    events = [entry("a", T, "1"), exit_("a", T + 4, "1"), entry("a", T + 5, "2")]
+    matched(walks, events)
+    matched(walks, [entry("b", T + 5 + MEMORY_SECONDS + 1, "3")])
+    assert len(walks._steps) == 1
+    assert not walks._open["a"]
+
+
+def test_a_new_version_goes_on_with_the_walks(learned: Topology, walks: Walks) -> None:
+    first = matched(walks, [entry("a", T, "1"), exit_("a", T + 4, "1")])[0]
+    newer = replace(learned, version=learned.version + 1)
+    after = Walks(newer, Predictor(newer))
+    after.take_over(walks)
+    second = matched(after, [entry("b", T + 13, "2")])[0]
+    assert (second.walk, second.version) == (first.walk, newer.version)
+
+
+def test_marginals_are_exact_where_the_graph_is_a_tree(walks: Walks) -> None:
+    """Two entries with one candidate in common: sum-product equals enumeration."""
+    weights = np.array([[0.3, 0.0], [0.5, 0.4], [0.0, 0.2]])
+    outside = np.array([0.1, 0.2])
+    sources = [Step("a", str(k), T, f"a{k}", 0, T) for k in range(3)]
+    entries = [Step("b", str(k), T, f"b{k}", 0, T) for k in range(2)]
+    for k, one in enumerate(entries):
+        one.outside = float(outside[k])
+        for x, source in enumerate(sources):
+            if weights[x, k]:
+                edge = Edge(source, one, "b", float(weights[x, k]))
+                one.edges.append(edge)
+                source.claims.setdefault("b", []).append(edge)
+    for one in (*entries, entries[0]):
+        walks._settle(one, T)
+
+    found = np.zeros((3, 2))
+    for k, one in enumerate(entries):
+        for edge in one.edges:
+            found[sources.index(edge.source), k] = edge.probability
+    exact = naive.matching_marginals(weights, np.full(3, UNSEEN_IN_VIEW), outside)
+    np.testing.assert_allclose(found, exact, rtol=1e-3)
