@@ -11,14 +11,14 @@ For a daemon on another machine pass its endpoint: ``connect="tcp/192.168.1.5:74
 dependencies are needed.
 
 Reading order: `site` (the public classes), `site_view` (their common part), `gate` (association
-priors), `publisher`, `errors`, then `prediction_queue` and `wakeup` (queueing and notification).
+priors), `publisher`, `errors`, then `answer_queue` and `wakeup` (queueing and notification).
 """
 
 from camtopod.adapt import TrackEvents as TrackEvents
 from camtopod.client.errors import NothingLearned as NothingLearned, UnknownPlace as UnknownPlace
 from camtopod.client.gate import Gate as Gate
 from camtopod.client.publisher import Publisher as Publisher
-from camtopod.client.site import Predictions as Predictions, Topology as Topology
-from camtopod.records import Event as Event, Prediction as Prediction
+from camtopod.client.site import Answers as Answers, Topology as Topology
+from camtopod.records import Event as Event, Match as Match, Prediction as Prediction
 from camtopod.serve.bus import BusError as BusError
 from camtopod.serve.storage import StateError as StateError

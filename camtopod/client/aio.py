@@ -16,10 +16,10 @@ from collections.abc import AsyncIterator, Callable, Sequence
 from functools import partial
 from typing import TypeVar
 
-from camtopod.client.prediction_queue import PredictionQueue
+from camtopod.client.answer_queue import AnswerQueue, AnswerT
 from camtopod.client.site_view import Settings, SiteView
 from camtopod.client.wakeup import ChangeSignal
-from camtopod.records import Prediction, Topology as Version
+from camtopod.records import Match, Prediction, Topology as Version
 
 T = TypeVar("T")
 
@@ -73,24 +73,30 @@ class Topology(SiteView):
         while (last := await _awaited(self._news, partial(self._newer, last), seconds)) is not None:
             yield last
 
-    def predictions(self, camera: str | None = None, seconds: float | None = None) -> Predictions:
+    def predictions(
+        self, camera: str | None = None, seconds: float | None = None
+    ) -> Answers[Prediction]:
         """Subscribe to the daemon's own predictions.
 
         See `camtopod.client.Topology.predictions`.
         """
-        return self._opened(lambda bus: Predictions(bus, camera, seconds))
+        return self._opened(lambda bus: Answers(bus, Prediction, camera, seconds))
+
+    def walks(self, camera: str | None = None, seconds: float | None = None) -> Answers[Match]:
+        """Subscribe to the daemon's matches. See `camtopod.client.Topology.walks`."""
+        return self._opened(lambda bus: Answers(bus, Match, camera, seconds))
 
 
-class Predictions(PredictionQueue, contextlib.AbstractAsyncContextManager["Predictions"]):
-    """As `camtopod.client.Predictions`, for ``async for``; ``async with`` closes it."""
+class Answers(AnswerQueue[AnswerT], contextlib.AbstractAsyncContextManager["Answers[AnswerT]"]):
+    """As `camtopod.client.Answers`, for ``async for``; ``async with`` closes it."""
 
-    async def get(self, seconds: float | None = None) -> Prediction | None:
-        """Return the next prediction; None if none arrives within ``seconds``, or when closed."""
+    async def get(self, seconds: float | None = None) -> AnswerT | None:
+        """Return the next answer; None if none arrives within ``seconds``, or when closed."""
         return await _awaited(self._news, self._take, seconds)
 
-    async def __aiter__(self) -> AsyncIterator[Prediction]:
-        while (prediction := await self.get(self._seconds)) is not None:
-            yield prediction
+    async def __aiter__(self) -> AsyncIterator[AnswerT]:
+        while (answer := await self.get(self._seconds)) is not None:
+            yield answer
 
     async def __aexit__(self, *_: object) -> None:
         self.close()

@@ -6,9 +6,9 @@ import contextlib
 from collections.abc import Iterator, Sequence
 from functools import partial
 
-from camtopod.client.prediction_queue import PredictionQueue
+from camtopod.client.answer_queue import AnswerQueue, AnswerT
 from camtopod.client.site_view import Settings, SiteView
-from camtopod.records import Prediction, Topology as Version
+from camtopod.records import Match, Prediction, Topology as Version
 
 
 class Topology(SiteView, contextlib.AbstractContextManager["Topology"]):
@@ -67,7 +67,9 @@ class Topology(SiteView, contextlib.AbstractContextManager["Topology"]):
         while (last := self._news.wait_for(partial(self._newer, last), seconds)) is not None:
             yield last
 
-    def predictions(self, camera: str | None = None, seconds: float | None = None) -> Predictions:
+    def predictions(
+        self, camera: str | None = None, seconds: float | None = None
+    ) -> Answers[Prediction]:
         """Subscribe to the daemon's own predictions, one for each exit at ``camera`` or anywhere.
 
         The daemon uses all events it receives, so its predictions know more than `predict` does. It
@@ -78,30 +80,41 @@ class Topology(SiteView, contextlib.AbstractContextManager["Topology"]):
 
         Raises ValueError for an invalid camera id; `BusError` if closed.
         """
-        return self._opened(lambda bus: Predictions(bus, camera, seconds))
+        return self._opened(lambda bus: Answers(bus, Prediction, camera, seconds))
+
+    def walks(self, camera: str | None = None, seconds: float | None = None) -> Answers[Match]:
+        """Subscribe to the daemon's matches, one for each entry at ``camera`` or anywhere.
+
+            for match in site.walks():
+                print(match.walk, match.camera, match.t)
+
+        Entries with the same ``walk`` are probably of one object. A match that later events change
+        comes once more after ten seconds. Arguments and errors are those of `predictions`.
+        """
+        return self._opened(lambda bus: Answers(bus, Match, camera, seconds))
 
     def __exit__(self, *_: object) -> None:
         self.close()
 
 
-class Predictions(PredictionQueue, contextlib.AbstractContextManager["Predictions"]):
-    """The daemon's predictions in order of arrival.
+class Answers(AnswerQueue[AnswerT], contextlib.AbstractContextManager["Answers[AnswerT]"]):
+    """The daemon's predictions, or matches, in order of arrival.
 
         with site.predictions("lobby") as predictions:
             for prediction in predictions:
                 print(prediction.next_[:1])
 
-    Iteration ends when this object or the topology is closed, or when no prediction has arrived for
-    ``seconds``, if given. `dropped` counts the predictions lost because the reader was too slow.
+    Iteration ends when this object or the topology is closed, or when no answer has arrived for
+    ``seconds``, if given. `dropped` counts the answers lost because the reader was too slow.
     """
 
-    def get(self, seconds: float | None = None) -> Prediction | None:
-        """Return the next prediction; None if none arrives within ``seconds``, or when closed."""
+    def get(self, seconds: float | None = None) -> AnswerT | None:
+        """Return the next answer; None if none arrives within ``seconds``, or when closed."""
         return self._news.wait_for(self._take, seconds)
 
-    def __iter__(self) -> Iterator[Prediction]:
-        while (prediction := self.get(self._seconds)) is not None:
-            yield prediction
+    def __iter__(self) -> Iterator[AnswerT]:
+        while (answer := self.get(self._seconds)) is not None:
+            yield answer
 
     def __exit__(self, *_: object) -> None:
         self.close()

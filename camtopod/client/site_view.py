@@ -18,9 +18,9 @@ from msgspec.structs import replace
 from numpy.typing import NDArray
 
 from camtopod import codec
+from camtopod.client.answer_queue import AnswerQueue
 from camtopod.client.errors import NothingLearned, zone_at, zones_of
 from camtopod.client.gate import Gate
-from camtopod.client.prediction_queue import PredictionQueue
 from camtopod.client.wakeup import ChangeSignal
 from camtopod.config import secret_files, settings as configs
 from camtopod.predict import Predictor
@@ -44,7 +44,7 @@ LOOK_SECONDS = 0.5
 """Longest interval between two checks of the bus, even without a notification."""
 Settings = configs.Config | str | Path | None
 """A configuration, or the file that holds one."""
-PredictionQueueT = TypeVar("PredictionQueueT", bound=PredictionQueue)
+QueueT = TypeVar("QueueT", bound=AnswerQueue[Any])
 
 
 class SiteView:
@@ -64,7 +64,7 @@ class SiteView:
         self._mutex = threading.Lock()
         self._gate: Gate | None = None
         """Of the newest version, with its predictor."""
-        self._prediction_queues: list[PredictionQueue] = []
+        self._queues: list[AnswerQueue[Any]] = []
         self._daemons: set[str] = set()
         self.stale_since: float | None = clock.wall()
         """Time since when the daemon is unreachable, seconds since the epoch; None while reachable.
@@ -204,20 +204,20 @@ class SiteView:
             self._closing.set()
         self._wake.set()
         self._news.close()
-        for prediction_queue in self._prediction_queues:
-            prediction_queue.close()
+        for queue in self._queues:
+            queue.close()
         self._thread.join()
         self._bus.close()
 
-    def _opened(self, opened: Callable[[Bus], PredictionQueueT]) -> PredictionQueueT:
+    def _opened(self, opened: Callable[[Bus], QueueT]) -> QueueT:
         """Open a subscription that `close` closes. Raises `BusError` if this is closed already."""
         with self._mutex:
             if self._closing.is_set():
                 raise BusError(f"the topology of site {self.site} has been closed: connect again")
-            prediction_queue = opened(self._bus)
-            still_open = [one for one in self._prediction_queues if not one.closed]
-            self._prediction_queues = [*still_open, prediction_queue]
-        return prediction_queue
+            queue = opened(self._bus)
+            still_open = [one for one in self._queues if not one.closed]
+            self._queues = [*still_open, queue]
+        return queue
 
     def _now(self) -> Gate:
         if self._gate is None:

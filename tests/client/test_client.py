@@ -206,6 +206,12 @@ def test_a_reader_gets_in_with_its_certificate(tmp_path: Path) -> None:
             there(site)
             put(daemon.bus, Event("a", "exit", NOW, 0.9, 0.5))
             assert predictions.get(10.0) is not None
+        with site.walks() as matches:
+            there(site)
+            put(daemon.bus, Event("a", "entry", NOW + 0.25, 0.1, 0.5))
+            match = matches.get(10.0)
+            assert match is not None
+            assert match.walk == f"a@{NOW + 0.25}"
 
 
 # --- the daemon's own predictions -----------------------------------------------------------------
@@ -231,7 +237,7 @@ def test_each_exit_is_heard_of(learned_daemon: LearnedDaemon, site: Topology) ->
 def test_who_does_not_read_loses_the_oldest_and_is_told(
     learned_daemon: LearnedDaemon, site: Topology, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("camtopod.client.prediction_queue.WAITING_MAX", 3)
+    monkeypatch.setattr("camtopod.client.answer_queue.WAITING_MAX", 3)
 
     with site.predictions("a") as predictions:
         there(site)

@@ -29,6 +29,8 @@ def test_asyncio_has_the_same(learned_daemon: LearnedDaemon) -> None:
                 heard = [await predictions.get(20.0) for _ in exits]
                 assert [prediction and prediction.t for prediction in heard] == exits
                 assert [prediction async for prediction in predictions] == []
+            async with site.walks("b", seconds=0.05) as matches:
+                assert [match async for match in matches] == []
         assert [one.version async for one in site.versions()] == []
 
     asyncio.run(main())

@@ -7,10 +7,11 @@ from msgspec.structs import replace
 from serving import closing_event, numbered, walkers
 
 from camtopod.learn.learner import Learner
-from camtopod.predict.predictor import Predictor
+from camtopod.predict import REVISE_SECONDS, Predictor
 from camtopod.records import Event, Match, Prediction, Topology
+from camtopod.serve.bus import QueryError
 from camtopod.serve.ingest import Received
-from camtopod.serve.live_predictions import Live, Reader
+from camtopod.serve.live_predictions import FRESH_SECONDS, RECENT_SECONDS, Live, Reader
 from camtopod.serve.storage import Entry
 
 EVENTS = [*numbered(walkers(60)), closing_event()]
@@ -58,3 +59,36 @@ def test_a_new_version_keeps_what_was_observed(learned: Topology) -> None:
             expected.append(alone.predict(event))
         alone.observe(event)
     assert [replace(one, version=learned.version) for one in made] == expected
+
+
+def test_entries_are_matched_and_those_of_a_backlog_are_not_published(learned: Topology) -> None:
+    made: list[Prediction | Match] = []
+    now = EVENTS[-2].t
+    live = Live(made.append, lambda: now)
+    live.use(Reader(learned, walks=True))
+    live.see([received(event) for event in EVENTS[:-1]], 60.0)
+
+    oldest = now - FRESH_SECONDS - REVISE_SECONDS
+    entries = [event for event in EVENTS[:-1] if event.kind == "entry" and event.t >= oldest]
+    matches = [one for one in made if isinstance(one, Match)]
+    assert [(one.camera, one.t) for one in matches[: len(entries)]] == [
+        (event.camera, event.t) for event in entries
+    ]
+    assert all(one.t >= oldest for one in matches)
+
+
+def test_recent_events_are_told_without_tracks(learned: Topology) -> None:
+    now = EVENTS[-2].t
+    live = Live(lambda answer: None, lambda: now)
+    live.use(Reader(learned, walks=False))
+    live.remember(EVENTS[:-1])
+
+    everything = live.recent("recent", {})
+    assert [one.t for one in everything.events] == [
+        event.t for event in EVENTS[:-1] if event.t > now - RECENT_SECONDS
+    ]
+    assert everything.events[-1].zone in {zone.id for zone in learned.zones}
+    later = live.recent("recent", {"since": str(now - 60.0)})
+    assert later.events == [one for one in everything.events if one.t > now - 60.0]
+    with pytest.raises(QueryError, match="since is a number"):
+        live.recent("recent", {"since": "yesterday"})
