@@ -1,0 +1,237 @@
+"""Measure walks on real networks with known identities: which events are of one object?
+
+    python -m bench walks [--data FOLDER] [--networks a,b] [--jobs 2]
+
+Networks and cut are those of `bench.real`. The first 70 % of the events are learned; then every
+entry is matched with earlier passages, as `camtopod predict --walks` does, and those after the cut
+are judged. A true walk holds the passages of an identity, one after the other, as long as each
+begins within the lag window of the end of those before.
+
+Of walks, all pairs of passages after the cut count (pairwise precision and recall); of matches, the
+best passage of each that has more than one half, and the calibration error of all probabilities.
+Both are the first answers, given at the entry; the answers after ten seconds are scored beside.
+Compared are an oracle, which matches by odds that it is given the identities for (as ``who`` of
+`bench.real`), and the nearest in time: each entry continues the newest exit of another camera.
+"""
+
+from __future__ import annotations
+
+import argparse
+import os
+from collections import defaultdict
+from collections.abc import Iterable, Mapping, Sequence
+from itertools import combinations
+from pathlib import Path
+
+import numpy as np
+from msgspec import Struct
+from scipy.optimize import linear_sum_assignment
+
+from bench.support.jobs import map_tasks
+from bench.support.real_figures import calibration_error, oracle_odds
+from bench.support.recordings import Recording, load
+from camtopod.learn.learner import Learner
+from camtopod.predict import Predictor, Walks
+from camtopod.records import Event, Match, Topology
+
+Pairs = set[tuple[str, str]]
+"""Pairs of tracks that are of one walk."""
+
+
+class Figures(Struct):
+    """Figures of one way to find walks.
+
+    said, right: matches with a passage of more than one half, and those that are of its walk.
+    error: calibration error of all probabilities; nan without probabilities.
+    precision, recall: of pairs of passages.
+    """
+
+    said: int
+    right: int
+    error: float
+    precision: float
+    recall: float
+
+
+class Result(Struct):
+    """Figures of one network by way, and what there is to find."""
+
+    name: str
+    entries: int
+    continued: int
+    """Entries that continue a walk."""
+    ways: dict[str, Figures]
+
+
+def main(argv: Sequence[str]) -> int:
+    """Measure, print the table and return the exit status."""
+    named = os.environ.get("CAMTOPOD_REAL_DATA")
+    parser = argparse.ArgumentParser(
+        prog="python -m bench walks", description="Measure walks on real networks."
+    )
+    parser.add_argument(
+        "--data", type=Path, default=Path(named) if named else None, metavar="FOLDER"
+    )
+    parser.add_argument("--networks", help="comma-separated (default: all)")
+    parser.add_argument("--jobs", type=int, default=2, help="processes (default 2)")
+    given = parser.parse_args(argv)
+    folders = sorted(p.parent for p in given.data.glob("*/identities.csv")) if given.data else []
+    if given.networks:
+        folders = [folder for folder in folders if folder.name in given.networks.split(",")]
+    if not folders:
+        print("bench walks: skipped, no recordings found (set --data or CAMTOPOD_REAL_DATA)")
+        return 0
+    os.environ.setdefault("OMP_NUM_THREADS", "1")  # two workers share two cores
+
+    print(f"{'network':20}{'way':14}{'entries':>9}{'continue':>10}{'said':>7}{'right':>7}", end="")
+    print(f"{'share':>7}{'calibration':>13}{'pairs: P':>10}{'R':>6}")
+    for one in map_tasks(measure, folders, given.jobs):
+        for way, f in one.ways.items():
+            print(
+                f"{one.name:20}{way:14}{one.entries:9}{one.continued:10}{f.said:7}{f.right:7}"
+                f"{f.right / max(f.said, 1):7.2f}{f.error:13.3f}{f.precision:10.2f}{f.recall:6.2f}",
+                flush=True,
+            )
+    return 0
+
+
+def measure(folder: Path) -> Result:
+    """Learn one network, match its entries and score the walks."""
+    recording = load(folder)
+    learner = Learner(only_last=True)
+    for event in recording.events:
+        if event.t < recording.cut:
+            learner.receive(event)
+    learner.flush()
+    assert learner.topology is not None
+    walk_of, continued = true_walks(recording)
+    judged = {
+        str(event.track)
+        for event in recording.events
+        if event.kind == "entry" and event.t >= recording.cut and str(event.track) in walk_of
+    }
+    first, later = matches(learner.topology, recording.events)
+    truth = pairs(walk_of, judged)
+    ways = {
+        "at once": scored(first, walk_of, judged, truth),
+        "after 10 s": scored(later, walk_of, judged, truth),
+        "told": compared(oracle_edges(learner.topology, recording), walk_of, judged, truth),
+        "nearest": compared(nearest_edges(recording), walk_of, judged, truth),
+    }
+    return Result(recording.name, len(judged), len(judged & continued), ways)
+
+
+def true_walks(recording: Recording) -> tuple[dict[str, str], set[str]]:
+    """Return the true walk of each track, and the tracks that continue one."""
+    walk_of: dict[str, str] = {}
+    continued: set[str] = set()
+    for passages in recording.by_identity:
+        until, walk = -np.inf, ""
+        for one in passages:
+            if one.came - until <= recording.window:
+                continued.add(one.track)
+            else:
+                walk = one.track
+            walk_of[one.track] = walk
+            until = max(until, one.left)
+    return walk_of, continued
+
+
+def matches(
+    topology: Topology, events: Iterable[Event]
+) -> tuple[dict[str, Match], dict[str, Match]]:
+    """Return the matches by track: given at the entry, and the last ones."""
+    walks = Walks(topology, Predictor(topology))
+    first: dict[str, Match] = {}
+    later: dict[str, Match] = {}
+    for event in events:
+        later |= {str(match.track): match for match in walks.revised(event.t)}
+        match = walks.observe(event)
+        if match is not None:
+            first[str(match.track)] = later[str(match.track)] = match
+    return first, later
+
+
+def pairs(walk_of: Mapping[str, str], judged: set[str]) -> Pairs:
+    """Return all pairs of judged tracks that are of one walk."""
+    members = defaultdict(list)
+    for track in sorted(judged):
+        members[walk_of.get(track, track)].append(track)
+    return {pair for tracks in members.values() for pair in combinations(tracks, 2)}
+
+
+def scored(
+    found: Mapping[str, Match], walk_of: Mapping[str, str], judged: set[str], truth: Pairs
+) -> Figures:
+    """Score matches by track."""
+    chances: list[float] = []
+    hits: list[bool] = []
+    said = right = 0
+    for track in sorted(judged):
+        match = found[track]
+        rows = [
+            (one.probability, walk_of.get(str(one.track)) == walk_of[track]) for one in match.from_
+        ]
+        chances += [chance for chance, _ in rows]
+        hits += [hit for _, hit in rows]
+        if rows and rows[0][0] > 0.5:
+            said += 1
+            right += rows[0][1]
+    names = {track: found[track].walk for track in judged}
+    error = calibration_error(chances, hits) if chances else float("nan")
+    return Figures(said, right, error, *_precision_and_recall(pairs(names, judged), truth))
+
+
+def compared(
+    edges: Mapping[str, str], walk_of: Mapping[str, str], judged: set[str], truth: Pairs
+) -> Figures:
+    """Score edges: by track of an entry, the track of the passage that it continues."""
+    names: dict[str, str] = {}
+    for track, before in edges.items():  # in order of time
+        names[track] = names.get(before, before)
+    some = [track for track in judged if track in edges]
+    right = sum(walk_of.get(edges[track]) == walk_of[track] for track in some)
+    found = pairs({track: names.get(track, track) for track in judged}, judged)
+    return Figures(len(some), right, float("nan"), *_precision_and_recall(found, truth))
+
+
+def oracle_edges(topology: Topology, recording: Recording) -> dict[str, str]:
+    """Return the edges of the assignment by the oracle's odds, after the cut."""
+    late = [event for event in recording.events if event.t >= recording.cut]
+    exits = [event for event in late if event.kind == "exit"]
+    entries = [event for event in late if event.kind == "entry"]
+    predictor = Predictor(topology)
+    zones = {
+        str(event.track): predictor.zone_id_of(event) or ""
+        for event in recording.events
+        if event.kind == "exit"
+    }
+    odds = oracle_odds(recording, exits, entries, zones)
+    rows, columns = linear_sum_assignment(np.maximum(odds, 0.0), maximize=True)
+    before = {
+        column: row for row, column in zip(rows, columns, strict=True) if odds[row, column] > 0
+    }
+    return {
+        str(entries[column].track): str(exits[before[column]].track) for column in sorted(before)
+    }
+
+
+def nearest_edges(recording: Recording) -> dict[str, str]:
+    """Return the edges from the newest exit of another camera, each exit once."""
+    edges: dict[str, str] = {}
+    waiting: list[Event] = []
+    for event in recording.events:
+        if event.kind == "exit":
+            waiting.append(event)
+            continue
+        waiting = [one for one in waiting if event.t - one.t <= recording.window]
+        elsewhere = [one for one in waiting if one.camera != event.camera]
+        if elsewhere:
+            edges[str(event.track)] = str(elsewhere[-1].track)
+            waiting.remove(elsewhere[-1])
+    return edges
+
+
+def _precision_and_recall(found: Pairs, truth: Pairs) -> tuple[float, float]:
+    right = len(found & truth)
+    return right / max(len(found), 1), right / max(len(truth), 1)
