@@ -16,7 +16,7 @@ from camtopod.cli import exits, main
 from camtopod.cli.commands.learn import EPOCH
 from camtopod.cli.events.event_lines import LineReader
 from camtopod.codec import EVENT_BYTES_MAX, read, to_json
-from camtopod.records import Event, Prediction, Topology
+from camtopod.records import Event, Match, Prediction, Topology
 from camtopod.sim.simulation import SimSettings, simulate
 from camtopod.topology.versions import digest_of, make_delta
 
@@ -209,6 +209,24 @@ def test_the_likeliest_and_the_sum_of_the_others(run: Run, topology: Path, recor
 
 
 # --- lines ---
+
+
+def test_one_match_for_each_entry_in_input_order(run: Run, topology: Path) -> None:
+    """The order of the lines, of one moment as well, changes no match."""
+    order = list(EVENTS)
+    random.Random(2).shuffle(order)
+    for events in (EVENTS, order):
+        status, out, _ = run("predict", topology, "-", "--walks", stdin=lines(events))
+        assert status == 0
+        matches = [read(Match, line) for line in out.splitlines()]
+        entries = [event for event in events if event.kind == "entry"]
+        assert [(one.camera, one.t) for one in matches] == [(one.camera, one.t) for one in entries]
+        for match in matches:
+            assert match.new + sum(one.probability for one in match.from_) == pytest.approx(1.0)
+        assert len({match.walk for match in matches}) < len(matches)
+
+    _, out, _ = run("predict", topology, "-", "--walks", "--top", "1", stdin=lines(EVENTS))
+    assert max(len(read(Match, line).from_) for line in out.splitlines()) == 1
 
 
 def test_long_lines_are_skipped_whole(capsys: pytest.CaptureFixture[str]) -> None:

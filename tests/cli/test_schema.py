@@ -12,7 +12,7 @@ from typing import Any
 import jsonschema
 import msgspec
 import pytest
-from fake_bus_daemon import LEFT, learned, put, running
+from fake_bus_daemon import LEFT, NOW, learned, put, running
 from rendered_scenes import Scene
 from serving import (
     camtopod,
@@ -70,13 +70,14 @@ def test_what_is_on_the_bus_is_valid(tmp_path: Path) -> None:
             "topology": "topology",
             "delta": "topology/delta",
             "prediction": "prediction/*",
+            "match": "match/*",
             "status": "status/*",
         }.items():
             bus.subscribe(key, hear(name))
         bus.query("status/daemon")  # the daemon has the subscriptions once it has answered
         put(bus, *events)
         learned(daemon, events)
-        put(bus, Event(kind="exit", **LEFT))
+        put(bus, Event("a", "entry", NOW, 0.1, 0.5), Event(kind="exit", **LEFT))
         endpoint, state = daemon.endpoint, str(tmp_path / "grabber")
         grab = camtopod("--connect", endpoint, "grab", "--camera", "yard",
                         str(film), "--realtime", "--state", state)  # fmt: skip

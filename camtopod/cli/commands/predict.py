@@ -70,12 +70,13 @@ def run(args: argparse.Namespace) -> None:
     by_time = sorted(range(len(lines)), key=lambda k: lines[k].event.t)
     events = [lines[k].event for k in by_time]
     answering = matches(topology, events) if args.walks else predictions(topology, events)
+    done = "entries matched" if args.walks else "exits predicted"
     answers: dict[int, bytes] = {}
     with Progress() as progress:
         for k, answer in zip(by_time, answering, strict=True):
             if answer is not None:
                 answers[k] = to_json(shortened(answer, args.top))
-            progress.show("%d answers for %d lines", len(answers), len(lines))
+            progress.show(f"%d {done} of %d lines", len(answers), len(lines))
 
     # Print in the order of the input.
     for k in sorted(answers):
