@@ -16,8 +16,11 @@ Counts = NDArray[np.intp]
 
 WEIGHED_MAX = 128_000_000
 """Event pairs that screening weighs in one fit, over all followed pairs of zones."""
-WEIGHED_AT_ONCE = 8_000_000
-"""Event pairs that screening lists together, at 100 bytes each."""
+WEIGHED_AT_ONCE = 1_000_000
+ZONE_WEIGHED_AT_ONCE = 8_000_000
+"""Event pairs that screening lists together, at 100 bytes each: those of several zones of arrival,
+and at most those of one.
+"""
 JUDGED_MAX = 6_000_000
 """Event pairs from which cross-validation estimates the evidence for links in one fit."""
 PATH_CANDIDATES_MAX = 4_000_000

@@ -44,7 +44,13 @@ from camtopod.learn.association.candidates import (
 from camtopod.learn.association.em import START_FLOOR
 from camtopod.learn.association.exposure import exposures
 from camtopod.learn.association.problem import Problem
-from camtopod.learn.limits import JUDGED_MAX, WEIGHED_AT_ONCE, WEIGHED_MAX, arrivals_within
+from camtopod.learn.limits import (
+    JUDGED_MAX,
+    WEIGHED_AT_ONCE,
+    WEIGHED_MAX,
+    ZONE_WEIGHED_AT_ONCE,
+    arrivals_within,
+)
 from camtopod.learn.traffic import NullRates
 
 PAIRS_FEW = 20_000
@@ -198,7 +204,7 @@ class ZonePairs:
         """Yield the candidates, those of a few zones of arrival at a time.
 
         most: limit of the candidates; beyond it, the arrivals with the fewest are kept. A zone of
-            arrival with more than `WEIGHED_AT_ONCE` has several blocks.
+            arrival with more than `ZONE_WEIGHED_AT_ONCE` has several blocks.
         """
         # Arrivals by zone.
         zone = self.problem.arrivals.zone
@@ -210,7 +216,8 @@ class ZonePairs:
         # Cut them into blocks.
         before = np.cumsum(self._reach[rows]) - self._reach[rows]
         before_zone = before[np.searchsorted(zone[rows], zone[rows])]
-        block = np.stack((before_zone, before - before_zone)) // WEIGHED_AT_ONCE
+        part = (before - before_zone) // ZONE_WEIGHED_AT_ONCE
+        block = np.stack((before_zone // WEIGHED_AT_ONCE, part))
         for arrivals in np.split(rows, np.flatnonzero(np.diff(block).any(axis=0)) + 1):
             yield self._of(arrivals)
 

@@ -159,7 +159,7 @@ def test_a_zone_in_several_blocks_keeps_the_true_ones(monkeypatch: pytest.Monkey
     monkeypatch.setattr(module, "LIKELY_MAX", 0)
     ends = site(2)
     every = true_ones(find_candidates(problem_of(ends, 40)))
-    monkeypatch.setattr(module, "WEIGHED_AT_ONCE", 8000)
+    monkeypatch.setattr(module, "ZONE_WEIGHED_AT_ONCE", 8000)
     found = found_by(CandidateScreen(), ends, in_reach(*ends) - 1, 40)
     assert sum(true_ones(found)) > 0.9 * sum(every)
 
@@ -206,7 +206,8 @@ def test_blocks_have_every_candidate_once(seed: int, left: int, came: int, at_on
     problem = problem_of(anything(seed, left, came), 6)
     target, source = np.nonzero(np.random.default_rng(seed).random((6, 6)) < 0.5)
     with pytest.MonkeyPatch.context() as limits:
-        limits.setattr(module, "WEIGHED_AT_ONCE", at_once)
+        limits.setattr(module, "WEIGHED_AT_ONCE", 2 * at_once)
+        limits.setattr(module, "ZONE_WEIGHED_AT_ONCE", at_once)
         blocks = list(ZonePairs(problem, source, target).blocks(10**6))
     found = [
         (int(block.arrivals[at]), int(d), int(source[pair]), int(target[pair]))
