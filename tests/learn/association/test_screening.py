@@ -342,8 +342,8 @@ def test_where_there_are_no_links_none_is_published(monkeypatch: pytest.MonkeyPa
 
 
 def test_links_are_about_those_without_screening() -> None:
-    network = SimSettings(cameras=12, hours=0.25, seed=1)
+    network = SimSettings(cameras=24, hours=0.25, seed=1)
     (with_it, _), (without, _) = learned(network, SCREENED), learned(network, UNSCREENED)
-    assert without.link_recall > 0.3
-    assert with_it.link_recall > 0.94 * without.link_recall
+    assert without.link_recall > 0.4
+    assert with_it.link_recall > 0.95 * without.link_recall
     assert with_it.link_precision > without.link_precision - 0.03
