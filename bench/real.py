@@ -307,15 +307,21 @@ def _row(title: str, *cells: object) -> str:
     return "  ".join([f"{title:24}", *(f"{cell!s:>17}" for cell in cells)])
 
 
-def _parse(argv: Sequence[str]) -> argparse.Namespace:
+def networks_parser(part: str, what: str) -> argparse.ArgumentParser:
+    """Return a parser with the options of a bench over real networks."""
     named = os.environ.get("CAMTOPOD_REAL_DATA")
     parser = argparse.ArgumentParser(
-        prog="python -m bench real", description="Measure links and predictions on real networks."
+        prog=f"python -m bench {part}", description=f"Measure {what} on real networks."
     )
     parser.add_argument(
         "--data", type=Path, default=Path(named) if named else None, metavar="FOLDER"
     )
     parser.add_argument("--networks", help="comma-separated (default: all)")
     parser.add_argument("--jobs", type=int, default=2, help="processes (default 2)")
+    return parser
+
+
+def _parse(argv: Sequence[str]) -> argparse.Namespace:
+    parser = networks_parser("real", "links and predictions")
     parser.add_argument("--json", type=Path, metavar="FILE")
     return parser.parse_args(argv)

@@ -16,7 +16,6 @@ Compared are an oracle, which matches by odds that it is given the identities fo
 
 from __future__ import annotations
 
-import argparse
 import os
 from collections import defaultdict
 from collections.abc import Iterable, Mapping, Sequence
@@ -27,6 +26,7 @@ import numpy as np
 from msgspec import Struct
 from scipy.optimize import linear_sum_assignment
 
+from bench.real import networks_parser
 from bench.support.jobs import map_tasks
 from bench.support.real_figures import calibration_error, oracle_odds
 from bench.support.recordings import Recording, load
@@ -65,16 +65,7 @@ class Result(Struct):
 
 def main(argv: Sequence[str]) -> int:
     """Measure, print the table and return the exit status."""
-    named = os.environ.get("CAMTOPOD_REAL_DATA")
-    parser = argparse.ArgumentParser(
-        prog="python -m bench walks", description="Measure walks on real networks."
-    )
-    parser.add_argument(
-        "--data", type=Path, default=Path(named) if named else None, metavar="FOLDER"
-    )
-    parser.add_argument("--networks", help="comma-separated (default: all)")
-    parser.add_argument("--jobs", type=int, default=2, help="processes (default 2)")
-    given = parser.parse_args(argv)
+    given = networks_parser("walks", "walks").parse_args(argv)
     folders = sorted(p.parent for p in given.data.glob("*/identities.csv")) if given.data else []
     if given.networks:
         folders = [folder for folder in folders if folder.name in given.networks.split(",")]
