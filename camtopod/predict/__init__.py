@@ -12,4 +12,4 @@ cameras that see the object at the exit. `walks` tells which passages are of one
 from camtopod.predict.hand_over import seen_now as seen_now
 from camtopod.predict.predictor import Predictor as Predictor, PredictorState as PredictorState
 from camtopod.predict.transitions import Began as Began, Transitions as Transitions
-from camtopod.predict.walks import REVISE_SECONDS as REVISE_SECONDS, Walks as Walks
+from camtopod.predict.walks import Walks as Walks

@@ -1,4 +1,4 @@
-"""What is expected of one exit on its own: where its object appears next, when, or not at all.
+"""The outlook after one exit, seen alone: where its object appears next, when, or not at all.
 
 `Transitions.after` puts the hazards, the context and the doubt of a version together for an exit of
 which only zone, place and passage are known. It equals the predictor's answer before anything has
@@ -55,7 +55,7 @@ class Transitions:
         """(zones,) rate of objects from outside, 1/s."""
 
     def after(self, zone: int, block: int | None = None, began: Began | None = None) -> Onward:
-        """Return what is expected right after an exit.
+        """Return the outlook right after an exit.
 
         zone: index of the zone of the exit.
         block: block of the image where the object left; None if unknown.

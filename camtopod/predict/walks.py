@@ -42,9 +42,9 @@ REVISE_SECONDS = 10.0
 REVISE_CHANGE = 0.1
 """Least change of a probability for which a match is given once more."""
 MEMORY_SECONDS = 3600.0
-"""Seconds after which a passage is forgotten."""
-STEPS_MAX = 100_000
-"""Largest number of passages that are remembered."""
+"""Seconds after its last event at which a passage is forgotten."""
+EVENTS_MAX = 200_000
+"""Largest number of events whose passages are remembered."""
 UNSEEN_IN_VIEW = 0.5
 """Prior probability that an object in view has no successor in a given other view by then."""
 
@@ -89,11 +89,11 @@ class Step:
         self.block: int | None = None
         """Block of the image where the object left."""
         self.expected: Expected | None = None
-        """What is expected after the exit; None until it is asked for."""
+        """Outlook after the exit; None until the first candidate needs it."""
 
 
 class Expected(NamedTuple):
-    """What is expected after an exit.
+    """Where and when the object of an exit is likely to be seen again.
 
     scale (rows,): factor on the hazards of the zone of exit, by the context.
     unseen (bins + 1): probability of not having been seen again by each edge of the lag bins.
@@ -135,8 +135,8 @@ class Walks:
 
     def forget(self) -> None:
         """Forget all passages; needed when event time has been taken back."""
-        self._steps: deque[Step] = deque()
-        """All remembered passages, oldest first."""
+        self._events: deque[tuple[float, Step]] = deque()
+        """Time of each event, and its passage, oldest first."""
         self._names: set[str] = set()
         """Their names."""
         self._open: dict[str, dict[str, Step]] = {}
@@ -149,15 +149,18 @@ class Walks:
     def take_over(self, older: Walks) -> None:
         """Take over the passages from walks by an older version; this must be new."""
         moved = moved_zones(older._zones, self._zones)
-        self._steps, self._names = older._steps, older._names
-        self._open, self._given = older._open, older._given
-        for step in self._steps:
+        self._events = older._events
+        self._names = older._names
+        self._open = older._open
+        self._given = older._given
+        for step in {id(step): step for _, step in self._events}.values():
             step.entry = moved.get(-1 if step.entry is None else step.entry)
         for zone, steps in older._left.items():
             if zone in moved:
                 self._left[moved[zone]] = steps
                 for step in steps:
-                    step.zone, step.expected = moved[zone], None
+                    step.zone = moved[zone]
+                    step.expected = None
 
     def observe(self, event: Event) -> Match | None:
         """Observe an event; return the match of an entry, None for an exit."""
@@ -185,6 +188,7 @@ class Walks:
 
         now (seconds): time up to which events have been observed. Each entry is looked at once.
         """
+        self._forget(now)
         found = []
         while self._given and self._given[0].t + REVISE_SECONDS <= now:
             step = self._given.popleft()
@@ -205,7 +209,7 @@ class Walks:
         name = next(name for name in names if name not in self._names)
         track = None if event.track is None else str(event.track)
         step = Step(event.camera, track, event.t, name, entry, t)
-        self._steps.append(step)
+        self._events.append((event.t, step))
         self._names.add(name)
         return step
 
@@ -214,13 +218,16 @@ class Walks:
         in_view = self._open.get(event.camera, {})
         key = str(event.track) if event.track is not None else self._through(in_view, zone, t)
         step = in_view.pop(key, None) or self._step(event, None, t)
-        step.ended, step.left = event.t, t
+        step.ended = event.t
+        step.left = t
+        self._events.append((event.t, step))
         if zone is not None:
-            step.zone, step.block = zone, block_of(event.x, event.y)
+            step.zone = zone
+            step.block = block_of(event.x, event.y)
             self._left.setdefault(zone, deque(maxlen=CANDIDATES_MAX)).append(step)
 
     def _expected(self, step: Step) -> Expected:
-        """Return what is expected after a passage that has ended."""
+        """Return the outlook after a passage that has ended; computed once a version."""
         if step.expected is None:
             began = None
             if step.entry is not None and step.left > step.began:
@@ -256,17 +263,23 @@ class Walks:
         }
 
     def _forget(self, now: float) -> None:
-        """Forget the oldest passages."""
-        while self._steps and (
-            now - self._steps[0].t > MEMORY_SECONDS or len(self._steps) > STEPS_MAX
+        """Forget the passages that have had no event for an hour, and the oldest of too many."""
+        while self._events and (
+            now - self._events[0][0] > MEMORY_SECONDS or len(self._events) > EVENTS_MAX
         ):
-            step = self._steps.popleft()
+            t, step = self._events.popleft()
+            if t < (step.t if step.ended is None else step.ended):
+                continue
             self._names.discard(step.name)
             in_view = self._open.get(step.camera, {})
             key = step.track or step.name
             if in_view.get(key) is step:
                 del in_view[key]
-            step.edges, step.told, step.claims = [], [], {}
+            if step in (left := self._left.get(step.zone, deque())):
+                left.remove(step)
+            step.edges = []
+            step.told = []
+            step.claims = {}
 
     # --- Matching ---
 
@@ -321,7 +334,8 @@ class Walks:
         """
         rivals = {id(step): step}
         for edge in step.edges:
-            rivals |= {id(one.entry): one.entry for one in edge.source.claims[edge.slot]}
+            claims = edge.source.claims.get(edge.slot, ())  # none of a forgotten passage
+            rivals |= {id(one.entry): one.entry for one in claims}
         for _ in range(SWEEPS):
             for rival in rivals.values():
                 offers = [edge.weight / self._taken(edge, t) for edge in rival.edges]

@@ -12,7 +12,7 @@ from collections import deque
 from collections.abc import Callable, Sequence
 
 from camtopod import codec
-from camtopod.predict import REVISE_SECONDS, Predictor, Walks
+from camtopod.predict import Predictor, Walks
 from camtopod.records import Event, Match, Prediction, Recent, SeenEvent, Topology
 from camtopod.serve.bus import QueryError
 from camtopod.serve.ingest import Received
@@ -102,7 +102,7 @@ class Live:
         for answer in answers:
             if isinstance(answer, Prediction):
                 self.counts["predictions"] += 1
-            elif self._clock() - answer.t > FRESH_SECONDS + REVISE_SECONDS:
+            elif self._clock() - answer.t > FRESH_SECONDS:
                 continue
             self._publish(answer)
 
@@ -110,6 +110,8 @@ class Live:
         """Remember an event for ``recent``."""
         zone = None if self._reader is None else self._reader.predictor.zone_id_of(event)
         self._recent.append(SeenEvent(event.t, event.camera, event.kind, zone, event.x, event.y))
+        while event.t - self._recent[0].t > RECENT_SECONDS:
+            self._recent.popleft()
 
     def remember(self, events: Sequence[Event]) -> None:
         """Observe events from before the start, so that the first answers consider them."""

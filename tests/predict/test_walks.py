@@ -123,8 +123,19 @@ def test_passages_are_forgotten_after_an_hour(walks: Walks) -> None:
     events = [entry("a", T, "1"), exit_("a", T + 4, "1"), entry("a", T + 5, "2")]
     matched(walks, events)
     matched(walks, [entry("b", T + 5 + MEMORY_SECONDS + 1, "3")])
-    assert len(walks._steps) == 1
+    assert len(walks._events) == 1
     assert not walks._open["a"]
+    assert not any(walks._left.values())
+
+
+def test_a_passage_is_remembered_from_its_last_event_on(walks: Walks) -> None:
+    """A match that waits to be looked at again may have a passage that is forgotten meanwhile."""
+    [first] = matched(walks, [entry("a", T, "1"), exit_("a", T + MEMORY_SECONDS - 5, "1")])
+    [late] = matched(walks, [entry("b", T + MEMORY_SECONDS + 4, "3")])
+    assert late.from_[0].track == "1"
+    assert late.walk == first.walk
+    walks.revised(T + 2 * MEMORY_SECONDS - 4)  # that passage is forgotten, its successor is not
+    assert [step.track for _, step in walks._events] == ["3"]
 
 
 def test_a_new_version_goes_on_with_the_walks(learned: Topology, walks: Walks) -> None:

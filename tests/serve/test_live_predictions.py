@@ -7,7 +7,7 @@ from msgspec.structs import replace
 from serving import closing_event, numbered, walkers
 
 from camtopod.learn.learner import Learner
-from camtopod.predict import REVISE_SECONDS, Predictor
+from camtopod.predict import Predictor
 from camtopod.records import Event, Match, Prediction, Topology
 from camtopod.serve.bus import QueryError
 from camtopod.serve.ingest import Received
@@ -68,7 +68,7 @@ def test_entries_are_matched_and_those_of_a_backlog_are_not_published(learned: T
     live.use(Reader(learned, walks=True))
     live.see([received(event) for event in EVENTS[:-1]], 60.0)
 
-    oldest = now - FRESH_SECONDS - REVISE_SECONDS
+    oldest = now - FRESH_SECONDS
     entries = [event for event in EVENTS[:-1] if event.kind == "entry" and event.t >= oldest]
     matches = [one for one in made if isinstance(one, Match)]
     assert [(one.camera, one.t) for one in matches[: len(entries)]] == [
