@@ -1,6 +1,7 @@
 """Read-only HTTP API of the page's server, for programs in any language.
 
-`deploy/page.md` lists its routes. Predictions are streamed as server-sent events.
+`deploy/page.md` lists its routes. Predictions and matches are streamed as server-sent
+events.
 """
 
 from __future__ import annotations
@@ -15,7 +16,7 @@ from starlette.responses import JSONResponse, Response, StreamingResponse
 from starlette.routing import Route
 
 from camtopod import codec
-from camtopod.records import Prediction
+from camtopod.records import Match, Prediction
 from camtopod.serve.bus import JSON, Bus, QueryError
 from camtopod.web.feed import Feed
 from camtopod.web.outbox import PageQueues
@@ -26,6 +27,8 @@ LOOPBACK_ONLY = (
     "this API answers programs on its own machine only: set [web] password_file and token_file, "
     "or let camtopod web listen on 127.0.0.1"
 )
+_STREAMED: dict[str, type[Prediction | Match]] = {"prediction": Prediction, "match": Match}
+"""Records of the streams, by the first part of their keys on the bus."""
 _EVERY_CAMERA = "*"
 """Stands for all cameras; no camera has this id."""
 
@@ -41,8 +44,9 @@ class Api:
         self._bus = bus
         self._feed = feed
         self._is_open = is_open
-        self._readers = PageQueues()
-        bus.subscribe("prediction/*", self._on_prediction)
+        self._readers = {kind: PageQueues() for kind in _STREAMED}
+        for kind in _STREAMED:
+            bus.subscribe(f"{kind}/*", self._on_answer)
 
     def routes(self) -> list[Route]:
         """Return the routes of the API."""
@@ -54,11 +58,14 @@ class Api:
             Route("/api/status", self.status),
             Route("/api/predict", self.predict),
             Route("/api/predictions", self.predictions),
+            Route("/api/walks", self.walks),
+            Route("/api/matches", self.matches),
         ]
 
     def close(self) -> None:
         """End all streams."""
-        self._readers.close()
+        for readers in self._readers.values():
+            readers.close()
 
     def topology(self, request: Request) -> Response:
         """Return the newest topology, or with ``version`` an older one of its epoch."""
@@ -92,14 +99,31 @@ class Api:
 
     async def predictions(self, request: Request) -> Response:
         """Stream the daemon's predictions, of all exits or those of ``camera``."""
+        return self._stream("prediction", request)
+
+    async def matches(self, request: Request) -> Response:
+        """Stream the daemon's matches, of all entries or those of ``camera``."""
+        return self._stream("match", request)
+
+    def walks(self, request: Request) -> Response:
+        """Return the newest match of each entry later than ``since``, at most an hour ago."""
+        try:
+            since = float(request.query_params.get("since", "-inf"))
+        except ValueError:
+            return error(400, "since: Unix seconds")
+        return content(self._feed.walks(since))
+
+    def _stream(self, kind: str, request: Request) -> Response:
+        """Stream the records of a kind, all or those of ``camera``."""
         camera = request.query_params.get("camera", _EVERY_CAMERA)
         if camera != _EVERY_CAMERA and not codec.is_camera(camera):
             return error(400, "camera: the id of a camera")
-        page_queue = self._readers.open(camera)
+        readers = self._readers[kind]
+        page_queue = readers.open(camera)
         if page_queue is None:
-            return error(503, "too many programs read predictions")
+            return error(503, "too many programs read this stream")
 
-        return streamed(self._readers.messages(page_queue, lambda: b": still here\n\n"))
+        return streamed(readers.messages(page_queue, lambda: b": still here\n\n"))
 
     def _asked(self, key: str, given: dict[str, str], refused: int) -> Response:
         """Return the daemon's answer to a query; ``refused`` is the status of a refusal."""
@@ -113,13 +137,14 @@ class Api:
             return error(503, "the daemon does not answer")
         return content(msgspec.Raw(answers[0][1]))
 
-    def _on_prediction(self, key: str, payload: bytes) -> None:
-        """Pass a prediction on to the programs that read; a slow one misses some."""
+    def _on_answer(self, key: str, payload: bytes) -> None:
+        """Pass a prediction or match on to the programs that read; a slow one misses some."""
+        kind = key.partition("/")[0]
         with contextlib.suppress(codec.Rejected):
-            prediction = codec.read(Prediction, payload, pack=True)
-            encoded = codec.to_json(prediction)
-            for camera in (prediction.camera, _EVERY_CAMERA):
-                self._readers.send("prediction", encoded, camera, passing=True)
+            answer = codec.read(_STREAMED[kind], payload, pack=True)
+            encoded = codec.to_json(answer)
+            for camera in (answer.camera, _EVERY_CAMERA):
+                self._readers[kind].send(kind, encoded, camera, passing=True)
 
 
 def streamed(messages: AsyncIterator[bytes]) -> Response:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
+import math
 import os
 import socket
 import threading
@@ -29,7 +30,7 @@ from camtopod.serve.runtime import STALL_SECONDS, Beat, Clock, Progress
 from camtopod.web.api import Api, content, error, streamed
 from camtopod.web.connections import Connection
 from camtopod.web.explanations import Explanations
-from camtopod.web.feed import Feed
+from camtopod.web.feed import MATCHES_SHOWN, Feed, shown_match
 from camtopod.web.guards import Guard
 from camtopod.web.login import Login
 from camtopod.web.outbox import PageQueues
@@ -88,6 +89,10 @@ class Routes:
         return self._explained(
             f"the link {from_} → {to}", lambda known: known.link(from_, to, relation)
         )
+
+    def walks(self, request: Request) -> Response:
+        """Return the newest matches, oldest first."""
+        return content([shown_match(one) for one in self._feed.walks(-math.inf)[-MATCHES_SHOWN:]])
 
     def pictures(self, request: Request) -> Response:
         """Return the cameras of which there is a picture."""
@@ -174,6 +179,7 @@ def application(
         Route("/data/pair/{a}/{b}", site.pair),
         Route("/data/link", site.link),
         Route("/data/versions", api.versions),
+        Route("/data/walks", site.walks),
         Route("/data/pictures", site.pictures),
         Route("/data/placement", site.placement),
         Route("/plan", site.plan),

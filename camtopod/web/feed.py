@@ -1,7 +1,7 @@
 """Follow a site's bus for the page: newest map, health, live news; forward news to open pages.
 
-The bus's own threads process predictions, events and status; another follows the topology and makes
-its map once a version.
+The bus's own threads process predictions, matches, events and status; another follows the topology
+and makes its map once a version.
 """
 
 from __future__ import annotations
@@ -21,6 +21,7 @@ from camtopod.publishers import ELSEWHERE, is_gone
 from camtopod.records import (
     DaemonStatus,
     Event,
+    Match,
     Prediction,
     Status,
     Topology,
@@ -31,18 +32,23 @@ from camtopod.web.explanations import Explanations
 from camtopod.web.hourly_events import HourlyEvents
 from camtopod.web.map_data import NO_MAP, draw
 from camtopod.web.outbox import PageQueue, PageQueues, message
+from camtopod.web.recent_matches import RecentMatches
 from camtopod.web.versions import summary
 
 CAMERAS_MAX = 5_000
 """Cameras whose status is kept."""
-PREDICTIONS_PER_SECOND_MAX = 25
-"""Predictions forwarded per second, of all cameras together; people cannot follow more."""
+PER_SECOND_MAX = 25
+"""Predictions, and matches, forwarded per second, of all cameras together; people cannot follow
+more.
+"""
 PREDICTIONS_HELD = 20
 """Predictions kept for pages that connect later."""
+MATCHES_SHOWN = 500
+"""Newest matches that a page receives when it connects."""
 VERSIONS_MAX = 500
 """Versions on the time line; beyond it the oldest are forgotten."""
 NEXT_SHOWN = 3
-"""Next cameras of a prediction that the page receives."""
+"""Next cameras of a prediction, and earlier passages of a match, that the page receives."""
 SILENT_STATUSES = 6
 """Status intervals without a status after which a daemon is not live and a grabber is silent."""
 _TICK_SECONDS = 0.2
@@ -80,6 +86,33 @@ def shown(prediction: Prediction) -> dict[str, Any]:
     }
 
 
+def shown_match(match: Match) -> dict[str, Any]:
+    """Return the match in the form for the page, without tracks."""
+    return {
+        **{name: getattr(match, name) for name in ("camera", "t", "walk", "new")},
+        "from": [
+            {"camera": one.camera, "t": one.t, "probability": one.probability}
+            for one in match.from_[:NEXT_SHOWN]
+        ],
+    }
+
+
+class PerSecond:
+    """Which of the messages are forwarded: `PER_SECOND_MAX` in each second."""
+
+    def __init__(self) -> None:
+        self._second = 0
+        self._count = 0
+
+    def take(self, now: float) -> bool:
+        """Count a message at ``now`` (Unix seconds); return True if it is forwarded."""
+        if int(now) != self._second:
+            self._second = int(now)
+            self._count = 0
+        self._count += 1
+        return self._count <= PER_SECOND_MAX
+
+
 class Feed:
     """Follower of one site's bus; run `follow` in a thread.
 
@@ -102,8 +135,9 @@ class Feed:
         self._grabbers: dict[str, tuple[Status, float]] = {}
         """Newest status of each camera's grabber, and when it was received."""
         self._predictions: deque[bytes] = deque(maxlen=PREDICTIONS_HELD)
-        self._second = 0
-        self._this_second = 0
+        self._limits = {"prediction": PerSecond(), "match": PerSecond()}
+        self._matches = RecentMatches()
+        """Those since this server began."""
         self._view = TopologySubscriber(bus)
         self._hourly = HourlyEvents()
         self.topology: Topology | None = None
@@ -116,6 +150,7 @@ class Feed:
         self.map_json = b"null"
         bus.subscribe("status/*", self._on_message)
         bus.subscribe("prediction/*", self._on_message)
+        bus.subscribe("match/*", self._on_message)
 
     def follow(self, stop: threading.Event, beat: Beat = no_beat) -> None:
         """Follow the topology until ``stop`` is set."""
@@ -139,6 +174,7 @@ class Feed:
             before = None
             self.versions = []
             self._predictions.clear()
+            self._matches.clear()
 
         # Everything that the page asks for; then open pages ask.
         self._draw(topology)
@@ -181,6 +217,10 @@ class Feed:
             daemon = {name: told[name] for name in told if name not in NOT_SHOWN}
         live = self._live(now)
         return {"now": now, "live": live, "daemon": daemon, "cameras": self._cameras(now)}
+
+    def walks(self, since: float) -> list[Match]:
+        """Return the newest match of each entry later than ``since``, at most an hour ago."""
+        return self._matches.later(since, self._clock())
 
     def names(self) -> set[str]:
         """Return the cameras that are learned of or that the daemon counts."""
@@ -286,8 +326,11 @@ class Feed:
                 self._heard = self._clock()
                 counters = {name: one.events for name, one in self._daemon.cameras.items()}
                 self._hourly.note(self._heard, counters)
+                self._matches.forget(self._daemon.names.forgotten)
             elif kind == "status":
                 self._on_status(name, codec.read(Status, payload, pack=True))
+            elif kind == "match":
+                self._on_match(codec.read(Match, payload, pack=True))
             else:
                 self._on_prediction(codec.read(Prediction, payload, pack=True))
 
@@ -298,13 +341,14 @@ class Feed:
 
     def _on_prediction(self, prediction: Prediction) -> None:
         """Forward a prediction, unless there are too many this second."""
-        second = int(self._clock())
-        if second != self._second:
-            self._second = second
-            self._this_second = 0
-        self._this_second += 1
-        if self._this_second > PREDICTIONS_PER_SECOND_MAX:
-            return
-        content = codec.to_json(shown(prediction))
-        self._predictions.append(content)
-        self._page_queues.send("prediction", content, passing=True)
+        if self._limits["prediction"].take(self._clock()):
+            content = codec.to_json(shown(prediction))
+            self._predictions.append(content)
+            self._page_queues.send("prediction", content, passing=True)
+
+    def _on_match(self, match: Match) -> None:
+        """Keep a match; forward it, unless there are too many this second."""
+        now = self._clock()
+        self._matches.add(match, now)
+        if self._limits["match"].take(now):
+            self._page_queues.send("match", codec.to_json(shown_match(match)), passing=True)

@@ -18,6 +18,7 @@ from camtopod.cli.commands.web import listening, names
 from camtopod.client import Topology
 from camtopod.codec import to_json
 from camtopod.config.settings import BusSettings, Config
+from camtopod.records import Match, MatchedPassage
 from camtopod.serve.bus import dial
 from camtopod.web import app
 
@@ -105,6 +106,8 @@ def test_a_wrong_question_is_answered_with_what_is_wrong(api: str) -> None:
         ("predict?camera=a&zone=a/1%3Bt=5", "an id of the topology or a number"),
         ("predict?camera=a&t=noon", "t, x, y and now are numbers"),
         ("predictions?camera=a/b", "the id of a camera"),
+        ("matches?camera=a/b", "the id of a camera"),
+        ("walks?since=noon", "Unix seconds"),
     ):
         status, error = answer(f"{api}/{query}")
         assert (status, said in error["error"]) == (400, True), error
@@ -135,8 +138,34 @@ def test_predictions_are_streamed(api: str, learned_daemon: LearnedDaemon) -> No
     assert {one["t"] for one in got} <= exits
 
 
+def test_matches_are_streamed_and_kept(api: str, learned_daemon: LearnedDaemon) -> None:
+    passage = MatchedPassage("b", 985.0, 0.9, "7")
+    matches = [Match(camera, 990.0, 1, [passage], 0.1, "b@985", "3") for camera in ("c", "a")]
+    with urllib.request.urlopen(api + "/matches?camera=a", timeout=30) as stream:
+        for one in matches:
+            learned_daemon.bus.publish(f"match/{one.camera}", one, "match")
+        lines = (line.decode().rstrip("\n") for line in stream)
+        got = json.loads(next(line for line in lines if line.startswith("data: "))[6:])
+
+    assert got == json.loads(to_json(matches[1]))
+    wait_for(lambda: len(content(f"{api}/walks?since=989")) == 2, "both matches")
+    assert got in content(f"{api}/walks")
+    assert content(f"{api}/walks?since=990") == []
+    shown = content(api.removesuffix("/api") + "/data/walks")
+    assert [one["camera"] for one in shown] == ["c", "a"]
+    assert "track" not in {*shown[0], *shown[0]["from"][0]}
+
+
 def test_without_a_password_other_machines_are_refused(learned_daemon: LearnedDaemon) -> None:
     with served(learned_daemon, any_address=True) as address:
-        for path in ("/topology", "/versions", "/status", "/predict?camera=a", "/predictions"):
+        for path in (
+            "/topology",
+            "/versions",
+            "/status",
+            "/predict?camera=a",
+            "/predictions",
+            "/matches",
+            "/walks",
+        ):
             status, error = answer(address + path)
             assert (status, "on its own machine only" in error["error"]) == (403, True), path

@@ -14,9 +14,18 @@ from fake_bus import OneBus
 from synthetic_topology import synthetic_topology
 
 from camtopod.publishers import ELSEWHERE, GONE_SECONDS
-from camtopod.records import Camera, Event, InView, Look, NextCamera, Prediction
+from camtopod.records import (
+    Camera,
+    Event,
+    InView,
+    Look,
+    Match,
+    MatchedPassage,
+    NextCamera,
+    Prediction,
+)
 from camtopod.serve.bus.session import Bus
-from camtopod.web import feed
+from camtopod.web import feed, recent_matches
 from camtopod.web.feed import Feed
 from camtopod.web.map_data import Map
 from camtopod.web.outbox import MESSAGES_MAX, PageQueue, PageQueues
@@ -72,6 +81,11 @@ def prediction(camera: str, *probabilities: float) -> Prediction:
     return Prediction(camera, f"{camera}/1", 1.0, "somebody", 1, 0.1, next_, look, seen)
 
 
+def match(camera: str, t: float, came: str = "b", sure: float = 0.9) -> Match:
+    earlier = [MatchedPassage(came, t - 5.0, sure, "somebody")]
+    return Match(camera, t, 1, earlier, 1.0 - sure, f"{came}@7", "somebody")
+
+
 def shown_map(rig: Rig) -> Map:
     assert rig.feed.map is not None
     return rig.feed.map
@@ -123,14 +137,14 @@ def test_a_camera_that_was_added_is_on_the_map_before_a_version_knows_it(rig: Ri
 
 
 def test_predictions_are_told_without_who_it_was_and_so_many_a_second(rig: Rig) -> None:
-    for _ in range(feed.PREDICTIONS_PER_SECOND_MAX + 10):
+    for _ in range(feed.PER_SECOND_MAX + 10):
         rig.bus.publish("prediction/a", prediction("a", 0.4, 0.2, 0.1, 0.05))
     rig.bus.publish("prediction/a", {"not": "one"})
     told = rig.pages.of("prediction")
     rig.now += 1
     rig.bus.publish("prediction/b", prediction("b", 0.5))
 
-    assert len(told) == feed.PREDICTIONS_PER_SECOND_MAX
+    assert len(told) == feed.PER_SECOND_MAX
     assert len(told[0]["next"]) == feed.NEXT_SHOWN
     assert "track" not in told[0]
     assert told[0]["now"] == [{"camera": "b", "probability": 0.75}]
@@ -251,3 +265,56 @@ def test_a_page_that_lags_gets_less_and_then_comes_back() -> None:
     taken = asyncio.run(lag())
 
     assert taken == [*[b"passing"] * (MESSAGES_MAX // 4), b"must", None]
+
+
+def test_matches_are_told_without_who_it_was_and_so_many_a_second(rig: Rig) -> None:
+    for k in range(feed.PER_SECOND_MAX + 10):
+        rig.bus.publish("match/a", match("a", 900.0 + k))
+    rig.bus.publish("match/a", {"not": "one"})
+    rig.bus.publish("prediction/a", prediction("a", 0.4))
+    told = rig.pages.of("match")
+
+    assert len(told) == feed.PER_SECOND_MAX
+    assert told[0] == {
+        "camera": "a",
+        "t": 900.0,
+        "walk": "b@7",
+        "new": pytest.approx(0.1),
+        "from": [{"camera": "b", "t": 895.0, "probability": 0.9}],
+    }
+    assert len(rig.pages.of("prediction")) == 1, "they do not take the place of predictions"
+    assert len(rig.feed.walks(0.0)) == feed.PER_SECOND_MAX + 10, "each is kept"
+
+
+def test_the_newest_match_of_each_entry_is_kept_for_an_hour(
+    rig: Rig, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    for t in (930.0, 910.0, 920.0):
+        rig.bus.publish("match/a", match("a", t))
+    rig.bus.publish("match/a", match("a", 920.0, sure=0.4))  # once more, 10 s later
+
+    assert [(one.t, one.from_[0].probability) for one in rig.feed.walks(910.0)] == [
+        (920.0, 0.4),
+        (930.0, 0.9),
+    ]
+
+    rig.now = 915.0 + recent_matches.MATCHES_SECONDS
+    assert [one.t for one in rig.feed.walks(-math.inf)] == [920.0, 930.0]
+
+    monkeypatch.setattr(recent_matches, "MATCHES_MAX", 3)
+    for k in range(5):
+        rig.bus.publish("match/a", match("a", rig.now + k))
+    assert [one.t for one in rig.feed.walks(-math.inf)] == [rig.now + k for k in (2, 3, 4)]
+
+
+def test_matches_of_a_forgotten_camera_or_an_earlier_epoch_are_not_kept(rig: Rig) -> None:
+    rig.feed.show(SITE)
+    rig.bus.publish("match/a", match("a", 900.0, came="b"))
+    rig.bus.publish("match/b", match("b", 901.0, came="a"))
+    rig.bus.publish("match/c", match("c", 902.0, came="a"))
+    rig.bus.publish("status/daemon", {"state": "running", "names": {"forgotten": {"b": 0}}})
+
+    assert [one.camera for one in rig.feed.walks(0.0)] == ["c"]
+
+    rig.feed.show(msgspec.structs.replace(SITE, epoch="02K"))
+    assert rig.feed.walks(0.0) == []

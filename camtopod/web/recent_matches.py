@@ -1,0 +1,56 @@
+"""The matches of the last hour, so that programs and pages that come later see the walks."""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Collection
+
+from camtopod.records import Match
+
+MATCHES_SECONDS = 3600.0
+"""Age of an entry up to which its match is kept."""
+MATCHES_MAX = 20_000
+"""Largest number of matches that are kept; beyond it the oldest are forgotten."""
+
+
+class RecentMatches:
+    """The newest match of each entry; for any thread."""
+
+    def __init__(self) -> None:
+        self._mutex = threading.Lock()
+        self._matches: dict[tuple[str, float, str | None], Match] = {}
+        """By camera, time and track of the entry, in the order in which they first arrived."""
+
+    def add(self, match: Match, now: float) -> None:
+        """Add a match; it takes the place of an earlier one of the same entry.
+
+        now: Unix seconds.
+        """
+        with self._mutex:
+            self._matches[match.camera, match.t, match.track] = match
+            while len(self._matches) > MATCHES_MAX or self._oldest() < now - MATCHES_SECONDS:
+                del self._matches[next(iter(self._matches))]
+
+    def later(self, since: float, now: float) -> list[Match]:
+        """Return the matches of entries later than ``since``, in order of time."""
+        since = max(since, now - MATCHES_SECONDS)
+        with self._mutex:
+            found = [match for match in self._matches.values() if match.t > since]
+        return sorted(found, key=lambda match: match.t)
+
+    def forget(self, cameras: Collection[str]) -> None:
+        """Forget the matches that name any of the cameras."""
+        with self._mutex:
+            for entry, match in list(self._matches.items()):
+                named = [match.camera, *(one.camera for one in match.from_)]
+                if any(camera in cameras for camera in named):
+                    del self._matches[entry]
+
+    def clear(self) -> None:
+        """Forget all matches."""
+        with self._mutex:
+            self._matches.clear()
+
+    def _oldest(self) -> float:
+        """Return the time of the entry whose match arrived first; infinite without matches."""
+        return next(iter(self._matches.values())).t if self._matches else float("inf")
