@@ -31,7 +31,8 @@ def rows_by_group(label: Indices, groups: int) -> list[NDArray[np.intp]]:
 
     label (n,): group of each row, from 0 to ``groups`` - 1.
     """
-    order = np.argsort(label, kind="stable")
+    narrow = label.astype(np.min_scalar_type(groups))  # of up to 16 bits, NumPy sorts in time n
+    order = np.argsort(narrow, kind="stable")
     ends = np.cumsum(np.bincount(label, minlength=groups))
     return np.split(order, ends[:-1])[:groups]
 
