@@ -17,6 +17,7 @@ from __future__ import annotations
 import itertools
 from bisect import bisect_right
 from collections import deque
+from collections.abc import Collection
 from typing import NamedTuple
 
 import numpy as np
@@ -145,6 +146,28 @@ class Walks:
         """The newest passages by zone of exit, oldest first."""
         self._given: deque[Step] = deque()
         """Entries whose match has been given once, oldest first."""
+
+    def forget_cameras(self, cameras: Collection[str]) -> None:
+        """Forget the passages of cameras; walks that they began are named by what is left."""
+        steps = {id(step): step for _, step in self._events}.values()
+        gone = {step.name for step in steps if step.camera in cameras}
+        self._events = deque(one for one in self._events if one[1].name not in gone)
+        self._given = deque(step for step in self._given if step.name not in gone)
+        self._names -= gone
+        self._open = {name: one for name, one in self._open.items() if name not in cameras}
+        for left in self._left.values():
+            for step in [step for step in left if step.name in gone]:
+                left.remove(step)
+
+        # What other passages know of them.
+        renamed: dict[str, str] = {}
+        for _, step in self._events:
+            if step.walk in gone:
+                step.walk = renamed.setdefault(step.walk, step.name)
+            step.edges = [edge for edge in step.edges if edge.source.name not in gone]
+            step.told = [one for one in step.told if one[0].source.name not in gone]
+            for slot, edges in step.claims.items():
+                step.claims[slot] = [edge for edge in edges if edge.entry.name not in gone]
 
     def take_over(self, older: Walks) -> None:
         """Take over the passages from walks by an older version; this must be new."""

@@ -399,6 +399,7 @@ class Daemon:
         self._on_progress(recovered.progress)
         self._learning = LearnerFeeder(recovered, process, self._journal, self._on_progress)
         self._live.remember(recent)
+        self._live.forget_cameras(self._intake.names.state.forgotten)
 
     def _join_bus(self, bus: Bus) -> None:
         """Answer queries and subscribe to events; then other programs may see the daemon."""
@@ -444,7 +445,9 @@ class Daemon:
         """Execute the operator's command of a query. Raises `QueryError`."""
         try:
             command = command_of(key, parameters)
-            return Done(execute(self._intake, command, self.topology, self._reset, self._begun))
+            done = execute(self._intake, command, self.topology, self._reset, self._begun)
+            self._live.forget_cameras(self._intake.names.state.forgotten)
+            return Done(done)
         except CommandRefused as error:
             raise QueryError(str(error)) from None
         except (sqlite3.Error, StateError) as error:

@@ -9,7 +9,7 @@ from __future__ import annotations
 import threading
 import time
 from collections import deque
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Collection, Sequence
 
 from camtopod import codec
 from camtopod.predict import Predictor, Walks
@@ -122,6 +122,14 @@ class Live:
                     self._reader.predictor.observe(event)
                     if self._reader.walks is not None:
                         self._reader.walks.observe(event)
+
+    def forget_cameras(self, cameras: Collection[str]) -> None:
+        """Forget cameras' events and passages; the predictor does so with the next version."""
+        with self._mutex:
+            kept = [event for event in self._recent if event.camera not in cameras]
+            self._recent = deque(kept, maxlen=RECENT_EVENTS_MAX)
+            if self._reader is not None and self._reader.walks is not None:
+                self._reader.walks.forget_cameras(cameras)
 
     def forget(self) -> None:
         """Forget all observed events, as event time has been set back."""

@@ -138,6 +138,22 @@ def test_a_passage_is_remembered_from_its_last_event_on(walks: Walks) -> None:
     assert [step.track for _, step in walks._events] == ["3"]
 
 
+def test_nothing_is_left_of_a_forgotten_camera(walks: Walks) -> None:
+    """Two walks begin at a, one of which goes on at b."""
+    matched(walks, [entry("a", T, "1"), exit_("a", T + 4, "1"), entry("a", T + 5, "2")])
+    events = [entry("b", T + 13, "3"), exit_("b", T + 17, "3")]
+    [before] = matched(walks, events)
+    walks.forget_cameras({"a"})
+
+    assert before.walk == f"a@{T:.0f}"
+    assert [(step.track, step.walk, step.edges) for _, step in walks._events] == 2 * [
+        ("3", f"b@{T + 13:.0f}", [])
+    ]
+    [new] = matched(walks, [entry("c", T + 13.5, "4")])
+    assert new.from_ == []
+    assert walks.revised(T + 1000) == []
+
+
 def test_a_new_version_goes_on_with_the_walks(learned: Topology, walks: Walks) -> None:
     first = matched(walks, [entry("a", T, "1"), exit_("a", T + 4, "1")])[0]
     newer = replace(learned, version=learned.version + 1)

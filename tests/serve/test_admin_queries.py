@@ -15,7 +15,7 @@ from test_daemon import NOW, Site, caught_up, journal_of, put
 
 from camtopod import codec
 from camtopod.admin import Command, Forget, Rename, Reset, TakeBack
-from camtopod.records import CameraFigures, Event
+from camtopod.records import CameraFigures, Event, Recent
 from camtopod.serve.admin_queries import Done, command_of, parameters_of
 from camtopod.serve.bus import Bus, QueryError, TopologySubscriber
 from camtopod.serve.daemon import Daemon
@@ -52,6 +52,11 @@ def seen(daemon: Daemon, bus: Bus) -> None:
 def cameras(daemon: Daemon) -> set[str]:
     topology = daemon.topology
     return set() if topology is None else {camera.id for camera in topology.cameras}
+
+
+def recent_cameras(bus: Bus) -> set[str]:
+    [(_, answer)] = bus.query("recent", one=True)
+    return {event.camera for event in codec.read(Recent, answer, pack=True).events}
 
 
 def followed(view: TopologySubscriber, daemon: Daemon) -> bool:
@@ -101,6 +106,18 @@ def test_a_forgotten_camera_leaves_at_once_and_its_spool_empties(
     publisher.publish(*(fresh("b", 30 + n) for n in range(3)))
     wait_for(lambda: daemon.status().cameras.get("b", CameraFigures()).events == 3, "its events")
     assert daemon.status().names.forgotten == {}
+
+
+def test_events_of_a_forgotten_camera_are_not_kept_in_memory(site: Site) -> None:
+    daemon = site.daemon()
+    bus = site.client(daemon)
+    seen(daemon, bus)
+    assert recent_cameras(bus) == set("abc")
+
+    ask(bus, Forget("b"))
+    assert recent_cameras(bus) == set("ac")
+    daemon.stop()
+    assert recent_cameras(site.client(site.daemon())) == set("ac"), "nor made again at a start"
 
 
 def test_a_command_is_in_force_when_it_is_stored_and_not_before(

@@ -27,7 +27,7 @@ from serving import (
 
 from camtopod import codec
 from camtopod.learn.learner import Learner
-from camtopod.records import CameraFigures, Event, Prediction, Topology
+from camtopod.records import CameraFigures, Event, Match, Prediction, Topology
 from camtopod.serve import daemon as daemons
 from camtopod.serve.bus import session as buses
 from camtopod.serve.bus.session import Bus, BusError, QueryError
@@ -228,6 +228,28 @@ def test_a_camera_is_alive_as_soon_as_its_grabber_is_there_and_away_when_that_is
 
     site.now += daemons.RETURN_SECONDS
     assert daemon.status().cameras == {"a": CameraFigures(), "yard": CameraFigures(alive=True)}
+
+
+def test_a_walk_goes_on_after_a_start_and_is_not_told_again(site: Site) -> None:
+    daemon = site.daemon()
+    put(site.client(daemon), *(events := [*numbered(walkers(60)), closing_event()]))
+    wait_for(lambda: all_out(daemon, len(events)), "what it learned to be used")
+    first = Event("a", "entry", NOW - 15.0, 0.1, 0.5, "p")
+    put(site.client(daemon), first, Event("a", "exit", NOW - 10.0, 0.9, 0.5, "p"))
+    stored(daemon, len(events) + 2)
+    daemon.stop()
+
+    again = site.daemon()
+    bus = site.client(again)
+    matches: list[Match] = []
+    bus.subscribe("match/*", lambda key, payload: matches.append(codec.read(Match, payload, True)))
+    bus.query("topology")
+    put(bus, Event("b", "entry", NOW - 1.0, 0.1, 0.5, "q"))
+    wait_for(lambda: bool(matches), "the match")
+    assert [(one.camera, one.track, one.walk) for one in matches] == [
+        ("b", "q", f"a@{first.t:.0f}")
+    ]
+    assert (matches[0].from_[0].track, matches[0].from_[0].t) == ("p", NOW - 10.0)
 
 
 def test_every_exit_is_predicted_and_questions_are_answered(site: Site) -> None:
