@@ -10,6 +10,7 @@ import math
 import re
 import sys
 import threading
+from pathlib import Path
 from typing import Any, TypeVar
 
 import msgspec
@@ -176,6 +177,18 @@ def decode_topology(raw: bytes, pack: bool = False) -> Topology:
     for problem in soundness.problems(topology):
         raise Rejected("bad-value", problem)
     return topology
+
+
+def load_topology(path: str | Path) -> Topology:
+    """Return the topology of a file that `camtopod learn` has written.
+
+        >>> from camtopod import load_topology
+        >>> [pair.cameras for pair in load_topology("topology.json").pairs]
+        [('hall', 'lobby')]
+
+    Raises OSError; `Rejected` (a ValueError) if it is not a topology.
+    """
+    return decode_topology(Path(path).read_bytes())
 
 
 def to_json(record: Event | Topology | Delta | Prediction | Any) -> bytes:

@@ -1,4 +1,4 @@
-"""Public data types: events, topologies, predictions, statuses; structs without logic.
+"""Public data types: events, topologies, predictions, statuses; their only logic is words.
 
 Times are seconds since the Unix epoch at the moment of capture; durations are seconds. Image
 positions are fractions of the image's width (``x``, to the right) and height (``y``, downwards).
@@ -25,6 +25,10 @@ TOPOLOGY_SCHEMA = "camtopod/topology/1"
 DELTA_SCHEMA = "camtopod/topology-delta/1"
 """`Delta.schema` of the deltas that this program reads and writes."""
 
+OUTCOMES_SAID = 3
+"""Most outcomes of a prediction that are said in words."""
+SEEN_NOW_MIN = 0.3
+"""Least probability that a camera sees an object now for words to say so."""
 LAG_BINS_MAX = 1_000
 """Most lag bins that a model may have; learned topologies have about 90."""
 
@@ -64,6 +68,10 @@ def _metric(name: str, meaning: str) -> Meta:
 
 class Event(Struct, frozen=True, omit_defaults=True, gc=False):
     """One object that appears in the view of a camera (``entry``) or leaves it (``exit``).
+
+        >>> from camtopod import Event
+        >>> Event("lobby", "exit", 1_700_000_000.25, x=0.31, y=0.88, track="17").kind
+        'exit'
 
     t: time of capture.
     x, y: foot point; both or neither.
@@ -441,6 +449,11 @@ class _OfVersion(Struct, frozen=True, omit_defaults=True):
 class Topology(_OfVersion, frozen=True, omit_defaults=True):
     """One version of the learned topology.
 
+        >>> from camtopod import load_topology
+        >>> for link in load_topology("topology.json").links:
+        ...     print(link.from_, link.to, link.relation, round(link.transit.q50))
+        lobby/1 hall/1 unseen 8
+
     ``digest`` is over the content, without site, epoch and version. ``alarms`` are the newest of
     the epoch, oldest first. ``evidence``: before the first link between views, the share of its
     evidence that is there, which does not fall; None after it.
@@ -500,6 +513,15 @@ class NextCamera(Struct, frozen=True):
     q50: float
     q90: float
 
+    @property
+    def when(self) -> str:
+        """When it appears, in words; where views overlap it may have done so before the exit."""
+        if self.q90 < 0.5:
+            return "in view now"
+        if self.q10 < 0:
+            return f"within {self.q90:.0f} s"
+        return f"in {self.q10:.0f} to {self.q90:.0f} s"
+
 
 class Look(Struct, frozen=True):
     """Probability that a camera sees the object when it exits or, if none does, sees it next."""
@@ -520,18 +542,26 @@ class InView(Struct, frozen=True):
     probability: float
 
 
-class Prediction(Struct, frozen=True, omit_defaults=True, rename={"next_": "next"}):
+class Prediction(Struct, frozen=True, omit_defaults=True, rename={"candidates": "next"}):
     """Where an object that has left the view of ``camera`` at ``t`` appears next.
+
+        >>> from camtopod import Event, Predictor, load_topology
+        >>> predictor = Predictor(load_topology("topology.json"))
+        >>> prediction = predictor.predict(Event("lobby", "exit", 1_700_000_000.0))
+        >>> prediction.candidates[0].camera, prediction.candidates[0].when
+        ('hall', 'in 6 to 10 s')
+        >>> print(prediction)
+        hall 98 %, in 6 to 10 s; leaves the site 2 %
 
     zone: zone where it left; None if the camera has no zone yet.
     version: version of the topology that was used.
-    leave: probability that it leaves the site; with those of ``next``, and with ``others`` if that
-        is there, it sums to 1.
-    next_: possible next appearances, by falling probability; a zone may be there more than once,
-        for other times. The JSON key is ``next``.
+    leave: probability that it leaves the site; with those of ``candidates``, and with ``others`` if
+        that is there, it sums to 1.
+    candidates: possible next appearances, by falling probability; a zone may be there more than
+        once, for other times. The JSON key is ``next``.
     look, in_view: only if other views overlap: cameras that may see the object now or next, whose
         probabilities may sum to more than 1, and passages under way that may be of it.
-    others: sum of the probabilities that are left out of ``next``; None if it has all of them.
+    others: sum of the probabilities that are left out of ``candidates``; None if it has all.
     """
 
     camera: str
@@ -540,10 +570,30 @@ class Prediction(Struct, frozen=True, omit_defaults=True, rename={"next_": "next
     track: str | None
     version: int
     leave: float
-    next_: list[NextCamera]
+    candidates: list[NextCamera]
     look: list[Look] | None = None
     in_view: list[InView] | None = None
     others: float | None = None
+
+    def __str__(self) -> str:
+        if not (self.candidates or self.in_view):
+            return "not known yet"
+
+        # Probability and words of each outcome: cameras that see the object, or may see it next.
+        outcomes: dict[str, tuple[float, str]] = {}
+        for camera in dict.fromkeys(one.camera for one in self.in_view or []):
+            share = sum(one.probability for one in self.in_view or [] if one.camera == camera)
+            if share >= SEEN_NOW_MIN:
+                outcomes[camera] = min(share, 1.0), ", in view now"
+        for camera in dict.fromkeys(one.camera for one in self.candidates):
+            ways = [one for one in self.candidates if one.camera == camera]
+            place = f"back to {camera}" if camera == self.camera else camera
+            share = sum(one.probability for one in ways)
+            outcomes.setdefault(place, (share, f", {ways[0].when}"))
+        outcomes["leaves the site"] = self.leave, ""
+
+        likeliest = sorted(outcomes.items(), key=lambda outcome: -outcome[1][0])[:OUTCOMES_SAID]
+        return "; ".join(f"{place} {100 * share:.0f} %{when}" for place, (share, when) in likeliest)
 
 
 class MatchedPassage(Struct, frozen=True, omit_defaults=True):

@@ -216,11 +216,11 @@ def prediction_figures(
             )
         elif recording.cut <= one.t <= recording.end - recording.window:
             happened.append(passage)
-            ways = [(way.camera, way.probability) for way in one.next_]
+            ways = [(way.camera, way.probability) for way in one.candidates]
             ours.append(
                 Guess(
                     {LEAVE: one.leave} | sum_by_camera(ways),
-                    [(w.camera, w.probability, (w.q10, w.q50, w.q90)) for w in one.next_],
+                    [(w.camera, w.probability, (w.q10, w.q50, w.q90)) for w in one.candidates],
                 )
             )
             told.append(chain.guess(zone, one.camera))
@@ -349,7 +349,7 @@ def look_figures(predictions: Sequence[Prediction], recording: Recording) -> tup
                 of_zone[one.zone or ""][camera] += 1
                 of_zone[f"{one.camera}/"][camera] += 1
             continue
-        looks = one.next_ if one.look is None else one.look
+        looks = one.candidates if one.look is None else one.look
         shares = sum_by_camera(
             (way.camera, way.probability) for way in looks if way.camera != one.camera
         )

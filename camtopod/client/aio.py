@@ -1,8 +1,8 @@
 """`camtopod.client` for asyncio: the same interface, with waiting methods awaited.
 
-    async with aio.Topology.connect("hq") as site:
+    async with aio.Site.connect("hq") as site:
         async for prediction in site.predictions():
-            print(prediction.next_[:1])
+            print(prediction.camera, "->", prediction)
 
 Waiting does not occupy a thread.
 """
@@ -19,24 +19,24 @@ from typing import TypeVar
 from camtopod.client.answer_queue import AnswerQueue, AnswerT
 from camtopod.client.site_view import Settings, SiteView
 from camtopod.client.wakeup import ChangeSignal
-from camtopod.records import Match, Prediction, Topology as Version
+from camtopod.records import Match, Prediction, Topology
 
 T = TypeVar("T")
 
 
-class Topology(SiteView):
-    """As `camtopod.client.Topology`; methods that do not wait, such as `predict`, are not async."""
+class Site(SiteView):
+    """As `camtopod.client.Site`; methods that do not wait, such as `predict`, are not async."""
 
     @classmethod
     @contextlib.asynccontextmanager
     async def connect(
         cls, site: str | None = None, connect: str | Sequence[str] = (), config: Settings = None
-    ) -> AsyncIterator[Topology]:
+    ) -> AsyncIterator[Site]:
         """Connect for the duration of an ``async with`` block.
 
-        Arguments and errors are those of `camtopod.client.Topology.connect`.
+        Arguments and errors are those of `camtopod.client.Site.connect`.
         """
-        opened: list[Topology] = []
+        opened: list[Site] = []
         given_up = threading.Event()
 
         def open_here() -> None:
@@ -54,7 +54,7 @@ class Topology(SiteView):
             for one in opened:
                 await asyncio.to_thread(one.close)
 
-    async def wait_for(self, version: int, seconds: float) -> Version:
+    async def wait_for(self, version: int, seconds: float) -> Topology:
         """Return the newest version as soon as its number is at least ``version``.
 
         Raises TimeoutError after ``seconds``, or if closed meanwhile.
@@ -64,10 +64,10 @@ class Topology(SiteView):
             raise TimeoutError(self._not_there(version, seconds))
         return found
 
-    async def versions(self, seconds: float | None = None) -> AsyncIterator[Version]:
+    async def versions(self, seconds: float | None = None) -> AsyncIterator[Topology]:
         """Yield the current version, if there is one, and each later one.
 
-        See `camtopod.client.Topology.versions`.
+        See `camtopod.client.Site.versions`.
         """
         last = None
         while (last := await _awaited(self._news, partial(self._newer, last), seconds)) is not None:
@@ -78,12 +78,12 @@ class Topology(SiteView):
     ) -> Answers[Prediction]:
         """Subscribe to the daemon's own predictions.
 
-        See `camtopod.client.Topology.predictions`.
+        See `camtopod.client.Site.predictions`.
         """
         return self._opened(lambda bus: Answers(bus, Prediction, camera, seconds))
 
     def walks(self, camera: str | None = None, seconds: float | None = None) -> Answers[Match]:
-        """Subscribe to the daemon's matches. See `camtopod.client.Topology.walks`."""
+        """Subscribe to the daemon's matches. See `camtopod.client.Site.walks`."""
         return self._opened(lambda bus: Answers(bus, Match, camera, seconds))
 
 

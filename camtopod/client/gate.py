@@ -33,8 +33,14 @@ class Gate:
 
     Times are seconds since the epoch by the clock of the camera that reports the event; the
     version's clock offsets are applied. While little has been learned the odds are overconfident,
-    as predictions are. To use a topology read from a file, without a daemon, call
-    ``Gate(topology)``.
+    as predictions are. No daemon is needed:
+
+        >>> from camtopod import Event, Gate, load_topology
+        >>> gate = Gate(load_topology("topology.json"))
+        >>> exits = [Event("lobby", "exit", 1_700_000_000.0)]
+        >>> entries = [Event("hall", "entry", 1_700_000_000.0 + lag) for lag in (2, 8)]
+        >>> gate.affinity(exits, entries) > 0
+        array([[False,  True]])
     """
 
     def __init__(self, topology: Topology, predictor: Predictor | None = None) -> None:

@@ -37,7 +37,7 @@ class Publisher(contextlib.AbstractContextManager["Publisher"]):
     any thread, but not in a forked child (`BusError`): start processes by "spawn".
 
     camera: id of the camera; one program at a time may publish it.
-    site, connect, config: as for `camtopod.client.Topology.connect`.
+    site, connect, config: as for `camtopod.client.Site.connect`.
     state: directory for the spool; without it that of the configuration.
 
     Raises ValueError for an invalid camera, site or endpoint; `StateError` (an OSError) if the

@@ -1,4 +1,4 @@
-"""Live topology of a site for programs that use threads: `Topology.connect`."""
+"""Live topology of a site for programs that use threads: `Site.connect`."""
 
 from __future__ import annotations
 
@@ -8,13 +8,13 @@ from functools import partial
 
 from camtopod.client.answer_queue import AnswerQueue, AnswerT
 from camtopod.client.site_view import Settings, SiteView
-from camtopod.records import Match, Prediction, Topology as Version
+from camtopod.records import Match, Prediction, Topology
 
 
-class Topology(SiteView, contextlib.AbstractContextManager["Topology"]):
+class Site(SiteView, contextlib.AbstractContextManager["Site"]):
     """Live view of the topology that a site's daemon has learned.
 
-        with Topology.connect("hq") as site:
+        with Site.connect("hq") as site:
             for version in site.versions():
                 print(version.version, len(version.links))
 
@@ -24,12 +24,17 @@ class Topology(SiteView, contextlib.AbstractContextManager["Topology"]):
     @classmethod
     def connect(
         cls, site: str | None = None, connect: str | Sequence[str] = (), config: Settings = None
-    ) -> Topology:
-        """Join the bus of a site and wait for its topology.
+    ) -> Site:
+        """Join the bus of a site and wait for its topology. `camtopod.connect` is the same.
+
+            >>> import camtopod
+            >>> with camtopod.connect() as site:  # the daemon on this machine
+            ...     print(site.site, site.current.cameras[0].id)
+            site a
 
         Returns when the topology has been received, or when it is certain that there is none yet. A
-        missing daemon behind a router and an empty topology are not errors: see `stale_since` and
-        `current`; that other sites have a daemon, and this one has none, is logged.
+        missing daemon behind a router and an empty topology are not errors (see `stale_since` and
+        `current`), unless the daemons of other sites are there: then the site's name is wrong.
 
         site: name of the site; without it the configuration's, else ``site`` or, if that has no
             daemon, the only one on the bus that has.
@@ -41,13 +46,14 @@ class Topology(SiteView, contextlib.AbstractContextManager["Topology"]):
 
         A forked child cannot use the bus: start processes by "spawn", and connect in each.
 
-        Raises `BusError` (an OSError) if no endpoint can be reached, and after a fork;
+        Raises `BusError` (an OSError) if no endpoint can be reached, if other sites have a daemon
+        and this one has none, and after a fork;
         `camtopod.config.settings.ConfigError` or OSError if the file cannot be read; ValueError for
         an invalid site or endpoint.
         """
         return cls(site, connect, config)
 
-    def wait_for(self, version: int, seconds: float) -> Version:
+    def wait_for(self, version: int, seconds: float) -> Topology:
         """Return the newest version as soon as its number is at least ``version``.
 
         Raises TimeoutError after ``seconds``, or if closed meanwhile.
@@ -57,7 +63,7 @@ class Topology(SiteView, contextlib.AbstractContextManager["Topology"]):
             raise TimeoutError(self._not_there(version, seconds))
         return found
 
-    def versions(self, seconds: float | None = None) -> Iterator[Version]:
+    def versions(self, seconds: float | None = None) -> Iterator[Topology]:
         """Yield the current version, if there is one, and each later one.
 
         Ends when closed, or when no version has arrived for ``seconds``. A slow reader gets the
@@ -97,12 +103,16 @@ class Topology(SiteView, contextlib.AbstractContextManager["Topology"]):
         self.close()
 
 
+connect = Site.connect
+"""The front door's name of it."""
+
+
 class Answers(AnswerQueue[AnswerT], contextlib.AbstractContextManager["Answers[AnswerT]"]):
     """The daemon's predictions, or matches, in order of arrival.
 
         with site.predictions("lobby") as predictions:
             for prediction in predictions:
-                print(prediction.next_[:1])
+                print(prediction.camera, "->", prediction)
 
     Iteration ends when this object or the topology is closed, or when no answer has arrived for
     ``seconds``, if given. `dropped` counts the answers lost because the reader was too slow.

@@ -24,7 +24,7 @@ from camtopod.client.gate import Gate
 from camtopod.client.wakeup import ChangeSignal
 from camtopod.config import secret_files, settings as configs
 from camtopod.predict import Predictor
-from camtopod.records import Event, Prediction, Topology as Version
+from camtopod.records import Event, Prediction, Topology
 from camtopod.serve.bus import (
     QUERY_SECONDS,
     Bus,
@@ -32,7 +32,7 @@ from camtopod.serve.bus import (
     TopologySubscriber,
     dial,
     guard,
-    log_other_sites,
+    in_words,
     sites_instead,
     take_only_site,
 )
@@ -48,15 +48,15 @@ QueueT = TypeVar("QueueT", bound=AnswerQueue[Any])
 
 
 class SiteView:
-    """Current state of a site: common part of both `Topology` classes.
+    """Current state of a site: common part of both `Site` classes.
 
-    `camtopod.client.Topology` and `camtopod.client.aio.Topology` add the methods that wait.
+    `camtopod.client.Site` and `camtopod.client.aio.Site` add the methods that wait.
     """
 
     def __init__(
         self, site: str | None = None, connect: str | Sequence[str] = (), config: Settings = None
     ) -> None:
-        """Connect; arguments are those of `camtopod.client.Topology.connect`."""
+        """Connect; arguments are those of `camtopod.client.Site.connect`."""
         settings = settings_of(site, connect, config)
         self._bus = dial(settings)
         self._news = ChangeSignal()
@@ -80,8 +80,9 @@ class SiteView:
         with contextlib.ExitStack() as undo:
             undo.callback(self._bus.close)
             others = sites_instead(self._bus, settings)
-            if site is not None or not take_only_site(self._bus, settings, others):
-                log_other_sites(self._bus, others)
+            taken = site is None and take_only_site(self._bus, settings, others)
+            if others and not taken:
+                raise BusError(f"no daemon of site {self._bus.site} is there{in_words(others)}")
             self._view = TopologySubscriber(self._bus)
             self._bus.subscribe("topology", lambda key, payload: self._wake.set())
             self._bus.watch_alive("daemon", self._on_daemon)
@@ -97,7 +98,7 @@ class SiteView:
         return self._bus.site
 
     @property
-    def current(self) -> Version | None:
+    def current(self) -> Topology | None:
         """The newest version known.
 
         None if nothing has been learned yet, or if the daemon has never been reached.
@@ -224,7 +225,7 @@ class SiteView:
             raise NothingLearned
         return self._gate
 
-    def _at_least(self, version: int) -> Version | None:
+    def _at_least(self, version: int) -> Topology | None:
         if self.version < version:
             return None
         return self.current
@@ -238,7 +239,7 @@ class SiteView:
             f"the newest is {self.version}; {there}"
         )
 
-    def _newer(self, than: Version | None) -> Version | None:
+    def _newer(self, than: Topology | None) -> Topology | None:
         return None if self.current is than else self.current
 
     def _follow(self) -> None:
@@ -296,7 +297,7 @@ def _plain(value: Any) -> Any:
     return value.item() if isinstance(value, np.generic) else value
 
 
-def _with_all_alive(version: Version) -> Version:
+def _with_all_alive(version: Topology) -> Topology:
     """Return the version without its camera models.
 
     The predictor may be given events of some cameras only and must not take the silence of the

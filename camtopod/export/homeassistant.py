@@ -152,14 +152,14 @@ def prediction_state(topics: Topics, prediction: Prediction) -> Messages:
     with the probability ``sees``.
     """
     next_: dict[str, float] = defaultdict(float)
-    for one in prediction.next_:
+    for one in prediction.candidates:
         next_[one.camera] += one.probability
 
     # The camera, or leaving the site, with the largest share.
     shares = {"leaves": prediction.leave, **next_}
     camera = max(shares, key=lambda name: shares[name])
     window: dict[str, str | None] = {"from": None, "until": None}
-    for place in prediction.next_:
+    for place in prediction.candidates:
         if place.camera == camera:
             window["from"] = _iso(prediction.t + place.q10)
             window["until"] = _iso(prediction.t + place.q90)

@@ -56,6 +56,14 @@ STEPS = ("zones", "clocks", *refits.STEPS)
 class Learner:
     """Learns a topology from events, version by version, over a sliding window of event time.
 
+        >>> from camtopod import Event, Learner
+        >>> learner = Learner()
+        >>> learner.receive(Event("lobby", "exit", 1_700_000_000.0))
+        'accepted'
+        >>> learner.flush()  # at the end of a recording
+        >>> [topology.version for topology in learner.updates()]
+        [1]
+
     settings: None for the defaults.
     site, epoch: written into each version.
     only_last: make one version only, in `flush`.

@@ -167,7 +167,7 @@ class Scorer:
 def _by_camera(prediction: Prediction) -> dict[str, float]:
     """Return the probability of each next camera, by name, with "" for leaving the site."""
     shares = {"": prediction.leave}
-    for choice in prediction.next_:
+    for choice in prediction.candidates:
         shares[choice.camera] = shares.get(choice.camera, 0.0) + choice.probability
     return shares
 

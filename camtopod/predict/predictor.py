@@ -66,6 +66,14 @@ class PredictorState(Struct):
 class Predictor:
     """Predicts by one topology version: give events to `observe`, and ask for exits with `predict`.
 
+        >>> from camtopod import Event, Predictor, load_topology
+        >>> predictor = Predictor(load_topology("topology.json"))
+        >>> left = Event("lobby", "exit", 1_700_000_000.0)
+        >>> likeliest = predictor.predict(left).candidates[0]
+        >>> likeliest.zone, round(likeliest.q50)
+        ('hall/1', 8)
+        >>> predictor.observe(left)
+
     Ask for an exit before it is observed: otherwise the observed exit competes with the one that is
     asked for. This does not hold if `predict` is given the time of the question.
     """

@@ -82,7 +82,7 @@ def shown(prediction: Prediction) -> dict[str, Any]:
         **{name: getattr(prediction, name) for name in ("camera", "zone", "t", "version", "leave")},
         "look": look[:NEXT_SHOWN],
         "now": seen_now(prediction.in_view or []),
-        "next": prediction.next_[:NEXT_SHOWN],
+        "next": prediction.candidates[:NEXT_SHOWN],
     }
 
 

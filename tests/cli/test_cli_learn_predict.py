@@ -200,10 +200,10 @@ def test_the_likeliest_and_the_sum_of_the_others(run: Run, topology: Path, recor
     _, short, _ = run("predict", topology, recording, "--top", "2")
 
     for all_, few in zip(predictions(printed), predictions(short), strict=True):
-        assert few.next_ == all_.next_[:2]
+        assert few.candidates == all_.candidates[:2]
         assert all_.others is None
-        assert (few.others is None) == (len(all_.next_) <= 2)
-        shown = [few.leave, *(one.probability for one in few.next_), few.others or 0.0]
+        assert (few.others is None) == (len(all_.candidates) <= 2)
+        shown = [few.leave, *(one.probability for one in few.candidates), few.others or 0.0]
         assert sum(shown) == pytest.approx(1.0, abs=1e-9)
     assert any(prediction.others for prediction in predictions(short))
 

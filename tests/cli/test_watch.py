@@ -25,7 +25,6 @@ from camtopod.cli.terminal.site_state import (
     ALARMS_SHOWN,
     SILENT_SECONDS,
     SiteState,
-    prediction_line,
 )
 from camtopod.config.settings import BusSettings
 from camtopod.publishers import ELSEWHERE, GONE_SECONDS
@@ -34,7 +33,6 @@ from camtopod.records import (
     Alarm,
     Camera,
     CameraModel,
-    InView,
     Link,
     Model,
     NextCamera,
@@ -122,7 +120,10 @@ def test_everything_is_shown_newest_and_worst_first() -> None:
     assert text[first + 2].startswith("  cam0000")
     [first] = [k for k, line in enumerate(text) if "FROM" in line]
     assert text[first + 1].startswith("  lobby/1              hall/2               unseen")
-    assert text[-3] == "lobby/2 -> hall/2 0.61 in 6 to 10 s, bar/1 0.20 already in view"
+    assert (
+        text[-3]
+        == "lobby/2 -> hall 61 %, in 6 to 10 s; bar 20 %, in view now; leaves the site 20 %"
+    )
 
 
 def test_before_the_first_link_it_says_what_it_waits_for() -> None:
@@ -136,21 +137,6 @@ def test_before_the_first_link_it_says_what_it_waits_for() -> None:
     text = "\n".join(lines(SiteState("hq"), without))
     assert "0 links between views" in text
     assert waiting_for_links(without) in text
-
-
-def test_predictions_in_words() -> None:
-    in_view = [
-        InView("hall", "1", NOW, 0.5),
-        InView("stairs", "2", NOW, 0.1),
-        InView("hall", "3", NOW, 0.25),
-    ]
-    seen = Prediction("lobby", "lobby/1", NOW, "17", 9, 1.0, [], [], in_view)
-    assert prediction_line(seen) == "lobby/1 -> now in view of hall 0.75"
-    following = [NextCamera("lobby", "lobby/2", 0.6, 1.0, 2.0, 3.0)]
-    back = Prediction("lobby", "lobby/1", NOW, "17", 9, 0.4, following)
-    assert prediction_line(back) == "lobby/1 -> back to lobby/2 0.60 in 1 to 3 s"
-    unknown = Prediction("lobby", "", NOW, "17", 9, 0.4, [])
-    assert prediction_line(unknown) == "lobby -> next camera unknown"
 
 
 def test_a_sender_of_statuses_may_fall_silent() -> None:

@@ -23,7 +23,7 @@ from serving import (
     walkers,
 )
 
-from camtopod.client import BusError, NothingLearned, Topology, UnknownPlace
+from camtopod.client import BusError, NothingLearned, Site, UnknownPlace
 from camtopod.codec import read
 from camtopod.config.settings import BusSettings, Config, TlsSettings
 from camtopod.keys import rules
@@ -33,17 +33,15 @@ from camtopod.serve.bus.session import dial
 
 
 @pytest.fixture
-def site(learned_daemon: LearnedDaemon) -> Iterator[Topology]:
-    with Topology.connect(connect=learned_daemon.daemon.endpoint) as one:
+def site(learned_daemon: LearnedDaemon) -> Iterator[Site]:
+    with Site.connect(connect=learned_daemon.daemon.endpoint) as one:
         yield one
 
 
 # --- what is held ---------------------------------------------------------------------------------
 
 
-def test_what_has_been_learned_is_there_at_once(
-    learned_daemon: LearnedDaemon, site: Topology
-) -> None:
+def test_what_has_been_learned_is_there_at_once(learned_daemon: LearnedDaemon, site: Site) -> None:
     assert site.current is not None
     assert site.current.version >= 1
 
@@ -64,7 +62,7 @@ def test_versions_come_by_themselves(tmp_path: Path) -> None:
     with (
         running(tmp_path, endpoint := free_endpoint()) as daemon,
         dial(small_config(tmp_path, endpoint)) as bus,
-        Topology.connect(connect=endpoint) as site,
+        Site.connect(connect=endpoint) as site,
     ):
         assert (site.current, site.version, site.stale_since) == (None, 0, None)
         with pytest.raises(
@@ -97,7 +95,7 @@ def test_versions_come_by_themselves(tmp_path: Path) -> None:
         )
 
     assert [one.version for one in site.versions()] == [], "closed"
-    assert site.predict(**LEFT).next_, "what is held stays usable"
+    assert site.predict(**LEFT).candidates, "what is held stays usable"
     assert site.stale_since is not None
 
 
@@ -105,7 +103,7 @@ def test_it_goes_on_when_the_daemon_comes_back(tmp_path: Path) -> None:
     endpoint = free_endpoint()
     with contextlib.ExitStack() as stack:
         with running(tmp_path, endpoint):
-            site = stack.enter_context(Topology.connect(connect=endpoint))
+            site = stack.enter_context(Site.connect(connect=endpoint))
             before = time.time()
         wait_for(lambda: site.stale_since is not None, "staleness to be noticed")
 
@@ -123,21 +121,25 @@ def test_it_goes_on_when_the_daemon_comes_back(tmp_path: Path) -> None:
 # --- what is said ---------------------------------------------------------------------------------
 
 
-def test_a_prediction_is_the_daemons(learned_daemon: LearnedDaemon, site: Topology) -> None:
+def test_a_prediction_is_the_daemons(learned_daemon: LearnedDaemon, site: Site) -> None:
     said = site.predict(**LEFT, track="7")
     (answer,) = learned_daemon.bus.query("predict/a", {"zone": said.zone, "t": NOW})
     asked = read(Prediction, answer[1], pack=True)
 
     assert (said.camera, said.t, said.track, said.version) == ("a", NOW, "7", site.version)
-    assert [one.zone for one in said.next_[:2]] == [one.zone for one in asked.next_[:2]]
-    assert {one.camera for one in said.next_[:2]} == {"b", "c"}
-    assert said.next_[0].probability == pytest.approx(asked.next_[0].probability, abs=0.01)
-    assert 7 < said.next_[0].q50 < 11
+    assert [one.zone for one in said.candidates[:2]] == [one.zone for one in asked.candidates[:2]]
+    assert {one.camera for one in said.candidates[:2]} == {"b", "c"}
+    assert said.candidates[0].probability == pytest.approx(
+        asked.candidates[0].probability, abs=0.01
+    )
+    assert 7 < said.candidates[0].q50 < 11
     by_zone = site.predict("a", NOW, zone=said.zone)
-    assert by_zone.next_[0].probability == pytest.approx(said.next_[0].probability, abs=0.05)
+    assert by_zone.candidates[0].probability == pytest.approx(
+        said.candidates[0].probability, abs=0.05
+    )
 
 
-def test_priors_are_those_of_the_version_held(site: Topology) -> None:
+def test_priors_are_those_of_the_version_held(site: Site) -> None:
     assert site.gate("a/2", NOW, "b", NOW + 9.0) > site.gate_new("b") + site.gate_gone("a/2")
     odds = site.affinity(
         [Event("a", "exit", NOW, 0.9, 0.5), Event("a", "exit", NOW + 20.0, 0.9, 0.5)],
@@ -149,7 +151,7 @@ def test_priors_are_those_of_the_version_held(site: Topology) -> None:
     assert odds[1, 0] < 0
 
 
-def test_what_makes_no_sense_is_said(learned_daemon: LearnedDaemon, site: Topology) -> None:
+def test_what_makes_no_sense_is_said(learned_daemon: LearnedDaemon, site: Site) -> None:
     with pytest.raises(UnknownPlace, match="no camera 'd'; there are"):
         site.predict("d", NOW, x=0.5, y=0.5)
     with pytest.raises(KeyError, match=r"no zone of a called 'b/1'; there are a/\d, a/\d"):
@@ -161,19 +163,19 @@ def test_what_makes_no_sense_is_said(learned_daemon: LearnedDaemon, site: Topolo
     with pytest.raises(ValueError, match="camera 'a/b': 1 to 64"):
         site.predictions("a/b")
     with pytest.raises(ValueError, match=r"connect '192\.0\.2\.1': write it like tcp/"):
-        Topology.connect(connect="192.0.2.1")
+        Site.connect(connect="192.0.2.1")
     with pytest.raises(ValueError, match="site 'h q': 1 to 64"):
-        Topology.connect("h q")
+        Site.connect("h q")
     tls = Config(bus=BusSettings(tls=TlsSettings("ca.pem", "certificate.pem", "key.pem")))
     with pytest.raises(ValueError, match="write tls/"):
-        Topology.connect(connect=learned_daemon.daemon.endpoint, config=tls)
+        Site.connect(connect=learned_daemon.daemon.endpoint, config=tls)
 
 
 def test_nobody_there_is_said(tmp_path: Path) -> None:
     path = tmp_path / "camtopod.toml"
     path.write_text("[bus]\nconnect_seconds = 0.2\n")
     with pytest.raises(BusError, match="is `camtopod run` running there"):
-        Topology.connect(connect=free_endpoint(), config=path)
+        Site.connect(connect=free_endpoint(), config=path)
 
 
 def test_a_reader_gets_in_with_its_certificate(tmp_path: Path) -> None:
@@ -197,7 +199,7 @@ def test_a_reader_gets_in_with_its_certificate(tmp_path: Path) -> None:
         f'[site]\nname = "hq"\n[bus]\nconnect = ["{endpoint}"]\n'
         f'[bus.tls]\nca = "{ca}"\ncertificate = "{certificate}"\nprivate_key = "{private_key}"\n'
     )
-    with running(tmp_path, endpoint, bus, "hq") as daemon, Topology.connect(config=config) as site:
+    with running(tmp_path, endpoint, bus, "hq") as daemon, Site.connect(config=config) as site:
         assert (site.site, site.version, site.stale_since) == ("hq", 0, None)
         put(daemon.bus, *(events := [*numbered(walkers(40)), closing_event()]))
         version = learned(daemon, events)
@@ -217,7 +219,7 @@ def test_a_reader_gets_in_with_its_certificate(tmp_path: Path) -> None:
 # --- the daemon's own predictions -----------------------------------------------------------------
 
 
-def test_each_exit_is_heard_of(learned_daemon: LearnedDaemon, site: Topology) -> None:
+def test_each_exit_is_heard_of(learned_daemon: LearnedDaemon, site: Site) -> None:
     with site.predictions() as everywhere, site.predictions("b", seconds=0.5) as of_b:
         there(site)
         learned_daemon.bus.publish_raw("prediction/b", b"\xc1", "prediction")  # is passed over
@@ -235,7 +237,7 @@ def test_each_exit_is_heard_of(learned_daemon: LearnedDaemon, site: Topology) ->
 
 
 def test_who_does_not_read_loses_the_oldest_and_is_told(
-    learned_daemon: LearnedDaemon, site: Topology, monkeypatch: pytest.MonkeyPatch
+    learned_daemon: LearnedDaemon, site: Site, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr("camtopod.client.answer_queue.WAITING_MAX", 3)
 

@@ -13,9 +13,9 @@ from camtopod.client import aio
 
 def test_asyncio_has_the_same(learned_daemon: LearnedDaemon) -> None:
     async def main() -> None:
-        async with aio.Topology.connect(connect=learned_daemon.daemon.endpoint) as site:
+        async with aio.Site.connect(connect=learned_daemon.daemon.endpoint) as site:
             assert site.stale_since is None
-            assert site.predict(**LEFT).next_
+            assert site.predict(**LEFT).candidates
             assert await site.wait_for(1, 0.0) is site.current
             with pytest.raises(TimeoutError, match="no version 1000000"):
                 await site.wait_for(10**6, 0.05)
@@ -38,7 +38,7 @@ def test_asyncio_has_the_same(learned_daemon: LearnedDaemon) -> None:
 
 def test_what_waits_in_asyncio_can_be_cancelled(learned_daemon: LearnedDaemon) -> None:
     async def main() -> tuple[float, int]:
-        async with aio.Topology.connect(connect=learned_daemon.daemon.endpoint) as site:
+        async with aio.Site.connect(connect=learned_daemon.daemon.endpoint) as site:
             waiting = [
                 asyncio.create_task(site.wait_for(10**6, 60.0)),
                 asyncio.create_task(site.predictions().get()),

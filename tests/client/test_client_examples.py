@@ -58,7 +58,7 @@ def walk(track: int, t: float, to: str) -> list[Event]:
 
 def test_where_next(learned_daemon: LearnedDaemon) -> None:
     found = re.fullmatch(
-        r"a -> [bc] (\d+)%, in (\d+) to (\d+) s",
+        r"a -> [bc] (\d+) %, in (\d+) to (\d+) s; .*",
         printed(learned_daemon, "next_camera.py", walk(1, NOW, "b"))[0],
     )
 
@@ -146,7 +146,7 @@ def test_as_it_comes(learned_daemon: LearnedDaemon) -> None:
 
         def heard() -> bool:
             learned_daemon.walks(1, 15)
-            return any(re.match(r"a -> \['[bc]'\]", line) for line in lines)
+            return any(re.match(r"a -> [bc] \d+ %, in", line) for line in lines)
 
         try:
             wait_for(heard, "a prediction")
@@ -204,7 +204,7 @@ def test_the_bus_itself_as_the_page_shows_it(learned_daemon: LearnedDaemon) -> N
 
 def test_the_client_as_readme_shows_it(learned_daemon: LearnedDaemon) -> None:
     [shown] = blocks(README, "python")
-    assert shown.count("Topology.connect()") == 1
+    assert shown.count(".connect()") == 1
     here = shown.replace("connect()", f"connect(connect={learned_daemon.daemon.endpoint!r})")
     lines = printed_until_a_prediction(learned_daemon, here, 1)
-    assert re.fullmatch(r"[abc] -> [abc] \d+% in -?\d+ to \d+ s\n", lines[0])
+    assert re.match(r"[abc] -> (leaves the site|[abc]) \d+ %", lines[0])

@@ -14,7 +14,7 @@ from fake_bus_daemon import running
 from paths import ROOT
 from serving import WAIT_SECONDS, free_endpoint, wait_for, walkers
 
-from camtopod.client import BusError, Event, Publisher, StateError, Topology
+from camtopod.client import BusError, Event, Publisher, Site, StateError
 
 EVENTS = [event for event in walkers(20) if event.camera == "a"]
 
@@ -54,7 +54,7 @@ def test_a_forked_child_is_told_at_once_and_takes_nothing_from_its_parent(tmp_pa
     state = tmp_path / "state-of-a"
     with (
         running(tmp_path, endpoint) as daemon,
-        Topology.connect(connect=endpoint) as site,
+        Site.connect(connect=endpoint) as site,
         site.predictions() as predictions,
         Publisher("a", connect=endpoint, state=state) as publisher,
     ):
@@ -64,7 +64,7 @@ def test_a_forked_child_is_told_at_once_and_takes_nothing_from_its_parent(tmp_pa
             lambda: publisher.wait_stored(WAIT_SECONDS),
             lambda: site.current,
             lambda: predictions.get(WAIT_SECONDS),
-            lambda: Topology.connect(connect=endpoint),
+            lambda: Site.connect(connect=endpoint),
             lambda: Publisher("b", connect=endpoint, state=state),
         ):
             assert "BusError: this process was forked" in said_by_child(use)

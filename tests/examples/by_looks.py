@@ -12,7 +12,7 @@ import numpy as np
 from scipy.optimize import linear_sum_assignment
 from scipy.spatial.distance import cdist
 
-from camtopod.client import Topology
+from camtopod import connect
 from camtopod.codec import event_from_json
 
 seen = [(event_from_json(line), json.loads(line)["look"]) for line in sys.stdin]
@@ -21,7 +21,7 @@ entries, came = zip(*[one for one in seen if one[0].kind == "entry"], strict=Tru
 looks = 20 * (
     cdist(left, came, "cosine") - 0.4
 )  # nats; neutral at 0.4: both figures depend on your network
-with Topology.connect(connect=sys.argv[1:]) as site:
+with connect(connect=sys.argv[1:]) as site:
     zones = [site.predict(a.camera, a.t, x=a.x, y=a.y).zone for a in exits]
     gates = np.array(
         [[site.gate(zones[i], a.t, b.camera, b.t) for b in entries] for i, a in enumerate(exits)]

@@ -6,10 +6,10 @@ Input lines are those of TrackEvents.
 
 import sys
 
-from camtopod.client import Topology
+from camtopod import connect
 from camtopod.codec import event_from_json
 
-with Topology.connect(connect=sys.argv[1:]) as site:
+with connect(connect=sys.argv[1:]) as site:
     for event in map(event_from_json, sys.stdin):
         if event.kind == "exit":
             said = site.predict(event.camera, event.t, x=event.x, y=event.y, track=event.track)

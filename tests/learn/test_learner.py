@@ -314,9 +314,9 @@ def test_odd_recordings(name: str) -> None:
         predictor = learner.predictor()
         for event in events[-10:]:
             prediction = predictor.predict(event)
-            assert prediction.leave + sum(n.probability for n in prediction.next_) == pytest.approx(
-                1.0
-            )
+            assert prediction.leave + sum(
+                n.probability for n in prediction.candidates
+            ) == pytest.approx(1.0)
             predictor.observe(event)
 
 

@@ -20,10 +20,10 @@ from serving import (
     walkers,
 )
 
-from camtopod.client import Topology, aio
+from camtopod.client import Site, aio
 from camtopod.config.settings import BusSettings, SiteSettings
 from camtopod.learn.learner import Learner
-from camtopod.records import Event, Topology as Version
+from camtopod.records import Event, Topology
 from camtopod.serve.bus.session import Bus, dial
 from camtopod.serve.daemon import Daemon
 
@@ -33,7 +33,7 @@ LEFT: dict[str, Any] = {"camera": "a", "t": NOW, "x": 0.9, "y": 0.5}
 """An exit from camera a at that time."""
 
 
-def there(site: Topology | aio.Topology) -> None:
+def there(site: Site | aio.Site) -> None:
     """Wait until the daemon has processed earlier subscriptions: a query takes the same route."""
     site._bus.query("topology")
 
@@ -66,7 +66,7 @@ def later(events: list[Event], spans: int) -> list[Event]:
     return [msgspec.structs.replace(event, t=event.t + spans * SPAN_SECONDS) for event in events]
 
 
-def learned(daemon: Daemon, events: list[Event]) -> Version:
+def learned(daemon: Daemon, events: list[Event]) -> Topology:
     """Wait until the daemon has learned these events like a plain learner; return its version."""
     learner = Learner(small_config(Path()).learn, site="site", epoch="any")
     for event in events:

@@ -15,7 +15,7 @@ from fake_bus_daemon import LEFT, LearnedDaemon, later, put, running_learned_dae
 from serving import numbered, wait_for, walkers
 
 from camtopod.cli.commands.web import listening, names
-from camtopod.client import Topology
+from camtopod.client import Site
 from camtopod.codec import to_json
 from camtopod.config.settings import BusSettings, Config
 from camtopod.records import Match, MatchedPassage
@@ -88,7 +88,7 @@ def test_the_topology_and_its_versions(api: str, learned_daemon: LearnedDaemon) 
 
 def test_a_prediction_is_the_daemon_s(api: str, learned_daemon: LearnedDaemon) -> None:
     query = "&".join(f"{name}={value}" for name, value in LEFT.items())
-    with Topology.connect(connect=learned_daemon.daemon.endpoint) as site:
+    with Site.connect(connect=learned_daemon.daemon.endpoint) as site:
         expected = json.loads(to_json(site.predict(**LEFT)))
 
     got = content(f"{api}/predict?{query}")
@@ -125,7 +125,7 @@ def test_predictions_are_streamed(api: str, learned_daemon: LearnedDaemon) -> No
     exits = {event.t for event in events if event.kind == "exit" and event.camera == "a"}
     with (
         urllib.request.urlopen(api + "/predictions?camera=a", timeout=30) as stream,
-        Topology.connect(connect=learned_daemon.daemon.endpoint) as site,
+        Site.connect(connect=learned_daemon.daemon.endpoint) as site,
     ):
         there(site)
         put(learned_daemon.bus, *events)

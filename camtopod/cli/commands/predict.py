@@ -126,10 +126,10 @@ def shortened(answer: Prediction | Match, most: int | None) -> Prediction | Matc
     if isinstance(answer, Match):
         rest = sum(one.probability for one in answer.from_[most:])
         return replace(answer, from_=answer.from_[:most], new=answer.new + rest)
-    others = [one.probability for one in answer.next_[most:]]
+    others = [one.probability for one in answer.candidates[most:]]
     return replace(
         answer,
-        next_=answer.next_[:most],
+        candidates=answer.candidates[:most],
         others=sum(others) if others else None,
         look=answer.look and answer.look[:most],
         in_view=answer.in_view and answer.in_view[:most],

@@ -8,13 +8,11 @@ from collections import deque
 from collections.abc import Callable
 
 from camtopod import codec
-from camtopod.predict import seen_now
 from camtopod.publishers import ELSEWHERE, is_gone
 from camtopod.records import (
     CameraFigures,
     DaemonStatus,
     Link,
-    NextCamera,
     Prediction,
     Status,
     Topology,
@@ -134,7 +132,7 @@ class SiteState:
 
     def prediction_lines(self) -> list[str]:
         """Return the predictions in words, newest first."""
-        return [prediction_line(prediction) for prediction in reversed([*self._predictions])]
+        return [f"{one.zone or one.camera} -> {one}" for one in reversed([*self._predictions])]
 
 
 def _learned(topology: Topology | None) -> dict[str, CameraFigures]:
@@ -191,32 +189,3 @@ def transit(link: Link) -> str:
     if link.transit.q50 < 0:
         return f"overlap, {-link.transit.q50:.1f} s before"
     return f"{link.transit.q50:.1f} ({link.transit.q10:.1f} to {link.transit.q90:.1f}) s"
-
-
-def prediction_line(prediction: Prediction) -> str:
-    """Return one prediction in words: departure zone, views that see the object now, and next
-    zones.
-    """
-    places = [
-        f"now in view of {view.camera} {view.probability:.2f}"
-        for view in seen_now(prediction.in_view or [])
-    ]
-    if following := prediction.next_[:3]:
-        places.append(", ".join(_onward(prediction, one) for one in following))
-    left = prediction.zone or prediction.camera
-    return f"{left} -> {'; '.join(places) or 'next camera unknown'}"
-
-
-def _onward(prediction: Prediction, following: NextCamera) -> str:
-    """Return where and when an object is expected: it may come back to the view it left, and where
-    views overlap it may have appeared already.
-    """
-    zone = following.zone
-    if following.camera == prediction.camera:
-        zone = f"back to {zone}"
-    when = f"in {following.q10:.0f} to {following.q90:.0f} s"
-    if following.q90 < 0.5:
-        when = "already in view"
-    elif following.q10 < 0:
-        when = f"within {following.q90:.0f} s"
-    return f"{zone} {following.probability:.2f} {when}"

@@ -14,7 +14,7 @@ export function transit(value) {
 
 // When somebody is expected, seconds from now; where views overlap they may have appeared already.
 export function expected({ q10, q90 }) {
-  if (q90 < 0.5) return "already in view";
+  if (q90 < 0.5) return "in view now";
   return q10 < 0 ? `within ${seconds(q90)}` : `in ${span(q10, q90)}`;
 }
 

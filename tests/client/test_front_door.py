@@ -1,0 +1,81 @@
+"""What `import camtopod` offers: each name with an example that runs, loaded when it is asked for."""
+
+from __future__ import annotations
+
+import doctest
+import subprocess
+import sys
+from functools import partial
+from pathlib import Path
+
+import pytest
+from fake_bus_daemon import LearnedDaemon
+
+import camtopod
+from camtopod.codec import to_json
+
+NAMES = sorted(camtopod.__all__)
+
+
+def examples(name: str) -> list[doctest.DocTest]:
+    """Return the examples in the docstring of a name."""
+    found = doctest.DocTestFinder(recurse=False).find(getattr(camtopod, name), name)
+    return [one for one in found if one.examples]
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Return a folder with the topology that the example of `learn_topology` learns."""
+    path = tmp_path_factory.mktemp("front")
+    [example] = examples("learn_topology")
+    run = "".join(one.source for one in example.examples)
+    names: dict[str, object] = {}
+    exec(f"{run}\ntopology = learn_topology(events)", names)
+    (path / "topology.json").write_bytes(to_json(names["topology"]))
+    return path
+
+
+@pytest.mark.parametrize("name", [name for name in NAMES if name != "Site"])
+def test_the_example_of_a_name_runs(
+    name: str, folder: Path, learned_daemon: LearnedDaemon, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(folder)
+    found = examples(name)
+    here = partial(camtopod.connect, connect=learned_daemon.daemon.endpoint)
+    monkeypatch.setattr(camtopod, "connect", here, raising=False)
+
+    assert len(found) == 1, "a name without an example"
+    assert doctest.DocTestRunner().run(found[0]).failed == 0
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_only_the_learner_needs_scipy(name: str) -> None:
+    code = f"import sys, camtopod; from camtopod import {name}; print('scipy' in sys.modules)"
+    said = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=60)
+
+    assert said.stdout.strip() == str(name in ("Learner", "learn_topology")), said.stderr
+
+
+def test_a_name_that_does_not_exist_is_named() -> None:
+    assert set(NAMES) <= set(dir(camtopod))
+    with pytest.raises(AttributeError, match="'Topologie'"):
+        camtopod.Topologie  # noqa: B018
+
+
+def test_a_users_program_is_typed(tmp_path: Path) -> None:
+    pytest.importorskip("mypy")
+    program = tmp_path / "program.py"
+    program.write_text(
+        "import camtopod\n"
+        "topology: camtopod.Topology = camtopod.load_topology('t.json')\n"
+        "with camtopod.connect() as site:\n"
+        "    reveal_type(site.predict('lobby', 1.0))\n"
+        "camtopod.Topologie\n"
+    )
+    command = [sys.executable, "-m", "mypy", "--strict", "--config-file=", str(program)]
+    said = subprocess.run(command, capture_output=True, text=True, timeout=110, cwd=tmp_path)
+
+    wrong = [line for line in said.stdout.splitlines() if "error:" in line]
+    assert 'Revealed type is "camtopod.records.Prediction"' in said.stdout
+    assert len(wrong) == 1, said.stdout
+    assert '"Topologie"' in wrong[0]

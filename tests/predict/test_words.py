@@ -1,0 +1,53 @@
+"""Predictions in words."""
+
+from __future__ import annotations
+
+import pytest
+
+from camtopod.records import InView, NextCamera, Prediction
+
+HALL = NextCamera("hall", "hall/2", 0.41, 6.2, 7.9, 10.4)
+
+
+@pytest.mark.parametrize(
+    ("q10", "q90", "words"),
+    [
+        (6.2, 10.4, "in 6 to 10 s"),
+        (-18.0, -16.0, "in view now"),
+        (-1.0, 0.4, "in view now"),
+        (-2.0, 4.4, "within 4 s"),
+        (-0.1, 0.6, "within 1 s"),
+    ],
+)
+def test_no_time_is_negative(q10: float, q90: float, words: str) -> None:
+    assert NextCamera("hall", "hall/2", 0.4, q10, q10, q90).when == words
+
+
+def test_a_camera_is_named_once_with_its_likeliest_times() -> None:
+    other = NextCamera("hall", "hall/1", 0.2, 60.0, 70.0, 80.0)
+    said = Prediction("lobby", "lobby/1", 1.0, "17", 9, 0.39, [HALL, other])
+    assert str(said) == "hall 61 %, in 6 to 10 s; leaves the site 39 %"
+
+
+def test_at_most_three_outcomes_are_said() -> None:
+    rest = [NextCamera(name, f"{name}/1", 0.1, 1.0, 2.0, 3.0) for name in ("bar", "yard")]
+    said = Prediction("lobby", "lobby/1", 1.0, "17", 9, 0.39, [HALL, *rest])
+    words = "hall 41 %, in 6 to 10 s; leaves the site 39 %; bar 10 %, in 1 to 3 s"
+    assert str(said) == words
+
+
+def test_who_is_seen_elsewhere_is_in_view_now() -> None:
+    seen = [InView("hall", "1", 1.0, 0.5), InView("yard", "2", 1.0, 0.1)]
+    both = [*seen, InView("hall", "3", 1.0, 0.25)]
+    said = Prediction("lobby", "lobby/1", 1.0, "17", 9, 0.59, [HALL], None, both)
+    assert str(said) == "hall 75 %, in view now; leaves the site 59 %"
+
+
+def test_an_object_may_come_back() -> None:
+    back = NextCamera("lobby", "lobby/2", 0.6, 1.0, 2.0, 3.0)
+    said = Prediction("lobby", "lobby/1", 1.0, "17", 9, 0.4, [back])
+    assert str(said) == "back to lobby 60 %, in 1 to 3 s; leaves the site 40 %"
+
+
+def test_without_any_evidence_nothing_is_claimed() -> None:
+    assert str(Prediction("lobby", None, 1.0, "17", 9, 1.0, [])) == "not known yet"
