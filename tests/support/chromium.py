@@ -123,6 +123,14 @@ class Browser:
         for key in keys:
             ActionChains(self._driver).send_keys(getattr(Keys, key, key)).perform()
 
+    def drag(self, selector: str, right: int, down: int) -> None:
+        """Drag the first element that matches by so many pixels."""
+        from selenium.webdriver.common.action_chains import ActionChains
+
+        element = self._driver.find_element("css selector", selector)
+        actions = ActionChains(self._driver).click_and_hold(element)
+        actions.move_by_offset(right, down).release().perform()
+
     def size(self, width: int, height: int) -> None:
         """Set the size of the viewport, pixels; widths below 500 emulate phones."""
         self._driver.execute_cdp_cmd(

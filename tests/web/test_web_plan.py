@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import tomllib
 from pathlib import Path
 
 import cv2
@@ -24,6 +25,13 @@ return Object.fromEntries([...document.querySelectorAll('.node')].map((node) => 
   const [x, y] = [(box.left + box.right) / 2, (box.top + box.bottom) / 2];
   return [node.dataset.id, [(x - plan.left) / plan.width, (y - plan.top) / plan.height]];
 }));
+"""
+
+
+COVERED = """
+const plan = document.querySelector('.plan').getBoundingClientRect();
+return [...document.querySelectorAll('.overlay')].map((one) => one.getBoundingClientRect()).filter((box) =>
+  box.left < plan.right && plan.left < box.right && box.top < plan.bottom && plan.top < box.bottom).length;
 """
 
 
@@ -52,8 +60,37 @@ def test_cameras_stand_where_they_are_on_the_plan_on_every_screen(
         assert all(shares[name][1] > 1.0 for name in NAMES[2:]), "the others are below"
         box = browser.run("return document.querySelector('.plan').getBoundingClientRect().toJSON()")
         assert box["width"] == pytest.approx(2 * box["height"], rel=0.01)
+        assert browser.run(COVERED) == 0, "nothing lies on it"
         assert box["left"] >= 0
         assert box["right"] <= size[0]
+
+        assert browser.complaints() == []
+
+
+def test_cameras_are_dragged_to_their_places_for_the_configuration(
+    browser: Browser, tmp_path: Path
+) -> None:
+    plan = tmp_path / "floor.png"
+    cv2.imwrite(str(plan), np.full((300, 600, 3), 230, np.uint8))
+    last = NAMES[-1]
+    shown = Shown(SITE, config=f'[map]\nplan = "{plan}"')
+    with shown.serving():
+        opened(browser, shown)
+        browser.wait(lambda: browser.count(".labels .name") == len(NAMES), "the map")
+
+        # As long as nobody places them, they stay where they are.
+        before = browser.run(SHARES)[last]
+        browser.drag(f".node[data-id={last}]", 0, -100)
+        assert browser.run(SHARES)[last] == pytest.approx(before, abs=0.01)
+
+        browser.run("document.querySelector('.places summary').click()")
+        browser.drag(f".node[data-id={last}]", 40, -300)
+        browser.wait(lambda: "at = " in browser.text(".places pre"), "its place")
+        said = tomllib.loads(browser.text(".places pre"))["cameras"]
+        assert list(said) == [last]
+        assert said[last]["at"] == pytest.approx(browser.run(SHARES)[last], abs=0.01)
+        assert 0.0 < said[last]["at"][1] < 1.0, "on the plan"
+        parse(f'{browser.text(".places pre")}source = "1"')
 
         assert browser.complaints() == []
 

@@ -169,7 +169,7 @@ function placesOf({ a, b, ax, ay, dx, dy, length, thick }, half, tall, map) {
 // How many pixels of an edge in the direction (ux, uy) a camera covers.
 function hiddenBy(node, ux, uy, map) {
   const [wide, high] = map.halves(node);
-  return node.shot && map.shot ? Math.min(wide / Math.abs(ux), high / Math.abs(uy)) : map.radius;
+  return Math.min(wide / Math.abs(ux), high / Math.abs(uy));
 }
 
 // Pixels between an edge and a time of half the width `half` and the height `tall` at a place.

@@ -124,13 +124,20 @@ class App {
     try {
       const { source } = this;
       const [map, pictures, plan] = await Promise.all([source.map(), source.pictures(), source.plan()]);
-      if (plan) this.network.plan ??= await openPlan(plan);
+      if (plan && !this.network.plan) this.#usePlan(await openPlan(plan));
       this.network.pictures = new Map(pictures.map((id) => [id, this.source.picture(id)]));
       this.#use(map);
     } catch (error) {
       if (!(error instanceof Away)) throw error;
       setTimeout(() => this.load(), RETRY_MILLISECONDS);
     }
+  }
+
+  #usePlan(plan) {
+    this.network.plan = plan;
+    if (!plan) return;
+    this.overlays.stack.append(plan.panel);
+    this.network.coveredBy(plan.panel);
   }
 
   // Ask for the health of the daemon and of every camera.

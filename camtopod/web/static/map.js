@@ -1,6 +1,7 @@
 // The network map: cameras as nodes, black edges overlap, grey edges are unseen paths; dashed while provisional.
 
 import { fill, h, s, say } from "./dom.js";
+import { fitted, findNear, grow } from "./fit.js";
 import { Flow } from "./flow.js";
 import { Labels, SIDES } from "./labels.js";
 import { go } from "./place.js";
@@ -9,25 +10,17 @@ import { View, fromLine } from "./view.js";
 import { plural } from "./words.js";
 
 const UNIT = 110; // pixels of the map a hop, at scale 1
-const NODE_SHARE = 0.14; // radius of a node, of a hop
-const DOT_PIXELS_MIN = 2.6;
-const NODE_PIXELS = [1.8, 11];
+const DOT_PIXELS = [2.6, 6];
 const NEAR_SCALE = 0.8;
 const PICK_PIXELS = 14;
 const WIDTH_PIXELS = [1.2, 7]; // of an edge, by traffic
-const SHOT_SHARE = 0.56; // width of a camera's picture, of a hop
-const SHOT_PIXELS = [34, 136]; // below, the camera is a circle
-const SHOT_RATIO = 9 / 16;
+const SHOT_RATIO = 16 / 9; // width by height of a picture that is not there yet
 const SHOTS_MAX = 60; // pictures in sight; more take too much memory
-const SHOT_CLEAR_PIXELS = [84, 62]; // as CLEAR_PIXELS, for cameras with pictures
-const NARROW_CLEAR_PIXELS = [58, 46]; // the same on a narrow map, where pictures are smaller
-const PLAN_CLEAR_PIXELS = [14, 24]; // the same around a floor plan, which needs all the room there is
+const STEP_PIXELS = 5; // that a key moves a camera on a plan
 const TURNED_RATIO = 1.2; // height by width of a screen from which a wide map is turned
 const LIKELY_PIXELS = 2.2; // width of an edge that is not published
-const NARROW_PIXELS = 720; // a map up to this wide has no room to spare for margins
-const INSETS = { top: 40, right: 40, bottom: 48, left: 40 };
-const CLEAR_PIXELS = [20, 34]; // beside and above a camera when all of it is shown, to what lies on the map
-const SHIFTS = [0, 0.25, 0.5, 0.75, 1]; // by how much of what lies at an edge of the map the cameras are kept from it
+const NAME_PIXELS = [34, 22]; // beside and above a camera when all of it is shown
+const PLAN_PIXELS = 8; // the same of a floor plan
 const DIRECTIONS = { ArrowLeft: [-1, 0], ArrowRight: [1, 0], ArrowUp: [0, -1], ArrowDown: [0, 1] };
 
 export class NetworkMap {
@@ -41,11 +34,12 @@ export class NetworkMap {
   #found = null; // ids that match the search, or null
   pictures = new Map(); // camera -> address of its picture
   plan = null; // the floor plan beneath the map
-  shot = 0; // width of the pictures in pixels; 0 while cameras are circles
+  shot = 0; // side of a square as large as most pictures, in pixels; 0 while cameras are circles
   #map = null; // what is shown
   #turned = false; // x and y are swapped
   #covers = []; // elements that lie on it
   #covered = []; // where, [left, top, right, bottom] in its pixels
+  #fitting = false; // all of it is to be shown with the next frame
 
   constructor(element) {
     this.svg = s("svg", {
@@ -74,6 +68,7 @@ export class NetworkMap {
       this.svg,
       () => this.redraw(),
       (x, y) => this.#tap(x, y),
+      (x, y) => this.#grab(x, y),
     );
     this.labels = new Labels(this.labelLayer);
     this.flow = new Flow(this.flowLayer, this);
@@ -83,15 +78,14 @@ export class NetworkMap {
     this.sizes = new ResizeObserver(() => {
       this.#findCovered();
       if (this.#map && !this.plan && this.#isTurned(this.#map) !== this.#turned) this.update(this.#map);
-      if (this.view.touched) this.redraw();
-      else this.fit();
+      this.#settle();
     });
     this.sizes.observe(this.svg);
   }
 
   // Elements that lie on the map: it keeps them free of names, and when all of it is shown of cameras.
   coveredBy(...elements) {
-    this.#covers = elements;
+    this.#covers.push(...elements);
     for (const element of elements) this.sizes.observe(element);
   }
 
@@ -139,11 +133,18 @@ export class NetworkMap {
       if (!Object.hasOwn(map.edges, key)) this.#drop(this.edges, key, drawn);
     }
     this.#findSides();
+    findNear([...this.nodes.values()], UNIT);
     this.nothing.hidden = this.nodes.size > 0;
     if (this.#focused === null || !this.nodes.has(this.#focused)) this.#roam(this.nodes.keys().next().value ?? null);
     this.#mark();
-    if (fresh || !this.view.touched) this.fit();
-    else this.redraw();
+    if (fresh) this.fit();
+    else this.#settle();
+  }
+
+  // All is shown as long as nobody has moved the map.
+  #settle() {
+    if (this.view.touched) this.redraw();
+    else this.fit();
   }
 
   // Whether the map is turned, so that a wide one fills a high screen.
@@ -155,50 +156,26 @@ export class NetworkMap {
     return all.length > 1 && range(all.map(({ x }) => x)) > range(all.map(({ y }) => y));
   }
 
+  // Show all of it with the next frame, as large as possible with nothing under what lies on the map.
   fit() {
-    const nodes = [...this.nodes.values()];
-    if (!nodes.length || !this.svg.clientWidth) return;
-    const corners = this.plan ? [[0, 0], [this.plan.width * UNIT, this.plan.height * UNIT]] : [];
-    const xs = [...nodes.map((node) => node.x), ...corners.map(([x]) => x)];
-    const ys = [...nodes.map((node) => node.y), ...corners.map(([, y]) => y)];
-    const [x, y] = [Math.min(...xs), Math.min(...ys)];
-    const box = { x, y, width: Math.max(...xs) - x, height: Math.max(...ys) - y };
-    this.view.fit(box, this.#insets(box, nodes));
-    this.view.touched = false;
+    this.#fitting = true;
+    this.redraw();
   }
 
-  // The margins with which the map is largest and no camera is under what lies on it.
-  #insets(box, nodes) {
-    const { clientWidth: width, clientHeight: height } = this.svg;
-    const pictured = nodes.length <= SHOTS_MAX && nodes.some((node) => this.pictures.has(node.id));
-    const [aside, off] = this.plan && width <= NARROW_PIXELS ? PLAN_CLEAR_PIXELS : !pictured ? CLEAR_PIXELS : width > NARROW_PIXELS ? SHOT_CLEAR_PIXELS : NARROW_CLEAR_PIXELS;
-    const margins = Object.fromEntries(
-      Object.entries(INSETS).map(([side, inset]) => {
-        const clear = ["left", "right"].includes(side) ? aside : off;
-        return [side, this.plan ? clear : Math.max(inset, clear)];
-      }),
-    );
-    const boxes = this.#covered.map(([left, top, right, bottom]) => [left - aside, top - off, right + aside, bottom + off]);
-    const free = ({ x, y }) => {
-      const [px, py] = this.view.toScreen(x, y);
-      return boxes.every(([left, top, right, bottom]) => px <= left || py <= top || px >= right || py >= bottom);
-    };
-    const above = Math.max(0, ...boxes.map(([, , , bottom]) => (bottom < height / 2 ? bottom : 0)));
-    const below = Math.max(0, ...boxes.map(([, top]) => (top > height / 2 ? height - top : 0)));
-    const beside = Math.max(0, ...boxes.map(([left, , right]) => (left < width / 4 && right < width / 2 ? right : 0)));
-    const least = (most, inset) => SHIFTS.map((share) => Math.max(inset, share * most));
-    const wanted = least(above, margins.top).flatMap((top) =>
-      least(below, margins.bottom).flatMap((bottom) =>
-        least(beside, margins.left).map((left) => ({ ...margins, top, bottom, left })),
-      ),
-    );
-    const scaled = wanted.map((insets) => ({ insets, scale: this.view.scaleOf(box, insets) }));
-    scaled.sort((one, other) => other.scale - one.scale);
-    const best = scaled.find(({ insets }) => {
-      this.view.place(box, insets);
-      return nodes.every(free);
+  // What all of it takes at a scale, [left, top, right, bottom] each, in pixels from the map's origin.
+  #boxes(scale) {
+    this.#grow(scale);
+    const boxes = [...this.nodes.values()].map((node) => {
+      const [wide, high] = this.halves(node).map((half, k) => half + NAME_PIXELS[k]);
+      return [node.x * scale - wide, node.y * scale - high, node.x * scale + wide, node.y * scale + high];
     });
-    return best?.insets ?? { ...margins, top: Math.max(margins.top, above), bottom: Math.max(margins.bottom, below) };
+    const [right, bottom] = this.plan ? [this.plan.width, this.plan.height].map((hops) => hops * UNIT * scale + PLAN_PIXELS) : [];
+    return this.plan ? [[-PLAN_PIXELS, -PLAN_PIXELS, right, bottom], ...boxes] : boxes;
+  }
+
+  #grow(scale) {
+    const pictured = [...this.nodes.values()].filter(({ id }) => this.pictures.has(id));
+    Object.assign(this, grow(pictured, scale, UNIT, Boolean(this.plan)));
   }
 
   // Mark the cameras or the edge that are open beside the map.
@@ -252,41 +229,56 @@ export class NetworkMap {
   redraw() {
     this.#frame ||= requestAnimationFrame(() => {
       this.#frame = 0;
+      const { clientWidth: width, clientHeight: height } = this.svg;
+      if (this.#fitting && this.nodes.size && width)
+        this.view.put(...fitted((scale) => this.#boxes(scale), width, height, this.#covered));
+      this.#fitting = false;
       const { x, y, scale } = this.view;
       this.world.setAttribute("transform", `translate(${x.toFixed(2)} ${y.toFixed(2)}) scale(${scale})`);
       const near = Math.min(1, scale / NEAR_SCALE);
-      const radius = Math.min(NODE_PIXELS[1], Math.max(NODE_PIXELS[0], NODE_SHARE * UNIT * scale));
+      this.#grow(scale);
+      const { radius } = this;
       this.world.style.setProperty("--radius", `${radius / scale}px`);
       this.world.style.setProperty("--thin", Math.max(0.4, near).toFixed(2));
-      this.world.style.setProperty("--dot", `${Math.max(DOT_PIXELS_MIN, 0.55 * radius) / scale}px`);
+      this.world.style.setProperty("--dot", `${Math.min(DOT_PIXELS[1], Math.max(DOT_PIXELS[0], 0.55 * radius)) / scale}px`);
       this.world.style.setProperty("--ring", `${(0.25 * radius).toFixed(2)}px`);
-      this.radius = radius;
       this.#showPictures();
       this.labels.draw(this, new Set(this.#chosen), new Set(this.#found), this.#covered);
     });
   }
 
   // Half the width and half the height of a camera as drawn, in pixels.
-  halves(node) {
-    return node.shot && this.shot ? [this.shot / 2, (this.shot / 2) * SHOT_RATIO] : [this.radius, this.radius];
+  halves({ id, span, ratio }) {
+    if (!this.shot || !this.pictures.has(id)) return [this.radius, this.radius];
+    return [(span / 2) * Math.sqrt(ratio), span / 2 / Math.sqrt(ratio)];
   }
 
   // Show the pictures of the cameras in sight, if they are large enough and few enough.
   #showPictures() {
-    const wide = Math.min(SHOT_PIXELS[1], SHOT_SHARE * UNIT * this.view.scale);
     const inSight = [...this.nodes.values()].filter((node) => this.pictures.has(node.id) && this.#inSight([node.id]));
-    this.shot = wide >= SHOT_PIXELS[0] && inSight.length <= SHOTS_MAX ? wide : 0;
+    if (inSight.length > SHOTS_MAX) this.shot = 0;
     this.svg.classList.toggle("with-shots", this.shot > 0);
     if (!this.shot) return;
-    this.world.style.setProperty("--shot", `${(this.shot / this.view.scale).toFixed(2)}px`);
     for (const node of inSight) {
-      if (node.shot) continue;
-      const href = this.pictures.get(node.id);
-      const image = s("image", { href, preserveAspectRatio: "xMidYMid meet" }); // all of one that is high
-      node.shot = [s("rect", { class: "behind" }), image, s("rect", { class: "shot" })];
-      node.element.classList.add("pictured");
-      node.element.append(...node.shot);
+      node.shot ??= this.#openPicture(node);
+      for (const [k, name] of ["--wide", "--high"].entries())
+        node.element.style.setProperty(name, `${((2 * this.halves(node)[k]) / this.view.scale).toFixed(2)}px`);
     }
+  }
+
+  // All of a camera's picture, as wide and as high as it is, in a frame.
+  #openPicture(node) {
+    const shot = s("rect", { class: "shot" });
+    node.element.classList.add("pictured");
+    node.element.append(shot);
+    const image = new Image();
+    image.addEventListener("load", () => {
+      node.ratio = image.naturalWidth / image.naturalHeight;
+      shot.before(s("image", { href: image.src, preserveAspectRatio: "none" }));
+      this.#settle();
+    });
+    image.src = this.pictures.get(node.id);
+    return shot;
   }
 
   #place(id, camera, at, held) {
@@ -295,7 +287,7 @@ export class NetworkMap {
       id,
       element: s("g", { class: "node", role: "button", tabindex: "-1", data: { id } }, s("circle", {}), s("title", {})),
     };
-    Object.assign(node, { x, y, camera });
+    Object.assign(node, { x, y, camera, ratio: node.ratio ?? SHOT_RATIO });
     node.element.setAttribute("transform", `translate(${x.toFixed(1)} ${y.toFixed(1)})`);
     this.#tellHealth(node);
     if (held) return;
@@ -364,8 +356,7 @@ export class NetworkMap {
     let least = near;
     for (const node of this.nodes.values()) {
       const [wide, high] = this.halves(node);
-      const inside = node.shot && Math.abs(node.x - mx) * scale < wide && Math.abs(node.y - my) * scale < high;
-      if (inside && this.shot) return { node };
+      if (Math.abs(node.x - mx) * scale < wide && Math.abs(node.y - my) * scale < high) return { node };
       const apart = Math.hypot(node.x - mx, node.y - my);
       if (apart < least) [best, least] = [{ node }, apart];
     }
@@ -392,6 +383,18 @@ export class NetworkMap {
     if (hit?.node) go("camera", hit.node.id);
     else if (hit?.drawn) go("pair", hit.drawn.a.id, hit.drawn.b.id);
     else if (this.#chosen.length) go("map");
+  }
+
+  // While cameras are placed on a plan: what moves the one at (x, y).
+  #grab(x, y) {
+    const node = this.plan?.placing ? this.#at(x, y)?.node : null;
+    return node && ((...at) => this.#move(node.id, this.view.fromScreen(...at)));
+  }
+
+  #move(id, at) {
+    this.view.touched = true; // or all of it would be shown anew
+    this.plan.move(id, at.map((value) => value / UNIT));
+    this.update(this.#map);
   }
 
   #hover(event) {
@@ -429,7 +432,9 @@ export class NetworkMap {
   #key(event) {
     const node = this.nodes.get(this.#focused);
     if (event.ctrlKey || event.metaKey || event.altKey || !node) return;
-    if (event.key in DIRECTIONS) this.focus(this.#nextTo(node, DIRECTIONS[event.key])?.id);
+    if (event.key in DIRECTIONS && event.shiftKey && this.plan?.placing)
+      this.#move(node.id, [0, 1].map((k) => [node.x, node.y][k] + (STEP_PIXELS * DIRECTIONS[event.key][k]) / this.view.scale));
+    else if (event.key in DIRECTIONS) this.focus(this.#nextTo(node, DIRECTIONS[event.key])?.id);
     else if (event.key === "Enter" || event.key === " ") go("camera", node.id);
     else if (event.key === "+" || event.key === "=") this.view.zoom(1.4);
     else if (event.key === "-") this.view.zoom(1 / 1.4);

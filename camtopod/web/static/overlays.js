@@ -63,7 +63,7 @@ export class Overlays {
     this.signs = SIGNS.map(([look, words]) => h("li", { hidden: true }, h("i", { class: look }), words));
     this.legend = h(
       "details",
-      { class: "overlay key", open: !NARROW.matches },
+      { class: "overlay key" },
       h("summary", {}, "Legend ", this.summary),
       h(
         "ul",
@@ -79,6 +79,7 @@ export class Overlays {
       button("−", "Zoom out", () => view.zoom(1 / 1.4)),
       button("⤢", "Show all", () => app.network.fit()),
     );
+    this.stack = h("div", { class: "left" }, this.waiting, this.alarms, this.predictions);
     stage.append(
       h(
         "div",
@@ -89,7 +90,7 @@ export class Overlays {
       ),
       zoom,
       this.legend,
-      h("div", { class: "left" }, this.waiting, this.alarms, this.predictions),
+      this.stack,
     );
     app.network.coveredBy(this.search, zoom, this.legend, this.waiting, this.alarms, this.predictions); // not the search's hits, which pass
   }

@@ -1,6 +1,7 @@
-// The floor plan beneath the map: where on it cameras are, and below it those that have no place.
+// The floor plan beneath the map: where on it cameras are, and below it those that have no place. They are dragged to
+// their places while `panel` is open, which offers these for the configuration: the page itself changes nothing.
 
-import { s } from "./dom.js";
+import { h, s } from "./dom.js";
 
 const WIDE = 8; // hops that the plan is wide
 const ROW = 8; // cameras in a row below it
@@ -16,6 +17,18 @@ export function openPlan({ href, at }) {
 }
 
 class Plan {
+  #moved = new Set();
+  #toml = h("pre", { tabindex: 0, "aria-label": "Places for the configuration" });
+  #copy = h("button", { type: "button", hidden: true, on: { click: () => this.#copied() } }, "Copy");
+  panel = h(
+    "details",
+    { class: "overlay places" },
+    h("summary", {}, "Place cameras"),
+    h("p", {}, "Drag them, or Shift and arrow keys; then put each “at” into its camera's table of the configuration."),
+    this.#toml,
+    this.#copy,
+  );
+
   constructor(href, at, ratio) {
     this.at = at;
     this.width = WIDE;
@@ -33,5 +46,26 @@ class Plan {
         return [id, [(k % ROW) + 0.5, this.height + 0.6 + 0.9 * Math.floor(k / ROW)]];
       }),
     );
+  }
+  // Whether cameras are moved now.
+  get placing() {
+    return this.panel.open;
+  }
+
+  // Put a camera at a place in hops.
+  move(id, [x, y]) {
+    const share = (value) => Number(Math.min(1, Math.max(0, value)).toFixed(3));
+    this.at[id] = [share(x / this.width), share(y / this.height)];
+    this.#moved.add(id);
+    const key = (name) => (/^[\w-]+$/.test(name) ? name : JSON.stringify(name));
+    this.#toml.textContent = [...this.#moved].map((one) => `[cameras.${key(one)}]\nat = [${this.at[one].join(", ")}]\n`).join("\n");
+    this.#copy.textContent = "Copy";
+    this.#copy.hidden = false;
+  }
+
+  // Into the clipboard, or, where the browser has none for this page, marked for the keys that copy.
+  #copied() {
+    getSelection().selectAllChildren(this.#toml);
+    navigator.clipboard?.writeText(this.#toml.textContent).then(() => (this.#copy.textContent = "Copied"));
   }
 }

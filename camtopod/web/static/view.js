@@ -2,7 +2,6 @@
 
 const SCALE_MIN = 0.02;
 const SCALE_MAX = 6;
-const FIT_SCALE_MAX = 2.4;
 const MOVED_PIXELS = 5;
 
 export class View {
@@ -12,11 +11,14 @@ export class View {
   touched = false; // by a person; until then the map is fitted to what there is
   #pointers = new Map();
   #moved = 0;
+  #drag = null;
 
-  // onChange() after each move; onTap(x, y) for a click or tap in pixels.
-  constructor(element, onChange, onTap) {
+  // onChange() after each move; onTap(x, y) for a click or tap in pixels; grab(x, y) returns what is to be called with
+  // each further place, or null where the map itself is moved.
+  constructor(element, onChange, onTap, grab) {
     this.element = element;
     this.onChange = onChange;
+    this.grab = grab;
     element.addEventListener("wheel", (event) => this.#wheel(event), { passive: false });
     element.addEventListener("pointerdown", (event) => this.#down(event));
     element.addEventListener("pointermove", (event) => this.#move(event));
@@ -39,6 +41,10 @@ export class View {
     return [x * this.scale + this.x, y * this.scale + this.y];
   }
 
+  fromScreen(x, y) {
+    return [(x - this.x) / this.scale, (y - this.y) / this.scale];
+  }
+
   zoom(factor, x = this.element.clientWidth / 2, y = this.element.clientHeight / 2) {
     const scale = Math.min(SCALE_MAX, Math.max(SCALE_MIN, this.scale * factor));
     this.x = x - (x - this.x) * (scale / this.scale);
@@ -48,29 +54,10 @@ export class View {
     this.onChange();
   }
 
-  // Show the whole of a box {x, y, width, height} of the map, inside `insets` {top, right, bottom, left} in pixels.
-  fit(box, insets) {
-    this.place(box, insets);
+  // Show the map at a scale, its origin at (x, y) in pixels.
+  put(x, y, scale) {
+    Object.assign(this, { x, y, scale, touched: false });
     this.onChange();
-  }
-
-  // The same without telling.
-  place(box, insets) {
-    const [width, height] = this.#inside(insets);
-    this.scale = this.scaleOf(box, insets);
-    this.x = insets.left + width / 2 - (box.x + box.width / 2) * this.scale;
-    this.y = insets.top + height / 2 - (box.y + box.height / 2) * this.scale;
-  }
-
-  // At which scale the box would be shown.
-  scaleOf(box, insets) {
-    const [width, height] = this.#inside(insets);
-    return Math.min(width / Math.max(box.width, 1), height / Math.max(box.height, 1), FIT_SCALE_MAX);
-  }
-
-  #inside({ top, right, bottom, left }) {
-    const { clientWidth, clientHeight } = this.element;
-    return [Math.max(80, clientWidth - left - right), Math.max(80, clientHeight - top - bottom)];
   }
 
   // Bring a point into the middle, near enough to read its name.
@@ -92,7 +79,10 @@ export class View {
     if (event.button !== 0) return;
     this.element.setPointerCapture(event.pointerId);
     this.#pointers.set(event.pointerId, this.local(event));
-    if (this.#pointers.size === 1) this.#moved = 0;
+    this.#drag = null;
+    if (this.#pointers.size > 1) return;
+    this.#moved = 0;
+    this.#drag = this.grab(...this.local(event));
   }
 
   #move(event) {
@@ -109,7 +99,8 @@ export class View {
         Math.hypot(now[0] - other[0], now[1] - other[1]) /
         Math.max(1, Math.hypot(before[0] - other[0], before[1] - other[1]));
       this.zoom(factor, other[0], other[1]);
-    } else {
+    } else if (this.#drag) this.#drag(...now);
+    else {
       this.x += now[0] - before[0];
       this.y += now[1] - before[1];
       this.touched = true;
