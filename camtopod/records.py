@@ -641,14 +641,29 @@ class SeenEvent(Struct, frozen=True, omit_defaults=True):
     y: float | None = None
 
 
-class Recent(Struct, frozen=True):
+class EventHours(Struct, frozen=True):
+    """Entries and exits by the hour, for a day.
+
+    since: when counting began, Unix seconds; a start of the daemon begins anew.
+    first: when the first of the hours begins.
+    cameras: by camera: entries and exits of each hour.
+    """
+
+    since: float
+    first: float
+    cameras: dict[str, list[list[int]]]
+
+
+class Recent(Struct, frozen=True, omit_defaults=True):
     """Events of the last hour, in the order in which they were received.
 
     t: moment of the answer.
+    hours: only if asked for.
     """
 
     t: float
     events: list[SeenEvent]
+    hours: EventHours | None = None
 
 
 class Status(Struct, frozen=True):

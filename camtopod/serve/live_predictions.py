@@ -10,11 +10,13 @@ import threading
 import time
 from collections import deque
 from collections.abc import Callable, Collection, Sequence
+from itertools import takewhile
 
 from camtopod import codec
 from camtopod.predict import Predictor, Walks
 from camtopod.records import Event, Match, Prediction, Recent, SeenEvent, Topology
 from camtopod.serve.bus import QueryError
+from camtopod.serve.hourly_counts import HourlyCounts
 from camtopod.serve.ingest import Received
 
 FRESH_SECONDS = 30.0
@@ -59,7 +61,9 @@ class Live:
         self._clock = clock
         self._mutex = threading.Lock()
         self._reader: Reader | None = None
-        self._recent: deque[SeenEvent] = deque(maxlen=RECENT_EVENTS_MAX)
+        self._recent: deque[tuple[float, SeenEvent]] = deque(maxlen=RECENT_EVENTS_MAX)
+        """With the moment of each event's receipt."""
+        self._hours = HourlyCounts(clock())
         self.counts = {"predictions": 0, "predictions_skipped": 0, "questions_refused": 0}
 
     def see(self, batch: Sequence[Received], seconds_max: float) -> None:
@@ -89,7 +93,7 @@ class Live:
     def _answers(self, event: Event) -> list[Prediction | Match]:
         """Observe an event; return the prediction of an exit, or the match of an entry."""
         reader = self._reader
-        self._remember(event)
+        self._remember(event, self._clock())
         if reader is None:
             return []
         prediction = reader.predictor.predict(event) if event.kind == "exit" else None
@@ -106,18 +110,21 @@ class Live:
                 continue
             self._publish(answer)
 
-    def _remember(self, event: Event) -> None:
+    def _remember(self, event: Event, received: float) -> None:
         """Remember an event for ``recent``."""
         zone = None if self._reader is None else self._reader.predictor.zone_id_of(event)
-        self._recent.append(SeenEvent(event.t, event.camera, event.kind, zone, event.x, event.y))
-        while event.t - self._recent[0].t > RECENT_SECONDS:
+        seen = SeenEvent(event.t, event.camera, event.kind, zone, event.x, event.y)
+        self._recent.append((received, seen))
+        self._hours.add(seen)
+        while event.t - self._recent[0][1].t > RECENT_SECONDS:
             self._recent.popleft()
 
     def remember(self, events: Sequence[Event]) -> None:
         """Observe events from before the start, so that the first answers consider them."""
         with self._mutex:
+            self._hours.since = min([self._hours.since, *(event.t for event in events[:1])])
             for event in events:
-                self._remember(event)
+                self._remember(event, event.t)
                 if self._reader is not None:
                     self._reader.predictor.observe(event)
                     if self._reader.walks is not None:
@@ -126,8 +133,9 @@ class Live:
     def forget_cameras(self, cameras: Collection[str]) -> None:
         """Forget cameras' events and passages; the predictor does so with the next version."""
         with self._mutex:
-            kept = [event for event in self._recent if event.camera not in cameras]
+            kept = [one for one in self._recent if one[1].camera not in cameras]
             self._recent = deque(kept, maxlen=RECENT_EVENTS_MAX)
+            self._hours.forget_cameras(cameras)
             if self._reader is not None and self._reader.walks is not None:
                 self._reader.walks.forget_cameras(cameras)
 
@@ -135,6 +143,7 @@ class Live:
         """Forget all observed events, as event time has been set back."""
         with self._mutex:
             self._recent.clear()
+            self._hours = HourlyCounts(self._clock())
             if self._reader is not None:
                 self._reader.predictor.forget()
                 if self._reader.walks is not None:
@@ -148,19 +157,23 @@ class Live:
             self._reader = reader
 
     def recent(self, key: str, parameters: dict[str, str]) -> Recent:
-        """Answer a query on ``recent``: the events of the last hour, or later than ``since``.
+        """Answer a query on ``recent``: the events of the last hour.
 
-        Raises `QueryError`.
+        With ``since`` only those received later, so that a reader who gives the time of the answer
+        before gets each event once; with ``hours`` the counts of a day as well. Raises
+        `QueryError`.
         """
-        now = self._clock()
         try:
             since = float(parameters.get("since", "-inf"))
         except ValueError:
             self.counts["questions_refused"] += 1
             raise QueryError("since is a number, Unix seconds") from None
         with self._mutex:
-            oldest = max(since, now - RECENT_SECONDS)
-            return Recent(now, [event for event in self._recent if event.t > oldest])
+            now = self._clock()
+            newest = takewhile(lambda one: one[0] > since, reversed(self._recent))
+            events = [event for _, event in newest if event.t > now - RECENT_SECONDS]
+            hours = self._hours.told(now) if "hours" in parameters else None
+            return Recent(now, events[::-1], hours)
 
     def answer(self, key: str, parameters: dict[str, str]) -> Prediction:
         """Answer a query on ``predict/{camera}``: for an exit at x, y at t, or from a zone.

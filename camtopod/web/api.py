@@ -81,6 +81,14 @@ class Api:
         """Return summaries of the versions since this server began, oldest first."""
         return content(self._feed.versions)
 
+    def recent(self, request: Request) -> Response:
+        """Return the events of the last hour, without tracks."""
+        return self._asked("recent", {}, 400)
+
+    def hours(self, request: Request) -> Response:
+        """Return entries and exits of each camera by the hour, for a day."""
+        return self._asked("recent", {"since": "inf", "hours": "1"}, 400)
+
     def status(self, request: Request) -> Response:
         """Return state, reason and counters of the daemon and of all cameras."""
         return content(self._feed.health())

@@ -14,7 +14,6 @@ from typing import Any
 
 import uvicorn
 from starlette.applications import Starlette
-from starlette.concurrency import run_in_threadpool
 from starlette.exceptions import HTTPException
 from starlette.middleware import Middleware
 from starlette.middleware.gzip import GZipMiddleware
@@ -23,7 +22,6 @@ from starlette.responses import FileResponse, Response
 from starlette.routing import Route
 from starlette.staticfiles import StaticFiles
 
-from camtopod import codec
 from camtopod.config import CameraSettings, Config
 from camtopod.serve.bus import Bus
 from camtopod.serve.runtime import STALL_SECONDS, Beat, Clock, Progress
@@ -74,7 +72,6 @@ class Routes:
             lambda known: known.camera(name),
             picture=picture_of(self._pictures, name) is not None,
             page=self._config.cameras.get(name, CameraSettings()).page or None,
-            hours=self._feed.hours_of(name),
         )
 
     def pair(self, request: Request) -> Response:
@@ -116,21 +113,15 @@ class Routes:
         return _file(picture_of(self._pictures, request.path_params["camera"]) or "")
 
     async def live(self, request: Request) -> Response:
-        """Stream server-sent events: all news and, with ``camera``, that camera's events."""
-        camera = request.query_params.get("camera")
-        if camera is not None and not codec.is_camera(camera):
-            return error(404, "not a valid camera id")
+        """Stream server-sent events: all news."""
         page_queue = self._page_queues.open()
         if page_queue is None:
             return error(503, "too many pages are open")
 
         async def stream() -> AsyncIterator[bytes]:
-            with contextlib.ExitStack() as stack:
-                if camera is not None:
-                    stack.callback(await run_in_threadpool(self._feed.watch, camera, page_queue))
-                yield b"retry: 1000\n\n" + self._feed.beat() + self._feed.hello()
-                async for message in self._page_queues.messages(page_queue, self._feed.beat):
-                    yield message
+            yield b"retry: 1000\n\n" + self._feed.beat() + self._feed.hello()
+            async for message in self._page_queues.messages(page_queue, self._feed.beat):
+                yield message
 
         return streamed(stream())
 
@@ -180,6 +171,8 @@ def application(
         Route("/data/link", site.link),
         Route("/data/versions", api.versions),
         Route("/data/walks", site.walks),
+        Route("/data/recent", api.recent),
+        Route("/data/hours", api.hours),
         Route("/data/pictures", site.pictures),
         Route("/data/placement", site.placement),
         Route("/plan", site.plan),

@@ -10,7 +10,6 @@ import contextlib
 import math
 import threading
 from collections import deque
-from collections.abc import Callable
 from typing import Any
 
 import msgspec
@@ -20,18 +19,17 @@ from camtopod.predict import seen_now
 from camtopod.publishers import ELSEWHERE, is_gone
 from camtopod.records import (
     DaemonStatus,
-    Event,
     Match,
     Prediction,
+    Recent,
     Status,
     Topology,
 )
-from camtopod.serve.bus import Bus, TopologySubscriber
+from camtopod.serve.bus import Bus, QueryError, TopologySubscriber
 from camtopod.serve.runtime import Beat, Clock, no_beat
 from camtopod.web.explanations import Explanations
-from camtopod.web.hourly_events import HourlyEvents
 from camtopod.web.map_data import NO_MAP, draw
-from camtopod.web.outbox import PageQueue, PageQueues, message
+from camtopod.web.outbox import PageQueues, message
 from camtopod.web.recent_matches import RecentMatches
 from camtopod.web.versions import summary
 
@@ -41,6 +39,8 @@ PER_SECOND_MAX = 25
 """Predictions, and matches, forwarded per second, of all cameras together; people cannot follow
 more.
 """
+SEEN_PER_SECOND_MAX = 300
+"""Entries and exits forwarded per second."""
 PREDICTIONS_HELD = 20
 """Predictions kept for pages that connect later."""
 MATCHES_SHOWN = 500
@@ -139,7 +139,10 @@ class Feed:
         self._matches = RecentMatches()
         """Those since this server began."""
         self._view = TopologySubscriber(bus)
-        self._hourly = HourlyEvents()
+        self._asked_at = 0.0
+        """When the daemon was asked for its newest events."""
+        self._answered_at = math.inf
+        """Time of its answer, by its clock; infinite while no page is open."""
         self.topology: Topology | None = None
         """The newest version."""
         self.explanations: Explanations | None = None
@@ -160,6 +163,7 @@ class Feed:
             beat()
             if not self._bus.connected:
                 self._connected_since = self._clock()
+            self.ask_recent()
             if (newest := self._view.update()) is not None:
                 self.show(newest)
             elif self.topology is not None and self._present() - self.map.cameras.keys():
@@ -226,20 +230,20 @@ class Feed:
         """Return the cameras that are learned of or that the daemon counts."""
         return {*self.map.cameras, *self._daemon.cameras}
 
-    def hours_of(self, camera: str) -> dict[str, object] | None:
-        """Return a camera's events by the hour, since this server has followed the daemon."""
-        return self._hourly.of(camera, self._clock())
-
-    def watch(self, camera: str, page_queue: PageQueue) -> Callable[[], None]:
-        """Forward the events of a camera, without tracks, to a page; return how to end it."""
-
-        def on_event(key: str, payload: bytes) -> None:
-            with contextlib.suppress(codec.Rejected):
-                event = codec.event_from_bytes(payload)
-                shown = Event(camera, event.kind, event.t, event.x, event.y)
-                page_queue.put(message("event", codec.to_json(shown)), passing=True)
-
-        return self._bus.subscribe(f"event/{camera}", on_event)
+    def ask_recent(self) -> None:
+        """Ask the daemon for its newest events, once a second, and send them to open pages."""
+        if not self._page_queues.is_any_open:
+            self._answered_at = math.inf
+        if not self._page_queues.is_any_open or abs(self._clock() - self._asked_at) < 1.0:
+            return
+        self._asked_at = self._clock()
+        with contextlib.suppress(QueryError, codec.Rejected):
+            for _, payload in self._bus.query("recent", {"since": self._answered_at}, one=True):
+                recent = codec.read(Recent, payload, pack=True)
+                self._answered_at = recent.t
+                if recent.events:
+                    newest = codec.to_json(recent.events[-SEEN_PER_SECOND_MAX:])
+                    self._page_queues.send("seen", newest, passing=True)
 
     def _version(self) -> bytes:
         """Return epoch and number of the newest version as JSON, null if there is none."""
@@ -324,8 +328,6 @@ class Feed:
             if key == "status/daemon":
                 self._daemon = codec.read(DaemonStatus, payload, pack=True)
                 self._heard = self._clock()
-                counters = {name: one.events for name, one in self._daemon.cameras.items()}
-                self._hourly.note(self._heard, counters)
                 self._matches.forget(self._daemon.names.forgotten)
             elif kind == "status":
                 self._on_status(name, codec.read(Status, payload, pack=True))

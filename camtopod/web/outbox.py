@@ -65,6 +65,11 @@ class PageQueues:
         self._queues: set[PageQueue] = set()
         self._closed = False
 
+    @property
+    def is_any_open(self) -> bool:
+        """True while there is a page."""
+        return bool(self._queues)
+
     def open(self, camera: str | None = None) -> PageQueue | None:
         """Return a queue for a new page; None if there are `PAGES_MAX` already, or when closing.
 

@@ -10,6 +10,7 @@ from camtopod.learn.learner import Learner
 from camtopod.predict import Predictor
 from camtopod.records import Event, Match, Prediction, Topology
 from camtopod.serve.bus import QueryError
+from camtopod.serve.hourly_counts import HOURS_MAX
 from camtopod.serve.ingest import Received
 from camtopod.serve.live_predictions import FRESH_SECONDS, RECENT_SECONDS, Live, Reader
 from camtopod.serve.storage import Entry
@@ -88,7 +89,45 @@ def test_recent_events_are_told_without_tracks(learned: Topology) -> None:
         event.t for event in EVENTS[:-1] if event.t > now - RECENT_SECONDS
     ]
     assert everything.events[-1].zone in {zone.id for zone in learned.zones}
-    later = live.recent("recent", {"since": str(now - 60.0)})
-    assert later.events == [one for one in everything.events if one.t > now - 60.0]
+    assert everything.hours is None
     with pytest.raises(QueryError, match="since is a number"):
         live.recent("recent", {"since": "yesterday"})
+
+
+def test_who_asks_for_what_came_since_the_answer_before_gets_each_event_once() -> None:
+    """Also those of a camera whose clock is behind, which are older than what was told before."""
+    now = 7200.0
+    live = Live(lambda answer: None, lambda: now)
+    since = live.recent("recent", {"since": "inf"}).t
+    told = []
+    for event in (Event("a", "entry", 7200.5), Event("b", "exit", 7190.0)):
+        now += 1.0
+        live.see([received(event)], 60.0)
+        answer = live.recent("recent", {"since": str(since)})
+        since = answer.t
+        told += answer.events
+
+    assert [(one.camera, one.t) for one in told] == [("a", 7200.5), ("b", 7190.0)]
+    assert live.recent("recent", {"since": str(since)}).events == []
+
+
+def test_entries_and_exits_are_counted_by_the_hour_for_a_day() -> None:
+    hour = 3600.0
+    now = 100.0 * hour + 60.0
+    live = Live(lambda answer: None, lambda: now)
+    live.remember([Event("a", "entry", now - hour), Event("a", "exit", now - hour + 1.0)])
+    live.see([received(Event("a", "exit", now)), received(Event("b", "entry", now))], 60.0)
+    told = live.recent("recent", {"since": "inf", "hours": "1"})
+
+    assert told.events == []
+    assert told.hours is not None
+    assert told.hours.since == now - hour, "that of the oldest event remembered from the journal"
+    assert told.hours.first == 99.0 * hour
+    assert told.hours.cameras == {"a": [[1, 1], [0, 1]], "b": [[0, 0], [1, 0]]}
+
+    now += (HOURS_MAX - 1) * hour
+    live.see([received(Event("a", "entry", now)), received(Event("a", "entry", 9.0))], 60.0)
+    later = live.recent("recent", {"hours": "1"}).hours
+    assert later is not None
+    assert later.first == 100.0 * hour
+    assert later.cameras["a"] == [[0, 1], *[[0, 0]] * (HOURS_MAX - 2), [1, 0]]

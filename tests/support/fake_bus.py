@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+import time
 from collections.abc import Callable
 from typing import Any
 
 from camtopod import codec
-from camtopod.records import Topology
+from camtopod.records import EventHours, Recent, SeenEvent, Topology
 from camtopod.serve.bus.session import QueryError
 
 
@@ -19,6 +20,10 @@ class OneBus:
         self.subscribed: dict[str, list[Callable[[str, bytes], None]]] = {}
         self.kept: dict[int, Topology] = {}
         self.asked: list[tuple[str, Any]] = []
+        self.seen: list[SeenEvent] = []
+        """Events that have not been told to who asks once a second."""
+        self.told: list[SeenEvent] = []
+        self.hours = EventHours(0.0, 0.0, {})
 
     def subscribe(self, key: str, on_message: Callable[[str, bytes], None]) -> Callable[[], None]:
         self.subscribed.setdefault(key, []).append(on_message)
@@ -31,12 +36,22 @@ class OneBus:
         self, key: str, parameters: dict[str, Any] | None = None, one: bool = False
     ) -> list[tuple[str, bytes]]:
         self.asked.append((key, parameters))
+        if key == "recent":
+            return [(key, self._recent(parameters or {}))]
         if key != "topology":
             return []
         wanted = (parameters or {}).get("version", max(self.kept, default=0))
         if wanted not in self.kept:
             raise QueryError("not kept")
         return [(key, codec.to_msgpack(self.kept[wanted]))]
+
+    def _recent(self, given: dict[str, Any]) -> bytes:
+        if "format" in given:
+            hours = self.hours if "hours" in given else None
+            return codec.to_json(Recent(time.time(), [*self.told, *self.seen], hours))
+        news, self.seen = self.seen, []
+        self.told += news
+        return codec.to_msgpack(Recent(time.time(), news))
 
     def publish(self, key: str, noun: object) -> None:
         pattern = key.split("/")[0] + "/*"

@@ -9,7 +9,7 @@ from msgspec.structs import replace
 from page_fixture import Shown, opened
 from synthetic_topology import synthetic_topology
 
-from camtopod.records import InView, Look, Prediction, Status
+from camtopod.records import EventHours, InView, Look, Prediction, Status
 
 SITE = synthetic_topology(4, as_of=time.time())
 A, B, C = (camera.id for camera in SITE.cameras[:3])
@@ -18,10 +18,10 @@ A, B, C = (camera.id for camera in SITE.cameras[:3])
 def test_it_links_to_the_recorder_and_counts_events_by_the_hour(browser: Browser) -> None:
     page = "http://frigate.example/#" + A
     shown = Shown(SITE, config=f'[cameras.{A}]\nsource = "0"\npage = "{page}"\n')
+    hour = time.time() // 3600 * 3600
+    shown.bus.hours = EventHours(hour, hour, {A: [[4, 3]]})
     with shown.serving():
         opened(browser, shown)
-        for events in (10, 17):
-            shown.status(**{A: {"events": events, "newest": time.time(), "alive": True}})
         browser.go(f"#/camera/{A}")
         browser.wait(lambda: "At the recorder" in browser.text(".panel"), "the link")
         assert browser.run("return document.querySelector('.panel a[target]').href") == page

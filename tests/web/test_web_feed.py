@@ -16,13 +16,13 @@ from synthetic_topology import synthetic_topology
 from camtopod.publishers import ELSEWHERE, GONE_SECONDS
 from camtopod.records import (
     Camera,
-    Event,
     InView,
     Look,
     Match,
     MatchedPassage,
     NextCamera,
     Prediction,
+    SeenEvent,
 )
 from camtopod.serve.bus.session import Bus
 from camtopod.web import feed, recent_matches
@@ -42,6 +42,11 @@ class KeptMessages(PageQueues):
     def __init__(self) -> None:
         super().__init__()
         self.sent: list[tuple[str, Any]] = []
+        self.is_open = False
+
+    @property
+    def is_any_open(self) -> bool:
+        return self.is_open
 
     def send(
         self, name: str, content: bytes, camera: str | None = None, passing: bool = False
@@ -154,17 +159,25 @@ def test_predictions_are_told_without_who_it_was_and_so_many_a_second(rig: Rig) 
     assert rig.feed.hello().count(b"event: past") == feed.PREDICTIONS_HELD
 
 
-def test_events_are_passed_on_while_a_page_watches_without_who_it_was(rig: Rig) -> None:
-    async def watched() -> bytes | None:
-        queue = PageQueue()
-        end = rig.feed.watch("a", queue)
-        rig.bus.publish("event/a", Event("a", "exit", 5.0, 0.1, 0.2, "somebody", "boot", 3))
-        end()
-        return await queue.take()
+def test_the_newest_events_are_asked_for_once_a_second_while_a_page_is_open(rig: Rig) -> None:
+    def asked() -> list[Any]:
+        return [given["since"] for key, given in rig.bus.asked if key == "recent"]
 
-    expected = b'{"camera":"a","kind":"exit","t":5.0,"x":0.1,"y":0.2}'
-    assert asyncio.run(watched()) == b"event: event\ndata: " + expected + b"\n\n"
-    assert rig.bus.subscribed["event/a"] == []
+    rig.feed.ask_recent()
+    assert asked() == [], "no page is open"
+
+    rig.pages.is_open = True
+    rig.feed.ask_recent()
+    rig.feed.ask_recent()
+    assert asked() == [math.inf], "nothing of before the page"
+    rig.now += 1.0
+    rig.bus.seen = [SeenEvent(5.0, "a", "exit", "a/1", 0.1, 0.2)] * (feed.SEEN_PER_SECOND_MAX + 1)
+    rig.feed.ask_recent()
+
+    (told,) = rig.pages.of("seen")
+    assert len(told) == feed.SEEN_PER_SECOND_MAX
+    assert told[0] == {"t": 5.0, "camera": "a", "kind": "exit", "zone": "a/1", "x": 0.1, "y": 0.2}
+    assert math.isfinite(asked()[1]), "from the answer before on"
 
 
 def test_it_says_since_when_and_why_it_is_not_live(rig: Rig) -> None:

@@ -43,6 +43,7 @@ export async function cameraPanel(app, id) {
       "Offset of this camera's clock from the others', estimated from people walking both ways",
     ),
   );
+  const hours = app.hours.of(id, app.now());
   const between = story.links.filter((one) => one.relation !== "visible" && camera(one.from) !== camera(one.to));
   const out = between.filter((one) => camera(one.from) === id).sort((a, b) => b.transitions - a.transitions);
   const into = between.filter((one) => camera(one.to) === id).sort((a, b) => b.transitions - a.transitions);
@@ -50,7 +51,6 @@ export async function cameraPanel(app, id) {
     kind: "Camera",
     title: id,
     chosen: [id],
-    watch: id,
     scene,
     body: [
       status,
@@ -65,7 +65,7 @@ export async function cameraPanel(app, id) {
         app.source.live ? scene.pulse : null,
       ),
       facts,
-      story.hours ? [h("h3", {}, "Events an hour"), hourChart(story.hours)] : null,
+      hours ? [h("h3", {}, "Events an hour"), hourChart(hours)] : null,
       h("h3", {}, "Zones"),
       zoneTable(story),
       h("h3", {}, "Where people go from here"),

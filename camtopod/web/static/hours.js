@@ -1,4 +1,4 @@
-// Events of a camera by the hour, as small bars.
+// Entries and exits of each camera by the hour: of today, and of a day as small bars.
 
 import { h, s } from "./dom.js";
 import { clock, count, plural } from "./words.js";
@@ -8,6 +8,42 @@ const HEIGHT = 64;
 const BOTTOM = 16; // for the hours
 const SHOWN = 24;
 const STEP = 6; // hours between two that are named
+const HOUR = 3600;
+
+// What the daemon has counted, and what has been seen since it was asked.
+export class Hours {
+  #told = null; // {since, first, cameras: {id: [[entries, exits] of each hour]}}
+
+  use(told) {
+    this.#told = told;
+  }
+
+  add({ camera, kind, t }) {
+    const hour = this.#told ? Math.floor((t - this.#told.first) / HOUR) : -1;
+    if (hour < 0 || hour > 2 * SHOWN) return;
+    const counts = (this.#told.cameras[camera] ??= []);
+    while (counts.length <= hour) counts.push([0, 0]);
+    counts[hour][kind === "exit" ? 1 : 0] += 1;
+  }
+
+  // Entries and exits of a camera since midnight, or null.
+  today(id) {
+    if (!this.#told) return null;
+    const midnight = new Date().setHours(0, 0, 0, 0) / 1000;
+    const skipped = Math.max(0, Math.ceil((midnight - this.#told.first) / HOUR));
+    const counts = (this.#told.cameras[id] ?? []).slice(skipped);
+    return counts.reduce(([entries, exits], [more, less]) => [entries + more, exits + less], [0, 0]);
+  }
+
+  // What the chart of a camera needs, or null.
+  of(id, now) {
+    if (!this.#told) return null;
+    const { since, first, cameras } = this.#told;
+    const hours = Math.max(1, 1 + Math.floor((now - first) / HOUR));
+    const counts = Array.from({ length: hours }, (_, k) => (cameras[id]?.[k] ?? [0, 0]).reduce((a, b) => a + b));
+    return { since, first, counts };
+  }
+}
 
 // `first`: when the first hour begins; `counts`: events in each hour, the last one not over yet.
 export function hourChart({ since, first, counts }) {

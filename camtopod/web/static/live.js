@@ -5,13 +5,12 @@ const RETRY_SECONDS = 2;
 
 export class Connection {
   #events = null;
-  #camera = null;
   #heard = performance.now();
   #opened = 0;
   #lostSince = null;
   #refused = ""; // why the server does not let this page in, in its own words
 
-  // handlers: {version, cameras, prediction, past, event, beat, lost(since or null, why)}
+  // handlers: {version, cameras, prediction, past, match, seen, beat, lost(since or null, why)}
   constructor(handlers) {
     this.handlers = handlers;
     this.offset = 0; // seconds that the server's clock is ahead of this one's
@@ -24,13 +23,6 @@ export class Connection {
     });
   }
 
-  // Ask for the entries and exits of one camera, or (null) of none.
-  watch(camera) {
-    if (camera === this.#camera) return;
-    this.#camera = camera;
-    this.#open();
-  }
-
   // The server's time, seconds since the epoch.
   now() {
     return Date.now() / 1000 + this.offset;
@@ -38,10 +30,9 @@ export class Connection {
 
   #open() {
     this.#events?.close();
-    const query = this.#camera === null ? "" : `?${new URLSearchParams({ camera: this.#camera })}`;
-    const events = (this.#events = new EventSource(`live${query}`));
+    const events = (this.#events = new EventSource("live"));
     this.#opened = performance.now();
-    for (const name of ["version", "cameras", "prediction", "past", "event", "beat"]) {
+    for (const name of ["version", "cameras", "prediction", "past", "match", "seen", "beat"]) {
       events.addEventListener(name, (message) => {
         const content = JSON.parse(message.data);
         this.#alive(name === "beat" ? content.now : null);

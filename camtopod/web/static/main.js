@@ -3,6 +3,7 @@
 import { cameraPanel } from "./camera.js";
 import { fill, h, say } from "./dom.js";
 import { Health } from "./health.js";
+import { Hours } from "./hours.js";
 import { linkPanel, pairPanel } from "./link.js";
 import { Connection } from "./live.js";
 import { Overlays } from "./overlays.js";
@@ -18,11 +19,13 @@ const PANELS = { camera: cameraPanel, pair: pairPanel, link: linkPanel };
 const KNOWN_EXITS = 100; // a link takes ten passages: one that a tenth of the objects take is known by now
 const RETRY_MILLISECONDS = 2000;
 const HEALTH_MILLISECONDS = 4000;
+const HOURS_MILLISECONDS = 300_000;
 
 class App {
   map = null; // the newest version's, as the server draws it
   health = null; // of the daemon and the cameras, as asked for last
   rows = new Map(); // camera -> its health
+  hours = new Hours();
   #shown = null; // the panel that is open
   #lost = null; // since when the server is not reached, or refuses this page
   #refused = ""; // why it does
@@ -76,6 +79,7 @@ class App {
           if (!this.#has(version)) this.load();
           else if (!this.#shown || this.#shown.failed) this.#again();
           this.askHealth();
+          this.#askHours();
         },
         cameras: () => this.load(), // one has come that no version knows yet
         lost: (since, why) => {
@@ -85,16 +89,14 @@ class App {
         },
         prediction: (prediction) => this.#predicted(prediction, true),
         past: (prediction) => this.#predicted(prediction, false),
-        event: (event) => {
-          this.#heardFrom(event);
-          this.#shown?.onEvent?.(event);
-        },
+        seen: (events) => events.forEach((event) => this.#seen(event)),
       });
       setInterval(() => {
         this.#tellLive();
         this.#shown?.onTick?.();
       }, 1000);
       setInterval(() => document.hidden || this.askHealth(), HEALTH_MILLISECONDS);
+      setInterval(() => document.hidden || this.#askHours(), HOURS_MILLISECONDS);
     }
     this.#loading = this.load();
     await this.#loading;
@@ -159,6 +161,15 @@ class App {
     this.views.health.update();
   }
 
+  // Ask what the daemon has counted.
+  async #askHours() {
+    try {
+      this.hours.use(await this.source.hours());
+    } catch (error) {
+      if (!(error instanceof Away)) throw error;
+    }
+  }
+
   #tellHealth() {
     const those = (test) => new Set([...this.rows.values()].filter(test).map((row) => row.id));
     const gone = those((row) => row.state === "gone");
@@ -166,6 +177,13 @@ class App {
     this.overlays.tellGone(gone);
     if (!this.map) this.network.tellEvents([...this.rows.values()].map((row) => row.events ?? 0));
     this.#shown?.onHealth?.(this.rows);
+  }
+
+  // An entry or exit, told within a second.
+  #seen(event) {
+    this.#heardFrom(event);
+    this.hours.add(event);
+    this.#shown?.onEvent?.(event);
   }
 
   // Something has come from a camera.
@@ -224,7 +242,6 @@ class App {
     this.panel.scrollTop = top;
     document.body.classList.add("with-panel");
     this.network.choose(...shown.chosen);
-    this.connection?.watch(shown.watch ?? null);
     shown.onHealth?.(this.rows);
     if (!again) this.panel.querySelector("h2").focus({ preventScroll: true });
   }
@@ -234,7 +251,6 @@ class App {
     this.panel.hidden = true;
     document.body.classList.remove("with-panel");
     this.network.choose();
-    this.connection?.watch(null);
   }
 
   #has(version) {

@@ -32,6 +32,13 @@ class Server {
   versions() {
     return get("data/versions");
   }
+  // Events of the last hour, {t, events}, and counts by the hour.
+  recent() {
+    return get("data/recent");
+  }
+  async hours() {
+    return (await get("data/hours")).hours;
+  }
   // Address of the floor plan and the places on it, or null.
   async plan() {
     const placement = await get("data/placement");
