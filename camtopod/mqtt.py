@@ -243,7 +243,7 @@ class MessageSubscription(_Connection):
 
 
 class RetainedMessages(_Connection):
-    """Retained messages, one for each topic.
+    """Retained messages, one for each topic, and others that are not retained.
 
     availability: a topic that is ``online`` while this program runs and the broker reaches it, and
         ``offline`` otherwise.
@@ -268,6 +268,12 @@ class RetainedMessages(_Connection):
                 if self._client.is_connected() and self._published.get(topic) != text:
                     self._client.publish(topic, text, retain=True)
                     self._published[topic] = text
+
+    def tell(self, messages: Mapping[str, str]) -> None:
+        """Publish messages that are not retained; without a connection they are lost."""
+        if self._client.is_connected():
+            for topic, text in messages.items():
+                self._client.publish(topic, text)
 
     def close(self) -> None:
         """Publish ``offline`` and disconnect."""

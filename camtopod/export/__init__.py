@@ -3,7 +3,7 @@
 `graph` reduces a topology to directed edges between cameras, which the drawing and graph formats
 share: `dot` (Graphviz), `graphml`, `json_graph` (node-link JSON of D3 and networkx), `svg`.
 `layout` places cameras, for `svg` and for the page's map. `aicity` writes the AI City challenge's
-camera link model, `homeassistant` the MQTT messages for Home Assistant.
+camera link model, `homeassistant` the MQTT messages for Home Assistant (`Arrivals` is its memory).
 """
 
 from __future__ import annotations
@@ -12,6 +12,11 @@ from collections.abc import Callable
 
 from camtopod.export import homeassistant as homeassistant
 from camtopod.export.aicity import camera_numbers as camera_numbers, to_aicity
+from camtopod.export.arrivals import (
+    Arrivals as Arrivals,
+    Awaited as Awaited,
+    Passing as Passing,
+)
 from camtopod.export.dot import to_dot
 from camtopod.export.graph import Edge as Edge, edges as edges, seconds as seconds
 from camtopod.export.graphml import to_graphml

@@ -1,19 +1,21 @@
 """Home Assistant by MQTT discovery: a device for the daemon and one for each camera.
 
-Pure: state of the site in, retained messages (topic -> text) out. `camtopod bridge` publishes them.
+Pure: state of the site in, messages (topic -> text) out. `camtopod bridge` publishes them, all
+retained except those of `walk_messages`.
 """
 
 from __future__ import annotations
 
 import datetime
 from collections import defaultdict
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from typing import Any
 
 import msgspec
 from msgspec import Struct
 
 from camtopod import __version__, codec
+from camtopod.export.arrivals import PROBABLE, Awaited, Passing, look_at
 from camtopod.records import CameraFigures, DaemonStatus, Prediction, Status, Topology
 from camtopod.topology import links_between_views
 
@@ -55,7 +57,18 @@ CAMERA_ENTITIES = (
     Entity("zones", "Zones", more=_DIAGNOSTIC),
     Entity("next", "Next camera", topic="prediction"),
     Entity("look", "Look at", topic="prediction"),
+    Entity("expected", "Expected", topic="expected", component="binary_sensor"),
+    Entity("look_here", "Look here", topic="look_here", component="binary_sensor"),
+    Entity(
+        "arrival",
+        "Arrival",
+        topic="arrival",
+        component="event",
+        more={"event_types": ["new", "continued", "uncertain"], "icon": "mdi:walk"},
+    ),
 )
+PASSAGES_MAX = 50
+"""Number of the newest passages of a walk in its message."""
 
 
 class Topics(Struct, frozen=True):
@@ -74,6 +87,11 @@ class Topics(Struct, frozen=True):
     def daemon(self) -> str:
         """Availability of the daemon."""
         return self.topic_of("", "availability")
+
+    @property
+    def walk(self) -> str:
+        """Each entry with its walk."""
+        return f"{self.prefix}/{self.site}/walk"
 
     def topic_of(self, camera: str, topic: str) -> str:
         """Return a topic of a camera, or of the site for ""."""
@@ -161,17 +179,13 @@ def prediction_state(topics: Topics, prediction: Prediction) -> Messages:
     window: dict[str, str | None] = {"from": None, "until": None}
     for place in prediction.candidates:
         if place.camera == camera:
-            window["from"] = _iso(prediction.t + place.q10)
-            window["until"] = _iso(prediction.t + place.q90)
+            window["from"] = _iso(prediction.t + max(0.0, place.q10))
+            window["until"] = _iso(prediction.t + max(0.0, place.q90))
             break
 
-    # The camera to look at; without overlapping views it follows from the next appearances.
-    next_.pop(prediction.camera, None)
-    looks = {one.camera: one.probability for one in prediction.look or []} or next_
-    look, sees = max(looks.items(), key=lambda item: item[1], default=("none", 0.0))
-
+    look, sees = look_at(prediction)
     state = {
-        "next": camera,
+        "next": "returns" if camera == prediction.camera else camera,
         "probability": round(shares[camera], 3),
         "zone": prediction.zone,
         "left": _iso(prediction.t),
@@ -180,6 +194,56 @@ def prediction_state(topics: Topics, prediction: Prediction) -> Messages:
         "sees": round(sees, 3),
     }
     return {topics.topic_of(prediction.camera, "prediction"): _json(state)}
+
+
+def arrival_states(
+    topics: Topics, camera: str, expected: Mapping[str, Awaited], looks: Mapping[str, Awaited]
+) -> Messages:
+    """Return the messages that say whether somebody is about to come, and whether to look.
+
+    expected, looks: by camera.
+    """
+    messages = {}
+    for field, awaited in (("expected", expected.get(camera)), ("look_here", looks.get(camera))):
+        state: dict[str, Any] = {field: "OFF", "probability": 0.0}
+        state |= dict.fromkeys(("camera", "from", "until"))
+        if awaited is not None:
+            state |= {
+                field: _switch(awaited.probability > PROBABLE),
+                "probability": round(awaited.probability, 3),
+                "camera": awaited.camera,
+                "from": _iso(awaited.from_),
+                "until": _iso(awaited.until),
+            }
+        messages[topics.topic_of(camera, field)] = _json(state)
+    return messages
+
+
+def walk_messages(topics: Topics, passing: Passing) -> Messages:
+    """Return the messages of an entry: its match with its walk, and the first time an event."""
+    match = passing.match
+    passages = [
+        {"camera": one.camera, "t": one.t, "track": one.track}
+        for one in passing.passages[-PASSAGES_MAX:]
+    ]
+    walk = msgspec.to_builtins(match) | {"passages": passages}
+    if passing.was is not None:
+        walk["was"] = passing.was
+    if passing.again:
+        return {topics.walk: _json(walk | {"again": True})}
+
+    outcomes: list[tuple[float, str, str | None]] = [(match.new, "new", None)]
+    outcomes += [(one.probability, "continued", one.camera) for one in match.from_]
+    probability, kind, camera = max(outcomes, key=lambda outcome: outcome[0])
+    event = {
+        "event_type": kind if probability > PROBABLE else "uncertain",
+        "probability": round(probability, 3),
+        "camera": camera,
+        "walk": match.walk,
+        "track": match.track,
+        "entered": _iso(match.t),
+    }
+    return {topics.walk: _json(walk), topics.topic_of(match.camera, "arrival"): _json(event)}
 
 
 def _announced(topics: Topics, camera: str, entity: Entity) -> tuple[str, str]:
@@ -194,23 +258,24 @@ def _announced(topics: Topics, camera: str, entity: Entity) -> tuple[str, str]:
         "device": _device(topics.site, camera),
         "origin": {"name": "camtopod", "sw_version": __version__},
         "state_topic": state,
-        "value_template": f"{{{{ value_json.{entity.field} }}}}",
-        "json_attributes_topic": state,
         "availability": [{"topic": topic} for topic in available],
         "availability_mode": "all",
         **entity.more,
     }
+    if entity.component != "event":  # whose JSON Home Assistant reads itself
+        config["value_template"] = f"{{{{ value_json.{entity.field} }}}}"
+        config["json_attributes_topic"] = state
     place = f"{PREFIX}_{_escaped(topics.site)}/{_escaped(camera or 'daemon')}-{entity.field}"
     return f"{topics.discovery}/{entity.component}/{place}/config", _json(config)
 
 
 def _device(site: str, camera: str) -> dict[str, Any]:
+    """Return a device; the ids of its entities begin with its name, so with the site."""
     whole = f"camtopod/{site}"
-    device: dict[str, Any] = {"manufacturer": "camtopod"}
+    device: dict[str, Any] = {"manufacturer": "camtopod", "name": f"{site} {camera or PREFIX}"}
     if camera:
-        return device | {"identifiers": [f"{whole}/{camera}"], "name": camera, "via_device": whole}
-    name = f"camtopod {site}"
-    return device | {"identifiers": [whole], "name": name, "sw_version": __version__}
+        return device | {"identifiers": [f"{whole}/{camera}"], "via_device": whole}
+    return device | {"identifiers": [whole], "sw_version": __version__}
 
 
 def _escaped(name: str) -> str:

@@ -21,6 +21,7 @@ from camtopod.cli import exits
 from camtopod.cli.commands.bridge import HomeAssistantState
 from camtopod.cli.main import main
 from camtopod.export import homeassistant
+from camtopod.export.arrivals import Arrivals, Awaited, Passing
 from camtopod.export.homeassistant import Topics
 from camtopod.records import (
     TOPOLOGY_SCHEMA,
@@ -29,6 +30,8 @@ from camtopod.records import (
     CameraFigures,
     DaemonStatus,
     Look,
+    Match,
+    MatchedPassage,
     NextCamera,
     Prediction,
     SelfScore,
@@ -61,6 +64,12 @@ def to_hall(leave: float, *shares: tuple[str, float]) -> Prediction:
     return Prediction("lobby", "lobby/1", T0, "17", 9, leave, nexts)
 
 
+def arrival(camera: str, *passages: MatchedPassage) -> Passing:
+    new = 1.0 - sum(one.probability for one in passages)
+    match = Match(camera, T0, 9, list(passages), new, f"{camera}@1", "17")
+    return Arrivals().entered(match)
+
+
 # --- what is published ----------------------------------------------------------------------------
 
 
@@ -74,6 +83,8 @@ def test_every_entity_finds_its_figure() -> None:
         states |= homeassistant.prediction_state(
             TOPICS, msgspec.structs.replace(to_hall(1.0), camera=camera)
         )
+        states |= homeassistant.arrival_states(TOPICS, camera, {}, {})
+        states |= homeassistant.walk_messages(TOPICS, arrival(camera))
     published = decoded(states)
     assert len(announced) == len({config["unique_id"] for config in announced.values()})
     assert len(announced) == len(homeassistant.SITE_ENTITIES) + 4 * len(
@@ -81,10 +92,14 @@ def test_every_entity_finds_its_figure() -> None:
     )
     for topic, config in announced.items():
         assert re.fullmatch(
-            r"homeassistant/(sensor|binary_sensor)/[A-Za-z0-9_-]+/[A-Za-z0-9_-]+/config", topic
+            r"homeassistant/(sensor|binary_sensor|event)/[A-Za-z0-9_-]+/[A-Za-z0-9_-]+/config",
+            topic,
         )
-        [field] = re.findall(r"^\{\{ value_json\.(\w+) \}\}$", config["value_template"])
         state = published[config["state_topic"]]
+        if "/event/" in topic:
+            assert state["event_type"] in config["event_types"]
+            continue
+        [field] = re.findall(r"^\{\{ value_json\.(\w+) \}\}$", config["value_template"])
         if "binary_sensor" in topic:
             assert state[field] in ("ON", "OFF")
         else:
@@ -97,6 +112,9 @@ def test_every_entity_finds_its_figure() -> None:
     }
     assert {device.get("via_device") for device in devices.values()} == {None, "camtopod/hq"}
     assert len(devices) == 5
+    assert {device["name"] for device in devices.values()} == {
+        *("hq camtopod", "hq lobby", "hq north.gate", "hq a_b", "hq a.b")
+    }
 
 
 def test_the_states() -> None:
@@ -148,6 +166,78 @@ def test_the_next_camera_is_that_of_all_its_zones_together() -> None:
     assert (leaves["next"], leaves["until"]) == ("leaves", None)
 
 
+def test_a_camera_is_not_its_own_next_one_and_nobody_comes_before_leaving() -> None:
+    """Where views overlap, objects are seen before they leave."""
+    back = shown(to_hall(0.1, ("lobby", 0.9)))
+    over = msgspec.structs.replace(
+        to_hall(0.1), candidates=[NextCamera("hall", "hall/1", 0.9, -18.0, -17.0, -16.0)]
+    )
+
+    assert back["next"] == "returns"
+    assert shown(over)["from"] == shown(over)["until"] == shown(over)["left"]
+
+
+def test_whether_somebody_is_about_to_come() -> None:
+    hall = {"hall": Awaited(0.75, "lobby", T0 + 5, T0 + 9)}
+    yard = {"yard": Awaited(0.5, "lobby", T0 + 5, T0 + 9)}
+
+    told = decoded(homeassistant.arrival_states(TOPICS, "hall", hall, yard))
+    maybe = decoded(homeassistant.arrival_states(TOPICS, "yard", yard, {}))
+
+    assert told == {
+        "camtopod/hq/camera/hall/expected": {
+            "expected": "ON",
+            "probability": 0.75,
+            "camera": "lobby",
+            "from": "2023-11-14T22:13:25+00:00",
+            "until": "2023-11-14T22:13:29+00:00",
+        },
+        "camtopod/hq/camera/hall/look_here": {
+            **{"look_here": "OFF", "probability": 0.0},
+            **{"camera": None, "from": None, "until": None},
+        },
+    }
+    assert maybe["camtopod/hq/camera/yard/expected"]["expected"] == "OFF"
+
+
+def test_each_entry_is_told_with_its_walk_and_a_second_match_is_no_second_arrival() -> None:
+    passing = arrival("hall", MatchedPassage("lobby", T0 - 9, 0.93, "31"))
+    told = decoded(homeassistant.walk_messages(TOPICS, passing))
+    again = homeassistant.walk_messages(
+        TOPICS, msgspec.structs.replace(passing, again=True, was="b@2")
+    )
+
+    walk, event = told["camtopod/hq/walk"], told["camtopod/hq/camera/hall/arrival"]
+    assert walk == {
+        **msgspec.to_builtins(passing.match),
+        "passages": [{"camera": "hall", "t": T0, "track": "17"}],
+    }
+    assert walk["from"][0] == {"camera": "lobby", "t": T0 - 9, "probability": 0.93, "track": "31"}
+    assert event == {
+        "event_type": "continued",
+        "walk": "hall@1",
+        "probability": 0.93,
+        "camera": "lobby",
+        "track": "17",
+        "entered": "2023-11-14T22:13:20+00:00",
+    }
+    assert decoded(again) == {"camtopod/hq/walk": walk | {"was": "b@2", "again": True}}
+
+
+def test_an_arrival_is_new_or_continued_only_where_that_is_probable() -> None:
+    half = [MatchedPassage("lobby", T0 - 9, 0.45), MatchedPassage("yard", T0 - 9, 0.47)]
+    for passages, kind, probability, camera in (
+        ([], "new", 1.0, None),
+        (half[:1], "new", 0.55, None),
+        (half, "uncertain", 0.47, "yard"),
+        ([MatchedPassage("yard", T0 - 9, 0.51)], "continued", 0.51, "yard"),
+    ):
+        told = decoded(homeassistant.walk_messages(TOPICS, arrival("hall", *passages)))
+        event = told["camtopod/hq/camera/hall/arrival"]
+        assert event["event_type"] == kind
+        assert (event["probability"], event["camera"]) == (probability, camera)
+
+
 def test_the_camera_to_look_at_is_the_likeliest_other_one() -> None:
     next_ = to_hall(0.1, ("lobby", 0.4), ("hall", 0.2), ("yard", 0.25), ("hall", 0.05))
     seen = msgspec.structs.replace(next_, look=[Look("yard", 0.9), Look("hall", 0.1)])
@@ -167,7 +257,7 @@ def test_a_camera_is_neither_on_nor_off_until_it_is_known() -> None:
     site = HomeAssistantState(cast(Bus, bus), TOPICS, 10)
 
     def online(camera: str) -> str | None:
-        told = decoded(site.messages())
+        told = decoded(site.messages(T0))
         assert f"camtopod_hq/{camera}-online" in "".join(told), "it is announced all the same"
         return told.get(TOPICS.topic_of(camera, "state"), {}).get("online")
 
@@ -179,6 +269,33 @@ def test_a_camera_is_neither_on_nor_off_until_it_is_known() -> None:
     assert online("lobby") == "OFF"
     bus.publish("status/yard", Status("stalled"))
     assert online("yard") == "OFF"
+
+
+def test_who_comes_is_known_from_predictions_and_matches() -> None:
+    bus = OneBus()
+    site = HomeAssistantState(cast(Bus, bus), TOPICS, 10)
+    bus.publish("status/daemon", DaemonStatus("running", cameras={"hall": CameraFigures()}))
+    assert TOPICS.topic_of("hall", "expected") not in site.messages(T0), "nothing is learned yet"
+
+    bus = OneBus()
+    bus.kept = {9: msgspec.structs.replace(TOPOLOGY, cameras=[Camera("hall", [])])}
+    site = HomeAssistantState(cast(Bus, bus), TOPICS, 10)
+
+    def of(topic: str, now: float) -> Any:
+        return decoded(site.messages(now))[TOPICS.topic_of("hall", topic)][topic]
+
+    bus.publish("prediction/lobby", to_hall(0.2, ("hall", 0.8)))
+    assert site.events(T0) == []
+    assert (of("expected", T0), of("look_here", T0)) == ("ON", "ON")
+
+    match = Match("hall", T0 + 6, 9, [MatchedPassage("lobby", T0, 0.9)], 0.1, "lobby@1")
+    bus.publish("match/hall", match)
+    bus.publish("match/a b", msgspec.structs.replace(match, camera="a b"))
+    [told] = site.events(T0 + 6)
+    assert told.keys() == {TOPICS.walk, TOPICS.topic_of("hall", "arrival")}
+    assert (of("expected", T0 + 6), of("look_here", T0 + 6)) == ("OFF", "ON")
+    assert of("look_here", T0 + 17) == "OFF"
+    assert site.events(T0 + 17) == []
 
 
 # --- with a broker --------------------------------------------------------------------------------
@@ -281,9 +398,13 @@ def test_a_site_in_home_assistant(broker: Broker, bridged: tuple[Daemon, Bridge]
             lambda: first.of("camera/b/prediction", "next") == "leaves", "one of no time at all"
         )
         wait_for(lambda: first.of("camera/c/state", "reason") == "no frame", "a camera's reason")
+        daemon.bus.publish("match/b", arrival("b").match, "match")
+        wait_for(lambda: first.of("camera/b/arrival", "event_type") == "new", "an arrival")
+        assert first.of("walk", "walk") == "b@1"
     assert bridge.process.poll() is None, bridge.said
     with listening(broker) as late:  # everything is retained
-        wait_for(lambda: len(late.heard) >= len(first.heard), "the retained messages")
+        passing = {"camtopod/site/walk", "camtopod/site/camera/b/arrival"}
+        wait_for(lambda: first.heard.keys() - late.heard.keys() == passing, "the others, retained")
         assert late.of("daemon/state", "score") == round(100 * top1, 1)
         assert late.of("camera/a/state", "events") == daemon.status().cameras["a"].events
         assert late.of("camera/a/state", "zones") >= 2

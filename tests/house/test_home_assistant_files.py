@@ -20,7 +20,8 @@ from serving import free_endpoint, wait_for
 from camtopod import __version__
 from camtopod.cli import exits
 from camtopod.export import homeassistant
-from camtopod.records import Prediction
+from camtopod.export.arrivals import Passing
+from camtopod.records import Match
 
 ADD_ON = DEPLOY / "home-assistant"
 MANIFEST = yaml.safe_load((ADD_ON / "config.yaml").read_text())
@@ -101,21 +102,35 @@ def test_every_example_is_yaml(text: str) -> None:
     assert yaml.safe_load(text)
 
 
-def test_the_live_view_follows_what_the_bridge_publishes() -> None:
-    page = (DEPLOY / "monitoring.md").read_text().partition("### Follow me")[2]
-    example, card = map(yaml.safe_load, re.findall(r"```yaml\n(.*?)```", page, re.DOTALL))
-    cameras = example["input_select"]["live_view"]["options"]
-    [automation] = example["automation"]
-    [trigger] = automation["triggers"]
+def test_the_pages_name_entities_that_discovery_announces() -> None:
+    announced = homeassistant.discovery(homeassistant.Topics("site"), ["hall"])
+    entities = set()
+    for topic, config in announced.items():
+        _, component, *_ = topic.split("/")
+        says = json.loads(config)
+        name = f"{says['device']['name']} {says['name']}".lower().replace(" ", "_")
+        entities.add(f"{component}.{name}")
+    page = (DEPLOY / "monitoring.md").read_text()
 
-    # Entities and attributes are those that discovery announces.
-    [look] = [one for one in homeassistant.CAMERA_ENTITIES if one.field == "look"]
-    entity = look.name.lower().replace(" ", "_")
-    assert trigger["entity_id"] == [f"sensor.{camera}_{entity}" for camera in cameras]
-    prediction = homeassistant.prediction_state(
-        homeassistant.Topics("site"), Prediction("lobby", None, 1e9, None, 1, 1.0, [])
-    )
-    [state] = map(json.loads, prediction.values())
-    assert trigger["attribute"] in state
-    assert set(re.findall(r"attributes\.(\w+)", str(automation["conditions"]))) <= state.keys()
-    assert card["conditions"][0]["state"] in cameras
+    named = set(re.findall(r"\b(?:binary_sensor|sensor|event)\.\w+", page))
+    assert len(named) >= 5
+    assert named <= entities
+
+
+def test_the_blueprint_reads_what_the_bridge_publishes() -> None:
+    class Loader(yaml.SafeLoader):
+        """Reads `!input NAME` as {"input": NAME}."""
+
+    Loader.add_constructor("!input", lambda loader, node: {"input": loader.construct_scalar(node)})
+    text = (ADD_ON / "one-notification-a-walk.yaml").read_text()
+    blueprint = yaml.load(text, Loader)
+    inputs = blueprint["blueprint"]["input"]
+    match = Match("hall", 1e9, 1, [], 1.0, "hall@1000000000", "17")
+    topics = homeassistant.Topics("site")
+    passing = Passing(match, [match], again=True, was="hall@2")
+    [message] = map(json.loads, homeassistant.walk_messages(topics, passing).values())
+
+    assert set(re.findall(r"!input (\w+)", text)) == inputs.keys()
+    assert inputs["topic"]["default"] == topics.walk
+    assert set(re.findall(r"\bmatch\.(\w+)", text)) <= message.keys()
+    assert set(re.findall(r"\bone\.(\w+)", text)) <= message["passages"][0].keys()

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import contextlib
+from collections import deque
 from typing import Any
 
 from camtopod import codec, mqtt
@@ -11,13 +12,15 @@ from camtopod.cli import exits
 from camtopod.cli.common import configuration, reporting_to_systemd, start_logging, until_signal
 from camtopod.cli.events import broker_options
 from camtopod.cli.site_choice import dial_as_reader
-from camtopod.export import homeassistant
-from camtopod.records import CameraFigures, DaemonStatus, Prediction, Status
+from camtopod.export import Arrivals, homeassistant
+from camtopod.records import CameraFigures, DaemonStatus, Match, Prediction, Status
 from camtopod.serve.bus import Bus, QueryError, TopologySubscriber
-from camtopod.serve.runtime import STALL_SECONDS, Progress
+from camtopod.serve.runtime import STALL_SECONDS, Progress, wall
 
 LOOK_SECONDS = 1.0
 """Interval at which changes are published."""
+ANSWERS_MAX = 1000
+"""Largest number of predictions and matches that wait to be published; older ones are dropped."""
 
 
 def add_parser(add: Any) -> None:
@@ -53,16 +56,33 @@ class HomeAssistantState:
         self._site = DaemonStatus()
         self._grabbers: dict[str, Status] = {}
         self._predictions: dict[str, Prediction] = {}
+        self._answers: deque[Prediction | Match] = deque(maxlen=ANSWERS_MAX)
+        """What `events` has not seen; the bus's threads append it."""
+        self._arrivals = Arrivals()
         self._subscriber = TopologySubscriber(bus)
         bus.watch_alive("daemon", self._on_daemon)
         bus.subscribe("status/*", self._on_status)
         bus.subscribe("prediction/*", self._on_prediction)
+        bus.subscribe("match/*", self._on_match)
         with contextlib.suppress(QueryError):
             for key, payload in bus.query("status/*"):
                 self._on_status(key, payload)
 
-    def messages(self) -> homeassistant.Messages:
-        """Return the payload of every MQTT topic."""
+    def events(self, now: float) -> list[homeassistant.Messages]:
+        """Return the messages of the entries since the last call, oldest first."""
+        found = []
+        while self._answers:
+            answer = self._answers.popleft()
+            if isinstance(answer, Prediction):
+                self._arrivals.left(answer)
+            else:
+                passing = self._arrivals.entered(answer)
+                found.append(homeassistant.walk_messages(self._topics, passing))
+        self._arrivals.forget(now)
+        return found
+
+    def messages(self, now: float) -> homeassistant.Messages:
+        """Return the payload of every topic whose messages are retained."""
         self._subscriber.update()
         topics = self._topics
         topology = self._subscriber.topology
@@ -82,6 +102,7 @@ class HomeAssistantState:
         messages = homeassistant.discovery(topics, cameras)
         messages |= homeassistant.site_state(topics, alive, site, topology)
         # After a start of the daemon, cameras become known by their statuses.
+        expected, looks = self._arrivals.expected(now), self._arrivals.looks(now)
         known = dict.fromkeys(grabbers, CameraFigures(alive=True)) | site.cameras
         for camera in cameras:
             if (counted := known.get(camera)) is not None:
@@ -90,6 +111,8 @@ class HomeAssistantState:
                 )
             if (prediction := self._predictions.get(camera)) is not None:
                 messages |= homeassistant.prediction_state(topics, prediction)
+            if topology is not None:
+                messages |= homeassistant.arrival_states(topics, camera, expected, looks)
         return messages
 
     def _on_daemon(self, name: str, alive: bool) -> None:
@@ -110,6 +133,13 @@ class HomeAssistantState:
         with contextlib.suppress(codec.Rejected):
             prediction = codec.read(Prediction, payload, pack=True)
             self._keep(self._predictions, prediction.camera, prediction)
+            self._answers.append(prediction)
+
+    def _on_match(self, key: str, payload: bytes) -> None:
+        with contextlib.suppress(codec.Rejected):
+            match = codec.read(Match, payload, pack=True)
+            if codec.is_camera(match.camera):
+                self._answers.append(match)
 
     def _keep(self, where: dict[str, Any], camera: str, record: Any) -> None:
         """Store the newest ``record`` of a camera, unless there are too many cameras."""
@@ -138,5 +168,8 @@ def run(args: argparse.Namespace) -> None:
         stack.enter_context(reporting_to_systemd(progress, f"publishing below {target.prefix}"))
         while not stop.is_set():
             mark.beat()
-            retained.show(site.messages())
+            now = wall()
+            for messages in site.events(now):
+                retained.tell(messages)
+            retained.show(site.messages(now))
             stop.wait(LOOK_SECONDS)

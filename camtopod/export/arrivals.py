@@ -1,0 +1,161 @@
+"""Arrivals, for Home Assistant: who is about to come where, and which entries are one walk.
+
+An exit counts at each camera of its prediction until nine of ten such objects have arrived, less
+what its object has been seen again since, by the matches of later entries.
+"""
+
+from __future__ import annotations
+
+from collections import defaultdict
+
+from msgspec import Struct, field
+from msgspec.structs import replace
+
+from camtopod.records import Match, Prediction
+
+MEMORY_SECONDS = 3600.0
+"""Age at which exits and entries are forgotten."""
+EXITS_MAX = 1000
+"""Largest number of exits that are remembered."""
+ENTRIES_MAX = 10_000
+"""Largest number of entries that are remembered."""
+LOOK_SECONDS = 10.0
+"""Time for which to look at a camera from when the object is there, seconds."""
+PROBABLE = 0.5
+"""A probability above this is called probable."""
+
+
+class Awaited(Struct, frozen=True):
+    """An arrival at a camera.
+
+    camera: where the object left.
+    from_, until (Unix seconds): when it is likely to arrive, or to be worth a look.
+    """
+
+    probability: float
+    camera: str
+    from_: float
+    until: float
+
+
+class Passing(Struct, frozen=True):
+    """The match of an entry, and its walk.
+
+    passages: the entries of its walk in the last hour, oldest first, this one included.
+    again: True if this is its second match.
+    was: the walk that it began by its first match, and that has no entry now; else None.
+    """
+
+    match: Match
+    passages: list[Match]
+    again: bool = False
+    was: str | None = None
+
+
+class _Exit(Struct):
+    prediction: Prediction
+    seen: dict[tuple[str, float], float] = field(default_factory=dict)
+    """Probability that its object is that of an entry, by camera and time."""
+
+
+class Arrivals:
+    """Exits and entries of the last hour, by camera and time; in memory only."""
+
+    def __init__(self) -> None:
+        self._exits: dict[tuple[str, float], _Exit] = {}
+        self._entries: dict[tuple[str, float, str | None], Match] = {}
+
+    def left(self, prediction: Prediction) -> None:
+        """Observe an exit."""
+        self._exits[prediction.camera, prediction.t] = _Exit(prediction)
+
+    def entered(self, match: Match) -> Passing:
+        """Observe the first or the second match of an entry."""
+        entry = (match.camera, match.t, match.track)
+        before = self._entries.pop(entry, None)
+        self._entries[entry] = match
+
+        # The exits that it may continue.
+        for one in self._exits.values():
+            one.seen.pop(entry[:2], None)
+        for passage in match.from_:
+            if (left := self._exits.get((passage.camera, passage.t))) is not None:
+                left.seen[entry[:2]] = passage.probability
+
+        # Its walk.
+        entries = sorted(self._entries.values(), key=lambda one: one.t)
+        passages = [one for one in entries if one.walk == match.walk]
+        if before is None:
+            return Passing(match, passages)
+        emptied = all(one.walk != before.walk for one in entries)
+        return Passing(match, passages, True, before.walk if emptied else None)
+
+    def forget(self, now: float) -> None:
+        """Forget what is old, and the oldest of too many."""
+        self._exits = {
+            key: one
+            for key, one in list(self._exits.items())[-EXITS_MAX:]
+            if abs(now - key[1]) < MEMORY_SECONDS
+        }
+        self._entries = {
+            key: one
+            for key, one in list(self._entries.items())[-ENTRIES_MAX:]
+            if abs(now - key[1]) < MEMORY_SECONDS
+        }
+
+    def expected(self, now: float) -> dict[str, Awaited]:
+        """Return, by camera, how probable it is that somebody is still to come there.
+
+        Times and ``camera`` are those of the likeliest arrival.
+        """
+        likeliest: dict[str, Awaited] = {}
+        nobody: dict[str, float] = defaultdict(lambda: 1.0)
+        for one in self._exits.values():
+            prediction = one.prediction
+            missing = max(0.0, 1.0 - sum(one.seen.values()))
+            shares: dict[str, float] = defaultdict(float)
+            for row in prediction.candidates:
+                from_, until = prediction.t + row.q10, prediction.t + row.q90
+                if not now <= until:
+                    continue
+                arrival = Awaited(row.probability * missing, prediction.camera, from_, until)
+                shares[row.camera] += arrival.probability
+                best = likeliest.get(row.camera, arrival)
+                likeliest[row.camera] = max(best, arrival, key=lambda one: one.probability)
+            for camera, share in shares.items():
+                nobody[camera] *= max(0.0, 1.0 - share)
+        return {
+            camera: replace(best, probability=1.0 - nobody[camera])
+            for camera, best in likeliest.items()
+        }
+
+    def looks(self, now: float) -> dict[str, Awaited]:
+        """Return, by camera, the newest exit whose object is probably seen there now or next.
+
+        Once it has been seen again, that is where.
+        """
+        found: dict[str, Awaited] = {}
+        for (camera, t), one in self._exits.items():
+            look, sees = look_at(one.prediction)
+            rows = [row for row in one.prediction.candidates if row.camera == look]
+            from_ = t
+            until = t + max([LOOK_SECONDS, *(row.q90 for row in rows[:1])])
+            for (other, entered), probability in one.seen.items():
+                if probability > PROBABLE and other != camera:
+                    look, sees, from_, until = other, probability, entered, entered + LOOK_SECONDS
+            if sees > PROBABLE and now <= until:
+                found[look] = Awaited(sees, camera, from_, until)
+        return found
+
+
+def look_at(prediction: Prediction) -> tuple[str, float]:
+    """Return the other camera that most probably sees the object now or, if none does, next.
+
+    With its probability; "none" and 0 if there is no such camera.
+    """
+    shares = {one.camera: one.probability for one in prediction.look or []}
+    if not shares:  # Without overlapping views it follows from the next appearances.
+        for row in prediction.candidates:
+            shares[row.camera] = shares.get(row.camera, 0.0) + row.probability
+        shares.pop(prediction.camera, None)
+    return max(shares.items(), key=lambda item: item[1], default=("none", 0.0))
