@@ -9,7 +9,8 @@ import { ago, clock, comesBack, count, expected, goneSince, headline, percent, p
 const FRAME = [1600, 900]; // where there is no picture, pixels
 const MARGINS = [0.06, 0.2]; // around the picture, of its width or height: zones lie on its edges
 const SPREAD = 2; // standard deviations that a zone's ellipse shows
-const COUNT_UNITS = 2.9; // half the width of a letter of a zone's counts, in 400ths of the picture's
+const PIXELS = [412, 480]; // of the panel: its width until it is shown; the height that a picture has at most
+const COUNT_UNITS = 3.2; // half the width of a letter of a zone's counts, pixels
 const NUMBER_UNITS = 8; // half the width of its number
 const HEAD_BEFORE = 0.055; // a passage ends so much of the width before a zone's middle, for its head to be seen
 const EVENTS_SHOWN = 40;
@@ -239,7 +240,7 @@ class Scene {
 
   #mark(kind, x, y) {
     const [width, height] = this.size;
-    const r = 0.012 * width;
+    const r = 5 * this.unit;
     const element =
       kind === "entry"
         ? s("circle", { class: "event entry", cx: x * width, cy: y * height, r })
@@ -257,6 +258,8 @@ class Scene {
     this.zones = new Map();
     const placed = this.story.zones.filter((zone) => zone.x !== undefined && zone.x !== null);
     const [mx, my] = margins(placed);
+    const seen = [this.element.clientWidth || PIXELS[0], PIXELS[1]];
+    this.unit = Math.max(((1 + 2 * mx) * width) / seen[0], ((1 + 2 * my) * height) / seen[1]); // a pixel
     const busiestFirst = [...placed].sort((a, b) => b.entries + b.exits - a.entries - a.exits);
     const taken = new Taken();
     const svg = s(
@@ -273,7 +276,7 @@ class Scene {
       busiestFirst.map((zone) => this.#zone(zone, taken)),
       this.marks,
     );
-    svg.style.setProperty("--unit", `${width / 400}px`);
+    svg.style.setProperty("--unit", `${this.unit}px`);
     fill(
       this.element,
       svg,
@@ -288,13 +291,13 @@ class Scene {
     const [width, height] = this.size;
     const { major, minor, turn } = ellipse(zone.cov, width, height);
     const [x, y] = [zone.x * width, zone.y * height];
-    const unit = width / 400;
+    const { unit } = this;
     const within = (value, from, to) => Math.min(to, Math.max(from, value));
     const [come, go] = [`${count(zone.entries)} in`, `${count(zone.exits)} out`];
     const half = COUNT_UNITS * (come.length + go.length + 1) * unit;
     const inside = within(x, half, width - half);
     const number = within(x, NUMBER_UNITS * unit, width - NUMBER_UNITS * unit);
-    const line = within(y, NUMBER_UNITS * unit, height - NUMBER_UNITS * unit) + 0.012 * width;
+    const line = within(y, NUMBER_UNITS * unit, height - NUMBER_UNITS * unit) + 5 * unit;
     const below = line + (line + 16 * unit < height ? 12 * unit : -16 * unit);
     const free = (middle, half, base, tall) => {
       const box = [middle - half, base - tall, middle + half, base].map((value) => value / unit);
@@ -304,7 +307,7 @@ class Scene {
     };
     const name = zone.id.slice(zone.id.lastIndexOf("/") + 1);
     const numbered = free(number, NUMBER_UNITS * unit, line, 11 * unit);
-    const counted = numbered && free(inside, half, below, 9 * unit);
+    const counted = numbered && free(inside, half, below, 10 * unit);
     const counts = counted && s(
       "text",
       { class: "counts", x: inside, y: below, "text-anchor": "middle" },

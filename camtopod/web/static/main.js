@@ -57,8 +57,7 @@ class App {
         .map(([name, text]) => h("a", { href: link(name), data: { name } }, text)),
     );
     document.body.append(
-      h("a", { class: "skip", href: "#/links" }, "Links as a table"),
-      h("header", {}, h("a", { class: "brand", href: "#/map" }, "camtopod"), this.title, this.nav, this.pill),
+      h("header", {}, h("a", { class: "skip", href: "#/links" }, "Links as a table"), h("a", { class: "brand", href: "#/map" }, "camtopod"), this.title, this.nav, this.pill),
       this.banner,
       h("main", {}, this.stage, this.panel, this.pages),
     );

@@ -423,6 +423,7 @@ export class NetworkMap {
 
   #focusedNode(node) {
     this.#roam(node.id);
+    if (this.plan?.placing) return; // who holds it does not want it moved
     const [x, y] = this.view.toScreen(node.x, node.y);
     const margin = 60;
     if (x < margin || y < margin || x > this.svg.clientWidth - margin || y > this.svg.clientHeight - margin)
