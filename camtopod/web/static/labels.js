@@ -37,22 +37,22 @@ export class Labels {
   draw(map, chosen, found, covers) {
     const taken = new Taken();
     for (const box of covers) taken.add(...box);
-    this.layer.append(this.#probe);
-    const measure = (text, kind) => this.#measure(text, kind);
+    const measure = (text, kind) => this.measure(text, kind);
     const names = placeNames(map, chosen, found, taken, measure);
     const times = placeTimes(map, chosen, taken, measure);
-    this.#probe.remove();
     this.#show([...names, ...times]);
   }
 
   // Half the width of a text with air, its height, and the height above its baseline, in pixels, as this browser
   // draws it: fonts differ.
-  #measure(text, kind) {
+  measure(text, kind) {
     const key = `${kind} ${text}`;
     if (this.#measured.has(key)) return this.#measured.get(key);
+    this.layer.append(this.#probe);
     this.#probe.setAttribute("class", kind);
     this.#probe.textContent = text;
     const { y, width, height } = this.#probe.getBBox();
+    this.#probe.remove();
     const size = { half: width / 2 + AIR_PIXELS, height, above: -y };
     if (this.#measured.size >= MEASURED_MAX) this.#measured.clear();
     if (width) this.#measured.set(key, size); // not while the map is hidden

@@ -19,7 +19,8 @@ const SHOTS_MAX = 60; // pictures in sight; more take too much memory
 const STEP_PIXELS = 5; // that a key moves a camera on a plan
 const TURNED_RATIO = 1.2; // height by width of a screen from which a wide map is turned
 const LIKELY_PIXELS = 2.2; // width of an edge that is not published
-const NAME_PIXELS = [34, 22]; // beside and above a camera when all of it is shown
+const NAME_PIXELS = 22; // below and above a camera when all of it is shown
+const EDGE_PIXELS = 6; // the same beside it and its name
 const PLAN_PIXELS = 8; // the same of a floor plan
 const DIRECTIONS = { ArrowLeft: [-1, 0], ArrowRight: [1, 0], ArrowUp: [0, -1], ArrowDown: [0, 1] };
 
@@ -166,7 +167,8 @@ export class NetworkMap {
   #boxes(scale) {
     this.#grow(scale);
     const boxes = [...this.nodes.values()].map((node) => {
-      const [wide, high] = this.halves(node).map((half, k) => half + NAME_PIXELS[k]);
+      const [half, tall] = this.halves(node);
+      const [wide, high] = [Math.max(half, this.labels.measure(node.id, "name").half) + EDGE_PIXELS, tall + NAME_PIXELS];
       return [node.x * scale - wide, node.y * scale - high, node.x * scale + wide, node.y * scale + high];
     });
     const [right, bottom] = this.plan ? [this.plan.width, this.plan.height].map((hops) => hops * UNIT * scale + PLAN_PIXELS) : [];
