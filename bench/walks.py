@@ -8,10 +8,12 @@ are judged. A true walk holds the passages of an identity, one after the other, 
 begins within the lag window of the end of those before.
 
 Of walks, all pairs of passages after the cut count (pairwise precision and recall); of matches, the
-best passage of each that has more than one half, and the calibration error of all probabilities.
-Both are the first answers, given at the entry; the answers after ten seconds are scored beside.
-Compared are an oracle, which matches by odds that it is given the identities for (as ``who`` of
-`bench.real`), and the nearest in time: each entry continues the newest exit of another camera.
+best passage of each that has more than one half, with its mean probability, and the calibration
+error of the probabilities that an entry is of each true walk: where views overlap, a match divides
+the probability among the passages of one object that are under way. Both are the first answers,
+given at the entry; the answers after ten seconds are scored beside. Compared are an oracle, which
+matches by odds that it is given the identities for (as ``who`` of `bench.real`), and the nearest in
+time: each entry continues the newest exit of another camera.
 """
 
 from __future__ import annotations
@@ -42,12 +44,14 @@ class Figures(Struct):
     """Figures of one way to find walks.
 
     said, right: matches with a passage of more than one half, and those that are of its walk.
-    error: calibration error of all probabilities; nan without probabilities.
+    sure: mean probability of these passages; nan without probabilities.
+    error: calibration error of the probabilities by true walk; nan without probabilities.
     precision, recall: of pairs of passages.
     """
 
     said: int
     right: int
+    sure: float
     error: float
     precision: float
     recall: float
@@ -75,12 +79,13 @@ def main(argv: Sequence[str]) -> int:
     os.environ.setdefault("OMP_NUM_THREADS", "1")  # two workers share two cores
 
     print(f"{'network':20}{'way':14}{'entries':>9}{'continue':>10}{'said':>7}{'right':>7}", end="")
-    print(f"{'share':>7}{'calibration':>13}{'pairs: P':>10}{'R':>6}")
+    print(f"{'share':>7}{'sure':>6}{'calibration':>13}{'pairs: P':>10}{'R':>6}")
     for one in map_tasks(measure, folders, given.jobs):
         for way, f in one.ways.items():
             print(
                 f"{one.name:20}{way:14}{one.entries:9}{one.continued:10}{f.said:7}{f.right:7}"
-                f"{f.right / max(f.said, 1):7.2f}{f.error:13.3f}{f.precision:10.2f}{f.recall:6.2f}",
+                f"{f.right / max(f.said, 1):7.2f}{f.sure:6.2f}{f.error:13.3f}{f.precision:10.2f}"
+                f"{f.recall:6.2f}",
                 flush=True,
             )
     return 0
@@ -157,20 +162,24 @@ def scored(
     """Score matches by track."""
     chances: list[float] = []
     hits: list[bool] = []
-    said = right = 0
+    said: list[float] = []
+    right = 0
     for track in sorted(judged):
         match = found[track]
-        rows = [
-            (one.probability, walk_of.get(str(one.track)) == walk_of[track]) for one in match.from_
-        ]
-        chances += [chance for chance, _ in rows]
-        hits += [hit for _, hit in rows]
-        if rows and rows[0][0] > 0.5:
-            said += 1
-            right += rows[0][1]
+        chance: dict[str, float] = defaultdict(float)
+        for one in match.from_:
+            chance[walk_of.get(str(one.track), str(one.track))] += one.probability
+        chances += chance.values()
+        hits += [walk == walk_of[track] for walk in chance]
+        if match.from_ and match.from_[0].probability > 0.5:
+            said.append(match.from_[0].probability)
+            right += walk_of.get(str(match.from_[0].track)) == walk_of[track]
     names = {track: found[track].walk for track in judged}
     error = calibration_error(chances, hits) if chances else float("nan")
-    return Figures(said, right, error, *_precision_and_recall(pairs(names, judged), truth))
+    sure = float(np.mean(said)) if said else float("nan")
+    return Figures(
+        len(said), right, sure, error, *_precision_and_recall(pairs(names, judged), truth)
+    )
 
 
 def compared(
@@ -183,7 +192,9 @@ def compared(
     some = [track for track in judged if track in edges]
     right = sum(walk_of.get(edges[track]) == walk_of[track] for track in some)
     found = pairs({track: names.get(track, track) for track in judged}, judged)
-    return Figures(len(some), right, float("nan"), *_precision_and_recall(found, truth))
+    return Figures(
+        len(some), right, float("nan"), float("nan"), *_precision_and_recall(found, truth)
+    )
 
 
 def oracle_edges(topology: Topology, recording: Recording) -> dict[str, str]:

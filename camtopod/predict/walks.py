@@ -342,7 +342,29 @@ class Walks:
                     entered = self._hazards.rate_entered(one.entry, zone, t - one.began)
                     if before_exit + entered > 0.0:
                         edges.append(Edge(one, step, step.camera, before_exit + entered))
-        return edges
+        return self._with_simultaneous(edges, step, zone)
+
+    def _with_simultaneous(self, edges: list[Edge], step: Step, zone: int) -> list[Edge]:
+        """Add to the edges of an entry what passages that began at the same time add.
+
+        Of passages that began together the one that ends first counts as the earlier one, as in the
+        learner. So each of the two may be the cause of the other, and the entry that comes second
+        gets both rates: the reverse one as it competes with the other causes of the first entry.
+        """
+        known = {id(edge.source): edge for edge in edges if edge.slot}
+        for one in reversed(self._given):
+            if one.began != step.began:
+                break
+            if one.entry is None or one.camera == step.camera or one.ended is not None:
+                continue
+            rate = self._hazards.rate_before_exit(step.camera, one.entry)
+            rate += self._hazards.rate_entered(zone, one.entry, 0.0)
+            causes = one.outside / max(1.0 - sum(edge.probability for edge in one.edges), 1e-9)
+            if rate > 0.0:
+                edge = known.get(id(one)) or Edge(one, step, step.camera, 0.0)
+                edge.weight += rate * step.outside / causes
+                known[id(one)] = edge
+        return [edge for edge in edges if not edge.slot] + [*known.values()]
 
     def _likely(self, step: Step, edges: list[Edge], t: float) -> list[Edge]:
         """Return the edges that are likely enough, given what other entries claim."""

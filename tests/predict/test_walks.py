@@ -87,6 +87,23 @@ def test_one_passage_has_one_successor(walks: Walks) -> None:
     assert later.walk != alone.walk
 
 
+def test_two_entries_at_one_instant_may_be_of_one_object(walks: Walks) -> None:
+    """Learned is the direction from the entry that comes second to the first."""
+    events = [entry("a", T, "1"), entry("b", T, "2"), entry("b", T + 0.1, "3")]
+    a, b = (walks._predictor.zone_of(event) for event in events[:2])
+    assert a is not None
+    assert b is not None
+    walks._hazards._entered = {b: {a: [0.5] * walks._hazards.bins.size}}
+
+    first, second, later = matched(walks, events)
+    assert first.from_ == []
+    weight = 0.5 * walks._transitions.new[b] / walks._transitions.new[a]
+    expected = weight / (weight + UNSEEN_IN_VIEW * walks._transitions.new[b])
+    assert [one.probability for one in second.from_] == [pytest.approx(expected)]
+    assert second.walk == first.walk
+    assert later.from_ == []
+
+
 def test_a_later_entry_changes_an_earlier_match(walks: Walks) -> None:
     """A match is given once more if a later entry fits its passage better, and never again."""
     matched(walks, [exit_("a", T, "1")])
