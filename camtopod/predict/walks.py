@@ -216,12 +216,31 @@ class Walks:
         while self._given and self._given[0].t + REVISE_SECONDS <= now:
             step = self._given.popleft()
             walk = step.walk
+            self._add_late(step)
             self._settle(step, step.began + REVISE_SECONDS)
             moved = any(abs(edge.probability - told) > REVISE_CHANGE for edge, told in step.told)
             match = self._match(step)
             if moved or match.walk != walk:
                 found.append(match)
         return found
+
+    def _add_late(self, step: Step) -> None:
+        """Add the passages whose exit came after the entry that it was earlier than.
+
+        A tracker reports an exit seconds late, once the object has not been found again.
+        """
+        if step.entry is None:
+            return
+        known = {id(edge.source) for edge in step.edges}
+        candidates = [
+            edge
+            for edge in self._candidates(step, step.entry)
+            if edge.source.began < step.began and id(edge.source) not in known
+        ]
+        for edge in self._likely(step, candidates, step.began + REVISE_SECONDS):
+            step.edges.append(edge)
+            step.told.append((edge, 0.0))
+            edge.source.claims.setdefault(edge.slot, []).append(edge)
 
     # --- Passages ---
 

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import frigate_messages as says
 import naive
 import numpy as np
 import pytest
 from msgspec.structs import replace
 from serving import T0, closing_event, walkers
 
+from camtopod.adapt.frigate import Frigate
 from camtopod.learn.learner import Learner
 from camtopod.predict import Predictor, Walks
 from camtopod.predict.walks import (
@@ -202,3 +204,27 @@ def test_marginals_are_exact_where_the_graph_is_a_tree(walks: Walks) -> None:
             found[sources.index(edge.source), k] = edge.probability
     exact = naive.matching_marginals(weights, np.full(3, UNSEEN_IN_VIEW), outside)
     np.testing.assert_allclose(found, exact, rtol=1e-3)
+
+
+def test_an_exit_may_be_told_after_the_entry_that_continues_it(walks: Walks) -> None:
+    """Trackers tell an exit seconds late, once the object has not been found again."""
+    told = [entry("a", T, "1"), entry("b", T + 13, "2"), exit_("a", T + 4, "1")]
+    before = matched(walks, told)[1]
+    assert (before.from_, before.new) == ([], 1.0)
+
+    [after] = walks.revised(T + 13 + REVISE_SECONDS)
+    assert (after.camera, after.t, after.walk) == ("b", T + 13, f"a@{T:.0f}")
+    assert (after.from_[0].track, after.from_[0].t) == ("1", T + 4)
+    assert after.new + sum(one.probability for one in after.from_) == pytest.approx(1.0)
+    assert after.from_[0].probability > 0.9
+
+
+def test_tracks_are_the_ids_of_the_events_of_frigate(walks: Walks) -> None:
+    frigate = Frigate({"": (says.WIDTH, says.HEIGHT)})
+    at_a, at_b = says.passage(1, T, "a"), says.passage(2, T + 17.2, "b")
+    events = [event for line in [*at_a, *at_b] for event in frigate.receive(line)]
+
+    match = matched(walks, events)[-1]
+    assert match.track == f"{T + 17.2}-000002"
+    assert match.from_[0].track == f"{T}-000001"
+    assert match.from_[0].probability > 0.9
