@@ -83,11 +83,11 @@ class Arrivals:
                 left.seen[entry[:2]] = passage.probability
 
         # Its walk.
-        entries = sorted(self._entries.values(), key=lambda one: one.t)
-        passages = [one for one in entries if one.walk == match.walk]
+        passages = [one for one in self._entries.values() if one.walk == match.walk]
+        passages.sort(key=lambda one: one.t)
         if before is None:
             return Passing(match, passages)
-        emptied = all(one.walk != before.walk for one in entries)
+        emptied = all(one.walk != before.walk for one in self._entries.values())
         return Passing(match, passages, True, before.walk if emptied else None)
 
     def forget(self, now: float) -> None:
