@@ -102,7 +102,7 @@ def test_lines_that_do_not_fit_are_counted_and_quoted_once(run: Run, topology: P
     raw = lines(EVENTS[:50]) + noise + late + late + lines(EVENTS[50:])
     status, printed, said = run("learn", "-", stdin=raw)
     assert (status, printed) == (0, topology.read_bytes())
-    assert f"5 of {len(EVENTS) + 5} lines were rejected: bad-value 2, late 2, malformed 1" in said
+    assert f"5 of {len(EVENTS) + 5} lines were rejected: bad-value camera 2, late 2, malformed 1" in said
     assert said.count("a b") == 1
     assert "c d" not in said
     assert "-:51: " in said

@@ -6,6 +6,7 @@ Valid lines become events; others are counted, and the first one of each mistake
 from __future__ import annotations
 
 import heapq
+import itertools
 import logging
 import os
 import re
@@ -17,6 +18,7 @@ from contextlib import ExitStack
 from typing import BinaryIO, NamedTuple
 
 from camtopod.adapt import LINE_BYTES_MAX, Adapter, frames
+from camtopod.cli.events import csv_rows
 from camtopod.cli.exits import InputError
 from camtopod.codec import EVENT_BYTES_MAX, Rejected, event_from_json, to_json
 from camtopod.records import Event
@@ -53,7 +55,7 @@ class LineReader:
     """Reads lines and counts them.
 
     ``read`` counts all lines, ``events`` the resulting events, ``rejected`` the other lines by
-    reason.
+    mistake: a reason and, if there is one, the field.
     """
 
     def __init__(self) -> None:
@@ -61,7 +63,6 @@ class LineReader:
         self.read = 0
         self.events = 0
         self._files: list[BinaryIO] = []
-        self._quoted: set[tuple[str, str]] = set()
 
     def merged(self, paths: list[str]) -> Iterator[Line]:
         """Yield lines of several files, merged by event time.
@@ -84,8 +85,16 @@ class LineReader:
             return None
 
     def lines(self, path: str, file: BinaryIO) -> Iterator[Line]:
-        """Yield the events of one file in the order of its lines; blank lines are skipped."""
-        for number, text in frames(pieces(path, file), EVENT_BYTES_MAX):
+        """Yield the events of a file, lines of JSON or a table, in order; blank lines are skipped.
+
+        Raises `InputError` for a table without the columns it needs.
+        """
+        rest = pieces(path, file)
+        beginning = next(rest, b"")
+        whole = itertools.chain([beginning], rest)
+        is_table = csv_rows.is_table(beginning)
+        lines = csv_rows.rows(whole, path) if is_table else frames(whole, EVENT_BYTES_MAX)
+        for number, text in lines:
             self.read += 1
             try:
                 event = event_from_json(text)
@@ -135,10 +144,10 @@ class LineReader:
 
     def reject(self, reason: str, where: str, text: bytes = b"") -> None:
         """Count a rejected line; print the first one of each reason and place in a message."""
-        self.rejected[reason] += 1
-        mistake = (reason, where.partition(" - at ")[2])
-        if mistake not in self._quoted:
-            self._quoted.add(mistake)
+        place = where.partition(" - at ")[2]
+        mistake = " ".join(filter(None, [reason, place.strip("`$.")]))
+        self.rejected[mistake] += 1
+        if self.rejected[mistake] == 1:
             quoted = text[:120].decode("utf-8", "backslashreplace")
             message = visible(redact(": ".join(filter(None, [where, quoted]))))
             print(f"camtopod: {message} (further ones are only counted)", file=sys.stderr)
@@ -147,8 +156,8 @@ class LineReader:
         """Return one line about the rejected lines; None if there are none."""
         if not self.rejected:
             return None
-        reasons = ", ".join(f"{reason} {n}" for reason, n in sorted(self.rejected.items()))
-        return f"{sum(self.rejected.values())} of {self.read} lines were rejected: {reasons}"
+        mistakes = ", ".join(f"{mistake} {n}" for mistake, n in sorted(self.rejected.items()))
+        return f"{sum(self.rejected.values())} of {self.read} lines were rejected: {mistakes}"
 
 
 def pieces(path: str, file: BinaryIO) -> Iterator[bytes]:
