@@ -1,7 +1,7 @@
 """Topologies in formats of other programs.
 
 `graph` reduces a topology to directed edges between cameras, which the drawing and graph formats
-share: `dot` (Graphviz), `graphml`, `json_graph` (node-link JSON of D3 and networkx), `svg`.
+share: `dot` (Graphviz), `graphml`, `json_graph` (node-link JSON of networkx and D3), `svg`.
 `layout` places cameras, for `svg` and for the page's map. `aicity` writes the AI City challenge's
 camera link model, `homeassistant` the MQTT messages for Home Assistant (`Arrivals` is its memory).
 """
@@ -18,7 +18,12 @@ from camtopod.export.arrivals import (
     Passing as Passing,
 )
 from camtopod.export.dot import to_dot
-from camtopod.export.graph import Edge as Edge, edges as edges, seconds as seconds
+from camtopod.export.graph import (
+    Edge as Edge,
+    edges as edges,
+    seconds as seconds,
+    with_weak_links as with_weak_links,
+)
 from camtopod.export.graphml import to_graphml
 from camtopod.export.json_graph import to_json_graph
 from camtopod.export.layout import Place as Place, places as places

@@ -10,7 +10,7 @@ from camtopod.visible import visible
 def to_dot(topology: Topology) -> str:
     """Return a directed graph of cameras, labelled with transit times.
 
-    Edges between overlapping views are black, unseen paths grey.
+    Edges between overlapping views are black, unseen paths grey, weak links dashed.
     """
     lines = [
         "digraph camtopod {",
@@ -33,6 +33,8 @@ def to_dot(topology: Topology) -> str:
             "tooltip": f"{edge.transit.q10:.1f} to {edge.transit.q90:.1f} s, "
             f"{100 * edge.probability:.0f} %",
         }
+        if edge.weak:
+            attributes["style"] = "dashed"
         shown = ", ".join(f"{name}={_quoted(value)}" for name, value in attributes.items())
         lines.append(f"  {_quoted(edge.from_)} -> {_quoted(edge.to)} [{shown}];")
     return "\n".join([*lines, "}", ""])

@@ -5,15 +5,16 @@ from __future__ import annotations
 from collections import Counter, defaultdict
 
 from msgspec import Struct
+from msgspec.structs import replace
 
 from camtopod.records import Link, PairRelation, Topology, Transit
-from camtopod.topology import RELATIONS, links_between_views
+from camtopod.topology import RELATIONS, camera_of, likely_links, link_key, links_between_views
 
 COLOURS: dict[PairRelation, str] = {"overlapped": "black", "unseen_path": "gray60"}
 """Colour of an edge by the relation of its cameras, as in the thesis (4.6)."""
 
 
-class Edge(Struct, frozen=True, rename={"from_": "from"}):
+class Edge(Struct, frozen=True, omit_defaults=True, rename={"from_": "from"}):
     """Directed edge between two cameras."""
 
     from_: str
@@ -26,6 +27,8 @@ class Edge(Struct, frozen=True, rename={"from_": "from"}):
     """Share of all objects leaving the view of ``from_`` that appear next in the view of ``to``."""
     transitions: float
     """Expected number of transitions of all its links."""
+    weak: bool = False
+    """Whether its links are weak ones, which are not published."""
 
     @property
     def overlapped(self) -> bool:
@@ -35,6 +38,7 @@ class Edge(Struct, frozen=True, rename={"from_": "from"}):
 
 def edges(topology: Topology) -> list[Edge]:
     """Return the directed edges between cameras, sorted by camera ids."""
+    weak = {link_key(link) for link in topology.weak_links or []}
     camera = {zone.id: zone.camera for zone in topology.zones}
     exits = Counter[str]()
     for zone in topology.zones:
@@ -52,8 +56,20 @@ def edges(topology: Topology) -> list[Edge]:
         relation = RELATIONS[chief.relation == "overlapped"]
         transitions = sum(link.transitions for link in links)
         probability = min(1.0, transitions / max(exits[a], 1))
-        result.append(Edge(a, b, relation, chief.transit, probability, transitions))
+        is_weak = link_key(chief) in weak
+        result.append(Edge(a, b, relation, chief.transit, probability, transitions, is_weak))
     return result
+
+
+def with_weak_links(topology: Topology) -> Topology:
+    """Return a topology to draw, with the likely links of cameras that no published link joins."""
+    joined = {(camera_of(link.from_), camera_of(link.to)) for link in topology.links}
+    weak = [
+        link
+        for link in likely_links(topology)
+        if (camera_of(link.from_), camera_of(link.to)) not in joined
+    ]
+    return replace(topology, links=[*topology.links, *weak])
 
 
 def seconds(value: float) -> str:

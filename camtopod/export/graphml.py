@@ -10,7 +10,7 @@ from camtopod.records import Topology
 from camtopod.visible import visible
 
 NAMESPACE = "http://graphml.graphdrawing.org/xmlns"
-_TYPES = {int: "int", float: "double", str: "string"}
+_TYPES = {int: "int", float: "double", str: "string", bool: "boolean"}
 """Type of an attribute by that of its values."""
 
 
@@ -27,7 +27,8 @@ def to_graphml(topology: Topology) -> str:
             key = {"id": f"{target}_{name}", "for": target, "attr.name": name}
             key["attr.type"] = _TYPES[type(value)]
             keys.setdefault(key["id"], ElementTree.Element("key", key))
-            ElementTree.SubElement(element, "data", key=key["id"]).text = str(value)
+            text = str(value).lower() if isinstance(value, bool) else str(value)
+            ElementTree.SubElement(element, "data", key=key["id"]).text = text
 
     # Nodes and edges.
     for camera in topology.cameras:
@@ -47,6 +48,7 @@ def to_graphml(topology: Topology) -> str:
                 **figures,
                 "probability": edge.probability,
                 "transitions": edge.transitions,
+                "weak": edge.weak,
             },
         )
     root.extend([*keys.values(), graph])

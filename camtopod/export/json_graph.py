@@ -1,4 +1,4 @@
-"""Node-link JSON, for D3 and networkx. (A topology is JSON already: see `camtopod.records`.)"""
+"""Node-link JSON, for networkx and D3. (A topology is JSON already: see `camtopod.records`.)"""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ def to_json_graph(topology: Topology) -> str:
         }
         for camera in topology.cameras
     ]
-    links = [
+    drawn = [
         {
             "source": edge.from_,
             "target": edge.to,
@@ -34,6 +34,7 @@ def to_json_graph(topology: Topology) -> str:
             "transit": edge.transit,
             "probability": edge.probability,
             "transitions": edge.transitions,
+            "weak": edge.weak,
         }
         for edge in edges(topology)
     ]
@@ -42,6 +43,6 @@ def to_json_graph(topology: Topology) -> str:
         "multigraph": False,
         "graph": {name: getattr(topology, name) for name in _ABOUT},
         "nodes": nodes,
-        "links": links,
+        "edges": drawn,
     }
     return msgspec.json.format(msgspec.json.encode(graph), indent=2).decode() + "\n"

@@ -27,6 +27,8 @@ LINE = 16.0
 """Height of a line of text."""
 STROKE = {True: "#111513", False: "#85908a"}
 """Line colour, by whether the views overlap: black and grey in the thesis."""
+DASHES = "2 8"
+"""Dashes of a weak link and the gaps between them."""
 NAME_DISTANCE = RADIUS + LINE / 2 + 2
 """Distance of a camera's name from the middle of its circle, above or below."""
 WIDTH_OF_LETTER = 7.5
@@ -48,8 +50,8 @@ Box = tuple[float, float, float, float]
 def to_svg(topology: Topology) -> str:
     """Return the drawing: cameras as circles, overlaps as black lines, unseen paths as grey ones.
 
-    The wider a line, the more objects take it. On an unseen path are its most frequent transit
-    times in both directions; tooltips say which is which.
+    The wider a line, the more objects take it; weak links are dashed. On an unseen path are its
+    most frequent transit times in both directions; tooltips say which is which.
     """
     # One line for both directions of a pair, those with most transitions first.
     both: dict[tuple[str, str], list[Edge]] = defaultdict(list)
@@ -129,13 +131,15 @@ def _line(a: Point, b: Point, ways: list[Edge], most: float) -> str:
     most: number of transitions of the widest line.
     """
     overlapped = any(way.overlapped for way in ways)
+    dashes = f' stroke-dasharray="{DASHES}"' if all(way.weak for way in ways) else ""
     share = math.sqrt(sum(way.transitions for way in ways) / max(most, 1e-9))
     width = WIDTHS[0] + (WIDTHS[1] - WIDTHS[0]) * share
     tooltip = "; ".join(f"{way.from_} → {way.to} {_time(way)}" for way in ways)
     return (
         f"<g><title>{_shown(tooltip)}</title>"
         f'<line x1="{a[0]:.1f}" y1="{a[1]:.1f}" x2="{b[0]:.1f}" y2="{b[1]:.1f}"'
-        f' stroke="{STROKE[overlapped]}" stroke-width="{width:.1f}" stroke-linecap="round"/></g>'
+        f' stroke="{STROKE[overlapped]}" stroke-width="{width:.1f}"{dashes}'
+        ' stroke-linecap="round"/></g>'
     )
 
 

@@ -18,6 +18,7 @@ from camtopod.cli.events.event_lines import LineReader
 from camtopod.codec import EVENT_BYTES_MAX, read, to_json
 from camtopod.records import Event, Match, Prediction, Topology
 from camtopod.sim.simulation import SimSettings, simulate
+from camtopod.topology import likely_links
 from camtopod.topology.versions import digest_of, make_delta
 
 EVENTS, TRUTH = simulate(SimSettings(cameras=3, hours=0.25, seed=1))
@@ -102,7 +103,10 @@ def test_lines_that_do_not_fit_are_counted_and_quoted_once(run: Run, topology: P
     raw = lines(EVENTS[:50]) + noise + late + late + lines(EVENTS[50:])
     status, printed, said = run("learn", "-", stdin=raw)
     assert (status, printed) == (0, topology.read_bytes())
-    assert f"5 of {len(EVENTS) + 5} lines were rejected: bad-value camera 2, late 2, malformed 1" in said
+    assert (
+        f"5 of {len(EVENTS) + 5} lines were rejected: bad-value camera 2, late 2, malformed 1"
+        in said
+    )
     assert said.count("a b") == 1
     assert "c d" not in said
     assert "-:51: " in said
@@ -152,6 +156,22 @@ def test_an_input_that_cannot_be_read(
 
     assert (status, printed) == (exits.INPUT, b"")
     assert named in said
+
+
+def test_the_links_are_a_table_with_the_weak_ones_last(run: Run, topology: Path) -> None:
+    learned = read(Topology, topology.read_bytes())
+    links = [one for one in learned.links if one.relation != "visible"]
+
+    status, printed, _ = run("learn", "-", "--table", stdin=lines(EVENTS))
+
+    first, *rows = printed.decode().splitlines()
+    assert (status, first.split()[:4]) == (0, ["FROM", "TO", "RELATION", "SHARE"])
+    told = {tuple(row.split()[:3]): row for row in rows}
+    for link in links:
+        assert f"{link.transit.q90:.1f}  q = " in told[link.from_, link.to, link.relation]
+    lacking = [" lacks " in row for row in rows]
+    assert lacking == sorted(lacking)
+    assert len(rows) == len(links) + len(likely_links(learned)) > len(links)
 
 
 # --- predict ---

@@ -19,7 +19,7 @@ from camtopod.cli.main import main
 from camtopod.codec import to_json
 from camtopod.export import FORMATS, camera_numbers
 from camtopod.export.graph import edges
-from camtopod.records import Camera
+from camtopod.records import Camera, Lacks
 
 TOPOLOGY = synthetic_topology(7)
 CAMERAS = [camera.id for camera in TOPOLOGY.cameras]
@@ -54,12 +54,46 @@ def test_graphml_is_read_by_networkx() -> None:
 
 
 def test_json_is_read_by_networkx() -> None:
-    graph = nx.node_link_graph(json.loads(FORMATS["json"](TOPOLOGY)), edges="links")
+    graph = nx.node_link_graph(json.loads(FORMATS["json"](TOPOLOGY)), edges="edges")
 
     found = [(a, b, edge["colour"] == "black") for a, b, edge in graph.edges(data=True)]
     zones = sum(len(node["zones"]) for _, node in graph.nodes(data=True))
     assert pairs_of(found) == PAIRS
     assert zones == len(TOPOLOGY.zones)
+
+
+def test_weak_links_are_drawn_dashed_if_asked_for(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    first, *links = TOPOLOGY.links
+    ends = {first.from_.split("/")[0], first.to.split("/")[0]}
+    hidden = [one for one in links if {one.from_.split("/")[0], one.to.split("/")[0]} == ends]
+    shown = [one for one in links if one not in hidden]
+    weak = [
+        msgspec.structs.replace(one, transitions=9.0, lacks=Lacks(passages, 60.0))
+        for one, passages in ((first, 3.0), (shown[0], 3.0), (hidden[0], 10.0))
+    ]
+    topology = msgspec.structs.replace(TOPOLOGY, links=shown, weak_links=weak)
+    path = tmp_path / "topology.json"
+    path.write_bytes(to_json(topology))
+
+    drawn = {}
+    for name in ("dot", "svg", "json", "graphml"):
+        assert main(["export", str(path), "--format", name]) == 0
+        without = capsys.readouterr().out
+        assert main(["export", str(path), "--format", name, "--weak"]) == 0
+        drawn[name] = capsys.readouterr().out
+        assert len(drawn[name]) > len(without)
+        assert "dash" not in without
+
+    assert drawn["dot"].count('style="dashed"') == 1
+    assert drawn["svg"].count("stroke-dasharray") == 1
+    graphs = [nx.node_link_graph(json.loads(drawn["json"]), edges="edges")]
+    graphs.append(nx.read_graphml(io.StringIO(drawn["graphml"])))
+    for graph in graphs:
+        assert {frozenset((a, b)) for a, b, weak in graph.edges(data="weak") if weak} == {
+            frozenset(ends)
+        }
 
 
 def test_dot_has_every_camera_and_edge() -> None:

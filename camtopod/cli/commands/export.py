@@ -10,7 +10,7 @@ from typing import Any
 from camtopod.cli import exits
 from camtopod.cli.common import open_output
 from camtopod.codec import Rejected, decode_topology
-from camtopod.export import FORMATS, camera_numbers
+from camtopod.export import FORMATS, camera_numbers, with_weak_links
 from camtopod.records import Topology
 
 
@@ -27,6 +27,11 @@ def add_parser(add: Any) -> None:
     )
     parser.add_argument("--format", choices=FORMATS, required=True, help="format of the output")
     parser.add_argument(
+        "--weak",
+        action="store_true",
+        help="also draw weak links with half of their evidence, dashed",
+    )
+    parser.add_argument(
         "--out", metavar="FILE", default="-", help="write to FILE (default: standard output)"
     )
 
@@ -34,6 +39,8 @@ def add_parser(add: Any) -> None:
 def run(args: argparse.Namespace) -> None:
     """Write the export. Raises `exits.InputError` if the topology cannot be read."""
     topology = load(args.topology)
+    if args.weak:
+        topology = with_weak_links(topology)
     with open_output(args.out) as file:
         file.write(FORMATS[args.format](topology).encode())
     if args.format == "aicity":

@@ -14,10 +14,11 @@ from typing import Any, BinaryIO
 from camtopod.cli.common import configuration, open_output
 from camtopod.cli.events.event_lines import LineReader
 from camtopod.cli.exits import InputError
-from camtopod.cli.terminal import Progress, busiest_links, topology_lines, transit
+from camtopod.cli.terminal import Progress, busiest_links, topology_lines
 from camtopod.codec import to_json
 from camtopod.learn.learner import STEPS, Learner
 from camtopod.records import Topology
+from camtopod.topology import lacks_in_words, likely_links
 
 EPOCH = "recording"
 """Epoch of a topology learned from files, constant so that the same files give the same bytes."""
@@ -37,7 +38,11 @@ def add_parser(add: Any) -> None:
         epilog="example: camtopod learn events.jsonl --topology topology.json",
     )
     parser.add_argument(
-        "events", nargs="+", metavar="EVENTS", help="files of event lines ('-': standard input)"
+        "events",
+        nargs="+",
+        metavar="EVENTS",
+        help="files of event lines, or CSV with a header: camera, kind, t (seconds since 1970, or "
+        "ISO 8601), and x, y and track if known ('-': standard input)",
     )
     parser.add_argument(
         "--topology",
@@ -47,16 +52,22 @@ def add_parser(add: Any) -> None:
     parser.add_argument(
         "--updates", metavar="OUT.jsonl", help="write every version to this file, one a line"
     )
+    parser.add_argument(
+        "--table",
+        action="store_true",
+        help="print the links between views, and those with half of their evidence; a terminal gets "
+        "them anyway if no file is named",
+    )
 
 
 def run(args: argparse.Namespace) -> None:
     """Learn; write the topology to a file, or to standard output if no file is named.
 
-    A terminal gets its links as a table instead.
+    A terminal gets its links as a table instead, as with ``--table``.
     """
     config = configuration(args)
     reader = LineReader()
-    to_stdout = not (args.updates or sys.stdout.isatty())
+    to_stdout = not (args.updates or args.table or sys.stdout.isatty())
     out = args.topology or ("-" if to_stdout else None)
 
     # Feed all events to the learner, and write the topology.
@@ -75,10 +86,9 @@ def run(args: argparse.Namespace) -> None:
         if written is not None:
             written.write(to_json(topology) + b"\n")
 
-    # Print the result.
-    if not (out or args.updates):
-        print("\n".join(link_lines(topology)))
-        print("camtopod: --topology OUT.json keeps the topology", file=sys.stderr)
+    # Print the links, unless standard output is the topology's.
+    if args.table or not (out or args.updates):
+        print("\n".join(link_table(topology)))
     repeats = [one for one in topology.alarms or [] if one.kind == "camera_repeats"]
     for line in (*topology_lines(topology), *(f"{one.subject} {one.detail}" for one in repeats)):
         print(f"camtopod: {line}", file=sys.stderr)
@@ -118,12 +128,17 @@ def _write(learner: Learner, updates: BinaryIO | None) -> None:
             updates.write(to_json(topology) + b"\n")
 
 
-def link_lines(topology: Topology) -> list[str]:
-    """Return the links between views as a table, busiest first."""
-    links = busiest_links(topology)
-    places = [(link.from_, link.to) for link in links]
-    left, right = (max((len(place[k]) for place in places), default=0) for k in (0, 1))
-    return [
-        f"{link.from_:<{left}} -> {link.to:<{right}}  {link.probability:5.0%}  {transit(link)}"
-        for link in links
-    ]
+def link_table(topology: Topology) -> list[str]:
+    """Return the links between views as a table, busiest first, then those half-way to one."""
+    rows = [["FROM", "TO", "RELATION", "SHARE", "10 %", "TRANSIT (s)", "90 %", "EVIDENCE"]]
+    for link in [*busiest_links(topology), *likely_links(topology)]:
+        times = (link.transit.q10, link.transit.q50, link.transit.q90)
+        figures = [f"{link.probability:.2f}", *(f"{seconds:.1f}" for seconds in times)]
+        evidence = (
+            f"lacks {lacks_in_words(link.lacks)}" if link.lacks else f"q = {link.q_value:.1g}"
+        )
+        rows.append([link.from_, link.to, link.relation, *figures, evidence])
+
+    widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
+    form = "  ".join(f"{{:{side}{width}}}" for side, width in zip("<<<>>>><", widths, strict=True))
+    return [form.format(*row).rstrip() for row in rows]
