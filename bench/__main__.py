@@ -26,8 +26,15 @@ def main(argv: list[str]) -> int:
             said = ast.get_docstring(ast.parse(Path(bench.__path__[0], f"{name}.py").read_text()))
             print(f"  {name:<11} {(said or '').splitlines()[0]}", file=sys.stderr)
         return 2
-    part = import_module(f"bench.{argv[0]}")
-    status: int = part.main(argv[1:])
+    try:
+        status: int = import_module(f"bench.{argv[0]}").main(argv[1:])
+    except ModuleNotFoundError as error:
+        package = (error.name or "bench").partition(".")[0]
+        if package in ("bench", "camtopod"):
+            raise
+        sentence = f"bench {argv[0]} needs {package}: pip install -e '.[test,bench]'"
+        print(sentence, file=sys.stderr)
+        return 1
     return status
 
 

@@ -27,6 +27,8 @@ DELTA_SCHEMA = "camtopod/topology-delta/1"
 
 OUTCOMES_SAID = 3
 """Most outcomes of a prediction that are said in words."""
+SHARE_SAID_MIN = 0.01
+"""Least probability of an outcome that is said in words."""
 SEEN_NOW_MIN = 0.3
 """Least probability that a camera sees an object now for words to say so."""
 LAG_BINS_MAX = 1_000
@@ -593,7 +595,11 @@ class Prediction(Struct, frozen=True, omit_defaults=True, rename={"candidates": 
         outcomes["leaves the site"] = self.leave, ""
 
         likeliest = sorted(outcomes.items(), key=lambda outcome: -outcome[1][0])[:OUTCOMES_SAID]
-        return "; ".join(f"{place} {100 * share:.0f} %{when}" for place, (share, when) in likeliest)
+        return "; ".join(
+            f"{place} {100 * share:.0f} %{when}"
+            for place, (share, when) in likeliest
+            if share >= SHARE_SAID_MIN
+        )
 
 
 class MatchedPassage(Struct, frozen=True, omit_defaults=True):

@@ -16,7 +16,7 @@ import pytest
 from fake_bus_daemon import NOW, LearnedDaemon, learned, put, running
 from pages import blocks
 from paths import DEPLOY, EXAMPLES, ROOT
-from serving import T0, closing_event, free_endpoint, numbered, small_config, wait_for
+from serving import T0, closing_event, free_endpoint, numbered, small_config, wait_for, walkers
 
 from camtopod.codec import to_json
 from camtopod.records import Event
@@ -115,6 +115,20 @@ def test_who_is_who(learned_daemon: LearnedDaemon) -> None:
         "a/21 = c/22",
         "a/31 = b/32",
     ]
+
+
+def test_who_is_who_without_a_daemon(tmp_path: Path) -> None:
+    walks = [*walk(1, NOW, "b"), *walk(2, NOW + 6, "c"), *walk(3, NOW + 60, "b")]
+    for name, events in (("learn", [*walkers(200), closing_event()]), ("match", walks)):
+        (tmp_path / name).write_bytes(b"".join(to_json(event) + b"\n" for event in events))
+    example = EXAMPLES / "offline.py"
+    command = [sys.executable, example, tmp_path / "learn", tmp_path / "match"]
+
+    done = subprocess.run(command, capture_output=True, timeout=100, text=True)
+
+    assert done.stderr == ""
+    assert sorted(done.stdout.splitlines()) == ["a/11 = b/12", "a/21 = c/22", "a/31 = b/32"]
+    assert len(example.read_text().splitlines()) <= 27
 
 
 def test_who_is_who_by_looks_and_by_the_site(learned_daemon: LearnedDaemon) -> None:

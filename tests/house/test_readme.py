@@ -14,11 +14,14 @@ import shlex
 import tomllib
 from pathlib import Path
 
+import numpy
 import pytest
+import scipy.optimize
 from pages import FENCED, PAGES, blocks, invocations, links, shown
 from paths import ROOT
-from serving import free_endpoint
+from serving import free_endpoint, walkers
 
+import camtopod
 from camtopod import client
 from camtopod.adapt import FORMATS
 from camtopod.cli.main import COMMANDS, parser_of
@@ -234,7 +237,20 @@ def test_the_line_that_is_all_of_a_camera() -> None:
 def test_every_block_of_python_compiles_and_is_run_by_some_test() -> None:
     for page, block in PYTHON:
         compile(block, page, "exec")
-    assert len(PYTHON) == 3
+    assert len(PYTHON) == 4
+
+
+def test_tracks_are_handed_over_without_a_daemon() -> None:
+    events = walkers(200)
+    names = {"camtopod": camtopod, "numpy": numpy, "scipy": scipy, "events": events}
+    for kind, name in (("exit", "exits"), ("entry", "entries")):
+        names[name] = [event for event in events[-60:] if event.kind == kind]
+    exec(block_with("Gate("), names)
+    assert all(
+        names["exits"][row].camera != names["entries"][column].camera
+        for row, column in zip(*names["pairs"], strict=True)
+        if names["odds"][row, column] > 0
+    )
 
 
 def test_a_tracker_s_boxes_are_published(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

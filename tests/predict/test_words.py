@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import pytest
+from msgspec.structs import replace
 
 from camtopod.records import InView, NextCamera, Prediction
 
@@ -34,6 +35,8 @@ def test_at_most_three_outcomes_are_said() -> None:
     said = Prediction("lobby", "lobby/1", 1.0, "17", 9, 0.39, [HALL, *rest])
     words = "hall 41 %, in 6 to 10 s; leaves the site 39 %; bar 10 %, in 1 to 3 s"
     assert str(said) == words
+    alone = Prediction("lobby", "lobby/1", 1.0, "17", 9, 0.995, [replace(HALL, probability=0.005)])
+    assert str(alone) == "leaves the site 100 %"
 
 
 def test_who_is_seen_elsewhere_is_in_view_now() -> None:

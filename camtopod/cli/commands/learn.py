@@ -55,8 +55,8 @@ def add_parser(add: Any) -> None:
     parser.add_argument(
         "--table",
         action="store_true",
-        help="print the links between views, and those with half of their evidence; a terminal gets "
-        "them anyway if no file is named",
+        help="print the links between views, and those with half of their evidence; a terminal "
+        "gets them anyway if no file is named",
     )
 
 
