@@ -22,7 +22,7 @@ class Plan {
   #copy = h("button", { type: "button", hidden: true, on: { click: () => this.#copied() } }, "Copy");
   panel = h(
     "details",
-    { class: "overlay places" },
+    { class: "overlay places", name: "news" },
     h("summary", {}, "Place cameras"),
     h("p", {}, "Drag them, or Shift and arrow keys; then put each “at” into its camera's table of the configuration."),
     this.#toml,
