@@ -2,7 +2,7 @@
 
 const NODE_SHARE = 0.14; // radius of a circle, of a hop
 const NODE_PIXELS = [1.8, 18];
-const SPAN_PIXELS = [24, 270]; // side of a square as large as a picture; below, the camera is a circle
+const SPAN_PIXELS = [36, 270]; // side of a square as large as a picture; below, the camera is a circle
 const NEAR_HOPS = 3;
 const NEAR_MAX = 8; // neighbours that bound a picture's size
 const APART_PIXELS = [84, 46]; // beside and above a picture, to the next: room for names and times
