@@ -27,6 +27,9 @@ from camtopod.visible import visible, visible_lines
 
 log = logging.getLogger(__name__)
 
+PARTS = {"run": "daemon", "web": "page", "bridge": "bridge"}
+"""Command -> what it is called in the log of `up`."""
+
 
 def configuration(args: argparse.Namespace) -> Config:
     """Return the configuration with ``--site``, ``--connect``, ``--state`` applied.
@@ -143,9 +146,10 @@ class _Formatter(logging.Formatter):
 
     converter = staticmethod(time.gmtime)
 
-    def __init__(self, form: str) -> None:
+    def __init__(self, form: str, part: str) -> None:
         super().__init__()
         self._form = form
+        self._part = f"{part}: " if part else ""
         self._stamped = not _to_journal()
 
     def format(self, record: logging.LogRecord) -> str:
@@ -162,6 +166,7 @@ class _Formatter(logging.Formatter):
         if self._form == "logfmt":
             quoted = json.dumps(message + trace, ensure_ascii=False)
             return visible(f"t={stamp} level={level} from={name} message={quoted}")
+        message = self._part + message
         line = visible(f"{level}: {message}")
         if not self._stamped:  # the journal has its own times
             return (visible(message) if level == "info" else line) + visible_lines(trace)
@@ -179,10 +184,12 @@ def _to_journal() -> bool:
 def start_logging(args: argparse.Namespace) -> None:
     """Send the messages of all modules to standard error, in the format of ``--log-format``.
 
-    Messages below ``--log-level`` are left out.
+    Messages below ``--log-level`` are left out. In text, a part of `up` begins with its name; the
+    other formats name the module.
     """
     handler = logging.StreamHandler()
-    handler.setFormatter(_Formatter(args.log_format))
+    part = PARTS.get(args.command, "") if args.with_parent is not None else ""
+    handler.setFormatter(_Formatter(args.log_format, part))
     level = logging.getLevelNamesMapping()[getattr(args, "log_level", "info").upper()]
     logging.basicConfig(level=level, handlers=[handler], force=True)
     args.logs = True

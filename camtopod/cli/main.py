@@ -1,10 +1,11 @@
 """Console script: find the command, import only its module, turn expected errors into exit
 statuses.
 
-A command is a module, ``camtopod.cli.commands.NAME``, with two functions. ``add_parser(add)`` calls
-``add(...)``, which makes the command's parser, once, and adds the command's own arguments; it
-returns the parsers of its own subcommands, if it has any. ``run(args)`` does the work and returns
-the exit status, or None for 0.
+A command is a module, ``camtopod.cli.commands.NAME`` or, of `OPERATOR`,
+``camtopod.cli.operator.NAME``, with two functions. ``add_parser(add)`` calls ``add(...)``, which
+makes the command's parser, once, and adds the command's own arguments; it returns the parsers of
+its own subcommands, if it has any. ``run(args)`` does the work and returns the exit status, or None
+for 0.
 
 The common options are added here, before and after the command's name, and arrive as
 ``args.config`` (path or None; without --config the first of `PLACES`), ``args.site`` (str or
@@ -42,6 +43,7 @@ COMMANDS = {
     "demo": "run the whole system on simulated cameras, without any configuration",
     "init": "probe cameras and write a configuration",
     "grab": "turn the video of one camera, or of all configured ones, into entry and exit events",
+    "up": "run the daemon, the grabbers and the page of one machine",
     "run": "run the daemon: learn the topology from events on the bus and predict",
     "learn": "learn the topology from recorded event lines",
     "predict": "predict for each recorded exit where the object appears next",
@@ -62,6 +64,8 @@ COMMANDS = {
 }
 """Command -> one-line summary for --help."""
 
+OPERATOR = ("forget", "rename", "reset")
+"""The commands that change a site by hand."""
 PLACES = (Path("camtopod.toml"), Path("/etc/camtopod/camtopod.toml"))
 """Files that are read without --config; the first one that exists."""
 LOG_FORMATS = ("text", "logfmt", "json")
@@ -102,8 +106,9 @@ _COMMON: dict[str, dict[str, Any]] = {
         "default": "info",
         "help": "least important messages to show (default: info)",
     },
+    "--with-parent": {"metavar": "PID", "type": int, "help": argparse.SUPPRESS},
 }
-"""The common options; all have a value."""
+"""The common options; all have a value. The last one is for processes of `up` and `grab`."""
 
 
 def main(argv: Sequence[str] | None = None) -> int:
@@ -112,7 +117,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     for name in _LINEAR_ALGEBRA_THREADS:
         os.environ.setdefault(name, "1")
     form = "text"
-    if _command_in(arguments) in ("run", "grab"):
+    if _command_in(arguments) in ("up", "run", "grab"):
         # SIGHUP ends neither; it is ignored until they have a handler.
         signal.signal(signal.SIGHUP, signal.SIG_IGN)
 
@@ -257,7 +262,7 @@ def parser_of(whole: Collection[str]) -> tuple[argparse.ArgumentParser, dict[str
     for command, summary in COMMANDS.items():
         add = functools.partial(subparsers.add_parser, command, help=summary)
         if command in whole:
-            modules[command] = importlib.import_module(f"camtopod.cli.commands.{command}")
+            modules[command] = importlib.import_module(_module(command))
             inner = modules[command].add_parser(add) or []
             for its in (subparsers.choices[command], *inner):
                 _add_common(its, top=False)
@@ -265,6 +270,11 @@ def parser_of(whole: Collection[str]) -> tuple[argparse.ArgumentParser, dict[str
         else:
             add()
     return parser, modules
+
+
+def _module(command: str) -> str:
+    """Return the name of the command's module."""
+    return f"camtopod.cli.{'operator' if command in OPERATOR else 'commands'}.{command}"
 
 
 def _command_in(arguments: list[str]) -> str | None:
@@ -307,8 +317,8 @@ _FIRST_STEPS = f"""\
 
 Begin with one of these:
     camtopod demo                      the whole system on simulated cameras, nothing to configure
-    camtopod init lobby=rtsp://...     probe your cameras and write camtopod.toml; then run and grab
-    camtopod web                       the page of a daemon that runs, in the browser
+    camtopod init lobby=rtsp://...     probe your cameras and write camtopod.toml
+    camtopod up                        daemon, grabbers and page for them, in one terminal
 
 camtopod --help lists all commands, camtopod COMMAND --help the options of one."""
 """Answer to a command line without anything."""

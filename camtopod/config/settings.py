@@ -151,6 +151,11 @@ class CameraSettings(VisionSettings, frozen=True, forbid_unknown_fields=True, kw
     """
 
     @property
+    def has_source(self) -> bool:
+        """Return True if it is grabbed; otherwise other programs may make its events."""
+        return bool(self.source or self.source_file)
+
+    @property
     def vision(self) -> VisionSettings:
         """The camera's settings of vision: those of [vision], and those in its own table."""
         return msgspec.convert(self, VisionSettings, from_attributes=True)
@@ -201,7 +206,7 @@ class HealthSettings(Struct, frozen=True, forbid_unknown_fields=True):
 
 
 class WebSettings(Struct, frozen=True, forbid_unknown_fields=True):
-    """``[web]``: who may open the page of `camtopod web`."""
+    """``[web]``: the page: who may open it, and its pictures."""
 
     password_file: str = ""
     """A file whose first line is the password that the page asks for, at least 8 characters; nobody
@@ -211,6 +216,15 @@ class WebSettings(Struct, frozen=True, forbid_unknown_fields=True):
     """A file whose first line is the token with which programs use the HTTP API, at least 20
     characters; needs password_file.
     """
+    pictures: str = ""
+    """A folder with a picture of each camera, CAMERA.jpg or CAMERA.png, for the page; `init` and
+    `check --probe` store those of the empty scenes there. A path as in [bus.tls]; empty: none.
+    """
+
+    @property
+    def pictures_folder(self) -> Path | None:
+        """The folder of the cameras' pictures, if there is one."""
+        return Path(self.pictures) if self.pictures else None
 
 
 class MapSettings(Struct, frozen=True, forbid_unknown_fields=True):
@@ -325,6 +339,12 @@ class Config(Struct, frozen=True, forbid_unknown_fields=True):
             cameras = {**cameras, camera: replace(known, source=source, source_file="")}
         return replace(self.certified(camera), cameras=cameras)
 
+    @property
+    def grabbed(self) -> Config:
+        """The configuration with the cameras that have a source, and no others."""
+        cameras = {name: one for name, one in self.cameras.items() if one.has_source}
+        return replace(self, cameras=cameras)
+
     def certified(self, camera: str) -> Config:
         """Return the configuration with the certificate of ``camera``, for its publisher."""
         tls = _with_paths(self.bus.tls, lambda path: path.replace("{camera}", camera))
@@ -415,7 +435,7 @@ def without_source(config: Config, text: str, name: Path) -> list[str]:
         f"{name}:{lines.get(('cameras', camera), 1)}: cameras.{camera}: source is missing; add it, "
         f"or source_file, or grab this camera with `camtopod grab --camera {camera} SOURCE`"
         for camera, settings in config.cameras.items()
-        if not settings.source and not settings.source_file
+        if not settings.has_source
     ]
 
 

@@ -101,7 +101,7 @@ def test_usage(
     out, err = capsys.readouterr()
     assert out == ""
     begins = re.findall(r"(?m)^    camtopod (\w+)", err)
-    assert begins == ([] if arguments else ["demo", "init", "web"])
+    assert begins == ([] if arguments else ["demo", "init", "up"])
 
 
 def test_common_options_stand_before_or_after_the_command(command: types.ModuleType) -> None:
@@ -295,7 +295,7 @@ def test_where_the_state_is(monkeypatch: pytest.MonkeyPatch) -> None:
 
 @pytest.mark.parametrize("form", main.LOG_FORMATS)
 def test_log_formats(form: str, capsys: pytest.CaptureFixture[str]) -> None:
-    start_logging(arguments(log_format=form))
+    start_logging(arguments(log_format=form, command="run", with_parent=None))
     logging.getLogger("camtopod.serve.x").warning('says "%s"', "rtsp://admin:p@ss:w/rd@h/x\x1b[2J")
     line = capsys.readouterr().err.rstrip("\n")
 

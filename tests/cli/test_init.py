@@ -6,6 +6,7 @@ from __future__ import annotations
 
 import json
 import socket
+import sys
 from pathlib import Path
 
 import cv2
@@ -183,8 +184,7 @@ def test_passwords_go_into_files_of_their_own(
     assert "front.door  cannot be opened: the camera refuses the user name or password (401)" in err
     assert "yard  MPEG-4, 192x144, 7 frames a second" in err
     assert err.endswith(
-        "    camtopod --config site/camtopod.toml run\n    camtopod --config site/camtopod.toml grab\n"
-        "    camtopod --config site/camtopod.toml watch\n"
+        "next: camtopod --config site/camtopod.toml up, then open http://127.0.0.1:8780/\n"
     )
     files = everything_below(tmp_path / "site")
     assert files.pop("camtopod.toml")[0] & 0o444
@@ -315,9 +315,7 @@ def test_sources_from_standard_input_and_a_daemon_elsewhere(tmp_path: Path) -> N
     process = camtopod(*command, stdin=-1, stderr=-1)
     _, err = process.communicate(b"\nlobby=4242\n  4243  \n", timeout=60)
     assert process.returncode == 66
-    assert err.decode().endswith(
-        f"terminal of its own:\n    camtopod --config {out} grab\n    camtopod --config {out} watch\n"
-    )
+    assert err.decode().endswith(f"next: camtopod --config {out} grab\n")
     loaded = settings.load(out)
     assert ({name: each.source for name, each in loaded.cameras.items()}, loaded.bus.connect) == (
         {"lobby": "4242", "device-4243": "4243"},
@@ -347,6 +345,13 @@ def test_a_picture_is_kept_when_asked_for(
     assert folder.stat().st_mode & 0o777 == 0o750
     assert pictures.picture_of(folder, "yard") == folder / "yard.jpg"
 
+    loaded = settings.load(tmp_path / "camtopod.toml")
+    assert loaded.web.pictures_folder == folder
+    assert 'pictures = "state/pictures"\n' in (tmp_path / "camtopod.toml").read_text()
+    (folder / "yard.jpg").write_bytes(b"old")
+    assert main(["check", "--probe"]) == 66
+    assert cv2.imread(str(folder / "yard.jpg")) is not None, "renewed"
+
     (tmp_path / "camtopod.toml").unlink()
     assert main(arguments) == 1, "it may be the operator's own"
     assert "yard.jpg: exists already; overwrite with --force" in capsys.readouterr().err
@@ -371,6 +376,29 @@ def test_the_picture_is_the_scene_without_people(
     assert picture is not None
     assert np.abs(picture.mean(axis=2) - empty).max() < 30
     assert Path("pictures/short.jpg").stat().st_size > 1000
+
+
+@pytest.mark.parametrize(("answer", "kept"), [("", ["yard.jpg"]), ("n", [])])
+def test_on_a_terminal_it_asks_once(
+    answer: str,
+    kept: list[str],
+    film: Path,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    answers = [answer]
+    for stream in (sys.stdin, sys.stderr):
+        monkeypatch.setattr(stream, "isatty", lambda: True)
+    monkeypatch.setattr("builtins.input", answers.pop)
+    assert main(["init", f"yard={film}"]) == 0
+    said = capsys.readouterr().err
+    assert "It shows the empty scene and stays on this machine. [Y/n]" in said
+    assert said.endswith("next: camtopod up, then open http://127.0.0.1:8780/\n")
+    assert [path.name for path in tmp_path.glob("pictures/*")] == kept
+    assert main(["init", f"hall={film}"]) == 0, "the answer holds for further cameras"
+    assert len([*tmp_path.glob("pictures/*")]) == 2 * len(kept)
 
 
 # --- check --probe -------------------------------------------------------------------------------

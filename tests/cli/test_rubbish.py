@@ -11,7 +11,8 @@ import pytest
 from fake_bus import OneBus
 
 from camtopod.cli import exits, main
-from camtopod.cli.commands import bridge, doctor, forget, watch
+from camtopod.cli.commands import bridge, doctor, watch
+from camtopod.cli.operator import forget
 from camtopod.cli.terminal import SiteState
 from camtopod.export.homeassistant import Topics
 from camtopod.records import CatchingUp, DaemonStatus, Prediction, Status

@@ -126,7 +126,7 @@ class Box:
 
 def options(config: Path, **given: Any) -> argparse.Namespace:
     """Return the arguments of `camtopod grab`."""
-    none = {"site": None, "state": None, "start": 0.0, "realtime": False}
+    none = {"command": "grab", "site": None, "state": None, "start": 0.0, "realtime": False}
     return argparse.Namespace(
         **{**none, "config": config, "connect": [], "log_format": "json", **given}
     )

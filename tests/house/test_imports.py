@@ -59,7 +59,7 @@ FLOORS = (
     "cli.terminal",
     "cli.common",
     "cli.events cli.generated cli.cameras",
-    "cli.commands",
+    "cli.commands cli.operator",
     "cli",
     "__main__",
 )

@@ -188,7 +188,8 @@ def test_errors_are_json_and_a_camera_that_is_none_is_named(server: Shown) -> No
 def test_it_says_where_it_is_and_ends_when_told(tmp_path: Path) -> None:
     endpoint = free_endpoint()
     config = msgspec.structs.replace(small_config(tmp_path), bus=BusSettings(listen=(endpoint,)))
-    options = ("--listen", "127.0.0.1:0", "--pictures", f"{tmp_path}/none")
+    (tmp_path / "c.toml").write_text('[web]\npictures = "none"\n')
+    options = ("--listen", "127.0.0.1:0", "--config", f"{tmp_path}/c.toml")
     with contextlib.closing(buses.open_daemon_session(config)):
         process = serving.camtopod(
             "web", "--connect", endpoint, *options, stderr=subprocess.PIPE, stdout=subprocess.PIPE
@@ -200,7 +201,7 @@ def test_it_says_where_it_is_and_ends_when_told(tmp_path: Path) -> None:
         process.terminate()
         out, _ = process.communicate(timeout=20)
 
-    said = f"--pictures {tmp_path}/none: no such directory; cameras are shown without pictures"
+    said = f"[web] pictures {tmp_path}/none: no such directory; cameras are shown without pictures"
     assert warning.endswith(f" warning: {said}\n")
     assert " info: the page is at http://127.0.0.1:" in where
     assert (process.returncode, out) == (0, b"")

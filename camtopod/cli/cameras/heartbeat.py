@@ -49,15 +49,21 @@ class HeartbeatReceiver:
 
         Never blocks.
         """
-        lines: list[str] = []
-        with contextlib.suppress(BlockingIOError):
-            for _ in range(_WAITING_MAX):
-                lines += self._socket.recv(4096).decode("utf-8", "replace").splitlines()
-        statuses = [line.removeprefix("STATUS=") for line in lines if line.startswith("STATUS=")]
+        statuses = [
+            line.removeprefix("STATUS=") for line in self.lines() if line.startswith("STATUS=")
+        ]
         if not statuses:
             return None
         state, _, reason = statuses[-1].partition(": ")
         return state, reason
+
+    def lines(self) -> list[str]:
+        """Return the lines of all notifications since the last call. Never blocks."""
+        lines: list[str] = []
+        with contextlib.suppress(BlockingIOError):
+            for _ in range(_WAITING_MAX):
+                lines += self._socket.recv(4096).decode("utf-8", "replace").splitlines()
+        return lines
 
     def close(self) -> None:
         """Close the socket once the process has ended."""

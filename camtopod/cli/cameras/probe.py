@@ -44,7 +44,7 @@ def probe_all(
     for settings in cameras.values():
         remember(settings.source)
     if folder is not None:
-        with writing(f"--pictures {folder}"):
+        with writing(folder):
             folder.mkdir(mode=0o750, parents=True, exist_ok=True)
 
     # Probe all, and handle each result as soon as it is known.
@@ -58,7 +58,7 @@ def probe_all(
             camera = futures[future]
             probe = future.result()
             if folder is not None and probe.picture:
-                with writing(f"--pictures {folder}"):
+                with writing(folder):
                     secret_files.write(folder / f"{camera}.jpg", probe.picture, 0o640)
             probes[camera] = replace(probe, picture=b"")
             on_probe(camera, probes[camera])
@@ -99,10 +99,10 @@ def try_detector(detector: DetectorSettings) -> ModelReport:
     return _probe(CameraSettings(detector=detector), picture=False).detector
 
 
-def check_site(path: Path, config: Config, folder: Path | None) -> int:
+def check_site(path: Path, config: Config) -> int:
     """Open every camera and the bus, print one line about each, and return the worst exit status.
 
-    folder: where to keep pictures of the cameras, or None.
+    Where the configuration has a folder for the cameras' pictures, they are renewed.
     """
     text = path.read_text(encoding="utf-8")
     lines = key_lines(text)
@@ -132,7 +132,7 @@ def check_site(path: Path, config: Config, folder: Path | None) -> int:
     probe_all(
         {name: one for name, one in cameras.items() if one.source or one.detector.model},
         tell,
-        folder,
+        config.web.pictures_folder,
     )
 
     # Open the bus.

@@ -94,6 +94,8 @@ class _Supervisor:
         """
         try:
             config = configuration(self._args)
+            if self._args.command == "up":
+                config = config.grabbed
             _require_sources(config, self._args)
         except CommandError as error:
             log.error("the old configuration stays in use: %s", " ".join(str(error).splitlines()))
@@ -146,13 +148,8 @@ class _Supervisor:
 
 def command(process: CameraProcess, args: argparse.Namespace) -> list[str]:
     """Return the command line of a camera's process; it contains no source, so no password."""
-    line = [sys.executable, "-m", "camtopod", "--config", str(args.config)]
-    line += ["--log-format", args.log_format, "--log-level", getattr(args, "log_level", "info")]
-    if args.site is not None:
-        line += ["--site", args.site]
-    for endpoint in args.connect:
-        line += ["--connect", endpoint]
-    line += ["grab", "--camera", process.camera, "--with-parent", str(os.getpid())]
+    line = [sys.executable, "-m", "camtopod", *common_options(args)]
+    line += ["grab", "--camera", process.camera]
     line += ["--restarts", str(process.restarts), "--last-end", process.last_end]
     line += ["--start", str(args.start)]
     if args.state is not None:
@@ -160,6 +157,17 @@ def command(process: CameraProcess, args: argparse.Namespace) -> list[str]:
     if args.realtime:
         line += ["--realtime"]
     return line
+
+
+def common_options(args: argparse.Namespace) -> list[str]:
+    """Return the common options of a process of this one, as this one was given them."""
+    line = ["--config", str(args.config or "none")]
+    line += ["--log-format", args.log_format, "--log-level", getattr(args, "log_level", "info")]
+    if args.site is not None:
+        line += ["--site", args.site]
+    for endpoint in args.connect:
+        line += ["--connect", endpoint]
+    return [*line, "--with-parent", str(os.getpid())]
 
 
 def _filled(config: Config, camera: str) -> CameraSettings:

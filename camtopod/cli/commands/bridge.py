@@ -9,7 +9,13 @@ from typing import Any
 
 from camtopod import codec, mqtt
 from camtopod.cli import exits
-from camtopod.cli.common import configuration, reporting_to_systemd, start_logging, until_signal
+from camtopod.cli.common import (
+    configuration,
+    ends_within,
+    reporting_to_systemd,
+    start_logging,
+    until_signal,
+)
 from camtopod.cli.events import broker_options
 from camtopod.cli.site_choice import dial_as_reader
 from camtopod.export import Arrivals, homeassistant
@@ -17,6 +23,8 @@ from camtopod.records import CameraFigures, DaemonStatus, Match, Prediction, Sta
 from camtopod.serve.bus import Bus, QueryError, TopologySubscriber
 from camtopod.serve.runtime import STALL_SECONDS, Progress, wall
 
+LEAVE_SECONDS = 5.0
+"""Time that a blocking part may delay the end after a signal."""
 LOOK_SECONDS = 1.0
 """Interval at which changes are published."""
 ANSWERS_MAX = 1000
@@ -155,6 +163,7 @@ def run(args: argparse.Namespace) -> None:
 
     # Connect to the bus and the broker, then publish changes.
     with contextlib.ExitStack() as stack, until_signal() as stop:
+        stack.enter_context(ends_within(stop, LEAVE_SECONDS, args.with_parent))
         bus, config = dial_as_reader(args, config)
         stack.enter_context(bus)
         topics = homeassistant.Topics(config.site.name, target.prefix, args.discovery.strip("/"))

@@ -47,15 +47,10 @@ def add_parser(add: Any) -> None:
         help="print an example configuration with every setting, its default and its unit",
     )
     parser.add_argument(
-        "--probe", action="store_true", help="also open each of its cameras, and the bus"
-    )
-    parser.add_argument(
-        "--pictures",
-        metavar="DIR",
-        type=Path,
-        help="with --probe: store a picture of each camera as DIR/NAME.jpg, replacing an older "
-        "one; `camtopod web` and `report` draw zones on it. It shows the scene without the people "
-        "who walk through it, and takes 6 to 30 seconds. It is stored only there and not sent",
+        "--probe",
+        action="store_true",
+        help="also open each of its cameras, and the bus; with [web] pictures, renew the cameras' "
+        "pictures in that folder, which takes 6 to 30 seconds",
     )
 
 
@@ -72,10 +67,6 @@ def run(args: argparse.Namespace) -> int:
         return exits.DONE
 
     # Load the configuration, or list its mistakes.
-    if args.pictures is not None and not args.probe:
-        raise CommandError(
-            "--pictures needs --probe, which opens the cameras: give both", exits.USAGE
-        )
     path = args.file or args.config
     if path is None:
         raise CommandError(
@@ -115,7 +106,7 @@ def run(args: argparse.Namespace) -> int:
         return exits.DONE
     from camtopod.cli.cameras.probe import check_site
 
-    return check_site(path, loaded, args.pictures)
+    return check_site(path, loaded)
 
 
 def _model_problems(path: Path, config: Config, text: str) -> Iterator[str]:

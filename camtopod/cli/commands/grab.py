@@ -114,7 +114,6 @@ def add_parser(add: Any) -> None:
         "--state", metavar="DIRECTORY", help="directory of the spool (default: [state] directory)"
     )
     # Options that the supervisor passes to a camera's process.
-    parser.add_argument("--with-parent", type=int, help=argparse.SUPPRESS)
     parser.add_argument("--restarts", type=int, default=0, help=argparse.SUPPRESS)
     parser.add_argument("--last-end", default="", help=argparse.SUPPRESS)
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import json
+import sys
 from collections.abc import Collection, Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -11,6 +12,7 @@ from typing import Any
 from msgspec.structs import replace
 
 from camtopod.cli import exits
+from camtopod.cli.commands.web import LISTEN
 from camtopod.cli.common import configuration, counted, open_output, say, writing
 from camtopod.cli.exits import CommandError, InputError
 from camtopod.cli.generated import table
@@ -19,10 +21,14 @@ from camtopod.redact import redact
 from camtopod.visible import visible
 from camtopod.vision.source import SETTLE_SECONDS_MAX, Probe, file_path, kind_of
 
+FOUND = Path("camtopod.toml")
+"""The configuration that other commands find without --config."""
 SECRETS = "secrets"
 """Folder of the passwords, beside the configuration."""
 CREDENTIALS = "$CREDENTIALS_DIRECTORY"
 """Directory in which systemd gives a service its files; deploy's units take them from `SECRETS`."""
+PICTURES = "pictures"
+"""Folder of the cameras' pictures, beside the configuration."""
 HEALTH = "127.0.0.1:8787"
 """Address at which a daemon run as a service reports its health."""
 _HEAD = """\
@@ -53,7 +59,7 @@ def add_parser(add: Any) -> None:
     parser.add_argument(
         "--out",
         type=Path,
-        default=Path("camtopod.toml"),
+        default=FOUND,
         metavar="FILE",
         help="configuration file to write or to add to (default: %(default)s)",
     )
@@ -61,9 +67,10 @@ def add_parser(add: Any) -> None:
         "--pictures",
         metavar="DIR",
         type=Path,
-        help="also store a picture of each camera as DIR/NAME.jpg; `camtopod web` and `report` "
-        "draw zones on it. It shows the scene without the people who walk through it, and takes 6 "
-        "to 30 seconds. It is stored only there and not sent; `init` stores no other picture",
+        help="also store a picture of each camera as DIR/NAME.jpg, for the page; it becomes [web] "
+        "pictures, as does what you answer on a terminal. It shows the scene without the people "
+        "who walk through it, and takes 6 to 30 seconds. It is stored only there and not sent; "
+        "`init` stores no other picture",
     )
     parser.add_argument(
         "--credentials",
@@ -110,9 +117,10 @@ def run(args: argparse.Namespace) -> int:
         for name, source in cameras.items()
         if args.credentials or redact(source) != source
     }
+    pictures = _pictures_folder(args, settings, adding)
     written = [*secrets.values()]
-    if args.pictures is not None:
-        written += [args.pictures / f"{name}.jpg" for name in cameras]
+    if pictures is not None:
+        written += [pictures / f"{name}.jpg" for name in cameras]
     existing = [str(path) for path in written if path.exists()]
     if existing and not args.force:
         raise CommandError(
@@ -121,14 +129,14 @@ def run(args: argparse.Namespace) -> int:
         )
 
     # Probe the cameras, then write the configuration and the secrets.
-    cameras, probes = _probed(args, cameras, settings)
+    cameras, probes = _probed(cameras, settings, pictures)
     tables = camera_tables(cameras, probes, secrets.keys(), args.credentials)
     mode = 0o644  # the services' users have to read it; it contains no password
     if adding:
         mode = args.out.stat().st_mode & 0o777
         text = with_cameras(args.out, tables)
     else:
-        text = configuration_text(settings, tables, args.credentials)
+        text = configuration_text(settings, tables, args.credentials, _beside(args.out, pictures))
     with writing(args.out):
         for name, path in secrets.items():
             path.parent.mkdir(mode=0o700, exist_ok=True)
@@ -140,18 +148,45 @@ def run(args: argparse.Namespace) -> int:
     say(f"{args.out} has {', '.join(cameras)}")
     if secrets:
         say(f"sources with secrets are in {args.out.parent / SECRETS}, readable only by you")
+    if pictures is not None and pictures != settings.web.pictures_folder and adding:
+        say(f"for the page to show the pictures, set [web] pictures in {args.out}")
     say(_next(args, settings, cameras))
     if refusals or any(probe.problem for probe in probes.values()):
         return exits.INPUT
     return exits.DONE
 
 
+def _pictures_folder(args: argparse.Namespace, settings: Config, adding: bool) -> Path | None:
+    """Return where to keep a picture of each camera; None: nowhere.
+
+    A new configuration's user is asked, on a terminal that has nothing else to read.
+    """
+    if args.pictures is not None or adding:
+        return args.pictures or settings.web.pictures_folder
+    if args.credentials or "-" in args.sources or not (sys.stdin.isatty() and sys.stderr.isatty()):
+        return None
+    say(
+        "Keep a picture of each camera for the page? It shows the empty scene and stays on this "
+        "machine. [Y/n]"
+    )
+    return args.out.parent / PICTURES if input().strip().lower() in ("", "y", "yes") else None
+
+
+def _beside(out: Path, folder: Path | None) -> str:
+    """Return the folder as the configuration ``out`` names it; empty for none."""
+    if folder is None:
+        return ""
+    path, base = folder.absolute(), out.parent.absolute()
+    return str(path.relative_to(base) if path.is_relative_to(base) else path)
+
+
 def _probed(
-    args: argparse.Namespace, given: Mapping[str, str], settings: Config
+    given: Mapping[str, str], settings: Config, pictures: Path | None
 ) -> tuple[dict[str, str], dict[str, Probe]]:
     """Return sources and probe results of the cameras, by camera id.
 
     given: sources as given; others are returned where a camera's stream is found elsewhere.
+    pictures: folder for a picture of each; None for none.
     """
     from camtopod.cli.cameras.finding import streams_by_path
     from camtopod.cli.cameras.probe import probe_all
@@ -165,9 +200,9 @@ def _probed(
     # Probe the streams as they are given.
     cameras = dict(given)
     say(f"probing {counted(len(cameras), 'camera')} ...")
-    if args.pictures is not None:
+    if pictures is not None:
         say(f"a picture takes up to {SETTLE_SECONDS_MAX:.0f} s")
-    probes = probe_all(described(cameras), tell, args.pictures)
+    probes = probe_all(described(cameras), tell, pictures)
 
     # Where a URL has no path, take the maker's.
     found = streams_by_path(
@@ -185,11 +220,14 @@ def _words(probe: Probe) -> list[str]:
     return [visible(line) for line in probe.lines]
 
 
-def configuration_text(settings: Config, tables: Sequence[str], credentials: bool = False) -> str:
+def configuration_text(
+    settings: Config, tables: Sequence[str], credentials: bool = False, pictures: str = ""
+) -> str:
     """Return the text of the configuration.
 
     tables: those of the cameras.
     credentials: systemd passes the cameras' sources to the services.
+    pictures: folder of the cameras' pictures; empty for none.
     """
     bus = {}
     if settings.bus.connect:
@@ -202,6 +240,8 @@ def configuration_text(settings: Config, tables: Sequence[str], credentials: boo
         table("bus", TABLES["bus"], bus),
         table("state", TABLES["state"], {}),
     ]
+    if pictures:
+        parts.append(table("web", TABLES["web"], {"pictures": pictures}))
     if credentials and not settings.bus.connect:  # otherwise the daemon is on another machine
         parts.append(table("health", TABLES["health"], {"listen": HEALTH}))
     return "\n".join(part.rstrip("\n") + "\n" for part in parts)
@@ -267,9 +307,10 @@ def _next(args: argparse.Namespace, settings: Config, cameras: Collection[str]) 
     """Return the next commands; a daemon on another machine runs already."""
     elsewhere = bool(settings.bus.connect)
     if not args.credentials:
-        commands = ["run", "grab", "watch"][elsewhere:]
-        lines = [f"\n    camtopod --config {args.out} {command}" for command in commands]
-        return f"next, each in a terminal of its own:{''.join(lines)}"
+        command = "camtopod" if args.out == FOUND else f"camtopod --config {args.out}"
+        if elsewhere:
+            return f"next: {command} grab"
+        return f"next: {command} up, then open http://{LISTEN}/"
     services = [f"camtopod-grab@{name}" for name in cameras]
     services = ["camtopod", "camtopod-web"] * (not elsewhere) + services
     folder = (args.out.parent / SECRETS).absolute()

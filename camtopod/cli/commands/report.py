@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from camtopod.cli.commands.export import load
-from camtopod.cli.common import open_output
+from camtopod.cli.common import configuration, open_output
 from camtopod.cli.exits import InputError
 from camtopod.codec import Rejected, decode_topology
 from camtopod.records import Topology
@@ -43,8 +43,8 @@ def add_parser(add: Any) -> None:
         "--pictures",
         metavar="DIR",
         type=Path,
-        help="directory with a picture of each camera, CAMERA.jpg or CAMERA.png (`camtopod init "
-        "--pictures` makes them), to include in the file",
+        help="directory with a picture of each camera, CAMERA.jpg or CAMERA.png, to include in the "
+        "file (default: [web] pictures)",
     )
 
 
@@ -54,7 +54,8 @@ def run(args: argparse.Namespace) -> None:
     if args.pictures is not None and not args.pictures.is_dir():
         raise InputError(f"--pictures {args.pictures}: no such directory")
     older = _older(args.updates, topology) if args.updates else []
-    text = single_file.page(report.gather(topology, older, args.pictures))
+    pictures = args.pictures or configuration(args).web.pictures_folder
+    text = single_file.page(report.gather(topology, older, pictures))
     with open_output(args.out) as file:
         file.write(text.encode())
 

@@ -47,7 +47,7 @@ def run(args: argparse.Namespace) -> None:
     start_logging(args)
 
     # Load the configuration, then run with health page and watchdog.
-    with signals() as requests, ends_within(requests.stop, LEAVE_SECONDS):
+    with signals() as requests, ends_within(requests.stop, LEAVE_SECONDS, args.with_parent):
         config = configuration(args)
         daemon = Daemon(config)
         log_to_standard_output()

@@ -44,6 +44,11 @@ def add_parser(add: Any) -> None:
         "arrive. The page is read-only and loads nothing from other sites.",
         epilog="example: camtopod --config camtopod.toml web --listen 127.0.0.1:8780",
     )
+    add_address(parser)
+
+
+def add_address(parser: argparse.ArgumentParser) -> None:
+    """Add the options of the page's address."""
     parser.add_argument(
         "--listen",
         metavar="HOST:PORT",
@@ -58,13 +63,6 @@ def add_parser(add: Any) -> None:
         help="additional host name to accept, for example behind a reverse proxy (addresses need "
         "none); may be repeated",
     )
-    parser.add_argument(
-        "--pictures",
-        metavar="DIR",
-        type=Path,
-        help="directory on this machine with a picture of each camera, CAMERA.jpg or CAMERA.png "
-        "(`camtopod init --pictures` makes them; copy those of other machines)",
-    )
 
 
 def run(args: argparse.Namespace) -> None:
@@ -76,16 +74,19 @@ def run(args: argparse.Namespace) -> None:
     config = configuration(args)
     host, port = address(args.listen)
     is_public = not access.is_local(f"tcp/{args.listen}")
-    if args.pictures is not None and not os.access(args.pictures, os.R_OK | os.X_OK):
-        why = "no permission to read it" if args.pictures.exists() else "no such directory"
-        log.warning("--pictures %s: %s; cameras are shown without pictures", args.pictures, why)
+    pictures = config.web.pictures_folder
+    if pictures is not None and not os.access(pictures, os.R_OK | os.X_OK):
+        why = "no permission to read it" if pictures.exists() else "no such directory"
+        log.warning("[web] pictures %s: %s; cameras are shown without pictures", pictures, why)
 
     login = _login(config)
     if (plan := config.map.plan) and not os.access(plan, os.R_OK):
         raise InputError(f"cannot read [map] plan {plan}: no such file, or no permission")
 
     # Listen, connect to the bus and serve.
-    with until_signal() as stop, ends_within(stop, LEAVE_SECONDS), contextlib.ExitStack() as stack:
+    with contextlib.ExitStack() as stack:
+        stop = stack.enter_context(until_signal())
+        stack.enter_context(ends_within(stop, LEAVE_SECONDS, args.with_parent))
         listener = stack.enter_context(listening(host, port))
         bus, config = dial_as_reader(args, config)
         stack.enter_context(bus)
@@ -95,7 +96,7 @@ def run(args: argparse.Namespace) -> None:
                 bus,
                 listener,
                 names(host, args.name),
-                args.pictures,
+                pictures,
                 clock.wall,
                 config,
                 is_public,

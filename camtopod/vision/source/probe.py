@@ -147,7 +147,7 @@ def probe(request: ProbeRequest, ffmpeg_log: FfmpegLog) -> Probe:
         if not settled.settled:
             seen.remarks.append(
                 f"the scene has not settled within {settled.seconds:.0f} s, so its picture may "
-                "show people: take it again with `camtopod check --probe --pictures DIR`"
+                "show people: take it again with `camtopod check --probe`"
             )
     return seen
 

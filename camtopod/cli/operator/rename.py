@@ -6,8 +6,8 @@ import argparse
 from typing import Any
 
 from camtopod.admin import Rename
-from camtopod.cli.commands.forget import carry_out
 from camtopod.cli.common import camera_id
+from camtopod.cli.operator.forget import carry_out
 
 
 def add_parser(add: Any) -> None:

@@ -8,9 +8,9 @@ from typing import Any
 
 from camtopod.admin import Reset
 from camtopod.cli import exits
-from camtopod.cli.commands.forget import carry_out
 from camtopod.cli.common import configuration
 from camtopod.cli.exits import CommandError
+from camtopod.cli.operator.forget import carry_out
 
 
 def add_parser(add: Any) -> None:

@@ -1,0 +1,145 @@
+"""`up`: daemon, grabbers and page of one machine, which end together."""
+
+from __future__ import annotations
+
+import argparse
+import os
+import signal
+import time
+import urllib.request
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+from serving import WAIT_SECONDS, camtopod, free_endpoint, wait_for
+
+from camtopod.cli import exits
+from camtopod.cli.commands import up as up_command
+from camtopod.cli.main import main
+
+START_SECONDS = 90.0
+"""Time for three processes to start on a busy machine."""
+
+
+class Up:
+    """`camtopod up` of a site with a camera that is away, and one of another program."""
+
+    def __init__(self, folder: Path, *options: str, **constants: object) -> None:
+        self.config = folder / "camtopod.toml"
+        self.config.write_text(
+            f'[bus]\nlisten = ["{free_endpoint()}"]\n[state]\ndirectory = "{folder}/state"\n'
+            '[cameras.lobby]\nsource = "rtsp://127.0.0.1:1/x"\n[cameras.frigate]\nat = [0.1, 0.2]\n'
+        )
+        self._log = folder / "log"
+        with self._log.open("wb") as file:
+            self.process = camtopod(
+                *("--config", str(self.config), "up", "--listen", "127.0.0.1:0", *options),
+                constants={
+                    f"{up_command.__name__}:{name}": value for name, value in constants.items()
+                },
+                stderr=file,
+            )
+
+    @property
+    def log(self) -> str:
+        return self._log.read_text()
+
+    def says(self, *words: str) -> None:
+        """Wait until all is in the log."""
+        wait_for(lambda: all(word in self.log for word in words), str(words), START_SECONDS)
+
+    def children(self) -> list[int]:
+        """The processes of this configuration beside the first one."""
+        found = []
+        for path in Path("/proc").glob("[0-9]*/cmdline"):
+            try:
+                words = path.read_bytes().split(b"\0")
+            except OSError:  # it has ended meanwhile
+                continue
+            if str(self.config).encode() in words and b"--with-parent" in words:
+                found.append(int(path.parent.name))
+        return found
+
+    def child(self, command: str) -> int:
+        [found] = [
+            child
+            for child in self.children()
+            if command.encode() in Path(f"/proc/{child}/cmdline").read_bytes().split(b"\0")
+        ]
+        return found
+
+
+@pytest.fixture
+def started() -> Iterator[list[Up]]:
+    """Leave nothing behind."""
+    running: list[Up] = []
+    yield running
+    for up in running:
+        up.process.kill()
+        up.process.wait()
+        wait_for(lambda up=up: not up.children(), "its processes to end")  # type: ignore[misc]
+
+
+def test_all_runs_until_it_is_stopped(tmp_path: Path, started: list[Up]) -> None:
+    up = Up(tmp_path)
+    started.append(up)
+    up.says("info: page: the page is at http://", "info: daemon: site site", "camera lobby is")
+    where = up.log.partition("info: page: the page is at ")[2].split()[0]
+    with urllib.request.urlopen(where, timeout=WAIT_SECONDS) as answer:
+        assert b"camtopod" in answer.read()
+    assert len(up.children()) == 3, "daemon, page and one camera"
+
+    up.process.send_signal(signal.SIGINT)
+    assert up.process.wait(WAIT_SECONDS) == exits.DONE
+    assert up.children() == []
+    assert up.log.splitlines()[-1].endswith("info: daemon: ended cleanly")
+    assert up.log.count(str(up.config)) == 0, "each part would name it"
+
+
+def test_when_the_daemon_dies_all_ends(tmp_path: Path, started: list[Up]) -> None:
+    up = Up(tmp_path, PAGE_NEEDS="nothing_of_this_name")
+    started.append(up)
+    up.says("there is no page: pip install 'camtopod[web]'", "camera lobby is")
+    assert len(up.children()) == 2, "daemon and camera"
+    os.kill(up.child("run"), signal.SIGKILL)
+
+    assert up.process.wait(WAIT_SECONDS) == exits.FAILED
+    assert up.children() == []
+    said = "camtopod: daemon: killed by signal 9 (Killed), see above; all has been stopped"
+    assert up.log.splitlines()[-1] == said
+
+
+def test_a_part_that_hangs_is_ended(monkeypatch: pytest.MonkeyPatch) -> None:
+    silent = ["--connect", "tcp/127.0.0.1:1", "watch"]
+    monkeypatch.setattr(up_command, "common_options", lambda _: silent)
+    monkeypatch.setattr(up_command, "HUNG_SECONDS", 0.0)
+    part = up_command._Part(argparse.Namespace(), "run")
+    assert part.look() == ("hung for 0 s", exits.FAILED)
+    part.end(time.monotonic() + WAIT_SECONDS)
+    assert part.process.returncode == -signal.SIGABRT
+
+
+def test_when_it_is_killed_nothing_stays(tmp_path: Path, started: list[Up]) -> None:
+    up = Up(tmp_path)
+    started.append(up)
+    up.says("camera lobby is")
+    up.process.kill()
+    wait_for(lambda: not up.children(), "all to end")
+
+
+def test_the_status_is_that_of_the_part(tmp_path: Path, started: list[Up]) -> None:
+    up = Up(tmp_path, "--listen", "nonsense")
+    started.append(up)
+    assert up.process.wait(START_SECONDS) == exits.USAGE
+    assert "camtopod: --listen 'nonsense': write it like 127.0.0.1:8780" in up.log
+    said = "camtopod: page: ended with status 2, see above; all has been stopped"
+    assert up.log.splitlines()[-1] == said
+
+
+def test_without_a_configuration_it_says_how_to_make_one(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr("camtopod.cli.main.PLACES", (Path("camtopod.toml"),))
+    assert main(["up"]) == exits.USAGE
+    assert "camtopod init lobby=rtsp://" in capsys.readouterr().err
