@@ -28,7 +28,7 @@ from camtopod.cli.main import COMMANDS, parser_of
 from camtopod.codec import event_from_json
 from camtopod.records import Event
 
-LINES_MAX, COLUMNS_MAX = 150, 100
+LINES_MAX, COLUMNS_MAX = 170, 100
 """Of README.md: what somebody reads in five minutes, as wide as the code."""
 TEXTS = {str(page.relative_to(ROOT)): page.read_text() for page in PAGES}
 README = TEXTS["README.md"]

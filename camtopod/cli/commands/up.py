@@ -76,6 +76,7 @@ def run(args: argparse.Namespace) -> None:
                 "your cameras; --config none does without cameras",
                 exits.USAGE,
             )
+        log.info("starting the daemon, then grabbers and page; Ctrl-C ends all")
         parts = _Parts(args, requests.stop)
         try:
             parts.start()

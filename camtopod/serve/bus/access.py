@@ -84,10 +84,13 @@ def openness_warning(config: Config) -> str | None:
     """Return who has access without authentication, and how to restrict it; None with it."""
     if config.bus.tls.ca:
         return None
-    who = f"any program that reaches the bus at {', '.join(config.dials)}"
     if config.listens and all(map(is_local, config.listens)):
-        who = "every program of this machine"
-    elif config.listens:
+        return (
+            "no authentication: every program of this machine can read and write everything; see "
+            "README, 'Security'"
+        )
+    who = f"any program that reaches the bus at {', '.join(config.dials)}"
+    if config.listens:
         who = f"ANYBODY ON THE NETWORK who reaches {', '.join(config.listens)}"
     return (
         f"no authentication: {who} can write events, read everything learned and answer in the"

@@ -77,9 +77,8 @@ class Observed:
             "the picture has hardly any contrast: is the lens covered?": (
                 self._contrast < CONTRAST_MIN
             ),
-            f"the frame rate is so low that {lost}: set the camera to 5 frames a second or more": (
-                0.0 < self.fps < FPS_MIN
-            ),
+            f"the frame rate is so low that {lost}: set the camera to 5 frames a second or more, "
+            "unless this machine is too busy": (0.0 < self.fps < FPS_MIN),
             "the picture is larger than needed: "
             "a smaller stream of the camera takes less of this machine's capacity": (
                 max(self.size) > IMAGE_WIDTH_MAX
