@@ -129,11 +129,6 @@ MECHANISMS = [
             )
         },
     ),
-    Mechanism("first pruning of candidates", {"learn.next_camera.fit:NEGLIGIBLE": 0.0}),
-    Mechanism(
-        "cross-validation bets spread over lags",
-        {"learn.links.cross_validation:EVEN_SHARES": (0.0,)},
-    ),
     Mechanism(
         "missed detections",
         {"learn.refit:without_missed_detections": lambda between, through, found, *rest: found},

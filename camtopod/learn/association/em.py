@@ -506,20 +506,7 @@ class Em:
         The ratio is taken for each candidate, at its lag. It is small where the lag speaks for a
         transition, and 1 where the lag says nothing.
         """
-        at_lag = np.maximum(hazard.take(self.cell), NOTHING)
-        flat: Floats = self._even(hazard)[self.candidates.pair] / at_lag
-        return flat
-
-    def hedged(self, hazard: Singles, even_share: float) -> Singles:
-        """Return the hazards (P, bins) with a share of them spread evenly over all lags."""
-        even = (even_share * self._even(hazard)[:, None]).astype(np.float32)
-        return (1.0 - even_share) * hazard + even
-
-    def _even(self, hazard: Singles) -> Floats:
-        """Return hazards (P,) that are the same at every lag and give as many transitions.
-
-        hazard (P, bins): the hazards that depend on the lag.
-        """
+        # Hazards (P,) that are the same at every lag and give as many transitions.
         even = np.zeros(self.pairs)
         c = self.candidates
         bins = self.problem.bins
@@ -530,4 +517,6 @@ class Em:
             seconds[one_view[rows, None] & before] = 0.0  # in one view no lag is before the exit
             total = np.maximum(seconds.sum(axis=1), 1e-9)
             even[rows] = (hazard[rows] * seconds).sum(axis=1) / total
-        return even
+
+        flat: Floats = even[c.pair] / np.maximum(hazard.take(self.cell), NOTHING)
+        return flat

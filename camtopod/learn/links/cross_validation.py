@@ -7,10 +7,9 @@ first two parts and judged on the next two, and those of the first half on the o
 
 If two zones are unrelated, the product of these likelihood ratios has a mean of at most 1, whatever
 the shape of the fit (a test martingale; Shafer and others, Statistical Science 26(1), 2011).
-Further products come from the order of parts reversed, and from hazards that are partly spread over
-all lags (`EVEN_SHARES`). The mean of all products is an e-value, from which false discovery rates
-follow (Wang and Ramdas 2022). The bound is approximate, as the likelihood approximates the
-competition for departures and the rates of the null model.
+Another product comes from the order of parts reversed. The mean of both is an e-value, from which
+false discovery rates follow (Wang and Ramdas 2022). The bound is approximate, as the likelihood
+approximates the competition for departures and the rates of the null model.
 """
 
 from __future__ import annotations
@@ -39,11 +38,6 @@ BET_SPARSITY = 0.5
 """Transitions that the sparse prior takes off each pair of zones in the fit for a bet. They are
 fewer than in the fit of the whole window, as a part of the window has few transitions.
 """
-EVEN_SHARES = (0.0, 0.3)
-"""Shares of a hazard that are spread evenly over all lags before a bet. With a sharp hazard alone,
-each arrival outside its peak costs much evidence. The mean of the products of bets over these
-shares is an e-value, too.
-"""
 SWEEPS = 3
 """Number of E steps under given hazards."""
 
@@ -63,28 +57,27 @@ def cross_evidence(problem: Problem, fit: Fit, first: float) -> Floats:
     every = candidates_of_pairs(problem, fit.candidates, pairs)
     parts = WindowParts(problem, fit._replace(candidates=every), first)
     numbers = np.arange(PARTS)
-    products = [*_products(parts, numbers), *_products(parts, numbers[::-1])]
-    mean: Floats = np.logaddexp.reduce(products) - np.log(len(products))
+    products = (_product(parts, numbers), _product(parts, numbers[::-1]))
+    mean: Floats = np.logaddexp(*products) - np.log(2.0)
     return mean
 
 
-def _products(parts: WindowParts, order: Longs) -> list[Floats]:
-    """Return the log of the product of all bets (P, nats), for each of `EVEN_SHARES`.
+def _product(parts: WindowParts, order: Longs) -> Floats:
+    """Return the log of the product of all bets (P, nats).
 
     order: numbers of the parts, in the order in which they are used.
 
     The product is against the stronger of the two null models.
     """
-    evidence = np.zeros((len(EVEN_SHARES), 2, len(parts.fit.candidates.source)))
+    evidence = np.zeros((2, len(parts.fit.candidates.source)))
     known = 1
     while known < PARTS:
         rest = parts.take(order[:known])
         judged = parts.take(order[known : 2 * known])
         known *= 2
-        hazard = _fitted(rest)
-        for number, share in enumerate(EVEN_SHARES):
-            evidence[number] += _evidence(judged, judged.hedged(hazard, share), rest.outside)
-    return list(evidence.min(axis=1))
+        evidence += _evidence(judged, _fitted(rest), rest.outside)
+    weaker: Floats = evidence.min(axis=0)
+    return weaker
 
 
 class WindowParts:

@@ -42,8 +42,6 @@ FIRST_ITERATIONS = 5
 """Rounds without contexts, and EM iterations of each; after each, unlikely candidates are left out
 and speed is estimated.
 """
-NEGLIGIBLE = 1e-4
-"""Least responsibility, after the first round, of a candidate that is kept."""
 ITERATIONS = 8
 """EM iterations with contexts; contexts are estimated after every other one."""
 FAINT_TRANSITIONS = 0.2
@@ -163,7 +161,7 @@ class PosteriorFitter:
         impossible = negative_without_overlap(
             self.problem, em.candidates, em.responsibility, overlapping
         )
-        return (em.responsibility > NEGLIGIBLE) & em.live() & ~impossible
+        return em.live() & ~impossible
 
     def _keep(self, kept: NDArray[np.bool_]) -> None:
         """Leave out all candidates but those of the mask ``kept`` (M,) from here on."""
