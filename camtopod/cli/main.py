@@ -47,6 +47,7 @@ COMMANDS = {
     "run": "run the daemon: learn the topology from events on the bus and predict",
     "learn": "learn the topology from recorded event lines",
     "predict": "predict for each recorded exit where the object appears next",
+    "score": "score a topology by the identities of a recording",
     "simulate": "simulate a camera network: event lines and their ground truth",
     "watch": "show cameras, topology and predictions live in the terminal",
     "web": "serve a web page: map, cameras, links, versions and health",

@@ -9,7 +9,7 @@ cameras that see the object at the exit. `walks` tells which passages are of one
 `transitions` from each exit.
 """
 
-from camtopod.predict.hand_over import seen_now as seen_now
+from camtopod.predict.hand_over import seen_now as seen_now, sum_by_camera as sum_by_camera
 from camtopod.predict.predictor import Predictor as Predictor, PredictorState as PredictorState
 from camtopod.predict.transitions import Began as Began, Transitions as Transitions
 from camtopod.predict.walks import Walks as Walks

@@ -237,7 +237,7 @@ def test_the_line_that_is_all_of_a_camera() -> None:
 def test_every_block_of_python_compiles_and_is_run_by_some_test() -> None:
     for page, block in PYTHON:
         compile(block, page, "exec")
-    assert len(PYTHON) == 4
+    assert len(PYTHON) == 5
 
 
 def test_tracks_are_handed_over_without_a_daemon() -> None:

@@ -87,8 +87,10 @@ def run(args: argparse.Namespace) -> None:
             written.write(to_json(topology) + b"\n")
 
     # Print the links, unless standard output is the topology's.
-    if args.table or not (out or args.updates):
+    if out != "-" and (args.table or not (out or args.updates)):
         print("\n".join(link_table(topology)))
+    if not (out or args.updates):
+        print("camtopod: --topology OUT.json keeps the topology", file=sys.stderr)
     repeats = [one for one in topology.alarms or [] if one.kind == "camera_repeats"]
     for line in (*topology_lines(topology), *(f"{one.subject} {one.detail}" for one in repeats)):
         print(f"camtopod: {line}", file=sys.stderr)

@@ -1,0 +1,227 @@
+"""`camtopod score`: how links, predictions and matches fare against known identities.
+
+The rules are those of `bench real`. The oracle is a Markov chain that is told the identities: the
+next cameras of all other exits at the same zone, backed off to those at its camera, and anywhere.
+"""
+
+from __future__ import annotations
+
+import argparse
+import csv
+import math
+import sys
+from collections import Counter, defaultdict
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from itertools import pairwise
+from typing import Any, TypeVar
+
+from msgspec import Struct
+
+from camtopod.cli.commands.export import load
+from camtopod.cli.commands.predict import matches, predictions
+from camtopod.cli.events.event_lines import LineReader
+from camtopod.cli.exits import InputError
+from camtopod.cli.terminal import Progress
+from camtopod.predict import sum_by_camera
+from camtopod.records import Event, Match, Prediction, Topology
+from camtopod.topology import camera_of, links_between_views
+
+LEAVES = ""
+"""Outcome of an exit that nothing follows; no camera has this name."""
+WINDOW_SECONDS_MAX = 180.0
+"""Longest time from an exit to the entry that follows, or a tenth of the recording."""
+TRANSITIONS_MIN, TRANSITIONS_SHARE_MIN = 5, 0.03
+"""Least transitions of a true link, and least share of all transitions from its camera."""
+SPURIOUS_TRANSITIONS_MAX = 2
+"""Most transitions of a false link; one with more, which is no true link, is neither."""
+BACKING_EXITS = 2.0
+"""Weight of the shares that the oracle's counts are backed off to."""
+LOSS_FLOOR = 1e-3
+"""Added to each outcome's probability before its logarithm is taken."""
+
+AnswerT = TypeVar("AnswerT", Prediction, Match)
+Key = tuple[str, str]
+"""Camera and track of a passage."""
+
+
+class Passage(Struct, eq=False):
+    """A passage (times in seconds) with its identity, and what came before and after it."""
+
+    key: Key
+    identity: str
+    came: float
+    left: float
+    outcome: str = LEAVES
+    """Camera of the identity's next passage."""
+    since: float = math.inf
+    """Time from the end of the passage before."""
+
+
+def add_parser(add: Any) -> None:
+    """Add `score`."""
+    parser = add(
+        description="Scores a topology by the identities of a recording: links between cameras, "
+        "predictions of the next camera beside an oracle that is told the identities, and matches "
+        "of entries with earlier passages. Events after those that were learned count, if any.",
+        epilog="example: camtopod score topology.json events.jsonl identities.csv",
+    )
+    parser.add_argument("topology", metavar="TOPOLOGY.json", help="as `camtopod learn` writes it")
+    parser.add_argument("events", metavar="EVENTS", help="the recording; its events have tracks")
+    parser.add_argument(
+        "identities",
+        metavar="IDENTITIES.csv",
+        help="columns track, identity and, unless tracks differ between cameras, camera",
+    )
+
+
+def run(args: argparse.Namespace) -> None:
+    """Print the scores. Raises `InputError`."""
+    topology = load(args.topology)
+    reader = LineReader()
+    events = sorted((line.event for line in reader.merged([args.events])), key=lambda one: one.t)
+    if (summary := reader.summary()) is not None:
+        print(f"camtopod: {summary}", file=sys.stderr)
+    passages = passages_of(events, args.identities)
+    if not passages:
+        raise InputError(f"no track of {args.events} has an identity in {args.identities}")
+
+    # Judge what was not learned, up to the last exit whose outcome is certain.
+    window = min(WINDOW_SECONDS_MAX, (events[-1].t - events[0].t) / 10)
+    begin, end = topology.as_of, events[-1].t - window
+    if not any(begin < one.left <= end for one in passages.values()):
+        print("camtopod: these events were learned: the scores are too good", file=sys.stderr)
+        begin = -math.inf
+    lines = link_lines(topology, passages.values())
+    every = list(_given(predictions(topology, events), len(events), "predicted"))
+    lines += prediction_lines(every, passages, begin, end)
+    every_match = _given(matches(topology, events), len(events), "matched")
+    found = [one for one in every_match if one.t > begin]
+    print("\n".join([*lines, *match_lines(found, passages, window)]))
+
+
+def _given(answers: Iterator[AnswerT | None], count: int, done: str) -> Iterator[AnswerT]:
+    """Yield the answers that are one, and show progress through ``count`` events."""
+    with Progress() as progress:
+        for number, answer in enumerate(answers, 1):
+            progress.show("%d of %d events %s", number, count, done)
+            if answer is not None:
+                yield answer
+
+
+def passages_of(events: Sequence[Event], path: str) -> dict[Key, Passage]:
+    """Return the passages that have an identity in a file. Raises `InputError`, OSError."""
+    with open(path, newline="", encoding="utf-8-sig") as file:
+        rows = csv.DictReader(file)
+        if not {"track", "identity"} <= set(rows.fieldnames or ()):
+            raise InputError(f"{path}: the header has no columns track and identity")
+        identity = {(row.get("camera"), row["track"]): row["identity"] for row in rows}
+
+    # Passages, and those of each identity in order.
+    passages: dict[Key, Passage] = {}
+    of_identity: dict[str, list[Passage]] = defaultdict(list)
+    for event in events:
+        key = event.camera, str(event.track)
+        who = identity.get(key) or identity.get((None, key[1]))
+        if not who:
+            continue
+        if key not in passages:
+            passages[key] = Passage(key, who, event.t, event.t)
+            of_identity[who].append(passages[key])
+        passages[key].left = event.t
+    for walk in of_identity.values():
+        for one, following in pairwise(sorted(walk, key=lambda one: (one.came, one.left, one.key))):
+            one.outcome = following.key[0]
+            following.since = following.came - one.left
+    return passages
+
+
+def link_lines(topology: Topology, passages: Iterable[Passage]) -> list[str]:
+    """Return the score of the links between cameras."""
+    transitions = Counter(
+        (one.key[0], one.outcome) for one in passages if one.outcome not in (LEAVES, one.key[0])
+    )
+    left = Counter[str]()
+    for (camera, _), number in transitions.items():
+        left[camera] += number
+    true = {
+        pair
+        for pair, number in transitions.items()
+        if number >= max(TRANSITIONS_MIN, TRANSITIONS_SHARE_MIN * left[pair[0]])
+    }
+    published = {(camera_of(one.from_), camera_of(one.to)) for one in links_between_views(topology)}
+    right = published & true
+    false = {pair for pair in published if transitions[pair] <= SPURIOUS_TRANSITIONS_MAX}
+    lines = [
+        f"links between cameras: {len(right)} of {len(true)} true ones found, {len(false)} false; "
+        f"precision {_share(len(right), len(right) + len(false))}, "
+        f"recall {_share(len(right), len(true))}"
+    ]
+    for what, pairs in (("missing", true - published), ("false", false)):
+        lines += [f"  {what}: {a} -> {b}, {transitions[a, b]} times" for a, b in sorted(pairs)]
+    return lines
+
+
+def prediction_lines(
+    every: Sequence[Prediction], passages: Mapping[Key, Passage], begin: float, end: float
+) -> list[str]:
+    """Return the score of the predictions of exits from ``begin`` to ``end``, and the oracle's."""
+    known = [
+        (one, passages[key]) for one in every if (key := (one.camera, str(one.track))) in passages
+    ]
+    outcomes = sorted({one.key[0] for one in passages.values()} | {LEAVES})
+    counts: dict[str, Counter[str]] = defaultdict(Counter)
+    for one, passage in known:
+        for place in ("", one.camera, one.zone or one.camera):
+            counts[place][passage.outcome] += one.t <= end
+
+    # Score both.
+    scores: dict[str, list[tuple[bool, float]]] = {"camtopod": [], "told": []}
+    for one, passage in known:
+        if not begin < one.t <= end:
+            continue
+        told = dict.fromkeys(outcomes, 1.0 / len(outcomes))
+        for place in ("", one.camera, one.zone or one.camera):
+            other = counts[place] - Counter([passage.outcome])
+            total = other.total() + BACKING_EXITS
+            told = {name: (other[name] + BACKING_EXITS * told[name]) / total for name in outcomes}
+        ours = sum_by_camera((way.camera, way.probability) for way in one.candidates)
+        for name, shares in (("camtopod", ours | {LEAVES: one.leave}), ("told", told)):
+            share = (shares.get(passage.outcome, 0.0) + LOSS_FLOOR) / (
+                1.0 + LOSS_FLOOR * len(outcomes)
+            )
+            first = max(shares, key=lambda outcome: shares[outcome])
+            scores[name].append((first == passage.outcome, -math.log(share)))
+
+    means = {
+        name: [sum(column) / len(column) for column in zip(*rows, strict=True)]
+        for name, rows in scores.items()
+        if rows
+    }
+    return [f"next camera of {len(scores['told'])} exits:"] + [
+        f"  {name}: top-1 {top1:.2f}, log loss {loss:.2f} nats"
+        for name, (top1, loss) in means.items()
+    ]
+
+
+def match_lines(
+    found: Sequence[Match], passages: Mapping[Key, Passage], window: float
+) -> list[str]:
+    """Return the score of the matches with a passage that has more than one half."""
+    known = [
+        (one, passages[key]) for one in found if (key := (one.camera, str(one.track))) in passages
+    ]
+    going_on = sum(passage.since <= window for _, passage in known)
+    said = right = 0
+    for match, passage in known:
+        if match.from_ and match.from_[0].probability > 0.5:
+            before = passages.get((match.from_[0].camera, str(match.from_[0].track)))
+            said += 1
+            right += before is not None and before.identity == passage.identity
+    return [
+        f"matches: {going_on} of {len(known)} entries go on with a walk; {said} are said to with "
+        f"more than one half, {right} of them rightly ({_share(right, said)})"
+    ]
+
+
+def _share(part: int, whole: int) -> str:
+    return f"{part / whole:.2f}" if whole else "-"
