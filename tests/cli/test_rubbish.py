@@ -87,7 +87,7 @@ def test_who_shows_the_site_goes_on(bus: RubbishBus) -> None:
         bus.tell()
         rows = {row["id"]: row["reason"] for row in feed.health()["cameras"]}
         assert rows["lobby"] == "no pictures"
-        assert "no pictures" in shown.messages()["camtopod/site/camera/lobby/state"]
+        assert "no pictures" in shown.messages(1e9)["camtopod/site/camera/lobby/state"]
         assert "no pictures" in "\n".join(watch.parts(seen, None, 1e9))
 
 
