@@ -2,7 +2,7 @@
 
 Reading order: `app` is the HTTP server, `api` its part for programs, and `feed` follows the bus for
 both. `map_data` makes the map of a version (`camtopod.export` places the cameras), `explanations`
-the details of a camera, pair or link, `hourly_events` a camera's events by the hour,
+the details of a camera, pair or link, `growth` what the map had before,
 `recent_matches` the walks of the last hour, `versions` the time line and the changes of each
 version. `outbox` queues messages for open pages and `pictures` finds camera pictures. `guards` and
 `login` decide which requests are answered. `report` gathers the data of a report, `single_file`

@@ -18,7 +18,7 @@ from starlette.exceptions import HTTPException
 from starlette.middleware import Middleware
 from starlette.middleware.gzip import GZipMiddleware
 from starlette.requests import Request
-from starlette.responses import FileResponse, Response
+from starlette.responses import FileResponse, HTMLResponse, Response
 from starlette.routing import Route
 from starlette.staticfiles import StaticFiles
 
@@ -29,11 +29,13 @@ from camtopod.web.api import Api, content, error, streamed
 from camtopod.web.connections import Connection
 from camtopod.web.explanations import Explanations
 from camtopod.web.feed import MATCHES_SHOWN, Feed, shown_match
+from camtopod.web.growth import steps
 from camtopod.web.guards import Guard
 from camtopod.web.login import Login
 from camtopod.web.outbox import PageQueues
 from camtopod.web.pictures import picture_of
-from camtopod.web.single_file import STATIC
+from camtopod.web.report import gather, placed
+from camtopod.web.single_file import STATIC, page
 
 CLOSE_SECONDS = 2
 """Time that open responses have to end when the server stops."""
@@ -49,12 +51,15 @@ class Routes:
         pictures: Path | None,
         config: Config,
         has_login: bool,
+        bus: Bus,
     ) -> None:
         self._feed = feed
         self._page_queues = page_queues
         self._pictures = pictures
         self._config = config
         self._has_login = has_login
+        self._bus = bus
+        self._gathering = threading.Lock()
 
     def map(self, request: Request) -> Response:
         """Return the newest version's map; null if nothing has been learned."""
@@ -97,12 +102,29 @@ class Routes:
             [name for name in self._feed.map.cameras if picture_of(self._pictures, name)]
         )
 
+    def growth(self, request: Request) -> Response:
+        """Return what the maps of earlier versions had, oldest first."""
+        newest = self._feed.topology
+        with self._gathering:
+            return content([] if newest is None else steps(self._bus, newest))
+
+    def report(self, request: Request) -> Response:
+        """Return the page as one file, with the events of the last hour and without walks."""
+        newest = self._feed.topology
+        if newest is None:
+            return error(404, "nothing has been learned yet")
+        with self._gathering:
+            data = {
+                **gather(newest, [], self._pictures, self._config),
+                "versions": self._feed.versions,
+                "growth": steps(self._bus, newest),
+                "recent": self._feed.last_hour(),
+            }
+            return HTMLResponse(page(data), headers={"Content-Disposition": "attachment"})
+
     def placement(self, request: Request) -> Response:
         """Return the cameras' places on the floor plan; null without a plan."""
-        if not self._config.map.plan:
-            return content(None)
-        cameras = self._config.cameras.items()
-        return content({"at": {name: camera.at for name, camera in cameras if camera.at}})
+        return content({"at": placed(self._config)} if self._config.map.plan else None)
 
     def plan(self, request: Request) -> Response:
         """Return the floor plan."""
@@ -173,9 +195,11 @@ def application(
         Route("/data/walks", site.walks),
         Route("/data/recent", api.recent),
         Route("/data/hours", api.hours),
+        Route("/data/growth", site.growth),
         Route("/data/pictures", site.pictures),
         Route("/data/placement", site.placement),
         Route("/plan", site.plan),
+        Route("/report.html", site.report),
         Route("/picture/{camera}", site.picture),
         Route("/live", site.live),
         *api.routes(),
@@ -224,7 +248,7 @@ def serving(
     page_queues = PageQueues()
     feed = Feed(bus, page_queues, clock, config.limits.status_seconds)
     api = Api(bus, feed, is_open=login is not None or not is_public)
-    site = Routes(feed, page_queues, pictures, config, login is not None)
+    site = Routes(feed, page_queues, pictures, config, login is not None, bus)
     settings = uvicorn.Config(
         application(site, api, names, login, page.beat),
         log_config=None,

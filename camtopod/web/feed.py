@@ -41,6 +41,8 @@ more.
 """
 SEEN_PER_SECOND_MAX = 300
 """Entries and exits forwarded per second."""
+REPORT_EVENTS_MAX = 20_000
+"""Events of the last hour in a file, the newest ones."""
 PREDICTIONS_HELD = 20
 """Predictions kept for pages that connect later."""
 MATCHES_SHOWN = 500
@@ -244,6 +246,14 @@ class Feed:
                 if recent.events:
                     newest = codec.to_json(recent.events[-SEEN_PER_SECOND_MAX:])
                     self._page_queues.send("seen", newest, passing=True)
+
+    def last_hour(self) -> Recent | None:
+        """Return the newest events of the last hour; None if the daemon does not answer."""
+        with contextlib.suppress(QueryError, codec.Rejected):
+            for _, payload in self._bus.query("recent", one=True):
+                recent = codec.read(Recent, payload, pack=True)
+                return Recent(recent.t, recent.events[-REPORT_EVENTS_MAX:])
+        return None
 
     def _version(self) -> bytes:
         """Return epoch and number of the newest version as JSON, null if there is none."""

@@ -3,14 +3,17 @@
 from __future__ import annotations
 
 import base64
+import mimetypes
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
+from camtopod.config import Config
 from camtopod.records import Link, Topology
 from camtopod.web.explanations import Explanations
+from camtopod.web.growth import step, thinned
 from camtopod.web.map_data import draw
-from camtopod.web.pictures import TYPES, picture_of
+from camtopod.web.pictures import picture_of
 from camtopod.web.versions import summary
 
 LINKS_MAX = 3_000
@@ -20,12 +23,19 @@ A browser cannot open the links of a large site in one file.
 """
 
 
-def gather(topology: Topology, older: Sequence[Topology], pictures: Path | None) -> dict[str, Any]:
+def gather(
+    topology: Topology,
+    older: Sequence[Topology],
+    pictures: Path | None,
+    config: Config | None = None,
+) -> dict[str, Any]:
     """Return the data of a report on ``topology``: the server's answers, by query. Raises OSError.
 
     older: earlier versions, oldest first.
     pictures: folder of camera pictures.
+    config: with the floor plan, if there is one.
     """
+    plan = Path(config.map.plan) if config is not None and config.map.plan else None
     drawn = draw(topology)
     explanations = Explanations(topology)
     cameras = [camera.id for camera in topology.cameras]
@@ -47,11 +57,20 @@ def gather(topology: Topology, older: Sequence[Topology], pictures: Path | None)
         "versions": [
             summary(one, before) for before, one in zip([None, *older], versions, strict=True)
         ],
-        "pictures": {  # as data URLs
-            name: f"data:{TYPES[path.suffix]};base64,{base64.b64encode(path.read_bytes()).decode()}"
-            for name, path in files.items()
-        },
+        "growth": [step(one) for one in thinned(versions)],
+        "pictures": {name: _data_url(path) for name, path in files.items()},
+        "plan": plan and config and {"href": _data_url(plan), "at": placed(config)},
     }
+
+
+def placed(config: Config) -> dict[str, tuple[float, ...]]:
+    """Return the places of the cameras on the floor plan."""
+    return {name: camera.at for name, camera in config.cameras.items() if camera.at}
+
+
+def _data_url(path: Path) -> str:
+    kind = mimetypes.guess_type(path.name)[0]
+    return f"data:{kind};base64,{base64.b64encode(path.read_bytes()).decode()}"
 
 
 def _explained(topology: Topology) -> list[Link]:

@@ -46,9 +46,10 @@ class OneBus:
         return [(key, codec.to_msgpack(self.kept[wanted]))]
 
     def _recent(self, given: dict[str, Any]) -> bytes:
-        if "format" in given:
+        if "format" in given or "since" not in given:
             hours = self.hours if "hours" in given else None
-            return codec.to_json(Recent(time.time(), [*self.told, *self.seen], hours))
+            recent = Recent(time.time(), [*self.told, *self.seen], hours)
+            return codec.to_json(recent) if "format" in given else codec.to_msgpack(recent)
         news, self.seen = self.seen, []
         self.told += news
         return codec.to_msgpack(Recent(time.time(), news))

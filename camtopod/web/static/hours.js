@@ -9,6 +9,7 @@ const BOTTOM = 16; // for the hours
 const SHOWN = 24;
 const STEP = 6; // hours between two that are named
 const HOUR = 3600;
+const DIGIT_PIXELS = [7, 8]; // width of a digit of today's count, and half its height
 
 // What the daemon has counted, and what has been seen since it was asked.
 export class Hours {
@@ -33,6 +34,17 @@ export class Hours {
     const skipped = Math.max(0, Math.ceil((midnight - this.#told.first) / HOUR));
     const counts = (this.#told.cameras[id] ?? []).slice(skipped);
     return counts.reduce(([entries, exits], [more, less]) => [entries + more, exits + less], [0, 0]);
+  }
+
+  // Write on each camera of the map how many have entered today, if there is room.
+  writeOn(map) {
+    for (const node of map.nodes.values()) {
+      const [wide, high] = map.halves(node);
+      node.today = this.today(node.id);
+      const text = node.today && high > DIGIT_PIXELS[1] ? count(node.today[0]) : "";
+      const shown = text.length * DIGIT_PIXELS[0] < 2 * wide ? text : "";
+      if (node.entered.textContent !== shown) node.entered.textContent = shown;
+    }
   }
 
   // What the chart of a camera needs, or null.

@@ -10,16 +10,19 @@ import { Overlays } from "./overlays.js";
 import { NetworkMap } from "./map.js";
 import { openPlan } from "./plan.js";
 import { go, here, link } from "./place.js";
+import { Replay } from "./replay.js";
 import { Away, NotThere, openSource } from "./source.js";
 import { LinkTable } from "./table.js";
 import { Versions } from "./versions.js";
+import { Walks } from "./walks.js";
 import { ago, clock, count, plural, troubled } from "./words.js";
 
 const PANELS = { camera: cameraPanel, pair: pairPanel, link: linkPanel };
 const KNOWN_EXITS = 100; // a link takes ten passages: one that a tenth of the objects take is known by now
 const RETRY_MILLISECONDS = 2000;
 const HEALTH_MILLISECONDS = 4000;
-const HOURS_MILLISECONDS = 300_000;
+const CATCH_UP_MILLISECONDS = 300_000;
+const FRESH_SECONDS = 30; // age of an event up to which it is a pulse
 
 class App {
   map = null; // the newest version's, as the server draws it
@@ -62,6 +65,8 @@ class App {
       h("main", {}, this.stage, this.panel, this.pages),
     );
     this.network = new NetworkMap(this.stage);
+    this.walks = new Walks();
+    this.replay = new Replay(this);
     this.overlays = new Overlays(this.stage, this);
     this.views = { links: new LinkTable(), versions: new Versions(this) };
     if (this.source.live) this.views.health = new Health(this);
@@ -78,7 +83,7 @@ class App {
           if (!this.#has(version)) this.load();
           else if (!this.#shown || this.#shown.failed) this.#again();
           this.askHealth();
-          this.#askHours();
+          this.#catchUp();
         },
         cameras: () => this.load(), // one has come that no version knows yet
         lost: (since, why) => {
@@ -88,14 +93,16 @@ class App {
         },
         prediction: (prediction) => this.#predicted(prediction, true),
         past: (prediction) => this.#predicted(prediction, false),
+        match: (match) => this.#matched(match),
         seen: (events) => events.forEach((event) => this.#seen(event)),
       });
       setInterval(() => {
         this.#tellLive();
+        this.hours.writeOn(this.network);
         this.#shown?.onTick?.();
       }, 1000);
       setInterval(() => document.hidden || this.askHealth(), HEALTH_MILLISECONDS);
-      setInterval(() => document.hidden || this.#askHours(), HOURS_MILLISECONDS);
+      setInterval(() => document.hidden || this.#catchUp(), CATCH_UP_MILLISECONDS);
     }
     this.#loading = this.load();
     await this.#loading;
@@ -160,9 +167,10 @@ class App {
     this.views.health.update();
   }
 
-  // Ask what the daemon has counted.
-  async #askHours() {
+  // Ask what the daemon has counted, and which walks there were.
+  async #catchUp() {
     try {
+      for (const match of await this.source.walks()) this.walks.add(match);
       this.hours.use(await this.source.hours());
     } catch (error) {
       if (!(error instanceof Away)) throw error;
@@ -182,7 +190,14 @@ class App {
   #seen(event) {
     this.#heardFrom(event);
     this.hours.add(event);
+    if (!this.replay.on && this.now() - event.t < FRESH_SECONDS) this.network.pulses.show(event);
     this.#shown?.onEvent?.(event);
+  }
+
+  // What an entry is matched with.
+  #matched(match) {
+    if (this.walks.add(match) && !this.replay.on) this.network.flow.walk(match);
+    if (match.walk === this.walks.marked) this.network.choose(...this.walks.mark(match.walk));
   }
 
   // Something has come from a camera.
@@ -213,6 +228,7 @@ class App {
       await this.#open(name, rest, place);
     } else {
       this.#close();
+      this.network.choose(...this.walks.mark(name === "walk" ? rest[0] : null));
       if (before && document.activeElement === document.body) this.network.focus(before.chosen[0]);
     }
   }
@@ -277,7 +293,7 @@ class App {
 
   #predicted(prediction, live) {
     this.#heardFrom(prediction);
-    if (live) this.network.flow.send(prediction, this.now() - prediction.t);
+    if (live && !this.replay.on) this.network.flow.send(prediction, this.now() - prediction.t);
     this.overlays.predicted(prediction);
     if (live) this.#shown?.onPrediction?.(prediction);
   }

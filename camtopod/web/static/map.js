@@ -5,6 +5,7 @@ import { fitted, findNear, grow } from "./fit.js";
 import { Flow } from "./flow.js";
 import { Labels, SIDES } from "./labels.js";
 import { go } from "./place.js";
+import { Pulses } from "./pulses.js";
 import { edgeTip, nodeTip } from "./tips.js";
 import { View, fromLine } from "./view.js";
 import { plural } from "./words.js";
@@ -52,8 +53,9 @@ export class NetworkMap {
     this.edgeLayer = s("g", { class: "edges" });
     this.flowLayer = s("g", { class: "flow", "aria-hidden": "true" });
     this.nodeLayer = s("g", { class: "nodes" });
+    this.liveLayer = s("g", { class: "flow", "aria-hidden": "true" });
     this.labelLayer = s("g", { class: "labels", "aria-hidden": "true" });
-    this.world.append(this.edgeLayer, this.flowLayer, this.nodeLayer);
+    this.world.append(this.edgeLayer, this.flowLayer, this.nodeLayer, this.liveLayer);
     this.svg.append(this.world, this.labelLayer);
     this.tip = h("div", { class: "tip", hidden: true });
     this.soFar = h("p", {});
@@ -72,7 +74,8 @@ export class NetworkMap {
       (x, y) => this.#grab(x, y),
     );
     this.labels = new Labels(this.labelLayer);
-    this.flow = new Flow(this.flowLayer, this);
+    this.flow = new Flow(this.flowLayer, this.liveLayer, this);
+    this.pulses = new Pulses(this.liveLayer, this);
     this.svg.addEventListener("pointermove", (event) => this.#hover(event));
     this.svg.addEventListener("pointerleave", () => this.#point(null));
     this.svg.addEventListener("keydown", (event) => this.#key(event));
@@ -241,6 +244,7 @@ export class NetworkMap {
       this.#grow(scale);
       const { radius } = this;
       this.world.style.setProperty("--radius", `${radius / scale}px`);
+      this.world.style.setProperty("--pixel", `${1 / scale}px`);
       this.world.style.setProperty("--thin", Math.max(0.4, near).toFixed(2));
       this.world.style.setProperty("--dot", `${Math.min(DOT_PIXELS[1], Math.max(DOT_PIXELS[0], 0.55 * radius)) / scale}px`);
       this.world.style.setProperty("--ring", `${(0.25 * radius).toFixed(2)}px`);
@@ -272,7 +276,7 @@ export class NetworkMap {
   #openPicture(node) {
     const shot = s("rect", { class: "shot" });
     node.element.classList.add("pictured");
-    node.element.append(shot);
+    node.entered.before(shot);
     const image = new Image();
     image.addEventListener("load", () => {
       node.ratio = image.naturalWidth / image.naturalHeight;
@@ -288,12 +292,14 @@ export class NetworkMap {
     const node = held ?? {
       id,
       element: s("g", { class: "node", role: "button", tabindex: "-1", data: { id } }, s("circle", {}), s("title", {})),
+      entered: s("text", { class: "today", "aria-hidden": "true" }),
     };
     Object.assign(node, { x, y, camera, ratio: node.ratio ?? SHOT_RATIO });
     node.element.setAttribute("transform", `translate(${x.toFixed(1)} ${y.toFixed(1)})`);
     this.#tellHealth(node);
     if (held) return;
     this.nodes.set(id, node);
+    node.element.append(node.entered);
     node.element.addEventListener("focus", () => this.#focusedNode(node));
     this.nodeLayer.append(node.element);
   }

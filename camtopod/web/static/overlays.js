@@ -18,7 +18,10 @@ const SIGNS = [
   ["stroke unseen provisional", "provisional", (used) => used.provisional],
   ["stroke unseen likely", "likely, not published yet", (used) => used.likely],
   ["stroke wide", "wider: more traffic", (used) => used.overlapped + used.unseen > 1],
+  ["swatch entry", "entry", (used) => used.live],
+  ["swatch exit", "exit", (used) => used.live],
   ["swatch dot", "predicted, under way", (used) => used.live],
+  ["swatch walk", "a walk goes on", (used) => used.live],
   ["swatch sees", "sees who just left another view", (used) => used.live && used.overlapped],
   ["swatch ill", "needs attention", (used) => used.ill],
   ["swatch gone", "gone", (used) => used.gone],
@@ -55,7 +58,7 @@ export class Overlays {
     this.alarms = h("details", { class: "overlay", hidden: true }, this.alarmed, this.newest);
     this.predictions = h(
       "details",
-      { class: "overlay predictions", open: !NARROW.matches, hidden: true },
+      { class: "overlay predictions", name: "news", open: !NARROW.matches, hidden: true },
       h("summary", {}, "Predictions"),
       this.list,
     );
@@ -69,6 +72,7 @@ export class Overlays {
         "ul",
         {},
         this.signs,
+        app.source.live ? h("li", { class: "quiet" }, "on a camera: entries today") : null,
         h("li", { class: "quiet" }, "numbers: most frequent transit time, with arrows where the directions differ"),
       ),
     );
@@ -79,7 +83,7 @@ export class Overlays {
       button("−", "Zoom out", () => view.zoom(1 / 1.4)),
       button("⤢", "Show all", () => app.network.fit()),
     );
-    this.stack = h("div", { class: "left" }, this.waiting, this.alarms, this.predictions);
+    this.stack = h("div", { class: "left" }, this.waiting, this.alarms, this.predictions, app.walks.element, app.replay.element);
     stage.append(
       h(
         "div",
@@ -92,7 +96,7 @@ export class Overlays {
       this.legend,
       this.stack,
     );
-    app.network.coveredBy(this.search, zoom, this.legend, this.waiting, this.alarms, this.predictions); // not the search's hits, which pass
+    app.network.coveredBy(this.search, zoom, this.legend, ...this.stack.children); // not the search's hits, which pass
   }
 
   update(map) {

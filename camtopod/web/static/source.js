@@ -13,6 +13,8 @@ export function openSource() {
 
 class Server {
   live = true;
+  hasRecent = true;
+  hasGrowth = true;
 
   map() {
     return get("data/map");
@@ -39,6 +41,14 @@ class Server {
   async hours() {
     return (await get("data/hours")).hours;
   }
+  // Newest matches, oldest first.
+  walks() {
+    return get("data/walks");
+  }
+  // Cameras and pairs of earlier versions, oldest first.
+  growth() {
+    return get("data/growth");
+  }
   // Address of the floor plan and the places on it, or null.
   async plan() {
     const placement = await get("data/placement");
@@ -63,6 +73,8 @@ class Report {
 
   constructor(held) {
     this.held = held;
+    this.hasRecent = Boolean(held.recent);
+    this.hasGrowth = held.growth.length > 1;
   }
 
   async map() {
@@ -80,8 +92,14 @@ class Report {
   async versions() {
     return this.held.versions;
   }
+  async recent() {
+    return this.held.recent;
+  }
+  async growth() {
+    return this.held.growth;
+  }
   async plan() {
-    return null;
+    return this.held.plan;
   }
   async pictures() {
     return Object.keys(this.held.pictures);

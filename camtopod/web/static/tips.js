@@ -4,7 +4,7 @@ import { h } from "./dom.js";
 import { count, percent, plural, seconds, span, transit } from "./words.js";
 
 // Tooltip of a camera.
-export function nodeTip({ id, camera }) {
+export function nodeTip({ id, camera, today }) {
   return [
     h("b", {}, id),
     h(
@@ -14,6 +14,7 @@ export function nodeTip({ id, camera }) {
         ? "new, no version yet"
         : `${plural(camera.zones, "zone")} · about ${count(camera.entries)} in, ${count(camera.exits)} out`,
     ),
+    today ? h("span", {}, `today: ${count(today[0])} in, ${count(today[1])} out`) : null,
   ];
 }
 

@@ -1,0 +1,56 @@
+"""How the map grew: cameras and related pairs of earlier versions, as the daemon has kept them."""
+
+from __future__ import annotations
+
+import contextlib
+from collections.abc import Sequence
+from typing import TypeVar
+
+from msgspec import Struct
+
+from camtopod import codec
+from camtopod.records import PairRelation, Topology
+from camtopod.serve.bus import Bus, QueryError
+
+STEPS_MAX = 40
+"""Versions that are shown, evenly among all."""
+
+_T = TypeVar("_T")
+
+
+class Step(Struct, frozen=True):
+    """What the map of a version had; ``pairs`` by the two camera ids, separated by a space."""
+
+    version: int
+    as_of: float
+    cameras: list[str]
+    pairs: dict[str, PairRelation]
+
+
+def step(topology: Topology) -> Step:
+    """Return what the map of a version has."""
+    pairs = {" ".join(sorted(pair.cameras)): pair.relation for pair in topology.pairs}
+    return Step(topology.version, topology.as_of, [one.id for one in topology.cameras], pairs)
+
+
+def thinned(versions: Sequence[_T]) -> list[_T]:
+    """Return at most `STEPS_MAX` of the versions, evenly, with the first and the last."""
+    count = min(STEPS_MAX, len(versions))
+    return [versions[round(k * (len(versions) - 1) / max(1, count - 1))] for k in range(count)]
+
+
+def steps(bus: Bus, newest: Topology) -> list[Step]:
+    """Return the steps to the newest version; those that the daemon has not kept are missing.
+
+    It takes as long as the daemon needs to read up to `STEPS_MAX` versions.
+    """
+    before = [_asked(bus, newest.epoch, version) for version in thinned(range(1, newest.version))]
+    return [*(one for one in before if one is not None), step(newest)]
+
+
+def _asked(bus: Bus, epoch: str, version: int) -> Step | None:
+    """Ask for one version; None if it is not kept, or the daemon does not answer."""
+    with contextlib.suppress(QueryError, codec.Rejected):
+        for _, payload in bus.query("topology", {"epoch": epoch, "version": version}, one=True):
+            return step(codec.decode_topology(payload, pack=True))
+    return None

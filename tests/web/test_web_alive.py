@@ -1,0 +1,159 @@
+"""What lives on the page: pulses, counts of today, walks, and the replay; the same in one file."""
+
+from __future__ import annotations
+
+import json
+import re
+import time
+from pathlib import Path
+
+from chromium import Browser
+from msgspec.structs import replace
+from page_fixture import Shown, opened
+from serving import wait_for
+from synthetic_topology import synthetic_topology
+
+from camtopod.records import EventHours, Kind, Match, MatchedPassage, SeenEvent, Topology
+from camtopod.web import growth
+
+SITE = synthetic_topology(4, version=3, as_of=time.time())
+WAY = next(link for link in SITE.links if link.relation == "unseen")
+A, B = WAY.from_.split("/")[0], WAY.to.split("/")[0]
+PAIRS = {" ".join(sorted(pair.cameras)): pair.relation for pair in SITE.pairs}
+WATCH = """
+    window.shown = []; // of each dot and pulse its look, and how far it is right of the middle of arguments[0]
+    window.edges = new Set(); // how many edges there have been
+    const middle = (one) => one.getBoundingClientRect().x + one.getBoundingClientRect().width / 2;
+    const node = document.querySelector(`[data-id=${arguments[0]}] circle`);
+    new MutationObserver((changes) => {
+      edges.add(document.querySelectorAll(".edge").length);
+      for (const one of changes.flatMap((change) => [...change.addedNodes]))
+        if (one.matches?.(".pulse, .dot")) shown.push([one.getAttribute("class"), middle(one) - middle(node)]);
+    }).observe(document.querySelector(".map"), { childList: true, subtree: true });
+"""
+"""What is shown for a moment only, a slow machine would miss."""
+
+
+def older(version: int, pairs: int) -> Topology:
+    return replace(
+        SITE, version=version, as_of=SITE.as_of - 60.0 * (3 - version), pairs=SITE.pairs[:pairs]
+    )
+
+
+def seen(camera: str, kind: Kind, t: float, x: float = 0.5) -> SeenEvent:
+    return SeenEvent(t, camera, kind, None, x, 0.5)
+
+
+def test_an_entry_is_a_pulse_where_it_was_and_one_more_today(browser: Browser) -> None:
+    shown = Shown(SITE)
+    hour = time.time() // 3600 * 3600
+    shown.bus.hours = EventHours(hour, hour, {A: [[41, 7]]})
+    with shown.serving():
+        opened(browser, shown)
+        today = f"[data-id={A}] .today"
+        browser.wait(lambda: browser.text(today) == "41", "the entries of today")
+        browser.run(WATCH, A)
+        now = time.time()
+        shown.bus.seen = [
+            SeenEvent(now, A, "entry", None, 0.9, 0.5),
+            SeenEvent(now, A, "exit", None, 0.1, 0.5),
+            SeenEvent(now - 600.0, A, "exit", None, 0.1, 0.5),
+        ]
+        browser.wait(lambda: browser.text(today) == "42", "one more")
+        (entry, right), (exit_, left) = browser.run("return shown")
+        assert (entry, exit_) == ("pulse entry", "pulse exit"), "one of ten minutes ago is no news"
+        assert right > 4 > -4 > left
+        browser.wait(lambda: browser.count(".pulse") == 0, "the pulses to go")
+        assert browser.complaints() == []
+
+
+def test_a_walk_goes_on_along_the_map_and_is_shown_on_it(browser: Browser) -> None:
+    shown = Shown(SITE)
+    now = time.time()
+    before = MatchedPassage(A, now - 5.0, 0.93, "somebody")
+    match = Match(B, now, 3, [before], 0.07, f"{A}@{now - 20.0}", "somebody")
+    with shown.serving():
+        opened(browser, shown)
+        assert browser.text(".walks") == ""
+        shown.bus.publish(f"match/{B}", match)
+        browser.wait(lambda: browser.count(".dot.walk.late") == 1, "the dot to arrive")
+        browser.wait(lambda: browser.text(".walks summary") == "Walks", "the list")
+        browser.run("document.querySelector('.walks').open = true")
+        line = rf"{A} \d\d:\d\d:\d\d → {B} \d\d:\d\d:\d\d, 93 %"
+        assert re.fullmatch(line, browser.text(".walks li")), browser.text(".walks li")
+        assert browser.text(".predictions ul") == "", "one list at a time"
+
+        at = "return document.querySelector(arguments[0]).getBoundingClientRect()"
+        dot, camera = (browser.run(at, one) for one in (".dot.walk", f"[data-id={B}] circle"))
+        assert abs(dot["x"] + dot["width"] / 2 - camera["x"] - camera["width"] / 2) < 2
+        assert dot["y"] < camera["y"] < dot["y"] + dot["height"], "at the camera's upper edge"
+        browser.run("document.querySelector('.walks a').click()")
+        browser.wait(lambda: browser.count(".node.chosen") == 2, "its cameras")
+        assert browser.count(".edge.chosen") == 1
+        again = replace(match, from_=[replace(before, probability=0.4)], walk=f"{B}@{now}")
+        shown.bus.publish(f"match/{B}", again)
+        browser.wait(lambda: browser.text(".walks") == "", "no walk any more")
+        assert browser.complaints() == []
+
+
+def test_the_last_hour_is_replayed_and_so_is_how_the_map_grew(browser: Browser) -> None:
+    shown = Shown(older(1, 0), older(2, 1), SITE)
+    now = time.time()
+    shown.bus.told = [
+        seen(A, "exit", now - 3550.0),
+        seen(B, "entry", now - 3550.0 + WAY.transit.q50),
+    ]
+    with shown.serving():
+        opened(browser, shown)
+        browser.run(WATCH, A)
+        browser.run("document.querySelector('.replay').open = true")
+        press = "document.querySelectorAll('.replay button')[arguments[0]].click()"
+        browser.run(press, 0)
+        browser.wait(lambda: len(browser.run("return shown")) == 3, "exit, way and entry")
+        looks = [look for look, _ in browser.run("return shown")]
+        assert looks == ["pulse exit", "dot", "pulse entry"]
+        browser.run(press, 2)
+        browser.wait(lambda: "The last hour" in browser.text(".replay"), "the end")
+
+        browser.run(press, 1)
+        counts = {0, 1, len(SITE.pairs)}
+        browser.wait(lambda: counts <= set(browser.run("return [...edges]")), "the versions")
+        assert browser.complaints() == []
+
+
+def test_growth_is_of_the_versions_that_the_daemon_has_kept() -> None:
+    shown = Shown(older(2, 1), SITE)
+    with shown.serving():
+        wait_for(lambda: bool(shown.json("/data/versions")), "the newest version")
+        told = shown.json("/data/growth")
+
+    assert [one["version"] for one in told] == [2, 3], "the first one is not kept"
+    assert [len(one["pairs"]) for one in told] == [1, len(SITE.pairs)]
+    assert told[-1]["pairs"] == PAIRS
+    assert growth.thinned(range(1, 1000))[:2] == [1, 27]
+    assert growth.thinned(range(1, 1000))[-1] == 999
+    assert growth.thinned(range(0)) == []
+
+
+def test_one_file_has_the_last_hour_and_no_walk(browser: Browser, tmp_path: Path) -> None:
+    shown = Shown(older(2, 1), SITE)
+    now = time.time()
+    shown.bus.told = [seen(A, "exit", now - 3550.0)]
+    with shown.serving():
+        wait_for(lambda: bool(shown.json("/data/versions")), "the newest version")
+        shown.bus.publish(f"match/{B}", Match(B, now, 3, [], 1.0, f"{B}@{now}", "somebody"))
+        answer = shown.ask("/report.html")
+    assert answer.headers["content-disposition"] == "attachment"
+    held = json.loads(re.findall(r'id="report">(.*?)</script>', answer.text)[0])
+    assert [one["t"] for one in held["recent"]["events"]] == [now - 3550.0]
+    assert [one["version"] for one in held["growth"]] == [2, 3]
+    assert f"{B}@" not in answer.text
+    assert '"track"' not in answer.text
+
+    (tmp_path / "report.html").write_text(answer.text, "utf-8")
+    browser.open((tmp_path / "report.html").as_uri())
+    browser.wait(lambda: browser.count(".node") == 4, "the cameras")
+    browser.run(WATCH, A)
+    browser.run("document.querySelector('.replay button').click()")
+    browser.wait(lambda: bool(browser.run("return shown")), "the exit")
+    assert browser.complaints() == []
