@@ -1,6 +1,7 @@
 // How large the map is, and its cameras: as large as the window allows.
 
 const NODE_SHARE = 0.14; // radius of a circle, of a hop
+const CLOSE_SHARE = 0.35; // the same at most, of the way to the nearest
 const NODE_PIXELS = [1.8, 18];
 const SPAN_PIXELS = [36, 270]; // side of a square as large as a picture; below, the camera is a circle
 const NEAR_HOPS = 3;
@@ -15,24 +16,27 @@ const PLACES = Array.from({ length: 81 }, (_, k) => [k % 9, Math.floor(k / 9)].m
   (one, other) => off(one) - off(other),
 ); // tried for the map: shares of the room that is left beside and above it, the middle first
 
-// Tell each node its nearest ones; `hop` in units of the map.
+// Tell each node its nearest ones; the radius of circles so that hardly any two touch; it and `hop` in units of the map.
 export function findNear(nodes, hop) {
   for (const node of nodes) {
     const apart = ({ x, y }) => Math.hypot(x - node.x, y - node.y);
     const others = nodes.filter((other) => other !== node && apart(other) < NEAR_HOPS * hop);
     node.near = others.sort((one, other) => apart(one) - apart(other)).slice(0, NEAR_MAX);
+    node.apart = node.near.length ? apart(node.near[0]) : Infinity;
   }
+  const sorted = nodes.map((node) => node.apart).sort((one, other) => one - other);
+  return Math.min(NODE_SHARE * hop, CLOSE_SHARE * Math.max(hop / 8, sorted[Math.floor(sorted.length / 10)] ?? Infinity));
 }
 
 // Sizes at a scale, in pixels: the radius of cameras that are circles, and for each of `pictured` the `span`, the side of
 // a square as large as its picture: one for all but those whose neighbours are too close; shot: that one, or 0 for none.
-export function grow(pictured, scale, hop, planned) {
+export function grow(pictured, scale, circle, hop, planned) {
   const largest = Math.min(SPAN_PIXELS[1], planned ? PLAN_SHARE * hop * scale : Infinity);
   for (const node of pictured) node.span = Math.min(largest, ...node.near.map((other) => most(node, other, scale)));
   const spans = pictured.map(({ span }) => span).sort((one, other) => one - other);
   const common = spans[Math.floor(COMMON_SHARE * spans.length)] ?? 0;
   for (const node of pictured) node.span = Math.min(common, node.span);
-  const radius = Math.min(NODE_PIXELS[1], Math.max(NODE_PIXELS[0], NODE_SHARE * hop * scale));
+  const radius = Math.min(NODE_PIXELS[1], Math.max(NODE_PIXELS[0], circle * scale));
   return { radius, shot: common >= SPAN_PIXELS[0] ? common : 0 };
 }
 

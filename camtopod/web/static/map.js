@@ -38,6 +38,7 @@ export class NetworkMap {
   plan = null; // the floor plan beneath the map
   shot = 0; // side of a square as large as most pictures, in pixels; 0 while cameras are circles
   #map = null; // what is shown
+  #circle = 0; // radius of cameras without picture, in units of the map
   #turned = false; // x and y are swapped
   #covers = []; // elements that lie on it
   #covered = []; // where, [left, top, right, bottom] in its pixels
@@ -137,7 +138,7 @@ export class NetworkMap {
       if (!Object.hasOwn(map.edges, key)) this.#drop(this.edges, key, drawn);
     }
     this.#findSides();
-    findNear([...this.nodes.values()], UNIT);
+    this.#circle = findNear([...this.nodes.values()], UNIT);
     this.nothing.hidden = this.nodes.size > 0;
     if (this.#focused === null || !this.nodes.has(this.#focused)) this.#roam(this.nodes.keys().next().value ?? null);
     this.#mark();
@@ -180,7 +181,7 @@ export class NetworkMap {
 
   #grow(scale) {
     const pictured = [...this.nodes.values()].filter(({ id }) => this.pictures.has(id));
-    Object.assign(this, grow(pictured, scale, UNIT, Boolean(this.plan)));
+    Object.assign(this, grow(pictured, scale, this.#circle, UNIT, Boolean(this.plan)));
   }
 
   // Mark the cameras or the edge that are open beside the map.
