@@ -8,6 +8,7 @@ import subprocess
 import sys
 from collections.abc import Callable
 from pathlib import Path
+from typing import NoReturn
 
 import pytest
 from fake_bus_daemon import running
@@ -76,11 +77,18 @@ def test_a_forked_child_is_told_at_once_and_takes_nothing_from_its_parent(tmp_pa
         # A worker that lives on does not keep the spool.
         worker = os.fork()
         if worker == 0:
-            signal.pause()
-        publisher.close()
-        Publisher("a", connect=endpoint, state=state).close()
-        os.kill(worker, signal.SIGKILL)
-        os.waitpid(worker, 0)
+            pause_for_ever()
+        try:
+            publisher.close()
+            Publisher("a", connect=endpoint, state=state).close()
+        finally:
+            os.kill(worker, signal.SIGKILL)
+            os.waitpid(worker, 0)
+
+
+def pause_for_ever() -> NoReturn:
+    while True:
+        signal.pause()
 
 
 def said_by_child(use: Callable[[], object]) -> str:
@@ -88,13 +96,15 @@ def said_by_child(use: Callable[[], object]) -> str:
     receiving, sending = os.pipe()
     child = os.fork()
     if child == 0:
-        said = "done"
+        said = "another error"
         try:
             use()
+            said = "done"
         except BusError as error:
             said = f"{type(error).__name__}: {error}"
-        os.write(sending, said.encode())
-        os._exit(0)
+        finally:  # whatever it raises, the child must not go on with the tests
+            os.write(sending, said.encode())
+            os._exit(0)
     os.close(sending)
     with open(receiving) as pipe:
         said = pipe.read()

@@ -8,12 +8,15 @@ from __future__ import annotations
 import os
 import shutil
 import sqlite3
+import subprocess
+import sys
 from collections.abc import Callable, Iterator
 from contextlib import closing
 from pathlib import Path
 from typing import Any
 
 import pytest
+from paths import ROOT
 
 from camtopod.serve.storage.journal import Entry, Journal, Snapshot, StoredVersion
 from camtopod.serve.storage.sqlite_file import Displaced
@@ -173,3 +176,46 @@ def test_damage_that_sqlite_quotes_is_noticed_though_it_is_no_text(tmp_path: Pat
 
     with closing(Journal(tmp_path)) as anew:
         assert anew.set_aside is not None
+
+
+# --- the lock, and children that share it ---------------------------------------------------------
+
+FORKING = """
+import os, signal, sys
+from pathlib import Path
+
+slow = []
+os.register_at_fork(after_in_child=lambda: slow and signal.pause())  # before the lock's own
+from camtopod.serve.storage.sqlite_file import Lock, StateError
+
+path = Path(sys.argv[1])
+lock = Lock(path)
+child = os.fork()
+if child == 0:
+    os._exit(0)
+os.waitpid(child, 0)
+try:
+    Lock(path)
+except StateError:
+    print("held")
+
+slow.append(True)
+child = os.fork()  # it never comes to leaving the lock
+try:
+    lock.close()
+    Lock(path).close()
+    print("free")
+finally:
+    os.kill(child, signal.SIGKILL)
+"""
+
+
+def test_a_lock_is_its_openers_until_it_is_closed_whatever_children_do(tmp_path: Path) -> None:
+    done = subprocess.run(
+        [sys.executable, "-W", "ignore", "-c", FORKING, str(tmp_path / "lock")],
+        capture_output=True,
+        cwd=ROOT,
+        text=True,
+    )
+
+    assert (done.stdout, done.stderr) == ("held\nfree\n", "")

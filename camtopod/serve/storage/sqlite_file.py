@@ -53,7 +53,11 @@ class Displaced(sqlite3.OperationalError):
 
 
 class Lock:
-    """Exclusive lock on a path, until it is closed or the process ends; children do not keep it."""
+    """Exclusive lock on a path, until it is closed or the process ends; children do not keep it.
+
+    A forked child shares the lock for as long as it has the descriptor. So the parent releases the
+    lock for all who share it, and a child only leaves it (`leave`).
+    """
 
     def __init__(self, path: Path) -> None:
         try:
@@ -88,6 +92,12 @@ class Lock:
     def close(self) -> None:
         """Release the lock; may be called twice."""
         if self._fd >= 0:
+            fcntl.flock(self._fd, fcntl.LOCK_UN)
+        self.leave()
+
+    def leave(self) -> None:
+        """Close the descriptor: in a forked child, this leaves the lock to the parent."""
+        if self._fd >= 0:
             os.close(self._fd)
             self._fd = -1
 
@@ -98,7 +108,7 @@ _locks: weakref.WeakSet[Lock] = weakref.WeakSet()
 def _release() -> None:
     """Leave the parent's locks to the parent, in a forked child."""
     for lock in list(_locks):
-        lock.close()
+        lock.leave()
 
 
 os.register_at_fork(after_in_child=_release)
