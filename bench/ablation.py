@@ -145,7 +145,7 @@ MECHANISMS = [
     ),
     Mechanism(
         "silent cameras",
-        {"predict.predictor:Predictor._is_alive": lambda self: np.ones(len(self.site.cameras))},
+        {"predict.reporting:Reporting.is_alive": lambda self: np.ones(len(self._cameras))},
     ),
     Mechanism(
         "seen before the exit",

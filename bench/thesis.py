@@ -15,8 +15,9 @@ from scipy.special import gammaincinv
 from bench.support import thesis_tables as thesis
 from bench.support.overlap_rows import overlap_rows
 from camtopod.arrays import Floats
+from camtopod.learn.zones.cells import cell_sums, fixed_point
 from camtopod.learn.zones.daspec import bandwidth, data_spectroscopy
-from camtopod.learn.zones.zone_map import cell_sums, find_zones, fixed_point
+from camtopod.learn.zones.zone_map import find_zones
 
 
 def main(argv: list[str]) -> int:

@@ -24,8 +24,9 @@ import numpy as np
 
 from bench.support import ratios
 from camtopod.arrays import Floats
+from camtopod.learn.zones.cells import cell_sums, fixed_point
 from camtopod.learn.zones.daspec import bandwidth, data_spectroscopy
-from camtopod.learn.zones.zone_map import cell_sums, find_zones, fixed_point, refresh_zones
+from camtopod.learn.zones.zone_map import find_zones, refresh_zones
 
 FIRST_SEED = 1_000_000
 SPEED_EVENTS = 10_000

@@ -11,11 +11,11 @@ events give the same versions. In the order in which data flows, which is a good
   of their responsibilities
 * `links`: significance, transit times and missed detections; which links are published
 * `changes`: links that open or close, cameras that move or fall silent; alarms
-* `next_camera`: the posterior for prediction, weak evidence included
-* `refit`: `association` to `next_camera` as one pure function; `long_paths` extends the joint fit
+* `next_camera`: the posterior for prediction, weak evidence included; `paths`: a second opinion
+* `refit`: `association` to `paths` as one pure function; `long_paths` extends the joint fit
 * `learner`: decides when to refit and turns the results into versions, within `settings` and
   `limits`; `assemble` and `prediction_model` make the records of a version
 * `outcomes` and `self_score`: scores of past predictions
 * `snapshot`, `rewinding`, `renaming` and `retired_cameras`: save the state, take event time back,
-  rename a camera, forget cameras
+  rename a camera, forget cameras; `doubled_cameras`: those that two programs publish
 """

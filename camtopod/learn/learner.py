@@ -19,7 +19,6 @@ from __future__ import annotations
 from collections.abc import Callable, Set
 from copy import deepcopy
 
-import numpy as np
 from msgspec.structs import replace
 
 from camtopod.event_time import MICROSECONDS, EventTimeState, microseconds, utc_text
@@ -33,17 +32,17 @@ from camtopod.learn.assemble import (
 )
 from camtopod.learn.camera_zones import find_moved_cameras, refresh_camera_zones
 from camtopod.learn.changes import BEFORE_MIN, AlarmLog, News
+from camtopod.learn.doubled_cameras import find_doubled_cameras
 from camtopod.learn.limits import ZONES_PER_CAMERA_MAX
 from camtopod.learn.links import zone_pairs_of
 from camtopod.learn.refit import Known, Refit, dwell_bins, lag_bins, refit
-from camtopod.learn.retired_cameras import camera_to_replace, cameras_to_retire, renumber_followed
+from camtopod.learn.retired_cameras import camera_to_replace, cameras_to_retire, forget_cameras
 from camtopod.learn.self_score import Scorer
 from camtopod.learn.settings import Settings
 from camtopod.learn.snapshot import LearnerState, RetiredCamera
 from camtopod.learn.traffic import label_events
-from camtopod.learn.window import FORGOTTEN, ReorderBuffer, Window
+from camtopod.learn.window import ReorderBuffer, Window
 from camtopod.predict import Predictor
-from camtopod.publishers import RETURNS_MIN, Publisher
 from camtopod.records import Event, Topology
 from camtopod.topology import evidence_for_links, with_digest
 
@@ -191,11 +190,8 @@ class Learner:
         return bool(known)
 
     def make_version(self) -> None:
-        """Make a version at once from the present window.
-
-        Without one in this epoch, do nothing: the first is made when the first events are learned.
-        """
-        if self.topology is not None and self.state.done_us is not None:
+        """Make a version at once from the present window; do nothing before the first event."""
+        if self.state.done_us is not None and (self.topology is not None or len(self._window)):
             self._refit(self.state.done_us)
 
     def begin_empty(self, t: float, after: Topology | None) -> None:
@@ -216,14 +212,6 @@ class Learner:
         self.state.topology = None
         self.state.fitted_us = None
         self.state.alarms.newest = []
-
-    def refresh(self) -> None:
-        """Make the first version of the epoch from the present window; do nothing if it is empty.
-
-        If the epoch has a version already, do nothing either.
-        """
-        if self.topology is None and self.state.done_us is not None and len(self._window):
-            self._refit(self.state.done_us)
 
     def next_deadline(self) -> float | None:
         """Return the event time (seconds) at which the tick of the oldest held event is processed.
@@ -298,7 +286,7 @@ class Learner:
         if silent := cameras_to_retire(self._intake, self._window, until_us, window_us):
             self._retire(silent)
         find_moved_cameras(self.state, self._window)
-        self._find_doubled_cameras(batch)
+        find_doubled_cameras(self.state, batch)
         self.state.learned += len(batch)
         self.state.since_fit += len(batch)
 
@@ -324,26 +312,9 @@ class Learner:
     def _forget(self, names: Set[str]) -> None:
         """Forget cameras in every part of the learner that numbers or names cameras."""
         number = self._window.forget_cameras(names)
-        kept = number != FORGOTTEN
         self._intake.forget(names)
         self._scorer.forget(names)
-        self.state.clocks.keep_cameras(kept)
-
-        # Renumber the other cameras.
-        others = np.flatnonzero(kept[: len(self.state.cameras)])
-        self.state.cameras = [self.state.cameras[k] for k in others]
-        self.state.moved = [
-            (int(number[camera]), since, move)
-            for camera, since, move in self.state.moved
-            if kept[camera]
-        ]
-        self.state.publishers = {
-            name: publisher
-            for name, publisher in self.state.publishers.items()
-            if name not in names
-        }
-        self.state.doubled = [name for name in self.state.doubled if name not in names]
-        self.state.followed = renumber_followed(self.state.followed, number)
+        forget_cameras(self.state, names, number)
 
     def _is_version_due(self, tick_us: int) -> bool:
         """Return True if a new version is due at a tick; with ``only_last``, if the zones are.
@@ -483,19 +454,4 @@ class Learner:
                 ("camera_doubled", name, f"two programs publish it at the same time, {boots}")
             )
         self._alarms.add(self._next_version, now, news)
-        self.state.moved = []
-        self.state.doubled = []
-
-    def _find_doubled_cameras(self, batch: list[tuple[int, Event]]) -> None:
-        """Find cameras that two programs publish at the same time.
-
-        Each pair of programs is reported once.
-
-        batch (microseconds, event): new events in order of time.
-        """
-        for _, event in batch:
-            if event.boot is None:
-                continue
-            publisher = self.state.publishers.setdefault(event.camera, Publisher(event.boot))
-            if publisher.note_boot(event.boot) and publisher.returns == RETURNS_MIN:
-                self.state.doubled.append(event.camera)
+        self.state.moved, self.state.doubled = [], []

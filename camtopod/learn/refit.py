@@ -10,12 +10,12 @@ of METHOD.md:
 1. visible links and usual dwell times: passages through one view (thesis 4.1; METHOD 3, 8)
 2. silent cameras (METHOD 11), and views that overlap (thesis 4.5; METHOD 9)
 3. candidates: departures and arrivals that may be of one object (METHOD 5)
-4. joint fit: which of them are (thesis 4.4; METHOD 5)
+4. joint fit: which of them are, for prediction (METHOD 10), then for links (thesis 4.4; METHOD 5)
 5. evidence of each pair of zones, by cross-validation (thesis 4.4; METHOD 7), and transit times
    (thesis 4.5; METHOD 8)
 6. changes: links that have opened or closed (METHOD 11)
-7. the prediction model: where objects appear next, all weak evidence included (thesis 4.6;
-   METHOD 10)
+7. the prediction model by the first of these fits: where objects appear next, all weak evidence
+   included (thesis 4.6; METHOD 10)
 8. the links to publish (METHOD 7), with their Monte Carlo observations (thesis 4.3; METHOD 6)
 
 Zones and clocks (METHOD 2 to 4) come before: `Learner` labels the events with them.
@@ -177,18 +177,16 @@ def refit(
 ) -> Refit:
     """Estimate links, changes and the prediction model from one window of events.
 
-    scene: the window's events labelled with their zones, in corrected time.
-    clocks: the clock offsets with which the times were corrected.
+    scene, clocks: the window's events labelled with their zones, in time corrected by the clocks.
     known: results of earlier refits, and exits whose outcome is to be estimated.
     on_step: called with the name of each of `STEPS` as the step begins.
     """
-    bins = lag_bins(settings)
+    bins, lengths = lag_bins(settings), dwell_bins(settings)
     zones = len(scene.zones)
 
     # 1. Visible links, and the usual dwell time for passages of unknown dwell time.
-    transitions = visible_transitions(scene, dwell_bins(settings), settings.candidates_max)
-    entries = scene.entries.astype(float)[:, None]
-    through = tabulate(transitions, entries, dwell_bins(settings), zones)
+    transitions = visible_transitions(scene, lengths, settings.candidates_max)
+    through = tabulate(transitions, scene.entries.astype(float)[:, None], lengths, zones)
     scene = scene._replace(departures=with_usual_dwell_times(scene.departures, through))
 
     # 2. Silent cameras, recordings in a loop, and views that overlap.
@@ -205,32 +203,29 @@ def refit(
         likely_pairs, model, happened = predict_next(
             scene, window, clocks, associated, overlapping, known, settings
         )
-        all_pairs = associated.between
-        changes = associated.changes
+        all_pairs, changes = associated.between, associated.changes
         followed = associated.followed
     else:
         all_pairs = likely_pairs = nothing(settings, zones)
-        happened = []
-        changes = []
+        happened, changes = [], []
         followed = dict(known.followed)
         corrected = settings.correct_clocks
         model = build_model(window.cameras, scene, None, bins, window, [], corrected, overlapping)
 
     # 8. The links to publish, as they are at present.
     on_step("topology")
-    share_min = settings.publish_probability_min
-    between = present(all_pairs, changes, zones, share_min)
-    likely_now = present(likely_pairs, changes, zones, share_min)
-    found = significant(between, settings)
-    certain = without_missed_detections(between, through, found, settings)
-    published = with_monte_carlo_variance(between.rows(np.flatnonzero(certain)), bins)
+    between, likely = (
+        present(pairs, changes, zones, settings.publish_probability_min)
+        for pairs in (all_pairs, likely_pairs)
+    )
+    published = to_publish(between, through, settings)
     visible = through.rows(np.flatnonzero(significant(through, settings)))
-    weak = select_weak_links(likely_now, published, zones)
+    weak = select_weak_links(likely, published, zones)
     observed = scene.last - seconds[0]
     return Refit(
         scene=scene,
         published=published,
-        visible=with_monte_carlo_variance(visible, dwell_bins(settings)),
+        visible=with_monte_carlo_variance(visible, lengths),
         weak=weak,
         lacks=shortfall_of(weak, between, len(published.source), zones, observed, settings),
         significant_links=all_pairs.rows(np.flatnonzero(significant(all_pairs, settings))),
@@ -276,7 +271,7 @@ def associate(
     )
     overlap = overlap_table(overlapping, len(window.cameras))
 
-    # 4. The joint fit: each arrival has one cause at most, each departure one effect at most.
+    # 4. The joint fits: each arrival has one cause at most, each departure one effect at most.
     on_step("joint fit")
     posterior, fit = fit_window(problem, candidates, overlap)
     del candidates
@@ -299,6 +294,16 @@ def associate(
     on_step("changes")
     changes = find_changes(problem, fit, [silence.intervals for silence in silences])
     return Associated(between, changes, problem, posterior, screen.followed)
+
+
+def to_publish(between: LinkTable, through: LinkTable, settings: Settings) -> LinkTable:
+    """Return the links between views to publish: significant, and not by missed detections.
+
+    between, through: pairs of zones by transitions between views, and by passages through a view.
+    """
+    found = significant(between, settings)
+    certain = without_missed_detections(between, through, found, settings)
+    return with_monte_carlo_variance(between.rows(np.flatnonzero(certain)), lag_bins(settings))
 
 
 def predict_next(

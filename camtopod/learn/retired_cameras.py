@@ -4,16 +4,19 @@ A camera is retired when its last event is older than the window (`cameras_to_re
 that is learned depends on it any more, it is forgotten, except for the shapes of its zones: a
 camera that returns gets its zone numbers back. When the limit of cameras is reached, a new camera
 replaces the one with the fewest events in the window among those silent for an hour
-(`camera_to_replace`).
+(`camera_to_replace`). `forget_cameras` renumbers the others.
 """
 
 from __future__ import annotations
+
+from collections.abc import Set
 
 import numpy as np
 
 from camtopod.arrays import Longs
 from camtopod.event_time import MICROSECONDS
 from camtopod.learn.association import FollowedSources
+from camtopod.learn.snapshot import LearnerState
 from camtopod.learn.window import FORGOTTEN, ReorderBuffer, Window
 
 REPLACEABLE_AFTER_SECONDS = 3600.0
@@ -62,7 +65,26 @@ def camera_to_replace(reorder_buffer: ReorderBuffer, window: Window) -> str | No
     return min(silent, default=(0, 0, None))[-1]
 
 
-def renumber_followed(
+def forget_cameras(state: LearnerState, names: Set[str], number: Longs) -> None:
+    """Forget cameras in what the state numbers or names beside window, intake and scorer.
+
+    number (cameras,): new index of each camera, `FORGOTTEN` for these.
+    """
+    kept = number != FORGOTTEN
+    state.clocks.keep_cameras(kept)
+    others = np.flatnonzero(kept[: len(state.cameras)])
+    state.cameras = [state.cameras[k] for k in others]
+    state.moved = [
+        (int(number[camera]), since, move) for camera, since, move in state.moved if kept[camera]
+    ]
+    state.publishers = {
+        name: publisher for name, publisher in state.publishers.items() if name not in names
+    }
+    state.doubled = [name for name in state.doubled if name not in names]
+    state.followed = _renumber_followed(state.followed, number)
+
+
+def _renumber_followed(
     followed: dict[int, FollowedSources], number: Longs
 ) -> dict[int, FollowedSources]:
     """Renumber the cameras in the state of `CandidateScreen`.

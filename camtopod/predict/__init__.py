@@ -3,10 +3,11 @@
 Reading order: `predictor` takes events and returns predictions. `odds` computes the odds of the
 possible next zones after an exit, from the version and from the observed arrivals. `hazards`,
 `contexts`, `speed` and `time_windows` read the version: rates of appearing by lag, the effect of an
-exit's context, and time windows for an object of some speed. `recent_events` and `open_passages`
-store the observed events. `zone_lookup` finds the zone of an event, and `hand_over` the other
-cameras that see the object at the exit. `walks` tells which passages are of one object, by the
-`transitions` from each exit.
+exit's context, and time windows for an object of some speed. `outcomes` averages the version's two
+opinions, and `anywhere` shares out what neither explains. `recent_events` and `open_passages` store
+the observed events, by which `reporting` tells the cameras that are silent. `zone_lookup` finds the
+zone of an event, and `hand_over` the other cameras that see the object at the exit. `walks` tells
+which passages are of one object, by the `transitions` from each exit.
 """
 
 from camtopod.predict.hand_over import seen_now as seen_now, sum_by_camera as sum_by_camera

@@ -6,8 +6,8 @@ the zones after some lag, or leaves the site. Their prior odds are the learned h
 of zones. They are changed by the exit's *context* (`contexts`), by *exposure* (a lag of -L is only
 possible if the passage has lasted L), by *seen arrivals* (where views overlap, the object may
 already have appeared: `odds`), by *speed* (`speed`), and by *silent cameras*, which have probably
-stopped reporting. If the question is asked again later, outcomes that would have been observed by
-then have lost their odds.
+stopped reporting (`reporting`). If the question is asked again later, outcomes that would have been
+observed by then have lost their odds.
 
 Events have the times of their cameras' clocks. All times inside are *corrected times*: less the
 clock offset of the camera, as given in the topology.
@@ -20,7 +20,7 @@ import math
 import numpy as np
 from msgspec import Struct
 
-from camtopod.arrays import Floats, Rows
+from camtopod.arrays import Rows
 from camtopod.predict.anywhere import NEXT_PROBABILITY_MIN, Anywhere
 from camtopod.predict.contexts import ContextMultipliers
 from camtopod.predict.hand_over import HandOver, cameras_to_watch
@@ -33,16 +33,12 @@ from camtopod.predict.recent_events import (
     RecentState,
     moved_zones,
 )
+from camtopod.predict.reporting import Reporting
 from camtopod.predict.speed import PaceModel, windows_at_pace
 from camtopod.predict.time_windows import quantiles
 from camtopod.predict.zone_lookup import ZoneLookup
 from camtopod.records import Event, NextCamera, Prediction, Topology, Zone
 from camtopod.topology import LEAVE_FLOOR, block_of
-
-DEAD_PRIOR = 1e-3
-"""Prior probability that a camera has stopped reporting for good."""
-SILENCE_NATS_MAX = 50.0
-"""Largest evidence (nats) of a camera's silence that counts."""
 
 
 class PredictorState(Struct):
@@ -104,9 +100,7 @@ class Predictor:
         """Forget all observed events; needed when event time has been taken back."""
         self._open_passages = OpenPassages(self._longest_stay)
         self._arrivals, self._exits = RecentEvents(), RecentEvents()
-        self._events = 0
-        self._last_event = np.zeros(len(self.site.cameras), np.int64)
-        """Number of each camera's last event in the order of all events."""
+        self._reporting = Reporting(self.site.cameras, self.site.event_share)
 
     def take_over(self, older: Predictor) -> None:
         """Take over the observed events from a predictor by an older version; this must be new."""
@@ -114,8 +108,7 @@ class Predictor:
         self._arrivals.take_over(older._arrivals, moved)
         self._exits.take_over(older._exits, moved)
         self._open_passages.take_over(older._open_passages, moved)
-        self._events = older._events
-        self._set_last_events(older._last_events())
+        self._reporting.load(older._reporting.events, older._reporting.last_events())
 
     def save(self) -> PredictorState:
         """Return the state from which `load` continues, given the same topology."""
@@ -123,8 +116,8 @@ class Predictor:
             arrivals=self._arrivals.save(),
             exits=self._exits.save(),
             under_way=self._open_passages.passages(),
-            events=self._events,
-            last_event=self._last_events(),
+            events=self._reporting.events,
+            last_event=self._reporting.last_events(),
         )
 
     def load(self, state: PredictorState) -> None:
@@ -133,16 +126,14 @@ class Predictor:
         self._exits.load(state.exits)
         for camera, track, passage in state.under_way:
             self._open_passages.begin(camera, track, passage)
-        self._events = state.events
-        self._set_last_events(state.last_event)
+        self._reporting.load(state.events, state.last_event)
 
     def observe(self, event: Event) -> None:
         """Observe an event; events should be given in order of time as far as possible."""
-        self._events += 1
         zone = self.zone_of(event)
+        self._reporting.note(None if zone is None else int(self.site.camera_of[zone]))
         if zone is None:
             return
-        self._last_event[self.site.camera_of[zone]] = self._events
         t = event.t - self.site.clock_offset[event.camera]
         if event.kind == "entry":
             self._observe_entry(event, zone, t)
@@ -280,7 +271,7 @@ class Predictor:
 
     def _odds(self, query: Query, table: ExitTable) -> Odds:
         """Return the odds of where and when the object of a query appears next."""
-        is_alive = self._is_alive()[table.target_cameras]
+        is_alive = self._reporting.is_alive()[table.target_cameras]
         return find_odds(query, self.site, table, is_alive, self._seen_arrivals(query))
 
     def _seen_arrivals(self, query: Query) -> SeenArrivals:
@@ -352,15 +343,6 @@ class Predictor:
         return self._open_passages.was_in_view(
             camera, zone, began, t + self.site.clock_offset[camera]
         )
-
-    def _is_alive(self) -> Floats:
-        """Return the probability (cameras,) that each camera still reports.
-
-        It is computed from the number of other cameras' events since the camera's last event.
-        """
-        nats = (self._events - self._last_event) * self.site.event_share
-        is_alive: Floats = 1.0 / (1.0 + DEAD_PRIOR * np.exp(np.minimum(nats, SILENCE_NATS_MAX)))
-        return is_alive
 
     # --- Observed events ---
 
@@ -448,15 +430,6 @@ class Predictor:
         # In the order in which passages began, as sums of floats depend on the order.
         causes.update((camera, rate) for _, camera, rate in sorted(in_views))
         return causes
-
-    def _last_events(self) -> dict[str, int]:
-        """Return the number of each camera's last event in the order of all events."""
-        return dict(zip(self.site.cameras, self._last_event.tolist(), strict=True))
-
-    def _set_last_events(self, known: dict[str, int]) -> None:
-        """Set the number of each camera's last event; a new camera counts as if it just had one."""
-        numbers = [known.get(camera, self._events) for camera in self.site.cameras]
-        self._last_event = np.array(numbers, np.int64)
 
 
 def _check(t: float, now: float | None) -> None:

@@ -157,7 +157,7 @@ def test_the_steps_of_every_version_are_said_as_they_begin() -> None:
         learner.receive(event)
     learner.flush()
     learner.begin_epoch("1")
-    learner.refresh()
+    learner.make_version()
     assert steps == [*STEPS, *STEPS]
     assert learner.topology is not None
     assert learner.topology.epoch == "1"

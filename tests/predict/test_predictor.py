@@ -15,9 +15,10 @@ from msgspec.structs import replace
 from bench.support.prediction_scores import score_predictions
 from camtopod.learn.learner import Learner
 from camtopod.learn.settings import Settings
-from camtopod.predict import anywhere, open_passages, predictor as module, recent_events
+from camtopod.predict import anywhere, open_passages, recent_events
 from camtopod.predict.odds import RATE_MIN
 from camtopod.predict.predictor import NEXT_PROBABILITY_MIN, Predictor
+from camtopod.predict.reporting import DEAD_PRIOR
 from camtopod.records import (
     TOPOLOGY_SCHEMA,
     Camera,
@@ -298,7 +299,7 @@ CONSTANTS = (
     BACK_OFF_DEPARTURES,
     MULTIPLIER_MAX,
     LEAVE_FLOOR,
-    module.DEAD_PRIOR,
+    DEAD_PRIOR,
     NEXT_PROBABILITY_MIN,
     RATE_MIN,
     DWELL_SECONDS_MIN,

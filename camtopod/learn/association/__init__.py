@@ -5,8 +5,9 @@ probability that it is. Reading order: `problem` holds the departures and arriva
 lists every two of them within the range of lags. `exposure` counts how many departures could have
 been seen to arrive after each lag. `speed_adjustment` corrects lags for each object's speed. `em`
 estimates responsibilities and hazards (rates of arrivals by lag, for each pair of zones) by
-expectation maximisation, and `joint_fit` runs it to find links. On large sites, which have too many
-candidates for one fit, `screening` selects the candidates first.
+expectation maximisation, with the additions of an `em_model`, and `joint_fit` runs it to find
+links. `even_hazards` tells how far a lag speaks for a transition. On large sites, which have too
+many candidates for one fit, `screening` selects the candidates first.
 """
 
 from __future__ import annotations
@@ -23,8 +24,9 @@ from camtopod.learn.association.em import (
     NOTHING as NOTHING,
     START_FLOOR as START_FLOOR,
     Em as Em,
-    EmModel as EmModel,
 )
+from camtopod.learn.association.em_model import EmModel as EmModel
+from camtopod.learn.association.even_hazards import flatness as flatness
 from camtopod.learn.association.exposure import exposures as exposures
 from camtopod.learn.association.joint_fit import (
     Fit as Fit,

@@ -11,19 +11,17 @@ in time, a rhythm common to all zones makes no links.
 (`Em.maximise`), which computes the hazards from the responsibilities. The E step is the sum-product
 approximation of the marginals of a one-to-one assignment with misses and clutter (Williams and Lau,
 IEEE Trans. AES 50(4), 2014), one sweep of *messages* an iteration. Each candidate is judged by the
-hazard that the other candidates make (leave one out). The outer loops are in `joint_fit` and
-`next_camera.fit`.
+hazard that the other candidates make (leave one out). What a fit assumes in addition is its
+`em_model.EmModel`; the outer loops are in `joint_fit` and `next_camera.fit`.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from typing import NamedTuple, Protocol
-
 import numpy as np
 
-from camtopod.arrays import Bools, Floats, Indices, Longs, Rows, Singles, row_slices
+from camtopod.arrays import Bools, Floats, Indices, Rows, Singles, row_slices
 from camtopod.learn.association.candidates import Candidates, initial_hazards
+from camtopod.learn.association.em_model import NO_ADDITIONS, EmModel
 from camtopod.learn.association.exposure import exposures
 from camtopod.learn.association.problem import Problem
 from camtopod.learn.association.speed_adjustment import Adjusted, adjust
@@ -64,73 +62,6 @@ FEW = 200_000
 """Number of candidates up to which none are left out."""
 NOTHING = 1e-30
 """Lower bound on a divisor; small, but not 0 in single precision."""
-
-
-class Beside(Protocol):
-    """A further way in which some departures cause arrivals, beside the hazards by lag.
-
-    The rate of a candidate is the hazard of its pair of zones plus this rate, where it applies.
-    """
-
-    rows: Indices
-    """(m,) rows of the candidates that it applies to, ascending."""
-
-    share: Floats
-    """(m,) share of each of these candidates' rate that it contributes."""
-
-    def rates(self, responsibility: Singles) -> Floats:
-        """Return the rates (m,), 1/s, that its candidates get from it.
-
-        responsibility (m,): of these candidates; the rate of each candidate must not depend on its
-            own responsibility (leave one out).
-        """
-
-    def learn(self, responsibility: Singles) -> None:
-        """Do the M step, with the responsibilities (M,) of all candidates."""
-
-
-class Expected(Protocol):
-    """Transitions that a prior adds to the counted ones, as if there were more departures.
-
-    departures: number of additional departures of each zone.
-    """
-
-    departures: float
-
-    def of(self, rows: slice, rates: Callable[[Longs], Floats]) -> Floats:
-        """Return the transitions (pairs, bins) that the prior adds to the pairs of zones ``rows``.
-
-        rates: function from pairs (k,) to the counted transitions per exposed departure (k, bins).
-        """
-
-
-class PairPrior(Protocol):
-    """A prior over the transitions of pairs of zones, such as `next_camera.prior.Prior`."""
-
-    def expected(self, counts: Floats) -> Expected:
-        """Return what the prior adds, given the counted transitions ``counts`` (P, bins)."""
-
-
-class EmModel(NamedTuple):
-    """What a fit assumes in addition to hazards and background."""
-
-    entering: Beside | None = None
-    """Rates by the time since the entry, in overlapping views (`next_camera.entry_kernels`)."""
-    prior: PairPrior | None = None
-    """Prior over the transitions of pairs of zones."""
-    sparsity: float = 0.0
-    """Transitions that a sparse prior (a Gamma with shape 0) takes off each pair of zones."""
-    multiplier: Singles | None = None
-    """(M,) factor on each candidate's rate, by the context of its departure; None for 1."""
-    leaving: Floats | None = None
-    """(n,) probability that the object of each departure leaves the site; None to compute it from
-    the hazards.
-    """
-    near: Bools | slice = slice(None)
-    """(n,) mask of departures that the null model of the first hazards counts."""
-
-
-NO_ADDITIONS = EmModel()
 
 
 class Em:
@@ -495,28 +426,3 @@ class Em:
     def _exposure_of_pairs(self, rows: slice | Indices) -> Floats:
         """Return the exposed departures (pairs, bins) of the pairs ``rows``, at least 1."""
         return self.exposure_at_least_one.take(self.range_of[rows], axis=0)
-
-    # --- Hazards that do not depend on the lag ----------------------------------------------------
-
-    def flatness(self, hazard: Singles) -> Floats:
-        """Return the ratio (M,) of each pair's hazard spread evenly over all lags to its hazard.
-
-        hazard (P, bins): the hazards.
-
-        The ratio is taken for each candidate, at its lag. It is small where the lag speaks for a
-        transition, and 1 where the lag says nothing.
-        """
-        # Hazards (P,) that are the same at every lag and give as many transitions.
-        even = np.zeros(self.pairs)
-        c = self.candidates
-        bins = self.problem.bins
-        one_view = self.camera[c.source] == self.camera[c.target]
-        before = bins.edges[1:] <= 0
-        for rows in row_slices(self.pairs):
-            seconds = self.exposure[self.range_of[rows]] * bins.widths
-            seconds[one_view[rows, None] & before] = 0.0  # in one view no lag is before the exit
-            total = np.maximum(seconds.sum(axis=1), 1e-9)
-            even[rows] = (hazard[rows] * seconds).sum(axis=1) / total
-
-        flat: Floats = even[c.pair] / np.maximum(hazard.take(self.cell), NOTHING)
-        return flat

@@ -13,7 +13,9 @@ from typing import NamedTuple
 
 from camtopod.arrays import Floats, Singles
 from camtopod.learn.association.candidates import Candidates
-from camtopod.learn.association.em import Em, EmModel
+from camtopod.learn.association.em import Em
+from camtopod.learn.association.em_model import EmModel
+from camtopod.learn.association.even_hazards import flatness
 from camtopod.learn.association.problem import Problem
 from camtopod.learn.traffic import Persistence
 
@@ -87,7 +89,7 @@ def result(em: Em, hazard: Singles, counts: Floats) -> Fit:
         hazard,
         counts,
         em.responsibility.astype(float),
-        em.flatness(hazard),
+        flatness(em, hazard),
         em.outside,
         em.candidates,
         em.persistence,

@@ -26,6 +26,7 @@ from camtopod.learn.association import (
     Problem,
     adjust,
     candidates_of_pairs,
+    flatness,
 )
 from camtopod.learn.links.link_table import TRANSITIONS_MIN
 from camtopod.learn.links.significance import FLAT_MAX
@@ -187,7 +188,7 @@ def _evidence(fitter: Em, hazard: Singles, outside: Floats) -> tuple[Floats, Flo
     unrelated: Floats = np.bincount(c.pair, -np.log1p(-share), minlength=fitter.pairs) - expected
 
     # Likelihood ratio against the same number of transitions spread evenly over all lags.
-    flat = np.minimum(fitter.flatness(hazard), FLAT_MAX)
+    flat = np.minimum(flatness(fitter, hazard), FLAT_MAX)
     untimed: Floats = np.bincount(
         c.pair, -np.log1p(share * (flat - 1.0)), minlength=fitter.pairs
     ).astype(float)

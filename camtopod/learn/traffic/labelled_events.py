@@ -11,7 +11,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from camtopod.arrays import Floats, Ints
+from camtopod.arrays import Floats, Indices, Ints
 from camtopod.event_time import MICROSECONDS
 from camtopod.learn.traffic.background_rate import local_rates
 from camtopod.learn.traffic.events import Arrivals, Departures
@@ -154,10 +154,6 @@ def label_events(window: Window, maps: list[ZoneMap], ahead: Floats | None = Non
     arrivals = Arrivals(came, entered, camera[entry_rows], rate, slow[entry_rows], even / rate)
     passages = Passages(zone[tied_entries], zone[tied_rows], t[tied_entries], t[tied_rows])
 
-    # Cameras at which tracks tie most exits to an entry.
-    untied = np.bincount(
-        camera[~entry], np.where(mate[~entry] >= 0, -1.0, 1.0), len(window.cameras)
-    )
     return Scene(
         zones,
         departures,
@@ -165,7 +161,16 @@ def label_events(window: Window, maps: list[ZoneMap], ahead: Floats | None = Non
         passages,
         np.bincount(zone[entry_rows], minlength=n),
         np.bincount(zone[exit_rows], minlength=n),
-        untied < 0,
+        _tracked(camera[~entry], mate[~entry], len(window.cameras)),
         float(t.min()),
         last,
     )
+
+
+def _tracked(camera: Ints, mate: Indices, cameras: int) -> NDArray[np.bool_]:
+    """Return a mask (cameras,) of those at which tracks tie most exits to an entry.
+
+    camera, mate (n,): camera of each exit, and row of its entry, -1 if unknown.
+    """
+    untied = np.bincount(camera, np.where(mate >= 0, -1.0, 1.0), cameras)
+    return untied < 0

@@ -1,7 +1,7 @@
 """Entry and exit zones: where in a camera's view objects appear and disappear.
 
-The view is a grid of 30 rows and 24 columns. For each cell, `cell_sums` counts the events in the
-cell and sums their positions; everything here is computed from these sums. Events of tracks that
+The view is a grid of 30 rows and 24 columns. For each cell, `cells` counts the events in the cell
+and sums their positions; everything here is computed from these sums. Events of tracks that
 begin or end anywhere in the view belong to no zone: they are *clutter*.
 
 Reading order: `zone_map` turns the sums of a camera into numbered zones (`find_zones`). For that,
@@ -17,14 +17,16 @@ Last, `mixture` assigns every cell of the grid to one of the zones found, or to 
 
 from __future__ import annotations
 
+from camtopod.learn.zones.cells import (
+    CELLS as CELLS,
+    cell_sums as cell_sums,
+    cells_of as cells_of,
+)
 from camtopod.learn.zones.clutter import CONTRAST_MIN as CONTRAST_MIN
 from camtopod.learn.zones.daspec import BANDWIDTH_MIN as BANDWIDTH_MIN, kernel_1d as kernel_1d
 from camtopod.learn.zones.mixture import ZoneShape as ZoneShape
 from camtopod.learn.zones.zone_map import (
-    CELLS as CELLS,
     ZoneMap as ZoneMap,
-    cell_sums as cell_sums,
-    cells_of as cells_of,
     find_zones as find_zones,
     refresh_zones as refresh_zones,
 )

@@ -13,13 +13,12 @@ also start from an earlier one, which then changes only on clear evidence (`HOLD
 
 from __future__ import annotations
 
-from typing import NamedTuple
-
 import numpy as np
 from numpy.typing import NDArray
 from scipy.special import gammaln
 
 from camtopod.arrays import Floats
+from camtopod.learn.zones.cells import Cells
 from camtopod.learn.zones.clutter import (
     ROUNDS_MAX,
     daspec_groups,
@@ -70,29 +69,6 @@ _CELL_SPREAD = np.array([[1 / (12 * GRID_COLUMNS**2)], [0.0], [1 / (12 * GRID_RO
 """Covariance (xx, xy, yy) of a uniform distribution over one cell, image units."""
 _DIRECTIONS = np.array([(np.cos(angle), np.sin(angle)) for angle in np.arange(6) * np.pi / 6])
 """Unit vectors (x, y) perpendicular to the cuts of groups."""
-
-
-class Cells(NamedTuple):
-    """The m occupied cells of a grid.
-
-    index (m,): flat index of each cell, row * columns + column.
-    sums (6, m): sums (n, x, y, x x, x y, y y) of each cell's events, image units.
-    average (6, m): ``sums`` divided by the cell's number of events.
-    spread (3, m): covariance (xx, xy, yy) of the events within each cell.
-    """
-
-    index: NDArray[np.intp]  # type: ignore[assignment]  # hides an unused method of tuple
-    sums: Floats
-    average: Floats
-    spread: Floats
-
-    @classmethod
-    def of(cls, sums: Floats, index: NDArray[np.intp]) -> Cells:
-        """Return the cells with these sums (6, m) and flat indices (m,); none may be empty."""
-        average = sums / sums[0]
-        _, x, y, xx, xy, yy = average
-        spread = np.array((np.maximum(xx - x * x, 0), xy - x * y, np.maximum(yy - y * y, 0)))
-        return cls(index, sums, average, spread)
 
 
 def partition(

@@ -14,25 +14,22 @@ from collections.abc import Sequence
 import numpy as np
 from msgspec import Struct
 from msgspec.structs import replace
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 from scipy.optimize import linear_sum_assignment
 
 from camtopod.arrays import Floats, Longs
 from camtopod.learn.limits import ZONES_PER_CAMERA_MAX
+from camtopod.learn.zones.cells import CELLS, Cells
 from camtopod.learn.zones.clutter import clutter_rates
 from camtopod.learn.zones.marginal_likelihood import ZONE_SD
 from camtopod.learn.zones.mixture import ZoneShape, classify_cells
-from camtopod.learn.zones.partition import Cells, partition
+from camtopod.learn.zones.partition import partition
 from camtopod.topology import GRID_COLUMNS, GRID_ROWS, POSITION_ONE
 
 ANEW_EVENTS_MAX = 4000
 """A map that was learned from nothing with at least this many events is only adapted later."""
 FAR = 3.0
 """Distance, in standard deviations, beyond which two zones are not at the same place."""
-CELLS = GRID_ROWS * GRID_COLUMNS
-"""Number of cells of the grid."""
-NO_CELL = -1
-"""Cell of events without position."""
 _SCALE = np.array(
     [1, POSITION_ONE, POSITION_ONE, POSITION_ONE**2, POSITION_ONE**2, POSITION_ONE**2]
 )[:, None]
@@ -52,38 +49,6 @@ class ZoneMap(Struct, frozen=True, eq=False):
     next_number: int
     events: int = 0
     """Number of events when the map was last learned from nothing."""
-
-
-def fixed_point(x: ArrayLike) -> Longs:
-    """Return image positions, fractions in [0, 1], as integers in fixed point (`POSITION_ONE`)."""
-    return np.rint(np.asarray(x, dtype=np.float64) * POSITION_ONE).astype(np.int64)
-
-
-def cells_of(px: Longs, py: Longs) -> Longs:
-    """Return the flat grid cell (n,), row * columns + column, of positions; `NO_CELL` for none.
-
-    px, py (n,): positions in fixed point, negative if unknown.
-    """
-    column = np.minimum(px * GRID_COLUMNS // POSITION_ONE, GRID_COLUMNS - 1)
-    row = np.minimum(py * GRID_ROWS // POSITION_ONE, GRID_ROWS - 1)
-    return np.where(px < 0, NO_CELL, row * GRID_COLUMNS + column)
-
-
-def cell_sums(px: Longs, py: Longs) -> Longs:
-    """Return six sums over the events of each grid cell, (6, GRID_ROWS, GRID_COLUMNS).
-
-    px, py (n,): known positions in fixed point.
-
-    The sums are the number of events, and the sums of x, y, x x, x y and y y. They are integers,
-    and so exact in any order of the events.
-    """
-    cell = cells_of(px, py)
-    sums = np.zeros((6, CELLS), np.int64)
-    for grid, value in zip(
-        sums, (np.ones_like(px), px, py, px * px, px * py, py * py), strict=True
-    ):
-        np.add.at(grid, cell, value)
-    return sums.reshape(6, GRID_ROWS, GRID_COLUMNS)
 
 
 def find_zones(

@@ -118,7 +118,7 @@ class Worker:
         if command.epoch > self._learner.epoch:
             self._newest = None
             self._learner.begin_epoch(command.epoch)
-            self._learner.refresh()
+            self._learner.make_version()
 
     def _reset(self, command: Reset) -> None:
         """Begin with a new learner, in a new epoch unless a later one has begun already."""
@@ -153,8 +153,8 @@ class Worker:
         """Learn entries of the journal, up to one that makes a version."""
         unreadable = 0
         versions: list[NewVersion] = []
-        if not inputs:
-            self._learner.refresh()
+        if not inputs and self._learner.topology is None:
+            self._learner.make_version()
             versions = self._take_versions()
         for kind, raw in inputs:
             self._entry.value = position + 1

@@ -14,7 +14,9 @@ from camtopod.learn.association.candidates import (
     find_candidates,
     newest_within_limit,
 )
-from camtopod.learn.association.em import Em, EmModel
+from camtopod.learn.association.em import Em
+from camtopod.learn.association.em_model import EmModel
+from camtopod.learn.association.even_hazards import flatness
 from camtopod.learn.association.exposure import exposures
 from camtopod.learn.association.joint_fit import Fit, fit_jointly
 from camtopod.learn.association.problem import Problem
@@ -192,7 +194,7 @@ def test_iterations_equal_their_slow_twin(
         row[(SHORT.edges[1:] <= 0) & (view[source] == view[target])] = 0.0
     even = (hazards * exposed).sum(axis=1) / np.maximum(exposed.sum(axis=1), 1e-9)
     cells = SHORT.index(found.lag)
-    assert fitter.flatness(hazards) == pytest.approx(
+    assert flatness(fitter, hazards) == pytest.approx(
         [even[p] / max(hazards[p, k], em.NOTHING) for p, k in zip(found.pair, cells, strict=True)],
         rel=SINGLE,
     )

@@ -9,7 +9,8 @@ from camtopod.event_time import microseconds
 from camtopod.learn.links.visible_links import visible_transitions
 from camtopod.learn.traffic.labelled_events import Scene, label_events
 from camtopod.learn.window.sliding_window import Window
-from camtopod.learn.zones.zone_map import ZoneMap, cell_sums, cells_of, find_zones, fixed_point
+from camtopod.learn.zones.cells import cell_sums, cells_of, fixed_point
+from camtopod.learn.zones.zone_map import ZoneMap, find_zones
 from camtopod.records import Event
 from camtopod.topology.lag_bins import LagBins
 

@@ -15,7 +15,7 @@ from camtopod.learn.window.sliding_window import (
     NO_MATE,
     Window,
 )
-from camtopod.learn.zones.zone_map import NO_CELL, cells_of
+from camtopod.learn.zones.cells import NO_CELL, cells_of
 from camtopod.records import Event
 from camtopod.topology.grid import GRID_COLUMNS, GRID_ROWS, POSITION_ONE
 

@@ -8,8 +8,8 @@ import pytest
 from hypothesis import given, settings, strategies as st
 
 from bench.support.thesis_tables import FIGURE_4_4_ZONES, TABLE_5_1, figure_4_4
+from camtopod.learn.zones.cells import cell_sums, fixed_point
 from camtopod.learn.zones.daspec import bandwidth, data_spectroscopy
-from camtopod.learn.zones.zone_map import cell_sums, fixed_point
 
 SHAPE = (30, 24)
 

@@ -5,8 +5,8 @@ from __future__ import annotations
 import naive
 import numpy as np
 
+from camtopod.learn.zones.cells import cells_of, fixed_point
 from camtopod.learn.zones.mixture import ZoneShape, classify_cells
-from camtopod.learn.zones.zone_map import cells_of, fixed_point
 
 CELL = np.diag([1 / (12 * 24**2), 1 / (12 * 30**2)])
 A = ZoneShape(1, 0.3, 0.4, ((0.0020, 0.0008), (0.0008, 0.0030)), 0.8)

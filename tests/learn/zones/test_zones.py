@@ -13,19 +13,12 @@ from camtopod.learn.zones import (
     marginal_likelihood as likelihood_module,
     separation as valley_module,
 )
+from camtopod.learn.zones.cells import cell_sums, cells_of, fixed_point
 from camtopod.learn.zones.clutter import clutter_rates, dense_cells
 from camtopod.learn.zones.marginal_likelihood import log_zone, moments
 from camtopod.learn.zones.mixture import ZoneShape
 from camtopod.learn.zones.separation import valley_log_ratio
-from camtopod.learn.zones.zone_map import (
-    ZoneMap,
-    cell_sums,
-    cells_of,
-    find_zones,
-    fixed_point,
-    match_zones,
-    refresh_zones,
-)
+from camtopod.learn.zones.zone_map import ZoneMap, find_zones, match_zones, refresh_zones
 from camtopod.topology.grid import POSITION_ONE
 
 

@@ -5,14 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from camtopod.learn.zones.zone_map import (
-    ZoneMap,
-    cell_sums,
-    cells_of,
-    find_zones,
-    fixed_point,
-    refresh_zones,
-)
+from camtopod.learn.zones.cells import cell_sums, cells_of, fixed_point
+from camtopod.learn.zones.zone_map import ZoneMap, find_zones, refresh_zones
 
 DOORS = [(0.05, 0.5), (0.5, 0.95), (0.9, 0.3), (0.4, 0.1)]
 WINDOW = 1500

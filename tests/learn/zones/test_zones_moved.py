@@ -8,7 +8,8 @@ import pytest
 from camtopod.learn.changes.camera_moved import find_move
 from camtopod.learn.learner import Learner
 from camtopod.learn.settings import Settings
-from camtopod.learn.zones.zone_map import cell_sums, cells_of, find_zones, fixed_point
+from camtopod.learn.zones.cells import cell_sums, cells_of, fixed_point
+from camtopod.learn.zones.zone_map import find_zones
 from camtopod.records import Event
 
 BEFORE = [(0.05, 0.5), (0.5, 0.95), (0.9, 0.3)]
