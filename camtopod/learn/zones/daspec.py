@@ -4,7 +4,7 @@ Source: Shi, Belkin, Yu, "Data spectroscopy: eigenspaces of convolution operator
 Annals of Statistics 37(6B), 2009. There, n points and a bandwidth w give the matrix
 ``K_ij = exp(-|x_i - x_j|^2 / 2 w^2) / n``. Its eigenvectors that do not change sign are the
 clusters, and a point belongs to the one with the largest entry at the point. Here points are events
-on a grid: points in the same cell have the same row in K, so ``D^1/2 K D^1/2`` over the occupied
+on a grid: points in the same cell have the same row in K, so ``n D^1/2 K D^1/2`` over the occupied
 cells, where D holds each cell's share of the points, has the same nonzero eigenvalues.
 
 Distances are in grid steps, for rows and columns alike.
