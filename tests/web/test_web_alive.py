@@ -60,6 +60,8 @@ def test_an_entry_is_a_pulse_where_it_was_and_one_more_today(browser: Browser) -
             SeenEvent(now - 600.0, A, "exit", None, 0.1, 0.5),
         ]
         browser.wait(lambda: browser.text(today) == "42", "one more")
+        told = f"return document.querySelector('[data-id={A}]').getAttribute('aria-label')"
+        assert "42 entries today" in browser.run(told)
         (entry, right), (exit_, left) = browser.run("return shown")
         assert (entry, exit_) == ("pulse entry", "pulse exit"), "one of ten minutes ago is no news"
         assert right > 4 > -4 > left

@@ -43,7 +43,9 @@ export class Hours {
       node.today = this.today(node.id);
       const text = node.today && high > DIGIT_PIXELS[1] ? count(node.today[0]) : "";
       const shown = text.length * DIGIT_PIXELS[0] < 2 * wide ? text : "";
-      if (node.entered.textContent !== shown) node.entered.textContent = shown;
+      if (node.entered.textContent === shown) continue;
+      node.entered.textContent = shown;
+      map.tell(node);
     }
   }
 

@@ -217,17 +217,18 @@ export class NetworkMap {
   health(ill, gone) {
     this.#ill = ill;
     this.#gone = gone;
-    for (const node of this.nodes.values()) this.#tellHealth(node);
+    for (const node of this.nodes.values()) this.tell(node);
   }
 
-  #tellHealth({ id, camera, element }) {
+  // Say of a node what is seen of it.
+  tell({ id, camera, element, entered }) {
     const ill = this.#ill.has(id);
     const gone = this.#gone.has(id);
     element.classList.toggle("ill", ill);
     element.classList.toggle("gone", gone);
     const state = ill ? ", needs attention" : gone ? ", gone" : "";
     const learned = camera.new ? "new, no version yet" : plural(camera.zones, "zone");
-    const name = `Camera ${id}, ${learned}${state}`;
+    const name = `Camera ${id}, ${learned}${state}${entered.textContent && `, ${entered.textContent} entries today`}`;
     if (element.getAttribute("aria-label") !== name) element.setAttribute("aria-label", name);
   }
 
@@ -297,7 +298,7 @@ export class NetworkMap {
     };
     Object.assign(node, { x, y, camera, ratio: node.ratio ?? SHOT_RATIO });
     node.element.setAttribute("transform", `translate(${x.toFixed(1)} ${y.toFixed(1)})`);
-    this.#tellHealth(node);
+    this.tell(node);
     if (held) return;
     this.nodes.set(id, node);
     node.element.append(node.entered);
