@@ -109,15 +109,16 @@ OWN = {
 STOLEN = [
     *(("put", key) for key in ("event/cam2", "event/*", "event/cam1/x", "store/cam1")),
     *(("put", key) for key in ("topology", "topology/delta", "prediction/cam1", "status/cam2")),
+    ("put", "match/cam1"),
     *(("delete", key) for key in ("event/cam1", "topology")),
     *(("appear", key) for key in ("alive/grabber/cam2", "alive/daemon/thief")),
 ]
 ASKED = (
     *("store/cam1", "store/cam2", "store/*", "topology", "predict/cam1?zone=cam1/1"),
-    *("status/daemon", "admin/forget?camera=nobody", "admin/*", "**"),
+    *("status/daemon", "recent", "admin/forget?camera=nobody", "admin/*", "**"),
 )
 ANSWERED = ("store/cam1", "store/cam2", "topology")
-HEARD = ("event/cam2", "prediction/cam2", "topology/delta", "status/cam2")
+HEARD = ("event/cam2", "prediction/cam2", "match/cam2", "topology/delta", "status/cam2")
 
 
 def attack(thief: Puppet, observer: Puppet, everything: bool = False) -> set[str]:
@@ -136,7 +137,7 @@ def attack(thief: Puppet, observer: Puppet, everything: bool = False) -> set[str
         thief.do(what, key=f"{HQ}/{key}")
     for key in ("store/*", *ANSWERED):
         thief.do("answer", key=f"{HQ}/{key}", payload="from the thief")
-    for key in ("store/*", "event/*", "prediction/*", "topology/delta", "status/*"):
+    for key in ("store/*", "event/*", "prediction/*", "match/*", "topology/delta", "status/*"):
         thief.do("subscribe", key=f"{HQ}/{key}")
     for key in ("alive/grabber/*", "alive/daemon/*"):
         thief.do("watch", key=f"{HQ}/{key}")
@@ -284,7 +285,8 @@ def test_a_reader_reads_and_nothing_else(
     reader = make_puppet()
     assert reader.open(**client(guarded), **keys.tls("reader/wall"))
     observer.do("subscribe", key=f"{HQ}/**")
-    for key in ("topology", "topology/delta", "prediction/*", "status/*", "event/*", "**"):
+    topics = ("topology", "topology/delta", "prediction/*", "match/*", "status/*")
+    for key in (*topics, "event/*", "**"):
         reader.do("subscribe", key=f"{HQ}/{key}")
     reader.do("watch", key=f"{HQ}/alive/daemon/*")
 
@@ -294,11 +296,12 @@ def test_a_reader_reads_and_nothing_else(
     for key in ("topology", "predict/cam1?zone=cam1/1"):
         # on a busy machine a question may end late, which is an answer, too
         wait_for(lambda key=key: reader.do("ask", key=f"{HQ}/{key}") == nothing, "it alone")  # type: ignore[misc]
+    assert reader.do("ask", key=f"{HQ}/recent", seconds=WAIT_SECONDS)
     for key in ("store/cam1", "admin/forget?camera=nobody", "admin/reset"):
         assert reader.do("ask", key=f"{HQ}/{key}") == []
 
     # It listens, and tries to publish.
-    readable = ("topology", "topology/delta", "prediction/cam1", "status/cam1")
+    readable = ("topology", "topology/delta", "prediction/cam1", "match/cam1", "status/cam1")
     for key in (*readable, "event/cam1", "store/cam1"):
         reader.do("put", key=f"{HQ}/{key}", payload="from the reader")
         reader.do("delete", key=f"{HQ}/{key}")

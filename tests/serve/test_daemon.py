@@ -251,6 +251,11 @@ def test_a_walk_goes_on_after_a_start_and_is_not_told_again(site: Site) -> None:
     ]
     assert (matches[0].from_[0].track, matches[0].from_[0].t) == ("p", NOW - 10.0)
 
+    again.stop()
+    kept = [path.read_bytes() for path in (site.directory / "state").rglob("*") if path.is_file()]
+    assert not any(matches[0].walk.encode() in content for content in kept), "in memory only"
+    assert any(b"track\xa1q" in content for content in kept), "the event is stored"
+
 
 def test_every_exit_is_predicted_and_questions_are_answered(site: Site) -> None:
     daemon = site.daemon()
