@@ -387,7 +387,7 @@ class Walks:
 
     def _likely(self, step: Step, edges: list[Edge], t: float) -> list[Edge]:
         """Return the edges that are likely enough, given what other entries claim."""
-        offers = [edge.weight / self._taken(edge, t) for edge in edges]
+        offers = [edge.weight / self._demand(edge, t) for edge in edges]
         least = PROBABILITY_MIN * (step.outside + sum(offers))
         return [edge for edge, offer in zip(edges, offers, strict=True) if offer >= least]
 
@@ -396,28 +396,47 @@ class Walks:
 
         t (seconds): corrected time of the question.
         """
+        # The entries that compete; each edge with the claims on its passage and slot, summed.
         rivals = {id(step): step}
         for edge in step.edges:
             claims = edge.source.claims.get(edge.slot, ())  # none of a forgotten passage
             rivals |= {id(one.entry): one.entry for one in claims}
+        sums: dict[tuple[int, str], list[float]] = {}
+        claimed = []
+        for rival in rivals.values():
+            mine = []
+            for edge in rival.edges:
+                key = id(edge.source), edge.slot
+                if not edge.source.claims:
+                    mine.append((edge, [self._demand(edge, t) + edge.weight * edge.message]))
+                    continue
+                if key not in sums:
+                    sums[key] = [self._demand(edge, t)]
+                mine.append((edge, sums[key]))
+            claimed.append((rival, mine))
+
+        # The messages.
         for _ in range(SWEEPS):
-            for rival in rivals.values():
-                offers = [edge.weight / self._taken(edge, t) for edge in rival.edges]
+            for rival, mine in claimed:
+                offers = [
+                    edge.weight / (demand[0] - edge.weight * edge.message) for edge, demand in mine
+                ]
                 total = rival.outside + sum(offers)
-                for edge, offer in zip(rival.edges, offers, strict=True):
+                for (edge, demand), offer in zip(mine, offers, strict=True):
+                    demand[0] -= edge.weight * edge.message
                     edge.probability = offer / total
                     edge.message = 1.0 / (total - offer)
+                    demand[0] += edge.weight * edge.message
 
-    def _taken(self, edge: Edge, t: float) -> float:
-        """Return the odds that a passage has no successor by ``t``, or another than the edge's."""
+    def _demand(self, edge: Edge, t: float) -> float:
+        """Return the odds of an edge's passage: no successor by ``t``, or one that claims it."""
         source = edge.source
         nobody = UNSEEN_IN_VIEW
         if not edge.slot:
             unseen = self._expected(source).unseen
             at = bisect_right(self._hazards.bins.limits, t - source.left)
             nobody = max(unseen[min(at, len(unseen) - 1)], LEAVE_FLOOR)
-        claims = source.claims.get(edge.slot, ())
-        return nobody + sum(one.weight * one.message for one in claims if one is not edge)
+        return nobody + sum(one.weight * one.message for one in source.claims.get(edge.slot, ()))
 
     def _match(self, step: Step) -> Match:
         """Give a step its walk, and return its match."""
