@@ -1,4 +1,4 @@
-"""The notebook and the page for researchers, with pandas and networkx where these are there."""
+"""The notebook and the page for researchers, with pandas and networkx."""
 
 from __future__ import annotations
 
@@ -32,7 +32,6 @@ def test_the_notebook_is_one_without_outputs() -> None:
 
 
 def test_the_notebook_runs(capsys: pytest.CaptureFixture[str]) -> None:
-    pytest.importorskip("pandas")
     names: dict[str, Any] = {}
     for text in CODE:
         exec(text, names)
@@ -46,7 +45,6 @@ def test_the_notebook_runs(capsys: pytest.CaptureFixture[str]) -> None:
 
 
 def test_the_page_reads_a_topology(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    pytest.importorskip("pandas")
     [shown] = blocks((DEPLOY / "research.md").read_text(), "python")
     topology = learn_topology(simulate(SimSettings(cameras=3, hours=0.25, seed=1))[0])
     monkeypatch.chdir(tmp_path)
