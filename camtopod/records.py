@@ -839,6 +839,9 @@ class DaemonStatus(Status, frozen=True):
     predictions_skipped: Annotated[
         int, _metric("predictions_skipped_total", "Exits without a prediction for lack of time")
     ] = 0
+    matches_skipped: Annotated[
+        int, _metric("matches_skipped_total", "Entries without a match for lack of time")
+    ] = 0
     questions_refused: int = 0
     score: SelfScore | None = None
     alarms: list[Alarm] = []

@@ -185,8 +185,11 @@ class Walks:
                     step.zone = moved[zone]
                     step.expected = None
 
-    def observe(self, event: Event) -> Match | None:
-        """Observe an event; return the match of an entry, None for an exit."""
+    def observe(self, event: Event, is_matched: bool = True) -> Match | None:
+        """Observe an event; return the match of an entry, None for an exit.
+
+        is_matched: False to observe an entry without matching it, which is quick.
+        """
         self._forget(event.t)
         zone = self._predictor.zone_of(event)
         t = event.t - self._predictor.site.clock_offset.get(event.camera, 0.0)
@@ -196,6 +199,9 @@ class Walks:
 
         # Match the entry with earlier passages.
         step = self._step(event, zone, t)
+        if not is_matched:
+            self._open.setdefault(event.camera, {})[step.track or step.name] = step
+            return None
         if zone is not None:
             step.outside = float(self._transitions.new[zone])
             step.edges = self._likely(step, self._candidates(step, zone), t)

@@ -272,6 +272,7 @@ class Daemon:
             catching_up=learning.catching_up(min(self._clock(), newest)),
             predictions=self._live.counts["predictions"],
             predictions_skipped=self._live.counts["predictions_skipped"],
+            matches_skipped=self._live.counts["matches_skipped"],
             questions_refused=self._live.counts["questions_refused"],
             names=intake.names.status(),
             journal=replace(self._journal.status(), damaged=self._learning.damaged),

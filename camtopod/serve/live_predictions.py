@@ -1,7 +1,9 @@
 """Predict where objects appear next, as they leave and before their events are stored.
 
 Neither a fit nor a slow disk delays a prediction. Each entry is matched with earlier passages as
-well (`camtopod.predict.Walks`). What is kept for this is in memory only, for an hour at most.
+well (`camtopod.predict.Walks`), after the predictions and in a share of the time: a site that is
+too busy has fewer matches, not later predictions. What is kept for this is in memory only, for an
+hour at most.
 """
 
 from __future__ import annotations
@@ -25,6 +27,12 @@ RECENT_SECONDS = 3600.0
 """How long events are remembered for ``recent``."""
 RECENT_EVENTS_MAX = 50_000
 """Largest number of events that are remembered for ``recent``."""
+
+
+MATCHING_SHARE = 0.2
+"""Largest share of time in which entries are matched, of one core."""
+MATCHING_SECONDS_MAX = 0.2
+"""Time for matching that adds up while there is none."""
 
 
 class Reader:
@@ -52,10 +60,14 @@ class Live:
 
     publish: called with each prediction and each match.
     clock: returns the present moment (Unix seconds).
+    used: returns the processor time that this thread has used (seconds).
     """
 
     def __init__(
-        self, publish: Callable[[Prediction | Match], None], clock: Callable[[], float]
+        self,
+        publish: Callable[[Prediction | Match], None],
+        clock: Callable[[], float],
+        used: Callable[[], float] = time.thread_time,
     ) -> None:
         self._publish = publish
         self._clock = clock
@@ -64,7 +76,17 @@ class Live:
         self._recent: deque[tuple[float, SeenEvent]] = deque(maxlen=RECENT_EVENTS_MAX)
         """With the moment of each event's receipt."""
         self._hours = HourlyCounts(clock())
-        self.counts = {"predictions": 0, "predictions_skipped": 0, "questions_refused": 0}
+        self._used = used
+        self._allowed = MATCHING_SECONDS_MAX
+        """Processor time that matching may take at present, seconds."""
+        self._allowed_at = time.monotonic()
+        """When it was counted."""
+        self.counts = {
+            "predictions": 0,
+            "predictions_skipped": 0,
+            "matches_skipped": 0,
+            "questions_refused": 0,
+        }
 
     def see(self, batch: Sequence[Received], seconds_max: float) -> None:
         """Predict the exits of a batch that is about to be stored, and observe its events.
@@ -81,34 +103,58 @@ class Live:
 
             # Predict an exit, observe the event, and publish the answer.
             with self._mutex:
-                answers = self._answers(event)
-            self._tell(answers)
+                prediction = self._predict(event)
+            if prediction is not None:
+                self.counts["predictions"] += 1
+                self._publish(prediction)
 
-        # Matches that have changed since.
+        # Matches, except those of a backlog.
         with self._mutex:
-            walks = None if self._reader is None else self._reader.walks
-            revised = [] if walks is None else walks.revised(self._clock())
-        self._tell(revised)
+            matches = self._match(events)
+        for match in matches:
+            if self._clock() - match.t <= FRESH_SECONDS:
+                self._publish(match)
 
-    def _answers(self, event: Event) -> list[Prediction | Match]:
-        """Observe an event; return the prediction of an exit, or the match of an entry."""
+    def _predict(self, event: Event) -> Prediction | None:
+        """Observe an event; return the prediction of an exit."""
         reader = self._reader
         self._remember(event, self._clock())
         if reader is None:
-            return []
+            return None
         prediction = reader.predictor.predict(event) if event.kind == "exit" else None
         reader.predictor.observe(event)
-        match = None if reader.walks is None else reader.walks.observe(event)
-        return [one for one in (prediction, match) if one is not None]
+        return prediction
 
-    def _tell(self, answers: Sequence[Prediction | Match]) -> None:
-        """Publish answers, except matches of a backlog."""
-        for answer in answers:
-            if isinstance(answer, Prediction):
-                self.counts["predictions"] += 1
-            elif self._clock() - answer.t > FRESH_SECONDS:
-                continue
-            self._publish(answer)
+    def _match(self, events: Sequence[Event]) -> list[Match]:
+        """Observe events for the walks; return the matches, and those that have changed since.
+
+        Without time left, entries are observed without being matched, and are counted.
+        """
+        walks = None if self._reader is None else self._reader.walks
+        if walks is None:
+            return []
+
+        # The time that may be used.
+        now = time.monotonic()
+        gained = MATCHING_SHARE * (now - self._allowed_at)
+        self._allowed = min(self._allowed + gained, MATCHING_SECONDS_MAX)
+        self._allowed_at = now
+
+        # Matches of the entries, then those that have changed.
+        found = []
+        for event in events:
+            begun = self._used()
+            match = walks.observe(event, self._allowed > 0.0)
+            self._allowed -= self._used() - begun
+            if match is not None:
+                found.append(match)
+            elif event.kind == "entry":
+                self.counts["matches_skipped"] += 1
+        if self._allowed > 0.0:
+            begun = self._used()
+            found += walks.revised(self._clock())
+            self._allowed -= self._used() - begun
+        return found
 
     def _remember(self, event: Event, received: float) -> None:
         """Remember an event for ``recent``."""

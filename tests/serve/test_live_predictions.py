@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import itertools
+
 import pytest
 from msgspec.structs import replace
 from serving import closing_event, numbered, walkers
 
 from camtopod.learn.learner import Learner
-from camtopod.predict import Predictor
+from camtopod.predict import Predictor, Walks
 from camtopod.records import Event, Match, Prediction, Topology
 from camtopod.serve.bus import QueryError
 from camtopod.serve.hourly_counts import HOURS_MAX
@@ -65,7 +67,7 @@ def test_a_new_version_keeps_what_was_observed(learned: Topology) -> None:
 def test_entries_are_matched_and_those_of_a_backlog_are_not_published(learned: Topology) -> None:
     made: list[Prediction | Match] = []
     now = EVENTS[-2].t
-    live = Live(made.append, lambda: now)
+    live = Live(made.append, lambda: now, used=lambda: 0.0)
     live.use(Reader(learned, walks=True))
     live.see([received(event) for event in EVENTS[:-1]], 60.0)
 
@@ -76,6 +78,33 @@ def test_entries_are_matched_and_those_of_a_backlog_are_not_published(learned: T
         (event.camera, event.t) for event in entries
     ]
     assert all(one.t >= oldest for one in matches)
+
+
+def test_without_time_for_matches_all_exits_are_predicted_and_passages_are_known(
+    learned: Topology,
+) -> None:
+    made: list[Prediction | Match] = []
+    seconds = itertools.count()
+    live = Live(made.append, lambda: EVENTS[-2].t, used=lambda: float(next(seconds)))
+    live.use(Reader(learned, walks=True))
+    live.see([received(event) for event in EVENTS[:-1]], 60.0)
+
+    exits = [event.t for event in EVENTS[:-1] if event.kind == "exit"]
+    assert [one.t for one in made if isinstance(one, Prediction)] == exits
+    skipped = live.counts["matches_skipped"]
+    assert sum(event.kind == "entry" for event in EVENTS[:-1]) - 1 <= skipped
+
+    walks, hurried = (Walks(learned, Predictor(learned)) for _ in range(2))
+    [*before, last] = [event for event in EVENTS[:-1] if event.kind == "entry"]
+    for event in EVENTS[: EVENTS.index(last)]:
+        walks.observe(event)
+        hurried.observe(event, is_matched=event is before[0])
+    in_full, in_haste = walks.observe(last), hurried.observe(last)
+    assert in_full is not None
+    assert in_haste is not None
+    assert {(one.camera, one.t) for one in in_full.from_} <= {
+        (one.camera, one.t) for one in in_haste.from_
+    }
 
 
 def test_recent_events_are_told_without_tracks(learned: Topology) -> None:
