@@ -212,14 +212,17 @@ class Walks:
         self._given.append(step)
         return self._match(step)
 
-    def revised(self, now: float) -> list[Match]:
+    def revised(self, now: float, entries_max: int = EVENTS_MAX) -> list[Match]:
         """Return the matches that have changed since their entries, `REVISE_SECONDS` ago.
 
         now (seconds): time up to which events have been observed. Each entry is looked at once.
+        entries_max: largest number of entries to look at; the others wait for the next call.
         """
         self._forget(now)
         found = []
-        while self._given and self._given[0].t + REVISE_SECONDS <= now:
+        for _ in range(entries_max):
+            if not self._given or self._given[0].t + REVISE_SECONDS > now:
+                break
             step = self._given.popleft()
             walk = step.walk
             self._add_late(step)

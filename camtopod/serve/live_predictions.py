@@ -29,10 +29,12 @@ RECENT_EVENTS_MAX = 50_000
 """Largest number of events that are remembered for ``recent``."""
 
 
-MATCHING_SHARE = 0.2
+MATCHING_SHARE = 0.1
 """Largest share of time in which entries are matched, of one core."""
-MATCHING_SECONDS_MAX = 0.2
+MATCHING_SECONDS_MAX = 0.1
 """Time for matching that adds up while there is none."""
+REVISED_AT_ONCE_MAX = 3
+"""Largest number of entries whose matches are looked at once more after a batch."""
 
 
 class Reader:
@@ -152,7 +154,7 @@ class Live:
                 self.counts["matches_skipped"] += 1
         if self._allowed > 0.0:
             begun = self._used()
-            found += walks.revised(self._clock())
+            found += walks.revised(self._clock(), REVISED_AT_ONCE_MAX)
             self._allowed -= self._used() - begun
         return found
 
