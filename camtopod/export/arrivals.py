@@ -91,7 +91,7 @@ class Arrivals:
         return Passing(match, passages, True, before.walk if emptied else None)
 
     def forget(self, now: float) -> None:
-        """Forget what is old, and the oldest of too many."""
+        """Forget exits and entries older than an hour, and the oldest beyond the limits."""
         self._exits = {
             key: one
             for key, one in list(self._exits.items())[-EXITS_MAX:]
@@ -109,7 +109,7 @@ class Arrivals:
         Times and ``camera`` are those of the likeliest arrival.
         """
         likeliest: dict[str, Awaited] = {}
-        nobody: dict[str, float] = defaultdict(lambda: 1.0)
+        none_comes: dict[str, float] = defaultdict(lambda: 1.0)
         for one in self._exits.values():
             prediction = one.prediction
             missing = max(0.0, 1.0 - sum(one.seen.values()))
@@ -123,9 +123,9 @@ class Arrivals:
                 best = likeliest.get(row.camera, arrival)
                 likeliest[row.camera] = max(best, arrival, key=lambda one: one.probability)
             for camera, share in shares.items():
-                nobody[camera] *= max(0.0, 1.0 - share)
+                none_comes[camera] *= max(0.0, 1.0 - share)
         return {
-            camera: replace(best, probability=1.0 - nobody[camera])
+            camera: replace(best, probability=1.0 - none_comes[camera])
             for camera, best in likeliest.items()
         }
 

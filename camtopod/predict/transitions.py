@@ -30,7 +30,7 @@ class Began(NamedTuple):
 class Onward(NamedTuple):
     """Where an object that left a zone appears next; all probabilities sum to 1.
 
-    table: of the zone; None if nobody who leaves there is seen again.
+    table: of the zone; None if no object that leaves there is seen again.
     chance (rows, bins): probability of appearing at each target in each lag bin.
     scale (rows,): factor on `Hazards.rates` that makes densities of them, by the context.
     gone: probability of not being seen again.

@@ -148,7 +148,7 @@ class Walks:
         """Entries whose match has been given once, oldest first."""
 
     def forget_cameras(self, cameras: Collection[str]) -> None:
-        """Forget the passages of cameras; walks that they began are named by what is left."""
+        """Forget the passages of cameras; their walks get the name of the first passage left."""
         steps = {id(step): step for _, step in self._events}.values()
         gone = {step.name for step in steps if step.camera in cameras}
         self._events = deque(one for one in self._events if one[1].name not in gone)
@@ -440,12 +440,13 @@ class Walks:
     def _demand(self, edge: Edge, t: float) -> float:
         """Return the odds of an edge's passage: no successor by ``t``, or one that claims it."""
         source = edge.source
-        nobody = UNSEEN_IN_VIEW
+        no_successor = UNSEEN_IN_VIEW
         if not edge.slot:
             unseen = self._expected(source).unseen
             at = bisect_right(self._hazards.bins.limits, t - source.left)
-            nobody = max(unseen[min(at, len(unseen) - 1)], LEAVE_FLOOR)
-        return nobody + sum(one.weight * one.message for one in source.claims.get(edge.slot, ()))
+            no_successor = max(unseen[min(at, len(unseen) - 1)], LEAVE_FLOOR)
+        claims = source.claims.get(edge.slot, ())
+        return no_successor + sum(one.weight * one.message for one in claims)
 
     def _match(self, step: Step) -> Match:
         """Give a step its walk, and return its match."""

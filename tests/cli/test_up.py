@@ -125,6 +125,7 @@ def test_when_it_is_killed_nothing_stays(tmp_path: Path, started: list[Up]) -> N
     up.says("camera lobby is")
     up.process.kill()
     wait_for(lambda: not up.children(), "all to end")
+    assert up.children() == []
 
 
 def test_the_status_is_that_of_the_part(tmp_path: Path, started: list[Up]) -> None:

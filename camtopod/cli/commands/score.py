@@ -85,7 +85,7 @@ def run(args: argparse.Namespace) -> None:
     if not passages:
         raise InputError(f"no track of {args.events} has an identity in {args.identities}")
 
-    # Judge what was not learned, up to the last exit whose outcome is certain.
+    # Score the events after the window, up to the last exit whose outcome is certain.
     window = min(WINDOW_SECONDS_MAX, (events[-1].t - events[0].t) / 10)
     begin, end = topology.as_of, events[-1].t - window
     if not any(begin < one.left <= end for one in passages.values()):
