@@ -354,10 +354,11 @@ class Walks:
         ):
             if rate:
                 weights[which] += rate * self._expected(left[which]).scale[row]
+        least = PROBABILITY_MIN * step.outside * LEAVE_FLOOR  # else unlikely without rivals, too
         edges = [
             Edge(one, step, "", weight)
             for one, weight in zip(left, weights.tolist(), strict=True)
-            if weight > 0.0
+            if weight > least
         ]
 
         # Passages under way in other views.
