@@ -20,7 +20,7 @@ from msgspec.structs import replace
 from camtopod import codec, files
 from camtopod.cli import exits
 from camtopod.cli.exits import CommandError, InputError
-from camtopod.config import Config, secret_files, settings
+from camtopod.config import Config, ConfigError, StateSettings, config_file, secret_files
 from camtopod.redact import redact
 from camtopod.serve.runtime import Progress, systemd
 from camtopod.visible import visible, visible_lines
@@ -39,8 +39,8 @@ def configuration(args: argparse.Namespace) -> Config:
     loaded = Config()
     if args.config is not None:
         try:
-            loaded = settings.load(args.config)
-        except settings.ConfigError as error:
+            loaded = config_file.load(args.config)
+        except ConfigError as error:
             raise CommandError(f"the configuration has mistakes:\n{error}", exits.CONFIG) from None
         except OSError as error:
             raise InputError(
@@ -80,7 +80,7 @@ def with_options(args: argparse.Namespace, loaded: Config) -> Config:
     except ValueError as error:
         raise CommandError(f"--{error}", exits.USAGE) from None
     if getattr(args, "state", None):
-        loaded = replace(loaded, state=settings.StateSettings(args.state))
+        loaded = replace(loaded, state=StateSettings(args.state))
     return loaded
 
 

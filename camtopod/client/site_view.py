@@ -22,7 +22,7 @@ from camtopod.client.answer_queue import AnswerQueue
 from camtopod.client.errors import NothingLearned, zone_at, zones_of
 from camtopod.client.gate import Gate
 from camtopod.client.wakeup import ChangeSignal
-from camtopod.config import secret_files, settings as configs
+from camtopod.config import Config, config_file, secret_files
 from camtopod.predict import Predictor
 from camtopod.records import Event, Prediction, Topology
 from camtopod.serve.bus import (
@@ -42,7 +42,7 @@ log = logging.getLogger(__name__)
 
 LOOK_SECONDS = 0.5
 """Longest interval between two checks of the bus, even without a notification."""
-Settings = configs.Config | str | Path | None
+Settings = Config | str | Path | None
 """A configuration, or the file that holds one."""
 QueueT = TypeVar("QueueT", bound=AnswerQueue[Any])
 
@@ -276,16 +276,16 @@ class SiteView:
         self._wake.set()
 
 
-def settings_of(site: str | None, connect: str | Sequence[str], config: Settings) -> configs.Config:
+def settings_of(site: str | None, connect: str | Sequence[str], config: Settings) -> Config:
     """Return the configuration with site and endpoints applied.
 
     Raises `camtopod.config.settings.ConfigError`, OSError, ValueError.
     """
-    settings = configs.Config()
-    if isinstance(config, configs.Config):
+    settings = Config()
+    if isinstance(config, Config):
         settings = config
     elif config is not None:
-        settings = configs.load(Path(config))
+        settings = config_file.load(Path(config))
         for sentence in secret_files.find_exposed(settings.secrets(Path(config))):
             log.warning("%s", sentence)
 

@@ -1,15 +1,19 @@
 """Configuration files: TOML to typed settings, with the line of every mistake.
 
-`settings` holds the tables, their defaults, and `load`. It is built on `toml_tables`, which makes
-structs of tables, and finds the lines of keys. `secret_files` reads and writes files that hold
-secrets.
+`settings` holds the tables and their defaults, `config_file` reads a file. It is built on
+`toml_tables`, which makes structs of tables, and finds the lines of keys. `secret_files` reads and
+writes files that hold secrets.
 """
 
 from __future__ import annotations
 
 from camtopod.config import (
+    config_file as config_file,
     secret_files as secret_files,
-    settings as settings,
+)
+from camtopod.config.config_file import (
+    detector_line as detector_line,
+    without_source as without_source,
 )
 from camtopod.config.settings import (
     DEFAULT_ENDPOINT as DEFAULT_ENDPOINT,
@@ -17,12 +21,11 @@ from camtopod.config.settings import (
     BusSettings as BusSettings,
     CameraSettings as CameraSettings,
     Config as Config,
+    ConfigError as ConfigError,
     HealthSettings as HealthSettings,
     KeepSettings as KeepSettings,
     Limits as Limits,
     SiteSettings as SiteSettings,
     StateSettings as StateSettings,
-    detector_line as detector_line,
-    without_source as without_source,
 )
 from camtopod.config.toml_tables import fields as fields, key_lines as key_lines

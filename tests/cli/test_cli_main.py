@@ -21,7 +21,7 @@ from camtopod.cli import exits, main
 from camtopod.cli.common import configuration, start_logging
 from camtopod.cli.exits import CommandError, InputError
 from camtopod.codec import to_json
-from camtopod.config import settings
+from camtopod.config import Config, config_file
 from camtopod.serve.storage.journal import Journal
 
 
@@ -183,7 +183,7 @@ def test_check(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert main.main(["check"]) == 2
     capsys.readouterr()
     assert main.main(["check", "--example"]) == 0
-    settings.parse(capsys.readouterr().out)
+    config_file.parse(capsys.readouterr().out)
 
 
 def test_check_says_what_holds_for_each_camera(
@@ -220,7 +220,7 @@ def test_the_command_line_is_on_top_of_the_file(tmp_path: Path) -> None:
     loaded = configuration(arguments(config=path, site="lab", connect=["tcp/h:1"], state="/y"))
     assert (loaded.site.name, loaded.dials, loaded.listens) == ("lab", ("tcp/h:1",), ())
     assert loaded.state_directory == Path("/y")
-    assert configuration(arguments()) == settings.Config()
+    assert configuration(arguments()) == Config()
 
 
 @pytest.mark.parametrize(
@@ -282,12 +282,14 @@ def test_where_the_state_is(monkeypatch: pytest.MonkeyPatch) -> None:
     for name in ("STATE_DIRECTORY", "XDG_STATE_HOME"):
         monkeypatch.delenv(name, raising=False)
     monkeypatch.setenv("HOME", "/home/someone")
-    assert settings.Config().state_directory == Path("/home/someone/.local/state/camtopod")
+    assert Config().state_directory == Path("/home/someone/.local/state/camtopod")
     monkeypatch.setenv("XDG_STATE_HOME", "/xdg")
-    assert settings.Config().state_directory == Path("/xdg/camtopod")
+    assert Config().state_directory == Path("/xdg/camtopod")
     monkeypatch.setenv("STATE_DIRECTORY", "/var/lib/camtopod")
-    assert settings.Config().state_directory == Path("/var/lib/camtopod")
-    assert settings.parse('[state]\ndirectory = "~/x"').state_directory == Path("/home/someone/x")
+    assert Config().state_directory == Path("/var/lib/camtopod")
+    assert config_file.parse('[state]\ndirectory = "~/x"').state_directory == Path(
+        "/home/someone/x"
+    )
 
 
 # --- logs -----------------------------------------------------------------------------------------

@@ -12,7 +12,8 @@ from onnx_models import write_model
 from rendered_scenes import FPS, HEIGHT, WIDTH, Person, line
 
 from camtopod.cli.main import main
-from camtopod.config.settings import Config, ConfigError, parse
+from camtopod.config.config_file import parse
+from camtopod.config.settings import Config, ConfigError
 from camtopod.vision.settings import DetectorSettings
 
 BUS = '[bus]\nconnect = ["tcp/127.0.0.1:9"]\nconnect_seconds = 0.1\n'

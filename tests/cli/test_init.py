@@ -21,9 +21,9 @@ from camtopod import redact
 from camtopod.cli.cameras import probe as probes
 from camtopod.cli.cameras.naming import named_sources
 from camtopod.cli.main import main
-from camtopod.config import settings
-from camtopod.config.settings import Config, VisionSettings
+from camtopod.config import Config, config_file
 from camtopod.serve.daemon import Daemon
+from camtopod.vision.settings import VisionSettings
 from camtopod.vision.source.capture import IMAGE_WIDTH_MAX
 from camtopod.vision.source.probe import Probe
 from camtopod.web import pictures
@@ -147,7 +147,7 @@ def test_a_process_that_hangs_or_crashes_is_given_up(monkeypatch: pytest.MonkeyP
 )
 def test_a_camera_is_called_after_its_host_or_file(source: str, name: str) -> None:
     assert named_sources([source]) == {name: source}
-    settings.parse(f'[cameras.{name}]\nsource = "0"')
+    config_file.parse(f'[cameras.{name}]\nsource = "0"')
 
 
 def test_names_are_different_and_given_ones_stay() -> None:
@@ -201,7 +201,7 @@ def test_passwords_go_into_files_of_their_own(
         assert "hunter2" not in text
         assert "JHeOzLkM0NvTzhGq" not in text
     assert "# MPEG-4, 192x144, 7 frames a second\n" in written
-    loaded = settings.load(tmp_path / "site/camtopod.toml")
+    loaded = config_file.load(tmp_path / "site/camtopod.toml")
     assert (loaded.site.name, loaded.cameras["yard"].source) == ("hq", str(tmp_path / "yard.mp4"))
     assert loaded.for_camera("front.door").cameras["front.door"].source == url
     assert main(["check", "site/camtopod.toml"]) == 0
@@ -234,7 +234,7 @@ def test_services_are_handed_every_source(
         "secrets/yard": (0o600, f"{tmp_path}/yard.mp4\n"),
     }
     monkeypatch.setenv("CREDENTIALS_DIRECTORY", str(tmp_path / "site" / "secrets"))
-    loaded = settings.load(tmp_path / "site/camtopod.toml")
+    loaded = config_file.load(tmp_path / "site/camtopod.toml")
     assert loaded.health.listen == "127.0.0.1:8787"
     assert loaded.for_camera("hall").cameras["hall"].source == url
     assert main(["check", "site/camtopod.toml"]) == 0
@@ -281,7 +281,7 @@ def test_cameras_are_added_to_a_file_whose_rest_stays(
 
     assert out.read_bytes().decode().startswith(mine)
     assert out.stat().st_mode & 0o777 == 0o640
-    loaded = settings.load(out)
+    loaded = config_file.load(out)
     assert list(loaded.cameras) == ["lobby", "hall", "gate"]
     assert (loaded.site.name, loaded.cameras["lobby"].min_height) == ("hq", 0.1)
     assert (opened / "secrets" / "hall").read_text() == "rtsp://u:p@h/2\n"
@@ -316,7 +316,7 @@ def test_sources_from_standard_input_and_a_daemon_elsewhere(tmp_path: Path) -> N
     _, err = process.communicate(b"\nlobby=4242\n  4243  \n", timeout=60)
     assert process.returncode == 66
     assert err.decode().endswith(f"next: camtopod --config {out} grab\n")
-    loaded = settings.load(out)
+    loaded = config_file.load(out)
     assert ({name: each.source for name, each in loaded.cameras.items()}, loaded.bus.connect) == (
         {"lobby": "4242", "device-4243": "4243"},
         ("tcp/192.0.2.1:7447",),
@@ -345,7 +345,7 @@ def test_a_picture_is_kept_when_asked_for(
     assert folder.stat().st_mode & 0o777 == 0o750
     assert pictures.picture_of(folder, "yard") == folder / "yard.jpg"
 
-    loaded = settings.load(tmp_path / "camtopod.toml")
+    loaded = config_file.load(tmp_path / "camtopod.toml")
     assert loaded.web.pictures_folder == folder
     assert 'pictures = "state/pictures"\n' in (tmp_path / "camtopod.toml").read_text()
     (folder / "yard.jpg").write_bytes(b"old")

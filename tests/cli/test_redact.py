@@ -8,7 +8,8 @@ import time
 import pytest
 
 from camtopod import redact
-from camtopod.config.settings import ConfigError, parse
+from camtopod.config.config_file import parse
+from camtopod.config.settings import ConfigError
 from camtopod.redact import HIDDEN
 
 SECRETS = [

@@ -24,8 +24,7 @@ from camtopod.cli.cameras import camera_process, supervisor
 from camtopod.cli.cameras.camera_process import CameraProcess
 from camtopod.cli.common import SignalRequests, signals
 from camtopod.cli.exits import CommandError
-from camtopod.config import settings as configs
-from camtopod.config.settings import CameraSettings
+from camtopod.config import CameraSettings, config_file
 from camtopod.serve.bus import session as buses
 
 CHILD = """
@@ -88,7 +87,7 @@ class Box:
         self.file.write_text(self.head + "".join(tables) + end)
 
     def start(self) -> None:
-        config = configs.load(self.file)
+        config = config_file.load(self.file)
 
         def run() -> None:
             self.statuses.append(supervisor.supervise(self.args, config, self.requests))
@@ -235,7 +234,7 @@ def test_a_wrong_configuration_changes_nothing(box: Box, caplog: pytest.LogCaptu
     wait_for(lambda: len(box.beats("good")) > count + 3, "it to go on")
     assert box.starts("good") == 1
     with pytest.raises(CommandError, match=re.escape(missing)):
-        supervisor.supervise(box.args, configs.load(box.file), box.requests)
+        supervisor.supervise(box.args, config_file.load(box.file), box.requests)
 
 
 def test_an_operator_sees_how_often_and_why(box: Box, tmp_path: Path) -> None:

@@ -14,15 +14,8 @@ from paths import DEPLOY
 from camtopod.cli.generated import example
 from camtopod.cli.generated.example_config import attribute_docs
 from camtopod.config import fields, secret_files
-from camtopod.config.settings import (
-    TABLES,
-    CameraSettings,
-    Config,
-    ConfigError,
-    load,
-    parse,
-    without_source,
-)
+from camtopod.config.config_file import load, parse, without_source
+from camtopod.config.settings import TABLES, CameraSettings, Config, ConfigError
 from camtopod.vision.settings import VisionSettings
 
 EXAMPLE = DEPLOY / "camtopod.toml"

@@ -26,7 +26,8 @@ from bench.support.rtsp_streams import FaultProxy
 from bench.support.site import children
 from camtopod import codec
 from camtopod.cli import exits
-from camtopod.config.settings import BusSettings, Config, parse
+from camtopod.config.config_file import parse
+from camtopod.config.settings import BusSettings, Config
 from camtopod.learn.learner import Learner
 from camtopod.records import Event, Topology
 from camtopod.serve.bus.session import Bus, dial

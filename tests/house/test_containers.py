@@ -13,7 +13,8 @@ from paths import DEPLOY
 from serving import free_endpoint, small_config, wait_for
 
 from camtopod.cli.main import COMMANDS, parser_of
-from camtopod.config.settings import Config, parse
+from camtopod.config.config_file import parse
+from camtopod.config.settings import Config
 from camtopod.keys import rules
 from camtopod.records import Event
 from camtopod.serve.bus import session as buses

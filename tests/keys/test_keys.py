@@ -18,7 +18,8 @@ from camtopod.cli import exits, main
 from camtopod.cli.common import configuration
 from camtopod.cli.exits import CommandError
 from camtopod.config import secret_files
-from camtopod.config.settings import ConfigError, load, parse
+from camtopod.config.config_file import load, parse
+from camtopod.config.settings import ConfigError
 from camtopod.keys import rules
 from camtopod.keys.authority import AUTHORITY_DAYS, Authority, KeysError
 from camtopod.records import Event

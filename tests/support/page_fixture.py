@@ -14,7 +14,7 @@ from chromium import Browser
 from fake_bus import OneBus
 
 from camtopod.cli.commands.web import listening, names
-from camtopod.config.settings import parse
+from camtopod.config.config_file import parse
 from camtopod.records import Topology
 from camtopod.serve.bus.session import Bus
 from camtopod.web import app

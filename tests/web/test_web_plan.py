@@ -13,7 +13,8 @@ from page_fixture import Shown, opened
 from synthetic_topology import synthetic_topology
 
 from camtopod import redact
-from camtopod.config.settings import ConfigError, load, parse
+from camtopod.config.config_file import load, parse
+from camtopod.config.settings import ConfigError
 
 SITE = synthetic_topology(4)
 NAMES = [camera.id for camera in SITE.cameras]

@@ -16,10 +16,11 @@ from camtopod.cli.common import counted, with_options
 from camtopod.cli.exits import CommandError, InputError
 from camtopod.config import (
     Config,
+    ConfigError,
+    config_file,
     detector_line,
     key_lines,
     secret_files,
-    settings,
     without_source,
 )
 from camtopod.serve.bus import access
@@ -74,8 +75,8 @@ def run(args: argparse.Namespace) -> int:
         )
     try:
         raw = path.read_bytes()
-        loaded = with_options(args, settings.load(path, raw))
-    except settings.ConfigError as error:
+        loaded = with_options(args, config_file.load(path, raw))
+    except ConfigError as error:
         print(error, file=sys.stderr)
         return exits.CONFIG
     except OSError as error:

@@ -16,7 +16,7 @@ from camtopod.cli.commands.web import LISTEN
 from camtopod.cli.common import configuration, counted, open_output, say, writing
 from camtopod.cli.exits import CommandError, InputError
 from camtopod.cli.generated import table
-from camtopod.config import TABLES, CameraSettings, Config, secret_files, settings as configurations
+from camtopod.config import TABLES, CameraSettings, Config, ConfigError, config_file, secret_files
 from camtopod.redact import redact
 from camtopod.visible import visible
 from camtopod.vision.source import SETTLE_SECONDS_MAX, Probe, file_path, kind_of
@@ -286,8 +286,8 @@ def with_cameras(out: Path, tables: Sequence[str]) -> str:
     """
     text = "\n\n".join([out.read_bytes().decode(), *tables, ""])
     try:
-        configurations.parse(text)
-    except configurations.ConfigError as error:
+        config_file.parse(text)
+    except ConfigError as error:
         raise CommandError(
             f"{out}: tables cannot be added at its end ({str(error).splitlines()[0]}); write "
             f"cameras as tables [cameras.NAME], or use another --out",

@@ -1,0 +1,192 @@
+"""Reading a configuration file: every mistake with its line, and paths that hold everywhere."""
+
+from __future__ import annotations
+
+import os
+import re
+from collections.abc import Iterator
+from pathlib import Path
+
+import msgspec
+from msgspec.structs import replace
+
+from camtopod import redact
+from camtopod.config.settings import (
+    TABLES,
+    BusSettings,
+    Config,
+    ConfigError,
+    MapSettings,
+    TlsSettings,
+    WebSettings,
+)
+from camtopod.config.toml_tables import Keys, Problem, TableReader, did_you_mean, key_lines, syntax
+from camtopod.records import NAME_PATTERN, RESERVED
+from camtopod.vision.detector.coco import LABELS
+from camtopod.vision.settings import DetectorSettings
+
+
+def load(path: Path, raw: bytes | None = None) -> Config:
+    """Read a configuration file.
+
+    Raises `ConfigError` with every mistake, and `OSError` if the file cannot be read.
+
+    raw: content of the file, if it was read before.
+    """
+    if raw is None:
+        raw = path.read_bytes()
+    try:
+        text = raw.decode("utf-8-sig")  # Windows' editors put a byte order mark in front
+    except UnicodeDecodeError as error:
+        line = raw.count(b"\n", 0, error.start) + 1
+        raise ConfigError(str(path), [Problem(line, "the file is not UTF-8")]) from None
+    return _with_absolute_paths(path.parent, parse(text, str(path)))
+
+
+def parse(text: str, name: str = "configuration") -> Config:
+    """Return the configuration in ``text``; raise `ConfigError`, which calls the file ``name``."""
+    try:
+        return _parse(text, name)
+    except RecursionError:  # of the parser, or of what reads its tables
+        raise ConfigError(name, [Problem(1, "tables or arrays are nested too deeply")]) from None
+
+
+def _parse(text: str, name: str) -> Config:
+    data, text, problems = syntax(text.replace("\r\n", "\n"))
+    reader = TableReader(TABLES, key_lines(text))
+    tables = data.pop("cameras", {})
+    config = reader.table(Config(), data, ())
+    if not isinstance(tables, dict):
+        reader.report(("cameras",), "expected tables [cameras.ID], one a camera")
+        tables = {}
+
+    # The cameras, each on top of [vision] and [detector].
+    cameras = {}
+    for camera, given in tables.items():
+        defaults = config.new_camera
+        if isinstance(given, dict):
+            redact.remember(str(given.get("source", "")))  # hidden in all messages
+            if given.get("detector") is False:
+                defaults = replace(defaults, detector=DetectorSettings())
+                del given["detector"]
+        cameras[camera] = reader.table(defaults, given, ("cameras", camera))
+    config = replace(config, cameras=cameras)
+
+    for path, what in _mistakes(config):
+        reader.report(path, what)
+    problems += reader.problems
+    if problems:
+        raise ConfigError(name, problems)
+    return config
+
+
+def without_source(config: Config, text: str, name: Path) -> list[str]:
+    """Return a sentence, with file and line, for each camera that has no source.
+
+    Such a table is right, for `camtopod grab --camera ID SOURCE`, but other commands need the
+    source.
+
+    text: content of the file ``name``.
+    """
+    lines = key_lines(text)
+    return [
+        f"{name}:{lines.get(('cameras', camera), 1)}: cameras.{camera}: source is missing; add it, "
+        f"or source_file, or grab this camera with `camtopod grab --camera {camera} SOURCE`"
+        for camera, settings in config.cameras.items()
+        if not settings.has_source
+    ]
+
+
+def detector_line(text: str, camera: str, key: str) -> tuple[int, str]:
+    """Return the line, and the dotted name, of a setting of the detector of ``camera``.
+
+    The line is that of the nearest table if the key is not written.
+
+    text: content of the configuration file.
+    """
+    lines = key_lines(text)
+    places = [("cameras", camera, "detector", key), ("detector", key)]
+    places += [("cameras", camera, "detector"), ("detector",)]
+    place = next((place for place in places if place in lines), ("detector",))
+    return lines.get(place, 1), ".".join(place)
+
+
+def _mistakes(config: Config) -> Iterator[tuple[Keys, str]]:
+    """Yield what is wrong between settings that are right by themselves."""
+    yield from _mistakes_of_bus(config.bus)
+    if config.web.token_file and not config.web.password_file:
+        yield ("web", "token_file"), "password_file is missing: people cannot give a token"
+
+    # Cameras, and their detectors where those differ from the common one.
+    detectors: dict[Keys, DetectorSettings] = {("detector",): config.detector}
+    for name, camera in config.cameras.items():
+        path: Keys = ("cameras", name)
+        if not re.match(NAME_PATTERN, name):
+            yield path, "a camera's id is 1 to 64 of the characters A-Z a-z 0-9 _ . -"
+        if name in RESERVED:
+            yield path, "this name is taken on the bus; call the camera otherwise"
+        if camera.source and camera.source_file:
+            yield (*path, "source"), "give source or source_file, not both"
+        if len(camera.at) == 1:
+            yield (*path, "at"), "expected two numbers, x and y"
+        if camera.detector != config.detector:
+            detectors[*path, "detector"] = camera.detector
+    some_model = any(detector.model for detector in detectors.values())
+    for path, detector in detectors.items():
+        needed = not some_model or "cameras" in path
+        if needed and not detector.model and detector != DetectorSettings():
+            yield path, "model is missing: it is an ONNX file"
+        if not detector.labels:
+            yield (*path, "labels"), "is empty; name what makes events"
+        for label in detector.labels:
+            if isinstance(label, str) and label not in LABELS:
+                hint = did_you_mean(label, list(LABELS))
+                yield (*path, "labels"), f"COCO has no {label!r}{hint}"
+
+
+def _mistakes_of_bus(bus: BusSettings) -> Iterator[tuple[Keys, str]]:
+    """Yield what is wrong with certificates: they need all files, and tls/ endpoints."""
+    if bus.tls == TlsSettings():
+        return
+    for key in ("ca", "certificate", "private_key"):
+        if not getattr(bus.tls, key):
+            what = f"{key} is missing; ca, certificate and private_key go together"
+            yield ("bus", "tls"), what
+    if not bus.tls.access and not bus.connect:
+        what = "access is missing: a daemon that is the meeting point has to know who may do what"
+        yield ("bus", "tls"), what
+    for key in ("listen", "connect"):
+        for endpoint in getattr(bus, key):
+            if not endpoint.startswith("tls/"):
+                what = f"{endpoint!r} is not a tls/ endpoint, but [bus.tls] is set"
+                yield ("bus", key), what
+
+
+def _with_absolute_paths(folder: Path, config: Config) -> Config:
+    """Return the configuration with absolute paths, environment variables filled in.
+
+    folder: the folder to which relative paths are relative.
+    """
+
+    def located(path: str) -> str:
+        return str(folder.absolute() / os.path.expandvars(path)) if path else ""
+
+    tls = config.bus.tls.with_paths(located)
+    cameras = {
+        camera: replace(
+            settings,
+            source_file=located(settings.source_file),
+            detector=replace(settings.detector, model=located(settings.detector.model)),
+        )
+        for camera, settings in config.cameras.items()
+    }
+    detector = replace(config.detector, model=located(config.detector.model))
+    web = WebSettings(*(located(path) for path in msgspec.structs.astuple(config.web)))
+    return replace(
+        config,
+        bus=replace(config.bus, tls=tls),
+        cameras=cameras,
+        detector=detector,
+        web=web,
+        map=MapSettings(located(config.map.plan)),
+    )
