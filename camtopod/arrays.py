@@ -47,6 +47,17 @@ def ranges(first: Indices, length: Indices) -> tuple[Rows, Rows]:
     return at, element
 
 
+def ranges_in_parts(first: Indices, length: Indices, most: int) -> Iterator[tuple[Rows, Rows]]:
+    """Yield `ranges` with about ``most`` elements at a time, of at least one range."""
+    reached = np.concatenate(([0], np.cumsum(length)))
+    begin = 0
+    while begin < len(first):
+        end = max(int(np.searchsorted(reached, reached[begin] + most, "right")) - 1, begin + 1)
+        at, element = ranges(first[begin:end], length[begin:end])
+        yield at + begin, element
+        begin = end
+
+
 def find_rows(keys: Indices, wanted: Indices) -> tuple[NDArray[np.intp], NDArray[np.bool_]]:
     """Return the index among ``keys`` of each of the ``wanted`` (n,), and whether it is there.
 

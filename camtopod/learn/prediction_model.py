@@ -6,6 +6,7 @@ negligible items. `build_model` is the entry point; each of its helpers makes on
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 
 import numpy as np
@@ -97,11 +98,13 @@ def _pace(ids: list[str], scene: Scene, persistence: Persistence) -> Pace | None
     """
     if persistence.scaling <= 0.0:
         return None
-    p = scene.passages
-    dwell_times = usual_dwell_times(p.source, p.target, p.left - p.entered)
+    p = scene.departures.passages()
+    entry = scene.arrivals.zone[p.own]
+    pairs, _, log_dwell = usual_dwell_times(entry, p.zone, p.t - p.since, len(ids))
     routes = [
-        Way(ids[entry], ids[exit_], round_significant(seconds))
-        for (entry, exit_), seconds in dwell_times.items()
+        Way(ids[pair // len(ids)], ids[pair % len(ids)], round_significant(math.exp(log_seconds)))
+        for pair, log_seconds in zip(pairs.tolist(), log_dwell.tolist(), strict=True)
+        if np.isfinite(log_seconds)
     ]
     scaling, correlation, sd = (round_significant(value) for value in persistence)
     return Pace(scaling, correlation, sd, sorted(routes, key=lambda way: (way.entry, way.exit)))

@@ -68,7 +68,6 @@ from camtopod.learn.next_camera import (
     find_overlapping,
     fit_window,
     overlap_table,
-    views_of,
     with_doubt,
 )
 from camtopod.learn.outcomes import Happened, ScoredPrediction, outcomes_of
@@ -193,8 +192,8 @@ def refit(
     seconds = window.column("t") / MICROSECONDS
     silences = find_silences(seconds, window.column("camera"), len(window.cameras))
     repeats = find_repeats(window)
-    views = offset_bins(bins.scale, bins.step)
-    overlapping = find_overlapping(views_of(scene), len(window.cameras), views)
+    offsets = offset_bins(bins.scale, bins.step)
+    overlapping = find_overlapping(scene.departures.passages(), len(window.cameras), offsets)
 
     # 3. to 7. Links between views, and the prediction model.
     if len(scene.departures.t) and len(scene.arrivals.t):

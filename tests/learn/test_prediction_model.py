@@ -10,7 +10,7 @@ from camtopod.learn.association.problem import Problem
 from camtopod.learn.changes.change_points import Change
 from camtopod.learn.next_camera.fit import Posterior
 from camtopod.learn.prediction_model import NEXT_ZONES_MAX, build_model
-from camtopod.learn.traffic.labelled_events import Passages, Scene, ZoneRef
+from camtopod.learn.traffic.labelled_events import Scene, ZoneRef
 from camtopod.learn.window.sliding_window import Window
 from camtopod.predict.hazards import Hazards
 from camtopod.predict.predictor import Predictor
@@ -35,12 +35,10 @@ def learned() -> tuple[Scene, Posterior]:
             zone = 1 if dice < 0.6 else 2
             views.through(t + 4 + rng.normal(8, 1), t + 20, zone, zone, block=9)
     departures, arrivals = views.columns()
-    none = np.zeros(0, np.int32)
     scene = Scene(
         [ZoneRef(k, 1, None) for k in range(3)],
         departures,
         arrivals,
-        Passages(none, none, none * 1.0, none * 1.0),
         np.bincount(arrivals.zone, minlength=3),
         np.bincount(departures.zone, minlength=3),
         np.ones(3, bool),

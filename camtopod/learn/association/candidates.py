@@ -12,7 +12,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from camtopod.arrays import Floats, Indices, Ints, Rows, Singles, ranges, row_slices
+from camtopod.arrays import Floats, Indices, Ints, Rows, Singles, ranges_in_parts, row_slices
 from camtopod.learn.association.problem import Problem
 from camtopod.topology import LagBins, lag_smoothing_matrix
 
@@ -144,22 +144,15 @@ def find_candidates(problem: Problem) -> Candidates:
     """Return all candidates of a problem."""
     departures, arrivals, _, zones, *_ = problem
     low, high = reach(problem)
-    reached = np.concatenate(([0], np.cumsum(high - low)))
 
-    # List the departures within the lags of some arrivals at a time, of at least one.
+    # List the departures within the lags of some arrivals at a time.
     none = np.zeros(0, np.int32)
     parts = [(none, none, np.zeros(0, np.float32))]
-    first = 0
-    while first < len(arrivals.t):
-        most = reached[first] + CANDIDATES_AT_ONCE
-        stop = max(int(np.searchsorted(reached, most, side="right")) - 1, first + 1)
-        at, departure = ranges(low[first:stop], (high - low)[first:stop])
-        arrival = at + first
+    for arrival, departure in ranges_in_parts(low, high - low, CANDIDATES_AT_ONCE):
         lag = arrivals.t[arrival] - departures.t[departure]
         kept = np.flatnonzero(possible(problem, departure, arrival, lag))
         rows = departure[kept].astype(np.int32), arrival[kept].astype(np.int32)
         parts.append((*rows, lag[kept].astype(np.float32)))
-        first = stop
 
     lefts, comes, lags = zip(*parts, strict=True)
     departure = np.concatenate(lefts)

@@ -36,21 +36,15 @@ def visible_transitions(scene: Scene, bins: LagBins, candidates_max: int) -> Tra
     candidates_max: largest number of candidates in the fits of all cameras without tracks together.
     """
     # Cameras with tracks: count the passages.
-    camera_of = np.array([zone.camera for zone in scene.zones], np.int32)
-    p = scene.passages
-    tracked = scene.tracked[camera_of[p.source]]
-    n = int(tracked.sum())
-    parts = [
-        Transitions(
-            p.source[tracked],
-            p.target[tracked],
-            (p.left - p.entered)[tracked],
-            np.ones(n),
-            np.zeros(n),
-        )
-    ]
+    p = scene.departures.passages()
+    tracked = np.flatnonzero(scene.tracked[p.camera])
+    n = len(tracked)
+    entry = scene.arrivals.zone[p.own]
+    dwell = p.t - p.since
+    parts = [Transitions(entry[tracked], p.zone[tracked], dwell[tracked], np.ones(n), np.zeros(n))]
 
     # Cameras without tracks: fit each of them, with a fair share of the candidates.
+    camera_of = np.array([zone.camera for zone in scene.zones], np.int32)
     views = [
         _view(scene, int(camera), camera_of, bins) for camera in np.flatnonzero(~scene.tracked)
     ]

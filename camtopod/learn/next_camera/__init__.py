@@ -24,5 +24,4 @@ from camtopod.learn.next_camera.overlapping_views import (
     OverlappingViews as OverlappingViews,
     find_overlapping as find_overlapping,
     overlap_table as overlap_table,
-    views_of as views_of,
 )

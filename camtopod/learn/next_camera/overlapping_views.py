@@ -17,8 +17,8 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from camtopod.arrays import Floats, Longs, Rows
-from camtopod.learn.traffic import Scene
+from camtopod.arrays import Floats, Longs, Rows, ranges_in_parts
+from camtopod.learn.traffic import Departures
 from camtopod.topology import LagBins, lag_smoothing_matrix, smooth
 
 SHIFTS_SECONDS = (-30.0, -15.0, 15.0, 30.0)
@@ -65,41 +65,21 @@ def overlap_table(overlapping: list[OverlappingViews], cameras: int) -> NDArray[
     return table
 
 
-class Views(NamedTuple):
-    """The n passages with a known entry and exit, in order of their exits; columns are (n,).
-
-    camera: index of the camera.
-    entered, left: times of the entry and of the exit, seconds.
-    """
-
-    camera: Longs
-    entered: Floats
-    left: Floats
-
-
-def views_of(scene: Scene) -> Views:
-    """Return the passages of a scene in order of their exits."""
-    camera = np.array([zone.camera for zone in scene.zones], np.int64)
-    order = np.argsort(scene.passages.left, kind="stable")
-    p = scene.passages
-    return Views(camera[p.source[order]], p.entered[order], p.left[order])
-
-
-def find_overlapping(views: Views, cameras: int, bins: LagBins) -> list[OverlappingViews]:
+def find_overlapping(passages: Departures, cameras: int, bins: LagBins) -> list[OverlappingViews]:
     """Find the overlapping pairs of views; return them sorted by source, then target.
 
-    views: the passages in all views.
+    passages: the departures that end a passage of known entry (`Departures.passages`).
     cameras: number of cameras.
     bins: bins of the offsets (`offset_bins`).
     """
-    if len(views.left) == 0:
+    if len(passages.t) == 0:
         return []
-    newest = _newest(views, OPEN_PAIRS_MAX)
-    end = len(views.left)
+    newest = _newest(passages, OPEN_PAIRS_MAX)
+    end = len(passages.t)
 
     # Select the pairs of cameras with more open passages than under the null model.
-    open_seen = _totals(views, slice(newest, end), 0.0, cameras)
-    open_null = _shifted(lambda shift: _totals(views, slice(newest, end), shift, cameras))
+    open_seen = _totals(passages, slice(newest, end), 0.0, cameras)
+    open_null = _shifted(lambda shift: _totals(passages, slice(newest, end), shift, cameras))
     source, target = _screened((open_seen - open_null) / np.sqrt(open_null + 1.0))
     if len(source) == 0:
         return []
@@ -109,10 +89,10 @@ def find_overlapping(views: Views, cameras: int, bins: LagBins) -> list[Overlapp
     number[source, target] = np.arange(len(source))
     middle = (newest + end) // 2
     first, second = (
-        _count(views, half, number, bins) for half in (slice(newest, middle), slice(middle, end))
+        _count(passages, half, number, bins) for half in (slice(newest, middle), slice(middle, end))
     )
     exits = [
-        np.bincount(views.camera[half], minlength=cameras)
+        np.bincount(passages.camera[half], minlength=cameras)
         for half in (slice(newest, middle), slice(middle, end))
     ]
     ratio = exits[1][source] / np.maximum(exits[0][source], 1)
@@ -197,63 +177,49 @@ def _shifted(count: Callable[[float], NDArray[Any]]) -> Floats:
     return mean
 
 
-def _open(views: Views, exits: slice, shift: float) -> Iterator[tuple[Rows, Rows]]:
+def _open(passages: Departures, exits: slice, shift: float) -> Iterator[tuple[Rows, Rows]]:
     """Yield pairs of an exit and a passage of another camera that is open after it, part by part.
 
     exits: slice of the passages whose exits are used.
     shift: seconds after the exit at which the passage is open.
 
-    Each part has about `OPEN_PAIRS_AT_ONCE` pairs, as two arrays of rows of ``views``. A passage is
-    open from its entry to its exit.
+    Each part has about `OPEN_PAIRS_AT_ONCE` pairs, as two arrays of rows of ``passages``. A passage
+    is open from its entry to its exit.
     """
-    exit_times = views.left[exits]
-    first, stop = (np.searchsorted(exit_times, t - shift) for t in (views.entered, views.left))
-    reached = np.concatenate(([0], np.cumsum(np.maximum(stop - first, 0))))
-
-    # Passages with about `OPEN_PAIRS_AT_ONCE` exits together at a time.
-    begin = 0
-    while begin < len(first):
-        end = max(
-            int(np.searchsorted(reached, reached[begin] + OPEN_PAIRS_AT_ONCE, "right")) - 1,
-            begin + 1,
-        )
-        n = np.diff(reached[begin : end + 1])
-        passage = np.repeat(np.arange(begin, end), n)
-        exit_ = (
-            np.arange(len(passage))
-            + np.repeat(first[begin:end] - (np.cumsum(n) - n), n)
-            + exits.start
-        )
-        other = np.flatnonzero(views.camera[exit_] != views.camera[passage])
+    exit_times = passages.t[exits]
+    first, stop = (np.searchsorted(exit_times, t - shift) for t in (passages.since, passages.t))
+    pairs = ranges_in_parts(first, np.maximum(stop - first, 0), OPEN_PAIRS_AT_ONCE)
+    for passage, at in pairs:
+        exit_ = at + exits.start
+        other = np.flatnonzero(passages.camera[exit_] != passages.camera[passage])
         yield exit_[other], passage[other]
-        begin = end
 
 
-def _newest(views: Views, most: int) -> int:
+def _newest(passages: Departures, most: int) -> int:
     """Return the row of the oldest exit that is counted.
 
     From this exit on, the numbers of open passages, added up over the exits, are ``most`` at most.
     """
-    begun = np.searchsorted(np.sort(views.entered), views.left, "right")
-    over = np.searchsorted(views.left, views.left, "right")
+    begun = np.searchsorted(np.sort(passages.since), passages.t, "right")
+    over = np.searchsorted(passages.t, passages.t, "right")
     open_ = np.maximum(begun - over, 0)
     return len(open_) - int(np.searchsorted(np.cumsum(open_[::-1]), most, "right"))
 
 
-def _totals(views: Views, exits: slice, shift: float, cameras: int) -> Longs:
+def _totals(passages: Departures, exits: slice, shift: float, cameras: int) -> Longs:
     """Return the number of passages open ``shift`` seconds after an exit, (cameras, cameras).
 
     The result is by camera of the exit and camera of the open passage, added up over ``exits``.
     """
     total = np.zeros(cameras * cameras, np.int64)
-    for exit_, passage in _open(views, exits, shift):
+    for exit_, passage in _open(passages, exits, shift):
         total += np.bincount(
-            views.camera[exit_] * cameras + views.camera[passage], minlength=len(total)
+            passages.camera[exit_] * cameras + passages.camera[passage], minlength=len(total)
         )
     return total.reshape(cameras, cameras)
 
 
-def _count(views: Views, exits: slice, number: Longs, bins: LagBins) -> _Counted:
+def _count(passages: Departures, exits: slice, number: Longs, bins: LagBins) -> _Counted:
     """Count open passages by offset, for some pairs of cameras.
 
     exits: slice of the passages whose exits are used.
@@ -261,21 +227,23 @@ def _count(views: Views, exits: slice, number: Longs, bins: LagBins) -> _Counted
         passage); -1 for pairs that are not counted.
     """
     return _Counted(
-        _offsets(views, exits, 0.0, number, bins),
-        _shifted(lambda shift: _offsets(views, exits, shift, number, bins)),
+        _offsets(passages, exits, 0.0, number, bins),
+        _shifted(lambda shift: _offsets(passages, exits, shift, number, bins)),
     )
 
 
-def _offsets(views: Views, exits: slice, shift: float, number: Longs, bins: LagBins) -> Floats:
+def _offsets(
+    passages: Departures, exits: slice, shift: float, number: Longs, bins: LagBins
+) -> Floats:
     """Return the number of passages open ``shift`` seconds after an exit, by offset, (P, bins).
 
     number (cameras, cameras): as for `_count`.
     """
     pairs = int(number.max()) + 1
     total = np.zeros(pairs * bins.size)
-    for exit_, passage in _open(views, exits, shift):
-        pair = number[views.camera[exit_], views.camera[passage]]
-        at = bins.index(views.entered[passage] - shift - views.entered[exit_])
+    for exit_, passage in _open(passages, exits, shift):
+        pair = number[passages.camera[exit_], passages.camera[passage]]
+        at = bins.index(passages.since[passage] - shift - passages.since[exit_])
         counted = np.flatnonzero((pair >= 0) & (at >= 0))
         total += np.bincount(pair[counted] * bins.size + at[counted], minlength=len(total))
     return total.reshape(pairs, bins.size)

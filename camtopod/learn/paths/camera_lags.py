@@ -10,7 +10,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from camtopod.arrays import Floats, Longs, Rows
+from camtopod.arrays import Floats, Longs, Rows, ranges
 from camtopod.learn.limits import PATH_CANDIDATES_MAX
 from camtopod.learn.traffic import Arrivals, Departures, local_rates
 
@@ -57,9 +57,9 @@ class CameraLags(NamedTuple):
         """
         bounds = np.clip((low, high), self.lag_min, self.lag_max)
         first, last = (keys(pair, lag, self.lag_min, self.lag_max) for lag in bounds)
-        return _expand(
-            np.searchsorted(self.key, first), np.searchsorted(self.key, last, side="right")
-        )
+        begin = np.searchsorted(self.key, first)
+        which, row = ranges(begin, np.searchsorted(self.key, last, side="right") - begin)
+        return row, which
 
 
 def keys(pair: Longs, lag: Floats, lag_min: float, lag_max: float) -> Floats:
@@ -86,7 +86,8 @@ def camera_lags(
     late = arrivals.t >= departures.t[newest].min(initial=np.inf) + lag_min
     departures = departures.take(newest, late)
     arrivals = arrivals.take(late)
-    departure, arrival = _expand(*_reach(departures, arrivals, lag_min, lag_max))[::-1]
+    first, end = _reach(departures, arrivals, lag_min, lag_max)
+    departure, arrival = ranges(first, end - first)
 
     # An object does not return before it has left, and its own entry is no transition.
     source = departures.camera.astype(np.int64)
@@ -126,10 +127,3 @@ def _reach(
         np.searchsorted(arrivals.t, earliest),
         np.searchsorted(arrivals.t, departures.t + lag_max, side="right"),
     )
-
-
-def _expand(first: Rows, end: Rows) -> tuple[Rows, Rows]:
-    """Return all numbers of the ranges from ``first`` to ``end`` (k,), and the range of each."""
-    size = np.maximum(end - first, 0)
-    of = np.repeat(np.arange(len(size)), size)
-    return np.arange(len(of)) + (first - (np.cumsum(size) - size))[of], of

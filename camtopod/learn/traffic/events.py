@@ -49,6 +49,11 @@ class Departures(NamedTuple):
         columns: list[Any] = [column[kept] for column in self._replace(own=number[self.own])]
         return Departures(*columns)
 
+    def passages(self) -> Departures:
+        """Return the departures that end a passage whose entry is known and in a zone."""
+        columns: list[Any] = [column[self.own >= 0] for column in self]
+        return Departures(*columns)
+
     @staticmethod
     def without_arrivals(
         t: Floats, zone: Ints, camera: Ints, since: Floats, slow: Floats

@@ -1,7 +1,8 @@
 """Label the window's events with zones; the result is a `Scene`, the input of the fits.
 
 `label_events` finds the zone of each event from the zone map of its camera, and sorts events into
-departures (exits), arrivals (entries) and passages (an entry and an exit of one track).
+departures (exits) and arrivals (entries). A passage, an entry and an exit of one track, is a
+departure whose arrival is known (`Departures.own`).
 """
 
 from __future__ import annotations
@@ -38,19 +39,6 @@ class ZoneRef(NamedTuple):
     shape: ZoneShape | None
 
 
-class Passages(NamedTuple):
-    """Passages known from tracks, with both ends in a zone; each column has shape (n,).
-
-    source, target: index of the zone of the entry and of the zone of the exit.
-    entered, left: times of the entry and of the exit in seconds.
-    """
-
-    source: Ints
-    target: Ints
-    entered: Floats
-    left: Floats
-
-
 class Scene(NamedTuple):
     """The labelled events of the window, the input of the fits."""
 
@@ -58,7 +46,6 @@ class Scene(NamedTuple):
     """The zones of all cameras; a zone's index in this list is its number in all tables."""
     departures: Departures
     arrivals: Arrivals
-    passages: Passages
     entries: NDArray[np.int64]
     """(zones,) number of entries at each zone."""
     exits: NDArray[np.int64]
@@ -98,7 +85,7 @@ def number_zones(window: Window, maps: list[ZoneMap]) -> tuple[list[ZoneRef], ND
 
 
 def label_events(window: Window, maps: list[ZoneMap], ahead: Floats | None = None) -> Scene:
-    """Label the events of a window that is not empty: departures, arrivals and passages.
+    """Label the events of a window that is not empty: departures and arrivals.
 
     maps: zone map of each camera.
     ahead (cameras, seconds): clock offsets to be subtracted from the times; None for none.
@@ -146,19 +133,17 @@ def label_events(window: Window, maps: list[ZoneMap], ahead: Floats | None = Non
         t[exit_rows], zone[exit_rows], camera[exit_rows], since, slow[exit_rows], own_arrival, block
     )
 
-    # Arrivals and passages.
+    # Arrivals.
     came = t[entry_rows]
     entered = zone[entry_rows]
     even = local_rates(came, entered, n)
     rate = rhythm_rates(came, entered, even, n)
     arrivals = Arrivals(came, entered, camera[entry_rows], rate, slow[entry_rows], even / rate)
-    passages = Passages(zone[tied_entries], zone[tied_rows], t[tied_entries], t[tied_rows])
 
     return Scene(
         zones,
         departures,
         arrivals,
-        passages,
         np.bincount(zone[entry_rows], minlength=n),
         np.bincount(zone[exit_rows], minlength=n),
         _tracked(camera[~entry], mate[~entry], len(window.cameras)),

@@ -16,7 +16,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from camtopod.arrays import Floats
+from camtopod.arrays import Floats, Ints, Longs, Rows
 from camtopod.topology import DWELL_SECONDS_MIN, LAG_SECONDS_MIN, SLOWNESS_MAX
 
 USUAL_PASSAGES_MIN = 5
@@ -54,57 +54,35 @@ there.
 
 
 def usual_dwell_times(
-    source: NDArray[np.int32], target: NDArray[np.int32], dwell: Floats
-) -> dict[tuple[int, int], float]:
-    """Return the median dwell time, in seconds, by (zone of entry, zone of exit).
-
-    source, target (n,): zones of entry and exit of n passages.
-    dwell (n, seconds): dwell times of the passages.
-
-    Pairs of zones with less than `USUAL_PASSAGES_MIN` passages are left out. Dwell times below
-    `DWELL_SECONDS_MIN` count as that, as their logs are needed: the median is taken of the logs,
-    as `slowness` does, so that the usual dwell time has a slowness of 0. (For an even number of
-    passages, the median of the logs differs from the log of the median.)
-    """
-    dwell_times: dict[tuple[int, int], list[float]] = {}
-    for zone_pair, seconds in zip(
-        zip(source.tolist(), target.tolist(), strict=True), dwell.tolist(), strict=True
-    ):
-        dwell_times.setdefault(zone_pair, []).append(max(seconds, DWELL_SECONDS_MIN))
-    return {
-        zone_pair: math.exp(float(np.median(np.log(seconds_of_pair))))
-        for zone_pair, seconds_of_pair in dwell_times.items()
-        if len(seconds_of_pair) >= USUAL_PASSAGES_MIN
-    }
-
-
-def slowness(
-    source: NDArray[np.int32], target: NDArray[np.int32], dwell: Floats, zones: int
-) -> Floats:
-    """Return the slowness (n,) of passages; nan if too few have the same zones of entry and exit.
+    source: Ints, target: Ints, dwell: Floats, zones: int
+) -> tuple[Longs, Rows, Floats]:
+    """Return the usual dwell times of n passages, by pair of zones of entry and exit.
 
     source, target (n,): zones of entry and exit, from 0 to ``zones`` - 1.
     dwell (n, seconds): dwell times.
+
+    Return the pairs (k,) as source * zones + target, the number of each passage's pair (n,), and
+    the median natural log of the dwell times of each pair (k,); nan with less than
+    `USUAL_PASSAGES_MIN` passages. Dwell times below `DWELL_SECONDS_MIN` count as that.
     """
-    if len(dwell) == 0:
-        return np.zeros(0)
-
-    # Number the pairs of zones.
     log_dwell = np.log(np.maximum(dwell, DWELL_SECONDS_MIN))
-    pair, count = np.unique(
+    pairs, number, count = np.unique(
         source.astype(np.int64) * zones + target, return_inverse=True, return_counts=True
-    )[1:]
-
-    # Median log dwell time of each pair.
-    order = np.lexsort((log_dwell, pair))
+    )
+    ascending = log_dwell[np.lexsort((log_dwell, number))]
     first = np.cumsum(count) - count
-    low = first + (count - 1) // 2
-    high = first + count // 2
-    median = 0.5 * (log_dwell[order[low]] + log_dwell[order[high]])
+    median = 0.5 * (ascending[first + (count - 1) // 2] + ascending[first + count // 2])
+    return pairs, number, np.where(count >= USUAL_PASSAGES_MIN, median, np.nan)
 
-    # Slowness relative to the median.
-    relative = np.clip(log_dwell - median[pair], -SLOWNESS_MAX, SLOWNESS_MAX)
-    return np.where(count[pair] >= USUAL_PASSAGES_MIN, relative, np.nan)
+
+def slowness(source: Ints, target: Ints, dwell: Floats, zones: int) -> Floats:
+    """Return the slowness (n,) of passages; nan if too few have the same zones of entry and exit.
+
+    Arguments are as for `usual_dwell_times`.
+    """
+    _, number, usual = usual_dwell_times(source, target, dwell, zones)
+    log_dwell = np.log(np.maximum(dwell, DWELL_SECONDS_MIN))
+    return np.clip(log_dwell - usual[number], -SLOWNESS_MAX, SLOWNESS_MAX)
 
 
 def estimate_persistence(

@@ -25,7 +25,7 @@ from camtopod.learn.clocks.two_way_paths import find_two_way_paths
 from camtopod.learn.learner import Learner
 from camtopod.learn.settings import Settings
 from camtopod.learn.traffic.events import Arrivals, Departures
-from camtopod.learn.traffic.labelled_events import Passages, Scene, ZoneRef
+from camtopod.learn.traffic.labelled_events import Scene, ZoneRef
 from camtopod.predict.predictor import Predictor
 from camtopod.records import Event, Topology
 
@@ -163,8 +163,6 @@ class Walks:
             t[left], door[left], camera[left], nan[left], nan[left], none[left], none[left]
         )
         arrivals = Arrivals(t[~left], door[~left], camera[~left], nan[~left], nan[~left])
-        empty = np.zeros(0, np.int32)
-        passages = Passages(empty, empty, np.zeros(0), np.zeros(0))
         zones = [ZoneRef(camera, number, None) for camera, number in self.doors]
         counts = np.zeros(len(zones), np.int64)
         cameras = len(self.ahead)
@@ -172,7 +170,6 @@ class Walks:
             zones,
             departures,
             arrivals,
-            passages,
             counts,
             counts,
             np.zeros(cameras, bool),

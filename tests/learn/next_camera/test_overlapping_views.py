@@ -12,7 +12,8 @@ from synthetic_events import learned_from, passage
 
 from camtopod.codec import decode_topology, to_json
 from camtopod.learn.next_camera import overlapping_views
-from camtopod.learn.next_camera.overlapping_views import Views, find_overlapping
+from camtopod.learn.next_camera.overlapping_views import find_overlapping
+from camtopod.learn.traffic import Departures
 from camtopod.predict.hand_over import cameras_to_watch
 from camtopod.predict.predictor import Predictor
 from camtopod.records import Event, InView, NextCamera, Prediction, Topology
@@ -21,27 +22,32 @@ from camtopod.topology.lag_bins import LAG_SCALE_SECONDS, LAG_STEP, offset_bins
 BINS = offset_bins(LAG_SCALE_SECONDS, LAG_STEP)
 
 
-def made(seed: int, n: int, cameras: int = 3, span: float = 300.0) -> Views:
+def made(seed: int, n: int, cameras: int = 3, span: float = 300.0) -> Departures:
     """Return unrelated passages; some begin and end at the same instants."""
     rng = np.random.default_rng(seed)
     entered = np.floor(rng.uniform(0, span, n))
     left = entered + np.floor(rng.exponential(15.0, n))
     order = np.argsort(left, kind="stable")
-    return Views(rng.integers(0, cameras, n)[order].astype(np.int64), entered[order], left[order])
+    return passages_of(rng.integers(0, cameras, n)[order], entered[order], left[order])
+
+
+def passages_of(camera: np.ndarray, entered: np.ndarray, left: np.ndarray) -> Departures:
+    number = camera.astype(np.int32)
+    return Departures.without_arrivals(left, number, number, entered, np.full(len(left), np.nan))
 
 
 @given(st.integers(0, 10**6), st.integers(0, 30), st.sampled_from([0.0, -20.0, 7.0]))
 def test_open_passages_equal_a_double_loop(seed: int, n: int, shift: float) -> None:
-    views = made(seed, n)
+    passages = made(seed, n)
     with pytest.MonkeyPatch.context() as limits:
         limits.setattr(overlapping_views, "OPEN_PAIRS_AT_ONCE", 5)
         found = [
             pair
-            for part in overlapping_views._open(views, slice(0, n), shift)
+            for part in overlapping_views._open(passages, slice(0, n), shift)
             for pair in zip(*part, strict=True)
         ]
     assert len(found) == len(set(found))
-    assert set(found) == naive.coexisting(*views, shift)
+    assert set(found) == naive.coexisting(passages.camera, passages.since, passages.t, shift)
 
 
 def walkers(seed: int, objects: int, share: float = 1.0, seconds: float = 30.0) -> list[Event]:
@@ -96,8 +102,8 @@ def test_views_with_nothing_to_do_with_each_other_do_not_overlap(seed: int) -> N
     begun = 300.0 * rng.integers(0, 60, 1500) + rng.normal(0, 25, 1500)
     left = begun + rng.uniform(5, 40, 1500)
     order = np.argsort(left)
-    views = Views(rng.integers(0, 6, 1500)[order].astype(np.int64), begun[order], left[order])
-    assert find_overlapping(views, 6, BINS) == []
+    passages = passages_of(rng.integers(0, 6, 1500)[order], begun[order], left[order])
+    assert find_overlapping(passages, 6, BINS) == []
 
 
 def test_who_leaves_a_view_is_looked_for_where_another_sees_it() -> None:

@@ -93,7 +93,7 @@ def test_scene_equals_a_walk_over_the_events(forget: int) -> None:
             if began and began[1]:
                 passages.append((began[1], zone, began[0], event.t))
     names = [(z.camera, z.number) for z in scene.zones]
-    d, a, p = scene.departures, scene.arrivals, scene.passages
+    d, a, p = scene.departures, scene.arrivals, scene.departures.passages()
     found = list(zip(d.t.round(6), (names[z] for z in d.zone), d.since, strict=True))
     assert [row[:2] for row in found] == [(round(t, 6), z) for t, z, _ in departures]
     assert d.since == pytest.approx([since for *_, since in departures])
@@ -102,11 +102,11 @@ def test_scene_equals_a_walk_over_the_events(forget: int) -> None:
         (round(t, 6), z) for t, z in arrivals
     ]
     assert a.camera.tolist() == [zone[0] for _, zone in arrivals]
-    assert [(names[u], names[v]) for u, v in zip(p.source, p.target, strict=True)] == [
+    assert [(names[u], names[v]) for u, v in zip(a.zone[p.own], p.zone, strict=True)] == [
         row[:2] for row in passages
     ]
-    assert p.entered == pytest.approx([row[2] for row in passages])
-    assert p.left == pytest.approx([row[3] for row in passages])
+    assert p.since == pytest.approx([row[2] for row in passages])
+    assert p.t == pytest.approx([row[3] for row in passages])
     assert scene.entries.tolist() == [sum(zone == name for _, zone in arrivals) for name in names]
     assert scene.exits.tolist() == [
         sum(zone == name for _, zone, _ in departures) for name in names
@@ -125,7 +125,8 @@ def test_a_camera_is_tracked_when_most_exits_have_their_entry() -> None:
 def test_passages_are_counted_where_tracks_tie_them() -> None:
     _, _, scene = seen(made(4, 60, 1.0))
     found = visible_transitions(scene, STAYS, 10**6)
-    assert sorted(found.lag) == pytest.approx(sorted(scene.passages.left - scene.passages.entered))
+    p = scene.departures.passages()
+    assert sorted(found.lag) == pytest.approx(sorted(p.t - p.since))
     assert (found.weight == 1).all()
 
 
@@ -136,8 +137,8 @@ def test_passages_are_joined_where_they_do_not() -> None:
     found = visible_transitions(scene, STAYS, 10**6)
     for u in range(len(scene.zones)):
         for v in range(len(scene.zones)):
-            p = truth.passages
-            true = (p.source == u) & (p.target == v)
+            p = truth.departures.passages()
+            true = (truth.arrivals.zone[p.own] == u) & (p.zone == v)
             here = (found.source == u) & (found.target == v)
             assert found.weight[here].sum() == pytest.approx(true.sum(), abs=0.12 * true.sum() + 8)
     assert np.average(found.lag, weights=found.weight) == pytest.approx(4.0, abs=0.5)
