@@ -366,13 +366,13 @@ def joint_fit(
 def returning(rates):
     """Return what each pair of zones would have if it equalled the opposite direction.
 
-    ``rates``: (u, v) -> (bins,) transitions per exposed departure. See `PriorTransitions.of`.
+    ``rates``: (u, v) -> (bins,) transitions per exposed departure. See `Prior.back`.
     """
     return {(u, v): rates.get((v, u), 0.0 * row) for (u, v), row in rates.items()}
 
 
 def two_way(transitions, beforehand):
-    """Compute `Prior.two_way`: the share of transitions that as many return from.
+    """Compute the share of transitions that as many return from (`Prior.departures`).
 
     ``transitions``: (u, v) -> number.
     """

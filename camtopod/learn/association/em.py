@@ -86,6 +86,7 @@ class Em:
         departures, arrivals, bins, zones, *_ = problem
         self.problem = problem
         self.model = model
+        """The additions; they are replaced as the fit goes on."""
 
         # Figures of zones and of ranges of lags.
         self.exposure = exposures(problem) if exposure is None else exposure
@@ -146,10 +147,6 @@ class Em:
         return self._adjusted.cell
 
     # --- Changes from outside ---------------------------------------------------------------------
-
-    def assume(self, model: EmModel) -> None:
-        """Replace the model."""
-        self.model = model
 
     def live(self) -> Bools:
         """Return a mask (M,) of the likeliest candidates, with all but `DEAD_SHARE` of the mass.
@@ -354,20 +351,12 @@ class Em:
             return self.model.leaving
         share = np.zeros(self.pairs)
         for rows in row_slices(self.pairs):
-            share[rows] = self._appears(hazard[rows], rows).sum(axis=1)
+            able = self._able_share[self.range_of[rows]]
+            share[rows] = (hazard[rows] * self.problem.bins.widths * able).sum(axis=1)
         of_zone = np.bincount(self.candidates.source, share, minlength=self.problem.zones)
         again = of_zone.astype(float)[self.problem.departures.zone]
         leaving: Floats = np.maximum(1.0 - again, LEAVE_FLOOR)
         return leaving
-
-    def _appears(self, hazard: Singles, rows: slice) -> Floats:
-        """Return the probability (pairs, bins) that an object appears next at a pair's target.
-
-        hazard (pairs, bins): hazards of the pairs ``rows``.
-        """
-        able = self._able_share[self.range_of[rows]]
-        appears: Floats = hazard * self.problem.bins.widths * able
-        return appears
 
     # --- Counts -----------------------------------------------------------------------------------
 
@@ -390,25 +379,23 @@ class Em:
 
         counts (P, bins): expected transitions by pair of zones and lag bin.
 
-        Hazards are the smoothed counts over exposure and width of the bin. A prior adds to both.
+        Hazards are the smoothed counts over exposure and width of the bin. A prior adds to both, as
+        if every path were taken equally in both directions.
         """
         prior = self.model.prior
-        widths = self.problem.bins.widths
-        expected = None if prior is None else prior.expected(counts)
+        more = 0.0 if prior is None else prior.departures(counts.sum(axis=1))
         smoothed = self._smoothed(counts)
         del counts  # larger than the hazards
 
         hazard = np.empty_like(smoothed)
         for rows in row_slices(self.pairs):
-            departures = self._exposure_of_pairs(rows)
-            if expected is None:
-                hazard[rows] = smoothed[rows] / (departures * widths)
-            else:
-                more = expected.of(
-                    rows, lambda back: smoothed[back] / self._exposure_of_pairs(back)
-                )
-                seconds = (departures + expected.departures) * widths
-                hazard[rows] = (smoothed[rows] + more) / seconds
+            transitions: Floats | Singles = smoothed[rows]
+            if prior is not None:
+                back = prior.back[rows]
+                rates = smoothed[back] / self._exposure_of_pairs(back)
+                transitions = transitions + more * np.where(back[:, None] < 0, 0.0, rates)
+            departures = self._exposure_of_pairs(rows) + more
+            hazard[rows] = transitions / (departures * self.problem.bins.widths)
         return hazard
 
     def _smoothed(self, counts: Floats) -> Singles:

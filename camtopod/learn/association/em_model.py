@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from typing import NamedTuple, Protocol
 
 from camtopod.arrays import Bools, Floats, Indices, Longs, Singles
@@ -31,30 +30,21 @@ class Beside(Protocol):
         """Do the M step, with the responsibilities (M,) of all candidates."""
 
 
-class Expected(Protocol):
-    """Transitions that a prior adds to the counted ones, as if there were more departures.
+class PairPrior(Protocol):
+    """A prior over the transitions of pairs of zones (`next_camera.prior.Prior`).
 
-    departures: number of additional departures of each zone.
+    Some more departures of each zone are taken to go where arrivals come from.
     """
 
-    departures: float
+    back: Longs
+    """(P,) pair from each pair's target to its source; -1 if there is none."""
 
-    def of(self, rows: slice, rates: Callable[[Longs], Floats]) -> Floats:
-        """Return the transitions (pairs, bins) that the prior adds to the pairs of zones ``rows``.
-
-        rates: function from pairs (k,) to the counted transitions per exposed departure (k, bins).
-        """
-
-
-class PairPrior(Protocol):
-    """A prior over the transitions of pairs of zones, such as `next_camera.prior.Prior`."""
-
-    def expected(self, counts: Floats) -> Expected:
-        """Return what the prior adds, given the counted transitions ``counts`` (P, bins)."""
+    def departures(self, transitions: Floats) -> float:
+        """Return how many more departures of each zone, given ``transitions`` (P,) of each pair."""
 
 
 class EmModel(NamedTuple):
-    """The additions of one fit, none by default; `Em.assume` replaces them as the fit goes on."""
+    """The additions of one fit, none by default; `Em.model` is replaced as the fit goes on."""
 
     entering: Beside | None = None
     """Rates by the time since the entry, in overlapping views (`next_camera.entry_kernels`)."""

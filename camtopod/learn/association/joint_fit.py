@@ -59,7 +59,7 @@ def fit_jointly(problem: Problem, candidates: Candidates) -> Fit:
 
 def fit_sparsely(em: Em) -> Fit:
     """Go on with a fit with the sparse prior instead of all other additions; return the result."""
-    em.assume(EmModel(sparsity=SPARSITY))
+    em.model = EmModel(sparsity=SPARSITY)
     counts = em.transitions()
     hazard = em.hazards(counts)
     for _ in range(SPARSE_RUNS):

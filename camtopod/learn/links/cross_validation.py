@@ -160,7 +160,7 @@ class WindowParts:
 def _fitted(fitter: Em) -> Singles:
     """Return hazards (P, bins) fitted from scratch, with the sparse prior in the last run only."""
     hazard = fitter.run(fitter.start())
-    fitter.assume(fitter.model._replace(sparsity=BET_SPARSITY))
+    fitter.model = fitter.model._replace(sparsity=BET_SPARSITY)
     result = np.zeros_like(hazard)
     left = fitter.keep(fitter.live())
     result[left] = fitter.run(hazard[left])

@@ -137,7 +137,7 @@ class PosteriorFitter:
         em = self.em
         self.entering = EntryKernels(self.problem, em.candidates, self.contexts.entry)
         prior = Prior(em.candidates, em.range_of, self.problem.zones)
-        em.assume(EmModel(entering=self.entering, prior=prior))
+        em.model = EmModel(entering=self.entering, prior=prior)
 
     def learn(self, overlapping: NDArray[np.bool_]) -> None:
         """Run the fit: rounds without contexts, then iterations with contexts.
@@ -221,7 +221,7 @@ class PosteriorFitter:
         counted = self._count_contexts()
         after = self.contexts.judged(em.candidates, em.responsibility, self.share, counted)
         before = self.share.astype(np.float32).take(em.candidates.pair)
-        em.assume(em.model._replace(multiplier=multipliers(before, after)))
+        em.model = em.model._replace(multiplier=multipliers(before, after))
 
     def _count_contexts(self) -> list[ContextCounts]:
         """Estimate `share` and `leave`, and return departures and transitions by context."""
@@ -239,5 +239,5 @@ class PosteriorFitter:
 
         # Shares by context.
         counted, leaving = self.contexts.count(c, em.responsibility, gone, self.leave[zone])
-        em.assume(em.model._replace(leaving=np.maximum(leaving, LEAVE_FLOOR)))
+        em.model = em.model._replace(leaving=np.maximum(leaving, LEAVE_FLOOR))
         return counted

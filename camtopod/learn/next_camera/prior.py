@@ -11,12 +11,9 @@ from the site: on a one-way site, return traffic is not expected.
 
 from __future__ import annotations
 
-from collections.abc import Callable
-
 import numpy as np
-from numpy.typing import NDArray
 
-from camtopod.arrays import Floats, Ints
+from camtopod.arrays import Floats, Ints, find_rows
 from camtopod.learn.association import Candidates
 
 RETURNING = 10.0
@@ -38,57 +35,20 @@ class Prior:
     """
 
     def __init__(self, candidates: Candidates, ranges: Ints, zones: int) -> None:
-        back = _leading_back(candidates, zones)
+        source = candidates.source.astype(np.int64)
+        target = candidates.target.astype(np.int64)
+        back, exists = find_rows(source * zones + target, target * zones + source)
         short = ranges < zones
-        self.back = np.where(short & short[back], back, -1)
+        self.back = np.where(exists & short & short[back], back, -1)
 
-    def expected(self, counts: Floats) -> PriorTransitions:
-        """Return what the prior adds, given the counted transitions ``counts`` (P, bins)."""
-        return PriorTransitions(self, counts)
-
-    def two_way(self, transitions: Floats) -> float:
-        """Return the share of all transitions that is matched by transitions in return.
+    def departures(self, transitions: Floats) -> float:
+        """Return the number of additional departures of each zone.
 
         transitions (P,): number of transitions of each pair.
+
+        It depends on the share of all transitions that is matched by transitions in return.
         """
         returned = np.where(self.back < 0, 0.0, transitions[self.back])
         both = float(np.minimum(transitions, returned).sum())
-        return (both + TWO_WAY_TRANSITIONS) / (float(transitions.sum()) + TWO_WAY_TRANSITIONS)
-
-
-class PriorTransitions:
-    """Transitions that the prior adds to pairs of zones, given counted transitions (P, bins).
-
-    departures: number of additional departures of each zone, to which these transitions belong.
-    """
-
-    def __init__(self, prior: Prior, counts: Floats) -> None:
-        self._back = prior.back
-        self.departures = RETURNING * prior.two_way(counts.sum(axis=1))
-
-    def of(self, rows: slice, rates: Callable[[NDArray[np.int64]], Floats]) -> Floats:
-        """Return the transitions (pairs, bins) that the prior adds to the pairs ``rows``.
-
-        rates: function from pairs (k,) to the counted transitions per exposed departure (k, bins),
-            smoothed.
-
-        They are those that every path would have if it were taken equally in both directions.
-        """
-        back = self._back[rows]
-        by_return: Floats = self.departures * np.where(back[:, None] < 0, 0.0, rates(back))
-        return by_return
-
-
-def _leading_back(candidates: Candidates, zones: int) -> NDArray[np.int64]:
-    """Return the pair (P,) that leads from each pair's target back to its source, -1 if none does.
-
-    candidates: define the pairs, which are in order of source, then target.
-    """
-    source = candidates.source.astype(np.int64)
-    target = candidates.target.astype(np.int64)
-    there = source * zones + target
-    back = target * zones + source
-    if len(there) == 0:
-        return back
-    at = np.minimum(np.searchsorted(there, back), len(there) - 1)
-    return np.where(there[at] == back, at, -1)
+        total = float(transitions.sum())
+        return RETURNING * (both + TWO_WAY_TRANSITIONS) / (total + TWO_WAY_TRANSITIONS)
