@@ -95,8 +95,15 @@ def add_parser(add: Any) -> list[argparse.ArgumentParser]:
         help="NAME is a program that publishes events of several cameras (`camtopod ingest`), and "
         "CAMERA is one of them; may be repeated",
     )
-    for name in ("init", "daemon"):
-        inner[name].add_argument(
+    for name in ("init", "daemon", "camera", "reader"):
+        _add_certificate(inner[name], for_hosts=name in ("init", "daemon"))
+    return [*inner.values()]
+
+
+def _add_certificate(parser: argparse.ArgumentParser, for_hosts: bool) -> None:
+    """Add the options of a certificate to issue."""
+    if for_hosts:
+        parser.add_argument(
             "--host",
             action="append",
             default=[],
@@ -105,20 +112,16 @@ def add_parser(add: Any) -> list[argparse.ArgumentParser]:
             help="host name or address at which others connect to the daemon; may be repeated "
             "(default: as before)",
         )
-    for name in ("init", "daemon", "camera", "reader"):
-        inner[name].add_argument(
-            "--days",
-            type=_days,
-            default=DAYS,
-            metavar="N",
-            help="validity of the certificate, days (default: %(default)s)",
-        )
-        inner[name].add_argument(
-            "--replace",
-            action="store_true",
-            help="replace the existing one, which loses its rights",
-        )
-    return [*inner.values()]
+    parser.add_argument(
+        "--days",
+        type=_days,
+        default=DAYS,
+        metavar="N",
+        help="validity of the certificate, days (default: %(default)s)",
+    )
+    parser.add_argument(
+        "--replace", action="store_true", help="replace the existing one, which loses its rights"
+    )
 
 
 def _host(text: str) -> str:
