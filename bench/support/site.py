@@ -36,6 +36,8 @@ LEARNED_EVENTS, LEARNED_PER_SECOND_PER_CAMERA = 60_000, 0.1
 """Events (and their rate) that a site learns before anything is measured; they fill its window."""
 UNIT = Path(__file__).parents[2] / "deploy" / "camtopod.service"
 """The unit whose environment a measured daemon gets."""
+PROGRAM = ("-m", "camtopod")
+"""What Python runs as the daemon."""
 STOP_SECONDS = 20.0
 """Longest wait for the daemon to stop, seconds."""
 LOOK_SECONDS = 0.02
@@ -160,7 +162,7 @@ def running(
     lines = UNIT.read_text().splitlines()
     settings = [line.removeprefix("Environment=") for line in lines if "Environment=" in line]
     environment = os.environ | dict(one.split("=") for one in " ".join(settings).split())
-    command = [sys.executable, "-m", "camtopod", "--config", str(config), "run"]
+    command = [sys.executable, *PROGRAM, "--config", str(config), "run"]
     with (folder / "log").open("wb") as log:
         process = subprocess.Popen(command, stderr=log, env=environment)
     try:

@@ -7,10 +7,17 @@ from importlib import import_module
 from pathlib import Path
 
 import pytest
+from serving import AT_ONCE, program
 
 from bench import soak
-from bench.support import ratios
+from bench.support import ratios, site as sites
 from bench.support.site import traffic
+
+
+@pytest.fixture(autouse=True)
+def _no_backlogs(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Let daemons store from their start on."""
+    monkeypatch.setattr(sites, "PROGRAM", program(AT_ONCE))
 
 
 @pytest.fixture(scope="module")

@@ -17,7 +17,7 @@ import pytest
 from grabber import publisher_on
 from intake_bench import IntakeBench
 from real_daemon import OPEN, RealDaemon, script, status_over
-from serving import SPAN_SECONDS, T0, free_endpoint, wait_for, walkers
+from serving import AT_ONCE, SPAN_SECONDS, T0, free_endpoint, wait_for, walkers
 from sizes import size
 
 from bench.support.site import children, resident
@@ -142,7 +142,9 @@ def test_a_flood_hurts_only_its_camera_and_invented_names_keep_no_camera_out(
     tmp_path: Path,
 ) -> None:
     with contextlib.closing(
-        Flooded(tmp_path, f"{SOON_FULL}[limits]\ncameras_max = 100\n", constants=ANY_SETTING)
+        Flooded(
+            tmp_path, f"{SOON_FULL}[limits]\ncameras_max = 100\n", constants=ANY_SETTING | AT_ONCE
+        )
     ) as flooded:
         flooded.flood(2.0)
         assert flooded.status["events"]["flood"] > 0

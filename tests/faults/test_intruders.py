@@ -154,7 +154,7 @@ def attack(thief: Puppet, observer: Puppet, everything: bool = False) -> set[str
     effects = {f"answered {key}" for key in ANSWERED if thief_answers(observer, key, seconds)}
     for key in ASKED:
         expected = everything or f"asked {key}" in OWN
-        if thief.do("ask", key=f"{HQ}/{key}", seconds=WAIT_SECONDS if expected else 0.5):
+        if thief.do("ask", key=f"{HQ}/{key}", seconds=WAIT_SECONDS if expected else None):
             effects.add(f"asked {key}")
 
     # What was heard is looked at last: it comes in another order than it was sent in.

@@ -12,14 +12,15 @@ import signal
 import subprocess
 import time
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any
 
 import pytest
 from grabber import stored
 from real_daemon import READY_SECONDS, RealDaemon, script, status_over
-from serving import T0, free_endpoint, wait_for, walkers
+from serving import AT_ONCE, T0, free_endpoint, wait_for, walkers
 from sizes import size
 
 from bench.support.rtsp_streams import FaultProxy
@@ -46,10 +47,17 @@ class Site:
 
     They play ``count`` walkers in ``span`` seconds of event time, ``speed`` times faster.
     spools: without, the publishers publish each event once and forget it.
+    constants: other ones in the daemon; see `serving.program`.
     """
 
     def __init__(
-        self, directory: Path, count: int, span: float, speed: float, spools: bool = True
+        self,
+        directory: Path,
+        count: int,
+        span: float,
+        speed: float,
+        spools: bool = True,
+        constants: Mapping[str, object] = MappingProxyType({}),
     ) -> None:
         self.directory = directory
         self.events = walkers(count, seconds=span)
@@ -58,6 +66,7 @@ class Site:
         self.newest: list[tuple[str, int]] = []
         self._router_endpoint = free_endpoint()
         port = int(self._router_endpoint.rpartition(":")[2])
+        self._constants = constants
         self.links = {"publishers": FaultProxy(port), "daemon": FaultProxy(port)}
         self._folder = directory / "spools" if spools else "-"
         self._walk = (count, span, speed)
@@ -101,7 +110,7 @@ class Site:
             process = script("traffic.py", "publish", *given)
         else:
             name = "daemon"
-            self._daemon = RealDaemon(self.directory, self._toml)
+            self._daemon = RealDaemon(self.directory, self._toml, constants=self._constants)
             process = self._daemon.process
         self._processes[name] = process
 
@@ -271,7 +280,7 @@ def check(site: Site) -> None:
 
 
 def test_silent_links_and_kills(tmp_path: Path) -> None:
-    with contextlib.closing(Site(tmp_path, 200, 2 * 3600.0, 1200.0)) as site:
+    with contextlib.closing(Site(tmp_path, 200, 2 * 3600.0, 1200.0, constants=AT_ONCE)) as site:
         site.start_all()
         site.await_flow()
 

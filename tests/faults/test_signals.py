@@ -20,7 +20,16 @@ from pathlib import Path
 import msgspec
 import pytest
 from grabber import publisher_on, stored
-from serving import T0, WAIT_SECONDS, camtopod, free_endpoint, small_config, wait_for, walkers
+from serving import (
+    AT_ONCE,
+    T0,
+    WAIT_SECONDS,
+    camtopod,
+    free_endpoint,
+    small_config,
+    wait_for,
+    walkers,
+)
 from sizes import size
 
 from camtopod.config.settings import BusSettings
@@ -28,7 +37,7 @@ from camtopod.records import Event
 from camtopod.serve.bus.session import dial
 from camtopod.serve.daemon import Daemon
 
-START_SECONDS = {"grab": 2.0, "run": 8.0}
+START_SECONDS = {"grab": 2.0, "run": 3.0}
 """Moments are drawn from this long after the start; what it takes until events are stored is in it."""
 
 
@@ -57,6 +66,7 @@ class Under:
         process = camtopod(
             *("--config", str(self.file), command),
             stderr=self._log,
+            constants=AT_ONCE if command == "run" else {},
             preexec_fn=lambda: signal.signal(signal.SIGHUP, signal.SIG_DFL),
         )
         self.started.append(process)

@@ -27,6 +27,8 @@ SPAN_SECONDS = 1200.0
 """Length of a simulated recording, seconds."""
 WAIT_SECONDS = 30.0
 """Default timeout of waits, seconds."""
+AT_ONCE = {"camtopod.serve.ingest.merge:SETTLE_SECONDS": 0.0}
+"""Constant with which a daemon stores from its start on, and waits for no backlogs."""
 
 
 def wait_for(
@@ -115,20 +117,26 @@ def camtopod(
 ) -> subprocess.Popen[bytes]:
     """Start the program in a process of its own.
 
+    constants: see `program`.
+    """
+    environment = {**os.environ, "PYTHONPATH": str(ROOT)}
+    command = [sys.executable, *program(constants), *arguments]
+    return subprocess.Popen(command, env=environment, **popen)  # type: ignore[call-overload]
+
+
+def program(constants: Mapping[str, object]) -> list[str]:
+    """Return the arguments with which Python runs the program.
+
     constants: other values of "module:NAME", in that process alone.
     """
-    program = ["-m", "camtopod"]
-    if constants:
-        lines = [
-            f"import {module}; {module}.{name} = {value!r}"
-            for (module, _, name), value in (
-                (key.partition(":"), constants[key]) for key in constants
-            )
-        ]
-        main = "import sys, camtopod.cli.main; sys.exit(camtopod.cli.main.main())"
-        program = ["-c", "\n".join([*lines, main])]
-    environment = {**os.environ, "PYTHONPATH": str(ROOT)}
-    return subprocess.Popen([sys.executable, *program, *arguments], env=environment, **popen)  # type: ignore[call-overload]
+    if not constants:
+        return ["-m", "camtopod"]
+    lines = [
+        f"import {module}; {module}.{name} = {value!r}"
+        for (module, _, name), value in ((key.partition(":"), constants[key]) for key in constants)
+    ]
+    main = "import sys, camtopod.cli.main; sys.exit(camtopod.cli.main.main())"
+    return ["-c", "\n".join([*lines, main])]
 
 
 class Failing:
