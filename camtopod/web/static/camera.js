@@ -356,7 +356,7 @@ class Scene {
 }
 
 // Half axes in pixels and the turn in degrees of `SPREAD` standard deviations of a covariance in picture fractions.
-export function ellipse(cov, width, height) {
+function ellipse(cov, width, height) {
   const [a, b, d] = [cov[0][0] * width * width, cov[0][1] * width * height, cov[1][1] * height * height];
   const middle = (a + d) / 2;
   const apart = Math.hypot((a - d) / 2, b);

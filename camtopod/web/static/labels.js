@@ -16,7 +16,7 @@ const CELL = 64;
 const ARROWS = ["→", "↘", "↓", "↙", "←", "↖", "↑", "↗"]; // by eighths of a turn, y downwards
 
 // Below, above, right, left of a node: where its name may stand.
-export const SIDES = [
+const SIDES = [
   [0, 1],
   [0, -1],
   [1, 0],
@@ -73,6 +73,21 @@ export class Labels {
       element.setAttribute("x", x.toFixed(1));
       element.setAttribute("y", y.toFixed(1));
     }
+  }
+}
+
+// Tell each node on which side its name has most room.
+export function findSides({ nodes, edges }) {
+  const towards = new Map([...nodes.keys()].map((id) => [id, []]));
+  for (const { a, b } of edges.values()) {
+    const length = Math.hypot(b.x - a.x, b.y - a.y) || 1;
+    const [dx, dy] = [(b.x - a.x) / length, (b.y - a.y) / length];
+    towards.get(a.id).push([dx, dy]);
+    towards.get(b.id).push([-dx, -dy]);
+  }
+  for (const [id, node] of nodes) {
+    const crowd = ([x, y]) => Math.max(0, ...towards.get(id).map(([dx, dy]) => dx * x + dy * y));
+    node.side = SIDES.reduce((best, side) => (crowd(side) < crowd(best) - 0.15 ? side : best));
   }
 }
 
@@ -185,7 +200,7 @@ function apart({ ax, ay, dx, dy }, [x, y], half, tall) {
 
 // The transit time of an edge, "overlap" if objects appear before they leave; one where both ways are about the same; else each with an arrow the way it is of, as the
 // edge lies on the screen.
-export function edgeText({ a, edge, dx, dy }) {
+function edgeText({ a, edge, dx, dy }) {
   const [one, other] = edge.ways;
   const modes = edge.ways.map((way) => way.transit.mode);
   if (modes.some((mode) => mode < 0)) return "overlap";

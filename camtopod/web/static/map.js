@@ -3,7 +3,7 @@
 import { fill, h, s, say } from "./dom.js";
 import { fitted, findNear, grow } from "./fit.js";
 import { Flow } from "./flow.js";
-import { Labels, SIDES } from "./labels.js";
+import { Labels, findSides } from "./labels.js";
 import { go } from "./place.js";
 import { Pulses } from "./pulses.js";
 import { edgeTip, nodeTip } from "./tips.js";
@@ -129,15 +129,18 @@ export class NetworkMap {
       element.setAttribute("height", height * UNIT);
       this.world.prepend(element);
     }
-    for (const [id, node] of this.nodes) {
-      if (!Object.hasOwn(map.cameras, id)) this.#drop(this.nodes, id, node);
-    }
     this.traffic = Math.max(1, ...Object.values(map.edges).map((edge) => edge.transitions));
     for (const [key, edge] of Object.entries(map.edges)) this.#join(key, edge);
-    for (const [key, drawn] of this.edges) {
-      if (!Object.hasOwn(map.edges, key)) this.#drop(this.edges, key, drawn);
-    }
-    this.#findSides();
+    for (const [held, kept] of [
+      [this.nodes, map.cameras],
+      [this.edges, map.edges],
+    ])
+      for (const [key, { element }] of held)
+        if (!Object.hasOwn(kept, key)) {
+          element.remove();
+          held.delete(key);
+        }
+    findSides(this);
     this.#circle = findNear([...this.nodes.values()], UNIT);
     this.nothing.hidden = this.nodes.size > 0;
     if (this.#focused === null || !this.nodes.has(this.#focused)) this.#roam(this.nodes.keys().next().value ?? null);
@@ -322,26 +325,6 @@ export class NetworkMap {
     drawn.element.style.setProperty("--width", width.toFixed(2));
     const look = !edge.published ? " likely" : edge.provisional ? " provisional" : "";
     drawn.element.setAttribute("class", `edge ${edge.relation}${look}`);
-  }
-
-  // On which side of each node its name has most room.
-  #findSides() {
-    const towards = new Map([...this.nodes.keys()].map((id) => [id, []]));
-    for (const { a, b } of this.edges.values()) {
-      const length = Math.hypot(b.x - a.x, b.y - a.y) || 1;
-      const [dx, dy] = [(b.x - a.x) / length, (b.y - a.y) / length];
-      towards.get(a.id).push([dx, dy]);
-      towards.get(b.id).push([-dx, -dy]);
-    }
-    for (const [id, node] of this.nodes) {
-      const crowd = ([x, y]) => Math.max(0, ...towards.get(id).map(([dx, dy]) => dx * x + dy * y));
-      node.side = SIDES.reduce((best, side) => (crowd(side) < crowd(best) - 0.15 ? side : best));
-    }
-  }
-
-  #drop(held, key, drawn) {
-    drawn.element.remove();
-    held.delete(key);
   }
 
   #mark() {

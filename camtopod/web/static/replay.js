@@ -124,7 +124,7 @@ function asOf({ cameras, pairs }, map) {
 }
 
 // Ways between cameras, {from, to, t, takes}: each entry with the exit that fits best by the transit times of the links.
-export function joined(events, edges) {
+function joined(events, edges) {
   const inTime = [...events].sort((one, other) => one.t - other.t);
   const exits = Map.groupBy(inTime.filter(({ kind }) => kind === "exit"), ({ camera }) => camera);
   const ways = Object.values(edges).flatMap((edge) => (edge.published ? edge.ways : []));
