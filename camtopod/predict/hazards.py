@@ -3,9 +3,9 @@
 The *hazard* of a pair of zones is the rate at which an object that left the first appears at the
 second, by lag. `Hazards` reads hazards from the model of a version, or from its links if it has no
 model. It answers two kinds of questions: the possible next zones of an exit (`Hazards.outcomes`),
-and the rates at which known objects cause an arrival: objects that have left a zone (`rates`,
-`rates_from`) and objects that are still in an overlapping view (`rate_entered`, by the time since
-their entry, and `rate_before_exit`, the mean over the passage).
+and the rates at which known objects cause an arrival: objects that have left a zone
+(`rates_by_row`, `rates_from`) and objects that are still in an overlapping view (`rate_entered`, by
+the time since their entry, and `rate_before_exit`, the mean over the passage).
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ import itertools
 
 import numpy as np
 
-from camtopod.arrays import Bools, Floats, Ints, Rows, Singles
+from camtopod.arrays import Bools, Floats, Indices, Ints, Rows, Singles, ranges
 from camtopod.predict.outcomes import FLOOR, Outcomes, with_paths
 from camtopod.records import CameraPath, Link, Model, Onward, Topology
 from camtopod.topology import (
@@ -65,8 +65,8 @@ class Hazards:
             self.outcomes = self._from_posterior(model.onward, index)
         if model.paths is not None:
             self._add_paths(topology, model.paths)
-        self._index_by_target(len(index))
-        self.lag_max = self.bins.lag_max + float(self._delay.max())
+        self._tabulate(len(index))
+        self.lag_max = self.bins.lag_max + float(self._delay.max(initial=0.0))
         """Longest lag with a bin, delays of long paths included, seconds."""
 
         # Entry kernels, and mean rates before the exit.
@@ -77,47 +77,36 @@ class Hazards:
         self._rate_before_exit = self._mean_rates_before_exit(topology)
         self._index_overlaps(topology)
 
-    def rates(self, sources: Ints, target: int, lag: Floats) -> tuple[Ints, Floats]:
+    def rates_by_row(self, sources: Ints, target: int, lag: Floats) -> tuple[Rows, Rows, Floats]:
         """Return the hazards at which objects that left several zones appear at one zone.
 
         sources (n,): zones that the objects left.
         target: the zone.
         lag (n, seconds): time since each object has left.
 
-        Return zones (m,) and hazards (m, 1/s) of the sources from which there is any hazard.
+        The results are columns (m,): which of the n sources, row in its `outcomes`, hazard (1/s).
         """
-        which, _, rates = self.rates_by_row(sources, target, lag)
-        return sources.take(which), rates
-
-    def rates_by_row(self, sources: Ints, target: int, lag: Floats) -> tuple[Rows, Rows, Floats]:
-        """Return `rates` (m, 1/s) with the item of ``sources`` and the row of its outcomes.
-
-        The results are columns (m,): which of the n sources, row in its `outcomes`, hazard.
-        """
-        none = np.zeros(0, np.intp)
-        found = [(none, none, np.zeros(0))]
-        for zones, rows in self._into.get(target, []):
-            row = self._rows_of(zones, rows, sources)
-            [which] = row.nonzero()
-            row = row.take(which)
-            first = self._first_of_zone.take(sources.take(which))
-            found.append((which, row - first, self._at(row, lag.take(which))))
-        each, rows_of, rates = (np.concatenate(column) for column in zip(*found, strict=True))
-        return each, rows_of, rates
+        which, row = self._rows_of(sources, target)
+        first = self._first_row.take(sources.take(which))
+        return which, row - first, self._at(row, lag.take(which))
 
     def sources(self, target: int) -> list[int]:
         """Return the zones from which objects appear next at a zone."""
-        return sorted({zone for zones, _ in self._into.get(target, []) for zone in zones.tolist()})
+        return self._sources.get(target, [])
 
     def rates_from(self, source: int, targets: Ints, lag: Floats) -> Floats:
         """Return the hazards (n, 1/s) at which an object that left one zone appears at others.
 
         targets (n,), lag (n, seconds): zones, and the time since the object has left.
         """
-        total = np.zeros(len(lag))
-        for zones, rows in self._onto.get(source, []):
-            total += self._at(self._rows_of(zones, rows, targets), lag)
-        return total
+        which, row = self._rows_of(source, targets)
+        rates = self._at(row, lag.take(which))
+        return np.bincount(which, rates, minlength=len(lag)).astype(float, copy=False)
+
+    def rows_to(self, source: int, targets: Indices) -> tuple[Rows, Rows]:
+        """Return which of the ``targets`` (n,) outcomes of a zone lead to, and their rows, (m,)."""
+        which, row = self._rows_of(source, targets)
+        return which, row - self._first_row[source]
 
     def rates_entered(self, entry: int, targets: Ints, elapsed: Floats) -> Floats:
         """Return `rate_entered` (n, 1/s) for several targets and times (n, s) since the entry."""
@@ -272,68 +261,56 @@ class Hazards:
         begun = 1.0 - np.interp(-self.bins.centres, deciles, np.linspace(0.0, 1.0, len(deciles)))
         return np.where(self.past, np.clip(begun, 0.02, 1.0), 1.0)
 
-    def _index_by_target(self, zones: int) -> None:
-        """Put all hazards into one table, with a row for each pair of zones, for quick look-up.
+    def _tabulate(self, zones: int) -> None:
+        """Put all hazards into one table, with an index by pair of zones, for quick look-up.
 
-        Row 0 is all zeros, for pairs of zones without a hazard; the last column is all zeros, too,
-        for lags without a bin.
+        The last column is all zeros, for lags without a bin.
         """
         # The table; `outcomes` refer to its rows, so that hazards are kept once.
-        first_rows = np.cumsum([1, *(len(o.targets) for o in self.outcomes.values())]).tolist()
-        self._first_row: dict[int, int] = dict(zip(self.outcomes, first_rows, strict=False))
-        self._table: Singles = np.zeros((first_rows[-1], self.bins.size + 1), np.float32)
-        self._delay = np.zeros(first_rows[-1])
-        self._weight = np.zeros(first_rows[-1])
+        number = [len(outcomes.targets) for outcomes in self.outcomes.values()]
+        source = np.repeat(np.array([*self.outcomes], np.int64), number)
+        target = np.zeros(len(source), np.int64)
+        self._table: Singles = np.zeros((len(source), self.bins.size + 1), np.float32)
+        self._delay, self._weight = np.zeros((2, len(source)))
+        self._first_row = np.zeros(zones, np.intp)
+        """(zones,) row of the table with the first outcome of each zone."""
+        first = 0
         for zone, outcomes in self.outcomes.items():
-            first = self._first_row[zone]
+            self._first_row[zone] = first
             rows = slice(first, first + len(outcomes.targets))
+            target[rows] = outcomes.targets
             self._table[rows, :-1] = outcomes.hazard
             self._delay[rows] = outcomes.delay
             self._weight[rows] = outcomes.weight
             self.outcomes[zone] = outcomes._replace(hazard=self._table[rows, :-1])
+            first = rows.stop
 
-        # Sources and rows (2, sources) of each target, and targets and rows of each source. Of
-        # several rows for one source and target, each is in another item of the list.
-        into: dict[int, list[dict[int, int]]] = {}
-        onto: dict[int, list[dict[int, int]]] = {}
-        for zone, outcomes in self.outcomes.items():
-            for row, target in enumerate(outcomes.targets, start=self._first_row[zone]):
-                for table, key, other in ((into, target, zone), (onto, zone, target)):
-                    layers = table.setdefault(key, [])
-                    if all(other in layer for layer in layers):
-                        layers.append({})
-                    next(layer for layer in layers if other not in layer)[other] = row
-        self._into, self._onto = (
-            {
-                key: [np.array(list(layer.items()), np.int32).T for layer in layers]
-                for key, layers in table.items()
-            }
-            for table in (into, onto)
-        )
+        # The index.
+        self._zones = zones
+        key = source * zones + target
+        self._order = np.argsort(key, kind="stable")
+        self._keys = key[self._order]
+        self._sources: dict[int, list[int]] = {}
+        for zone, to in sorted({*zip(source.tolist(), target.tolist(), strict=True)}):
+            self._sources.setdefault(to, []).append(zone)
         self._limits = np.array(self.bins.limits)
-        self._row_of_zone = np.zeros(zones, np.int32)  # all 0 between calls
-        self._first_of_zone = np.zeros(zones, np.int32)
-        for zone, first in self._first_row.items():
-            self._first_of_zone[zone] = first
 
-    def _rows_of(self, zones: list[int] | Ints, rows: Ints | Rows, wanted: Ints) -> Ints:
-        """Return the row of each of the ``wanted`` zones (n,); 0 for zones without a row.
+    def _rows_of(self, sources: Indices | int, targets: Indices | int) -> tuple[Rows, Rows]:
+        """Return which of n pairs of zones the rows of the table are of, and these rows, (m,)."""
+        key = np.multiply(sources, self._zones, dtype=np.int64) + targets
+        first, end = (self._keys.searchsorted(key, side) for side in ("left", "right"))
+        which, at = ranges(first, end - first)
+        return which, self._order.take(at)
 
-        zones, rows (k,): the zones that have rows, and these rows.
-        """
-        self._row_of_zone[zones] = rows
-        row = self._row_of_zone.take(wanted)
-        self._row_of_zone[zones] = 0
-        return row
-
-    def _at(self, row: Ints, lag: Floats) -> Floats:
+    def _at(self, row: Rows, lag: Floats) -> Floats:
         """Return the weighted hazards (n, 1/s) of rows (n,) of the table at lags (n, seconds).
 
-        In the flattened table, a lag before the first bin gets the last column of the row before,
-        and a lag after the last bin the last column of its own row; both are zero.
+        In the flattened table, a lag before the first bin gets the last column of the row before
+        (of the last row for the first one), and a lag after the last bin the last column of its own
+        row; all are zero.
         """
         at = self._limits.searchsorted(lag - self._delay.take(row), "right")
-        at += row * np.intp(self._table.shape[1])
+        at += row * self._table.shape[1]
         at -= 1
         rates: Floats = self._table.take(at).astype(float) * self._weight.take(row)
         return rates

@@ -13,7 +13,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from camtopod.arrays import Bools, Floats, Indices, Ints, Rows
+from camtopod.arrays import Bools, Floats, Ints, Rows
 from camtopod.predict.hazards import Hazards, model_of
 from camtopod.predict.open_passages import UNKNOWN, Passage
 from camtopod.predict.outcomes import Outcomes
@@ -95,14 +95,13 @@ class ExitTable:
 
     def __init__(self, site: Site, zone: int) -> None:
         outcomes = site.hazards.outcomes[zone]
+        self.zone = zone
         self.outcomes: Outcomes = outcomes
         self.targets = [site.zones[target] for target in outcomes.targets]
         self.target_cameras = site.camera_of[outcomes.targets]
         """(targets,) number of each target's camera."""
         self.transitions = outcomes.share * site.hazards.departures[zone]
         """(targets,) expected transitions that the hazards were learned from."""
-        self._order = np.argsort(outcomes.targets, kind="stable")
-        self._end = np.cumsum(np.bincount(outcomes.targets, minlength=len(site.zones)))
         self.is_first = np.zeros(len(outcomes.targets), np.bool_)
         """(rows,) True for the first row of each target."""
         self.is_first[np.unique(outcomes.targets, return_index=True)[1]] = True
@@ -115,14 +114,6 @@ class ExitTable:
         """
         self.window_shift = np.where(site.is_corrected, 0.0, offsets) + outcomes.delay
         """(targets, seconds) to be added to a lag to get the lag that is published."""
-
-    def rows_of(self, zones: Indices) -> tuple[Rows, Rows]:
-        """Return all rows (m,) of the targets that are among ``zones`` (n,), and which of n."""
-        end = self._end[zones]
-        number = end - np.where(zones > 0, self._end[zones - 1], 0)
-        which = np.repeat(np.arange(len(zones)), number)
-        rows = self._order[np.arange(len(which)) + (end - np.cumsum(number))[which]]
-        return rows, which
 
 
 class Site:
@@ -195,7 +186,7 @@ def find_odds(
     mass *= is_alive[:, None]
 
     # Observed arrivals at targets, at lags that have a bin.
-    row, which = table.rows_of(seen.zone)
+    which, row = hazards.rows_to(query.zone, seen.zone)
     lag = seen.t[which] - query.t - outcomes.delay[row]
     at = hazards.bins.index(scale_lags(lag, 1.0 / query.slowness))
     fits = np.flatnonzero(at >= 0)

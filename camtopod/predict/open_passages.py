@@ -52,10 +52,8 @@ class OpenPassages:
         self._longest = longest
         self._passages: dict[tuple[str, str], Passage] = {}
         """Open passages by (camera, track), in the order in which they began."""
-        self._in_view: dict[str, dict[str, tuple[int, Passage]]] = {}
-        """The open passages by camera, then track; each with its number in the order of all."""
-        self._begun = 0
-        """Number of passages that have begun."""
+        self._in_view: dict[str, dict[str, Passage]] = {}
+        """The open passages by camera, then track."""
         self._ended: dict[tuple[str, str], tuple[float, Passage | None]] = {}
         """The newest exits by (camera, track), oldest first.
 
@@ -69,10 +67,7 @@ class OpenPassages:
     def begin(self, camera: str, track: str, passage: Passage) -> None:
         """Add a passage; it takes the place of an open passage of the same track, if any."""
         self._passages[camera, track] = passage
-        in_view = self._in_view.setdefault(camera, {})
-        self._begun += 1
-        number = in_view[track][0] if track in in_view else self._begun
-        in_view[track] = number, passage
+        self._in_view.setdefault(camera, {})[track] = passage
 
     def end(self, camera: str, track: str, t: float) -> Passage | None:
         """End the passage of a track at ``t`` by the camera's clock; return it if it was open."""
@@ -93,8 +88,8 @@ class OpenPassages:
         ended_at, passage = self._ended.get((camera, track), (None, None))
         return passage if ended_at == t else self.get(camera, track)
 
-    def in_view(self, camera: str) -> Collection[tuple[int, Passage]]:
-        """Return a camera's open passages, each with its number in the order of all."""
+    def in_view(self, camera: str) -> Collection[Passage]:
+        """Return a camera's open passages."""
         return self._in_view.get(camera, {}).values()
 
     def was_in_view(self, camera: str, entry: int, began: float, t: float) -> bool:
@@ -104,13 +99,12 @@ class OpenPassages:
         began (seconds): corrected time of its entry.
         t (seconds): by the camera's clock.
         """
-        still_open = (passage for _, passage in self.in_view(camera))
         ended = (
             passage
             for (of, _), (ended_at, passage) in self._ended.items()
             if of == camera and passage is not None and ended_at >= t
         )
-        return any(one.t == began and one.entry == entry for one in (*still_open, *ended))
+        return any(one.t == began and one.entry == entry for one in (*self.in_view(camera), *ended))
 
     def open_at(self, camera: str, t: float, by_clock: float) -> list[tuple[str, Passage]]:
         """Return the passages of a camera that are open at the present moment, as (track, passage).
@@ -120,7 +114,7 @@ class OpenPassages:
         Passages that end at this moment are included and those that begin are not, so the order of
         simultaneous events does not matter.
         """
-        still_open = [(track, one) for track, (_, one) in self._in_view.get(camera, {}).items()]
+        still_open = self._in_view.get(camera, {}).items()
         last, ended = self._last_exits.get(camera, (None, []))
         just_ended = ended if last == by_clock else []
         return [each for each in [*still_open, *just_ended] if each[1].t < t]

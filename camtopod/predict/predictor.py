@@ -406,29 +406,20 @@ class Predictor:
         hazards = self._hazards
         site = self.site
         exit_times, zones = self._exits.after(t - hazards.lag_max - site.offset_range)
-        sources, rates = hazards.rates(zones, zone, t - exit_times)
-        total = np.bincount(site.camera_of[sources], rates, minlength=len(site.cameras))
+        which, _, rates = hazards.rates_by_row(zones, zone, t - exit_times)
+        total = np.bincount(site.camera_of[zones[which]], rates, minlength=len(site.cameras))
         causes = {site.cameras[k]: float(total[k]) for k in np.flatnonzero(total)}
 
         # Objects in other views that may appear at the zone before they leave.
         here = self.zones[zone].camera
-        in_views = []
         for camera in hazards.cameras_before.get(zone, []):
             if camera == here:
                 continue
             before_exit = hazards.rate_before_exit(camera, zone)
-            rate = causes.get(camera, 0.0)
-            numbers = []
-            for number, passage in self._open_passages.in_view(camera):
-                entered = hazards.rate_entered(passage.entry, zone, t - passage.t)
-                if before_exit + entered:
-                    rate += before_exit + entered
-                    numbers.append(number)
-            if numbers:
-                in_views.append((numbers[0], camera, rate))
-
-        # In the order in which passages began, as sums of floats depend on the order.
-        causes.update((camera, rate) for _, camera, rate in sorted(in_views))
+            for passage in self._open_passages.in_view(camera):
+                rate = before_exit + hazards.rate_entered(passage.entry, zone, t - passage.t)
+                if rate:
+                    causes[camera] = causes.get(camera, 0.0) + rate
         return causes
 
 

@@ -123,7 +123,7 @@ class Transitions:
         density = np.zeros(len(zones))
         if onward.table is not None:
             bins = self._hazards.bins
-            row, which = onward.table.rows_of(zones)
+            which, row = self._hazards.rows_to(onward.table.zone, zones)
             at = bins.index(lag[which] - onward.table.outcomes.delay[row])
             row, which, at = row[at >= 0], which[at >= 0], at[at >= 0]
             np.add.at(density, which, onward.chance[row, at] / bins.widths[at])
