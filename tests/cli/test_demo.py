@@ -37,7 +37,7 @@ def test_demo_works_in_an_empty_directory_though_one_grabber_is_slow(tmp_path: P
     slow.chmod(0o755)
     empty.mkdir()
     environment = {**os.environ, "PYTHONPATH": str(ROOT), "TMPDIR": str(empty)}
-    command = [sys.executable, "-c", UNEVEN, str(slow), "demo", "--minutes", "5", "--out", "here"]
+    command = [sys.executable, "-c", UNEVEN, str(slow), "demo", "--minutes", "4", "--out", "here"]
     done = subprocess.run(
         command, cwd=empty, env=environment, capture_output=True, text=True, timeout=100
     )

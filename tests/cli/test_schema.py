@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import json
 import re
 import threading
@@ -32,6 +33,7 @@ from camtopod.serve.bus import dial
 from camtopod.serve.requests import Answer, Batch, Hello
 
 
+@functools.cache
 def validator(name: str) -> Any:
     schema = json.loads(schema_text(name))
     kind = jsonschema.validators.validator_for(schema)
