@@ -17,7 +17,6 @@ from __future__ import annotations
 
 import contextlib
 import logging
-import re
 import sqlite3
 import threading
 import time
@@ -25,7 +24,6 @@ from collections.abc import Callable
 
 from msgspec.structs import replace
 
-from camtopod import codec
 from camtopod.admin import Reset, Rewind
 from camtopod.config import Config
 from camtopod.event_time import EventTime, microseconds
@@ -33,12 +31,7 @@ from camtopod.keys.rules import STATUS
 from camtopod.records import CameraFigures, DaemonStatus, EventCounts, Match, Prediction, Topology
 from camtopod.redact import redact
 from camtopod.serve.admin_queries import Done, command_of
-from camtopod.serve.bus import (
-    Bus,
-    OtherDaemons,
-    QueryError,
-    open_daemon_session,
-)
+from camtopod.serve.bus import Bus, OtherDaemons, QueryError, open_daemon_session
 from camtopod.serve.ingest import (
     Cameras,
     CommandRefused,
@@ -55,29 +48,15 @@ from camtopod.serve.learner_process import (
     LearnerFeeder,
     LearnerProcess,
     LearnProgress,
-    NewVersion,
     Recovered,
-    newest_topology,
     note_failure,
     recent_events,
     recover,
 )
-from camtopod.serve.live_predictions import Live, Reader
-from camtopod.serve.runtime import (
-    LEARN_SECONDS,
-    STALL_SECONDS,
-    Beat,
-    Progress,
-    clock as clocks,
-)
-from camtopod.serve.storage import (
-    Journal,
-    JournalWriter,
-    Learned,
-    Snapshot,
-    StateError,
-)
-from camtopod.topology import links_between_views, links_in_words, waiting_for_links
+from camtopod.serve.live_predictions import Live
+from camtopod.serve.runtime import LEARN_SECONDS, STALL_SECONDS, Beat, Progress, clock as clocks
+from camtopod.serve.storage import Journal, JournalWriter, StateError
+from camtopod.serve.versions import Versions
 
 log = logging.getLogger(__name__)
 
@@ -108,8 +87,6 @@ class Daemon:
         """True when `start` has succeeded."""
         self.progress = Progress()
         """Progress of the daemon's loops and, before they run, of the start."""
-        self.topology: Topology | None = None
-        """The newest version, without what takes most memory: its model and weak links."""
 
     @property
     def endpoint(self) -> str:
@@ -121,6 +98,11 @@ class Daemon:
         """The session in use; valid after `start`."""
         assert self._bus is not None, "the daemon has not been started"
         return self._bus
+
+    @property
+    def topology(self) -> Topology | None:
+        """The newest version, without its model and weak links; valid after `start`."""
+        return self._versions.newest
 
     @property
     def learner_pid(self) -> int:
@@ -152,11 +134,7 @@ class Daemon:
                 self._process = process = LearnerProcess()
                 self._bus = open_daemon_session(config)
                 recovered = recover(
-                    self._journal,
-                    process,
-                    config.learn,
-                    config.site.name,
-                    self._new_epoch,
+                    self._journal, process, config.learn, config.site.name, self._new_epoch
                 )
                 if cancelled.is_set():
                     return False
@@ -177,7 +155,7 @@ class Daemon:
 
         # Publish the newest version again, and start the threads.
         if self.topology is not None:
-            self._bus.publish("topology", self._version({}), "topology")
+            self._bus.publish("topology", self._versions.answer({}), "topology")
         status_seconds = config.limits.status_seconds + STALL_SECONDS
         self._start_thread("receive", self._intake.work, STALL_SECONDS)
         self._start_thread("store", self._intake.store, STALL_SECONDS)
@@ -353,15 +331,13 @@ class Daemon:
         """Create the parts from the recovered state and connect them."""
         limits = self._config.limits
 
-        # Predictions, from the newest version until there is another.
+        # Predictions, and the versions that they are made from.
         def publish(answer: Prediction | Match) -> None:
             kind = "match" if isinstance(answer, Match) else "prediction"
             bus.publish(f"{kind}/{answer.camera}", answer, kind)
 
         self._live = Live(publish, self._clock)
-        if (newest := newest_topology(self._journal)) is not None:
-            self._live.use(Reader(newest, self._config.site.walks))
-            self.topology = replace(newest, model=None, weak_links=None)
+        self._versions = Versions(bus, self._journal, self._live, self._config.site.walks)
 
         # Event time as the learner knows it; the newest events may be newer than the snapshot.
         recent = recent_events(self._journal)
@@ -404,9 +380,7 @@ class Daemon:
 
     def _join_bus(self, bus: Bus) -> None:
         """Answer queries and subscribe to events; then other programs may see the daemon."""
-        bus.answer_queries(
-            "topology", lambda key, parameters: self._version(parameters), "topology"
-        )
+        bus.answer_queries("topology", lambda _, wanted: self._versions.answer(wanted), "topology")
         bus.answer_queries("admin/*", self._administer, "done")
         bus.answer_queries("predict/*", self._live.answer, "prediction")
         bus.answer_queries("recent", self._live.recent, "recent")
@@ -424,24 +398,6 @@ class Daemon:
         elif len(grabbers) < self._config.limits.cameras_max:
             grabbers.add(camera)
 
-    def _version(self, parameters: dict[str, str]) -> Topology:
-        """Return the newest version, or an older one of the epoch (``version``) if it is kept.
-
-        Raises `QueryError`.
-        """
-        if (newest := self.topology) is None:
-            raise QueryError("nothing has been learned yet")
-        wanted = parameters.get("version", str(newest.version))
-        epoch = parameters.get("epoch", newest.epoch)
-        try:
-            if re.fullmatch("[0-9]{1,18}", wanted):
-                content = self._journal.version(epoch, int(wanted))
-                if content is not None:
-                    return codec.read(Topology, content)
-        except (sqlite3.Error, StateError, codec.Rejected) as error:
-            raise QueryError(f"version {wanted} of epoch {epoch} cannot be read: {error}") from None
-        raise QueryError(f"version {wanted} of epoch {epoch} is not kept")
-
     def _administer(self, key: str, parameters: dict[str, str]) -> Done:
         """Execute the operator's command of a query. Raises `QueryError`."""
         try:
@@ -457,51 +413,8 @@ class Daemon:
     def _on_progress(self, progress: LearnProgress) -> None:
         """Take note of what the learner waits for, and have stored what it has made."""
         self._intake.event_clock.deadline = progress.deadline
-        if progress.state is None:
-            return
-
-        # Prepare predictions here, as this takes long; others go on meanwhile.
-        made = [
-            (version, codec.read(Topology, version.packed, pack=True))
-            for version in progress.versions
-        ]
-        reader = Reader(made[-1][1], self._config.site.walks) if made else None
-
-        def publish() -> None:
-            if reader is not None:
-                self._live.use(reader)
-            for version, topology in made:
-                self._announce(version, topology)
-
-        self._intake.writer.on_learned(
-            Learned(
-                [version.stored for version in progress.versions],
-                Snapshot(progress.position, progress.epoch, progress.state),
-                publish,
-            )
-        )
-
-    def _announce(self, version: NewVersion, topology: Topology) -> None:
-        """Publish a version that is stored, with its delta, and log its alarms."""
-        self.topology = replace(topology, model=None, weak_links=None)
-        if version.delta is not None:
-            self.bus.publish_raw("topology/delta", version.delta, "topology-delta")
-        self.bus.publish_raw("topology", version.packed, "topology")
-
-        # Log the new alarms and the version.
-        for alarm in topology.alarms or []:
-            if alarm.version == topology.version:
-                log.warning("%s %s: %s", alarm.kind, alarm.subject, alarm.detail)
-        links = len(links_between_views(topology))
-        log.info(
-            "version %d: %d cameras, %d zones, %s",
-            topology.version,
-            len(topology.cameras),
-            len(topology.zones),
-            links_in_words(links),
-        )
-        if not links:
-            log.info("%s", waiting_for_links(topology))
+        if progress.state is not None:
+            self._intake.writer.on_learned(self._versions.learned(progress, progress.state))
 
     def _publish_status(self, stopping: threading.Event, beat: Beat) -> None:
         """Publish the status at intervals until the daemon stops."""

@@ -81,7 +81,7 @@ HOMES = {
     "uvicorn": ("web.app", "web.connections"),
     "rich": ("cli.commands.watch",),
     "cv2": ("vision", "sim", "export"),
-    "sqlite3": ("serve.storage", "serve.outbox", "serve.daemon"),
+    "sqlite3": ("serve.storage", "serve.outbox", "serve.daemon", "serve.versions"),
 }
 """Other people's packages, and the modules or packages that may know them."""
 

@@ -1,0 +1,98 @@
+"""The versions of the topology: stored, then published, and given to programs that ask for one."""
+
+from __future__ import annotations
+
+import logging
+import re
+import sqlite3
+
+from msgspec.structs import replace
+
+from camtopod import codec
+from camtopod.records import Topology
+from camtopod.serve.bus import Bus, QueryError
+from camtopod.serve.learner_process import LearnProgress, NewVersion, newest_topology
+from camtopod.serve.live_predictions import Live, Reader
+from camtopod.serve.storage import Journal, Learned, Snapshot, StateError
+from camtopod.topology import links_between_views, links_in_words, waiting_for_links
+
+log = logging.getLogger(__name__)
+
+
+class Versions:
+    """The newest version, which predictions are made from, and those in the journal.
+
+    walks: whether matches are told.
+    """
+
+    def __init__(self, bus: Bus, journal: Journal, live: Live, walks: bool) -> None:
+        self._bus = bus
+        self._journal = journal
+        self._live = live
+        self._walks = walks
+        self.newest: Topology | None = None
+        """Without what takes most memory: its model and weak links."""
+        if (stored := newest_topology(journal)) is not None:
+            live.use(Reader(stored, walks))
+            self.newest = replace(stored, model=None, weak_links=None)
+
+    def answer(self, parameters: dict[str, str]) -> Topology:
+        """Return the newest version, or an older one of the epoch (``version``) if it is kept.
+
+        Raises `QueryError`.
+        """
+        if (newest := self.newest) is None:
+            raise QueryError("nothing has been learned yet")
+        wanted = parameters.get("version", str(newest.version))
+        epoch = parameters.get("epoch", newest.epoch)
+        try:
+            if re.fullmatch("[0-9]{1,18}", wanted):
+                content = self._journal.version(epoch, int(wanted))
+                if content is not None:
+                    return codec.read(Topology, content)
+        except (sqlite3.Error, StateError, codec.Rejected) as error:
+            raise QueryError(f"version {wanted} of epoch {epoch} cannot be read: {error}") from None
+        raise QueryError(f"version {wanted} of epoch {epoch} is not kept")
+
+    def learned(self, progress: LearnProgress, state: bytes) -> Learned:
+        """Return what to store of the learner's progress, and to do once it is stored."""
+        # Prepare predictions here, as this takes long; others go on meanwhile.
+        made = [
+            (version, codec.read(Topology, version.packed, pack=True))
+            for version in progress.versions
+        ]
+        reader = Reader(made[-1][1], self._walks) if made else None
+
+        def publish() -> None:
+            if reader is not None:
+                self._live.use(reader)
+            for version, topology in made:
+                self._publish(version, topology)
+
+        return Learned(
+            [version.stored for version in progress.versions],
+            Snapshot(progress.position, progress.epoch, state),
+            publish,
+        )
+
+    def _publish(self, version: NewVersion, topology: Topology) -> None:
+        """Publish a version that is stored, with its delta, and log its alarms."""
+        self.newest = replace(topology, model=None, weak_links=None)
+        if version.delta is not None:
+            self._bus.publish_raw("topology/delta", version.delta, "topology-delta")
+        self._bus.publish_raw("topology", version.packed, "topology")
+
+        # Log the new alarms and the version.
+        for alarm in topology.alarms or []:
+            if alarm.version == topology.version:
+                log.warning("%s %s: %s", alarm.kind, alarm.subject, alarm.detail)
+        links = len(links_between_views(topology))
+        log.info(
+            "version %d: %d cameras, %d zones, %s",
+            topology.version,
+            len(topology.cameras),
+            len(topology.zones),
+            links_in_words(links),
+        )
+        if not links:
+            log.info("%s", waiting_for_links(topology))
