@@ -25,6 +25,7 @@ import numpy as np
 from camtopod.arrays import Floats
 from camtopod.predict.hazards import model_of
 from camtopod.predict.odds import Site
+from camtopod.predict.time_windows import WINDOW
 from camtopod.records import NextCamera, Topology
 
 LEAVING_CAMERAS = 4.0
@@ -93,16 +94,21 @@ class Anywhere:
         share[share < NEXT_PROBABILITY_MIN] = 0.0
 
         # One more row for each camera, the likeliest first.
-        rows = list(next_)
-        for camera in np.flatnonzero(share).tolist():
-            busiest = self._busiest[camera]
-            target = site.zones[busiest]
-            lags = elapsed + np.array((0.1, 0.5, 0.9)) * (lag_max - elapsed)
-            if not site.is_corrected:
-                lags += site.offset_of[busiest] - site.offset_of[zone]
-            window = np.round(lags, 3).tolist()
-            rows.append(NextCamera(target.camera, target.id, float(share[camera]), *window))
-        likeliest = sorted(rows, key=lambda row: -row.probability)
+        cameras = np.flatnonzero(share)
+        busiest = self._busiest[cameras]
+        lags = np.tile(elapsed + np.array(WINDOW) * (lag_max - elapsed), (len(busiest), 1))
+        if not site.is_corrected:
+            lags += (site.offset_of[busiest] - site.offset_of[zone])[:, None]
+        rows = [
+            NextCamera(site.zones[target].camera, site.zones[target].id, *row)
+            for target, *row in zip(
+                busiest.tolist(),
+                share[cameras].tolist(),
+                *np.round(lags, 3).T.tolist(),
+                strict=True,
+            )
+        ]
+        likeliest = sorted([*next_, *rows], key=lambda row: -row.probability)
         return leave - float(share.sum()), likeliest
 
 

@@ -22,7 +22,6 @@ from typing import NamedTuple
 
 import numpy as np
 
-from camtopod.arrays import Floats
 from camtopod.predict.hazards import Hazards
 from camtopod.predict.predictor import Predictor
 from camtopod.predict.recent_events import moved_zones
@@ -77,8 +76,8 @@ class Step:
         """Rate at which objects from outside enter where it does, 1/s."""
         self.told: list[tuple[Edge, float]] = []
         """The probabilities of its edges when its match was given."""
-        self.claims: dict[str, list[Edge]] = {}
-        """Edges to entries that may continue it: by their camera while in view, "" afterwards."""
+        self.claims: dict[str, Claims] = {}
+        """By the entries that may continue it: by their camera while in view, "" afterwards."""
 
         # The exit.
         self.ended: float | None = None
@@ -100,8 +99,20 @@ class Expected(NamedTuple):
     unseen (bins + 1): probability of not having been seen again by each edge of the lag bins.
     """
 
-    scale: Floats
+    scale: list[float]
     unseen: list[float]
+
+
+class Claims:
+    """The claims on a passage of which at most one is right.
+
+    edges: the edges to the entries that may continue it.
+    odds: the sum of their claims, each the weight of the edge times its message.
+    """
+
+    def __init__(self) -> None:
+        self.edges: list[Edge] = []
+        self.odds = 0.0
 
 
 class Edge:
@@ -116,9 +127,17 @@ class Edge:
         self.entry = entry
         self.slot = slot
         self.weight = weight
+        self.claims = source.claims.setdefault(slot, Claims())
+        """The claims that compete with it for the passage."""
         self.message = 1.0 / entry.outside
         """Sum-product message from the entry, s."""
         self.probability = 0.0
+
+    def add(self) -> None:
+        """Add the edge to its entry, and its claim to those on the passage."""
+        self.entry.edges.append(self)
+        self.claims.edges.append(self)
+        self.claims.odds += self.weight * self.message
 
 
 class Walks:
@@ -166,8 +185,9 @@ class Walks:
                 step.walk = renamed.setdefault(step.walk, step.name)
             step.edges = [edge for edge in step.edges if edge.source.name not in gone]
             step.told = [one for one in step.told if one[0].source.name not in gone]
-            for slot, edges in step.claims.items():
-                step.claims[slot] = [edge for edge in edges if edge.entry.name not in gone]
+            for claims in step.claims.values():
+                claims.edges = [edge for edge in claims.edges if edge.entry.name not in gone]
+                claims.odds = sum(edge.weight * edge.message for edge in claims.edges)
 
     def take_over(self, older: Walks) -> None:
         """Take over the passages from walks by an older version; this must be new."""
@@ -204,9 +224,8 @@ class Walks:
             return None
         if zone is not None:
             step.outside = float(self._transitions.new[zone])
-            step.edges = self._likely(step, self._candidates(step, zone), t)
-            for edge in step.edges:
-                edge.source.claims.setdefault(edge.slot, []).append(edge)
+            for edge in self._likely(step, self._candidates(step, zone), t):
+                edge.add()
             self._settle(step, t)
         self._open.setdefault(event.camera, {})[step.track or step.name] = step
         self._given.append(step)
@@ -247,9 +266,8 @@ class Walks:
             if edge.source.began < step.began and id(edge.source) not in known
         ]
         for edge in self._likely(step, candidates, step.began + REVISE_SECONDS):
-            step.edges.append(edge)
+            edge.add()
             step.told.append((edge, 0.0))
-            edge.source.claims.setdefault(edge.slot, []).append(edge)
 
     # --- Passages ---
 
@@ -284,7 +302,7 @@ class Walks:
             if step.entry is not None and step.left > step.began:
                 began = Began(step.entry, step.left - step.began)
             onward = self._transitions.after(step.zone, step.block, began)
-            step.expected = Expected(onward.scale, self._transitions.unseen(onward))
+            step.expected = Expected(onward.scale.tolist(), self._transitions.unseen(onward))
         return step.expected
 
     def _through(self, in_view: dict[str, Step], zone: int | None, t: float) -> str:
@@ -397,7 +415,7 @@ class Walks:
 
     def _likely(self, step: Step, edges: list[Edge], t: float) -> list[Edge]:
         """Return the edges that are likely enough, given what other entries claim."""
-        offers = [edge.weight / self._demand(edge, t) for edge in edges]
+        offers = [edge.weight / (self._no_successor(edge, t) + edge.claims.odds) for edge in edges]
         least = PROBABILITY_MIN * (step.outside + sum(offers))
         return [edge for edge, offer in zip(edges, offers, strict=True) if offer >= least]
 
@@ -406,48 +424,36 @@ class Walks:
 
         t (seconds): corrected time of the question.
         """
-        # The entries that compete; each edge with the claims on its passage and slot, summed.
+        # The entries that compete; each edge with the odds that its passage has no successor.
         rivals = {id(step): step}
         for edge in step.edges:
-            claims = edge.source.claims.get(edge.slot, ())  # none of a forgotten passage
-            rivals |= {id(one.entry): one.entry for one in claims}
-        sums: dict[tuple[int, str], list[float]] = {}
-        claimed = []
-        for rival in rivals.values():
-            mine = []
-            for edge in rival.edges:
-                key = id(edge.source), edge.slot
-                if not edge.source.claims:
-                    mine.append((edge, [self._demand(edge, t) + edge.weight * edge.message]))
-                    continue
-                if key not in sums:
-                    sums[key] = [self._demand(edge, t)]
-                mine.append((edge, sums[key]))
-            claimed.append((rival, mine))
+            rivals |= {id(one.entry): one.entry for one in edge.claims.edges}
+        competing = [
+            (rival, [(edge, self._no_successor(edge, t)) for edge in rival.edges])
+            for rival in rivals.values()
+        ]
 
         # The messages.
         for _ in range(SWEEPS):
-            for rival, mine in claimed:
+            for rival, edges in competing:
                 offers = [
-                    edge.weight / (demand[0] - edge.weight * edge.message) for edge, demand in mine
+                    edge.weight / (unclaimed + edge.claims.odds - edge.weight * edge.message)
+                    for edge, unclaimed in edges
                 ]
                 total = rival.outside + sum(offers)
-                for (edge, demand), offer in zip(mine, offers, strict=True):
-                    demand[0] -= edge.weight * edge.message
+                for (edge, _), offer in zip(edges, offers, strict=True):
+                    message = 1.0 / (total - offer)
+                    edge.claims.odds += edge.weight * (message - edge.message)
+                    edge.message = message
                     edge.probability = offer / total
-                    edge.message = 1.0 / (total - offer)
-                    demand[0] += edge.weight * edge.message
 
-    def _demand(self, edge: Edge, t: float) -> float:
-        """Return the odds of an edge's passage: no successor by ``t``, or one that claims it."""
-        source = edge.source
-        no_successor = UNSEEN_IN_VIEW
-        if not edge.slot:
-            unseen = self._expected(source).unseen
-            at = bisect_right(self._hazards.bins.limits, t - source.left)
-            no_successor = max(unseen[min(at, len(unseen) - 1)], LEAVE_FLOOR)
-        claims = source.claims.get(edge.slot, ())
-        return no_successor + sum(one.weight * one.message for one in claims)
+    def _no_successor(self, edge: Edge, t: float) -> float:
+        """Return the probability that an edge's passage has no successor by ``t``."""
+        if edge.slot:
+            return UNSEEN_IN_VIEW
+        unseen = self._expected(edge.source).unseen
+        at = bisect_right(self._hazards.bins.limits, t - edge.source.left)
+        return max(unseen[min(at, len(unseen) - 1)], LEAVE_FLOOR)
 
     def _match(self, step: Step) -> Match:
         """Give a step its walk, and return its match."""

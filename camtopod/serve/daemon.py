@@ -366,6 +366,7 @@ class Daemon:
             JournalWriter(self._journal, self._clock),
             limits,
             see=self._live.see,
+            match=self._live.match,
             learn=lambda _: self._learning.note_stored(),
             rewind=self._rewind,
             clock=self._clock,

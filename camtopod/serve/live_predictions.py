@@ -1,7 +1,7 @@
 """Predict where objects appear next, as they leave and before their events are stored.
 
 Neither a fit nor a slow disk delays a prediction. Each entry is matched with earlier passages as
-well (`camtopod.predict.Walks`), after the predictions and in a share of the time: a site that is
+well (`camtopod.predict.Walks`), while nothing else waits and in a share of the time: a site that is
 too busy has fewer matches, not later predictions. What is kept for this is in memory only, for an
 hour at most.
 """
@@ -27,14 +27,14 @@ RECENT_SECONDS = 3600.0
 """How long events are remembered for ``recent``."""
 RECENT_EVENTS_MAX = 50_000
 """Largest number of events that are remembered for ``recent``."""
-
-
 MATCHING_SHARE = 0.1
 """Largest share of time in which entries are matched, of one core."""
 MATCHING_SECONDS_MAX = 0.1
 """Time for matching that adds up while there is none."""
+UNMATCHED_MAX = 1_000
+"""Largest number of events that wait to be matched; entries beyond it have no match."""
 REVISED_AT_ONCE_MAX = 3
-"""Largest number of entries whose matches are looked at once more after a batch."""
+"""Largest number of entries whose matches are looked at once more at a time."""
 
 
 class Reader:
@@ -78,11 +78,10 @@ class Live:
         self._recent: deque[tuple[float, SeenEvent]] = deque(maxlen=RECENT_EVENTS_MAX)
         """With the moment of each event's receipt."""
         self._hours = HourlyCounts(clock())
+        self._unmatched: deque[Event] = deque()
+        """Events that wait to be matched, oldest first."""
         self._used = used
-        self._allowed = MATCHING_SECONDS_MAX
-        """Processor time that matching may take at present, seconds."""
-        self._allowed_at = time.monotonic()
-        """When it was counted."""
+        self._allowed, self._allowed_at = MATCHING_SECONDS_MAX, time.monotonic()
         self.counts = {
             "predictions": 0,
             "predictions_skipped": 0,
@@ -106,16 +105,27 @@ class Live:
             # Predict an exit, observe the event, and publish the answer.
             with self._mutex:
                 prediction = self._predict(event)
+                self._let_wait(event)
             if prediction is not None:
                 self.counts["predictions"] += 1
                 self._publish(prediction)
 
-        # Matches, except those of a backlog.
-        with self._mutex:
-            matches = self._match(events)
-        for match in matches:
-            if self._clock() - match.t <= FRESH_SECONDS:
-                self._publish(match)
+    def match(self, is_busy: Callable[[], bool]) -> None:
+        """Match the entries that were seen, and publish the matches, except those of a backlog.
+
+        It ends when all are matched, when others have work, or when its time is used up.
+
+        is_busy: returns True if others have work.
+        """
+        is_done = False
+        while not (is_done or is_busy() or self._seconds_for_matching() <= 0.0):
+            begun = self._used()
+            with self._mutex:
+                found, is_done = self._match_next()
+            for match in found:
+                if self._clock() - match.t <= FRESH_SECONDS:
+                    self._publish(match)
+            self._allowed -= self._used() - begun
 
     def _predict(self, event: Event) -> Prediction | None:
         """Observe an event; return the prediction of an exit."""
@@ -127,36 +137,36 @@ class Live:
         reader.predictor.observe(event)
         return prediction
 
-    def _match(self, events: Sequence[Event]) -> list[Match]:
-        """Observe events for the walks; return the matches, and those that have changed since.
+    def _let_wait(self, event: Event) -> None:
+        """Let an event wait to be matched; the oldest of too many is observed without a match."""
+        if self._reader is None or self._reader.walks is None:
+            return
+        self._unmatched.append(event)
+        if len(self._unmatched) > UNMATCHED_MAX:
+            oldest = self._unmatched.popleft()
+            self.counts["matches_skipped"] += oldest.kind == "entry"
+            self._reader.walks.observe(oldest, is_matched=False)
 
-        Without time left, entries are observed without being matched, and are counted.
+    def _match_next(self) -> tuple[list[Match], bool]:
+        """Return the match of the oldest event that waits, and whether that was all.
+
+        If none waits, return matches that have changed since.
         """
         walks = None if self._reader is None else self._reader.walks
         if walks is None:
-            return []
+            return [], True
+        if not self._unmatched:
+            return walks.revised(self._clock(), REVISED_AT_ONCE_MAX), True
+        match = walks.observe(self._unmatched.popleft())
+        return [] if match is None else [match], False
 
-        # The time that may be used.
+    def _seconds_for_matching(self) -> float:
+        """Return the processor time that matching may take at present, seconds."""
         now = time.monotonic()
         gained = MATCHING_SHARE * (now - self._allowed_at)
         self._allowed = min(self._allowed + gained, MATCHING_SECONDS_MAX)
         self._allowed_at = now
-
-        # Matches of the entries, then those that have changed.
-        found = []
-        for event in events:
-            begun = self._used()
-            match = walks.observe(event, self._allowed > 0.0)
-            self._allowed -= self._used() - begun
-            if match is not None:
-                found.append(match)
-            elif event.kind == "entry":
-                self.counts["matches_skipped"] += 1
-        if self._allowed > 0.0:
-            begun = self._used()
-            found += walks.revised(self._clock(), REVISED_AT_ONCE_MAX)
-            self._allowed -= self._used() - begun
-        return found
+        return self._allowed
 
     def _remember(self, event: Event, received: float) -> None:
         """Remember an event for ``recent``."""
@@ -184,6 +194,7 @@ class Live:
             kept = [one for one in self._recent if one[1].camera not in cameras]
             self._recent = deque(kept, maxlen=RECENT_EVENTS_MAX)
             self._hours.forget_cameras(cameras)
+            self._unmatched = deque(one for one in self._unmatched if one.camera not in cameras)
             if self._reader is not None and self._reader.walks is not None:
                 self._reader.walks.forget_cameras(cameras)
 
@@ -191,6 +202,7 @@ class Live:
         """Forget all observed events, as event time has been set back."""
         with self._mutex:
             self._recent.clear()
+            self._unmatched.clear()
             self._hours = HourlyCounts(self._clock())
             if self._reader is not None:
                 self._reader.predictor.forget()

@@ -192,9 +192,7 @@ def test_marginals_are_exact_where_the_graph_is_a_tree(walks: Walks) -> None:
         one.outside = float(outside[k])
         for x, source in enumerate(sources):
             if weights[x, k]:
-                edge = Edge(source, one, "b", float(weights[x, k]))
-                one.edges.append(edge)
-                source.claims.setdefault("b", []).append(edge)
+                Edge(source, one, "b", float(weights[x, k])).add()
     for one in (*entries, entries[0]):
         walks._settle(one, T)
 

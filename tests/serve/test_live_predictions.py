@@ -11,6 +11,7 @@ from serving import closing_event, numbered, walkers
 from camtopod.learn.learner import Learner
 from camtopod.predict import Predictor, Walks
 from camtopod.records import Event, Match, Prediction, Topology
+from camtopod.serve import live_predictions
 from camtopod.serve.bus import QueryError
 from camtopod.serve.hourly_counts import HOURS_MAX
 from camtopod.serve.ingest import Received
@@ -70,6 +71,10 @@ def test_entries_are_matched_and_those_of_a_backlog_are_not_published(learned: T
     live = Live(made.append, lambda: now, used=lambda: 0.0)
     live.use(Reader(learned, walks=True))
     live.see([received(event) for event in EVENTS[:-1]], 60.0)
+    assert not any(isinstance(one, Match) for one in made), "predictions come first"
+    live.match(lambda: True)
+    assert not any(isinstance(one, Match) for one in made), "others have work"
+    live.match(lambda: False)
 
     oldest = now - FRESH_SECONDS
     entries = [event for event in EVENTS[:-1] if event.kind == "entry" and event.t >= oldest]
@@ -80,22 +85,24 @@ def test_entries_are_matched_and_those_of_a_backlog_are_not_published(learned: T
     assert all(one.t >= oldest for one in matches)
 
 
-def test_without_time_for_matches_all_exits_are_predicted_and_passages_are_known(
-    learned: Topology,
+def test_entries_beyond_the_limit_have_no_match_and_are_known(
+    learned: Topology, monkeypatch: pytest.MonkeyPatch
 ) -> None:
+    monkeypatch.setattr(live_predictions, "UNMATCHED_MAX", 1)
     made: list[Prediction | Match] = []
-    seconds = itertools.count()
-    live = Live(made.append, lambda: EVENTS[-2].t, used=lambda: float(next(seconds)))
+    events = EVENTS[:-1]
+    live = Live(made.append, lambda: events[-1].t, used=lambda: 0.0)
     live.use(Reader(learned, walks=True))
-    live.see([received(event) for event in EVENTS[:-1]], 60.0)
+    live.see([received(event) for event in events], 60.0)
+    live.match(lambda: False)
 
-    exits = [event.t for event in EVENTS[:-1] if event.kind == "exit"]
+    exits = [event.t for event in events if event.kind == "exit"]
     assert [one.t for one in made if isinstance(one, Prediction)] == exits
-    skipped = live.counts["matches_skipped"]
-    assert sum(event.kind == "entry" for event in EVENTS[:-1]) - 1 <= skipped
+    entries = sum(event.kind == "entry" for event in events)
+    assert live.counts["matches_skipped"] == entries - (events[-1].kind == "entry")
 
     walks, hurried = (Walks(learned, Predictor(learned)) for _ in range(2))
-    [*before, last] = [event for event in EVENTS[:-1] if event.kind == "entry"]
+    [*before, last] = [event for event in events if event.kind == "entry"]
     for event in EVENTS[: EVENTS.index(last)]:
         walks.observe(event)
         hurried.observe(event, is_matched=event is before[0])
@@ -105,6 +112,19 @@ def test_without_time_for_matches_all_exits_are_predicted_and_passages_are_known
     assert {(one.camera, one.t) for one in in_full.from_} <= {
         (one.camera, one.t) for one in in_haste.from_
     }
+
+
+def test_matching_takes_no_more_than_its_time(learned: Topology) -> None:
+    made: list[Prediction | Match] = []
+    seconds = itertools.count()
+    live = Live(made.append, lambda: EVENTS[-2].t, used=lambda: float(next(seconds)))
+    live.use(Reader(learned, walks=True))
+    live.see([received(event) for event in EVENTS[-8:-1]], 60.0)
+    live.match(lambda: False)  # one event, which takes a second
+    made.clear()
+    live.match(lambda: False)
+    assert made == []
+    assert next(seconds) == 2
 
 
 def test_recent_events_are_told_without_tracks(learned: Topology) -> None:

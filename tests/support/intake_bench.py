@@ -93,6 +93,7 @@ class IntakeBench:
             JournalWriter(self.journal, lambda: self.wall),
             self.limits,
             see=lambda ready, seconds: self.predicted.extend(ready),
+            match=lambda is_busy: None,
             learn=self.learned.extend,
             rewind=lambda to: Rewind(to, "before", "after"),
             clock=lambda: self.wall,

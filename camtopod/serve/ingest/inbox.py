@@ -62,6 +62,11 @@ class Inbox:
             self._published.clear()
         return messages
 
+    @property
+    def has_messages(self) -> bool:
+        """True if a message has come since the last `take`."""
+        return bool(self._messages)
+
     def wake(self) -> None:
         """End the present or the next `wait`, as something else may go on now."""
         self._woken.set()

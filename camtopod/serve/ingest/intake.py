@@ -70,6 +70,7 @@ class Intake:
     Run `work` and `store`, each in a thread; or call `step` and `store_waiting`.
 
     see: predicts from entries about to be stored, within a number of seconds.
+    match: matches entries that were seen, until a function returns True.
     learn: takes stored entries, in the journal's order. It must not block.
     rewind: returns the command that takes event time back to the given Unix seconds.
     steady: a clock that never steps.
@@ -85,6 +86,7 @@ class Intake:
         writer: JournalWriter,
         limits: Limits,
         see: Callable[[list[Received], float], None],
+        match: Callable[[Callable[[], bool]], None],
         learn: Callable[[list[Received]], None],
         rewind: Callable[[float], Rewind],
         clock: Clock,
@@ -98,6 +100,7 @@ class Intake:
         self.writer = writer
         self.limits = limits
         self._see = see
+        self._match = match
         self._learn = learn
         self._rewind_to = rewind
         self._clock = clock
@@ -117,6 +120,7 @@ class Intake:
         while not stopping.is_set():
             self.inbox.wait(TICK_SECONDS)
             self.step()
+            self._match(lambda: self.inbox.has_messages)
             beat()
         self.step()
         self.queue.close()
