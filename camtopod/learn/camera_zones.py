@@ -8,7 +8,7 @@ from camtopod.event_time import MICROSECONDS
 from camtopod.learn.changes import find_move
 from camtopod.learn.limits import ZONES_PER_CAMERA_MAX
 from camtopod.learn.snapshot import CameraState, LearnerState, RetiredCamera
-from camtopod.learn.window import Window
+from camtopod.learn.window import NO_POSITION, Window
 from camtopod.learn.zones import (
     ZoneMap,
     ZoneShape,
@@ -35,15 +35,12 @@ def find_moved_cameras(state: LearnerState, window: Window) -> None:
         for camera, known in enumerate(state.cameras)
         if window.seen[camera] - known.tested_at >= MOVE_EVENTS
     ]
-    if not to_test:
-        return
-    rows_of_camera = window.rows_of_cameras()
     for camera in to_test:
         # Test the grid cells of the camera's events.
         known = state.cameras[camera]
         known.tested_at = window.seen[camera]
-        rows = rows_of_camera[camera]
-        rows = rows[window.has_position()[rows]]
+        rows = window.rows_of_camera(camera)
+        rows = rows[window.column("px")[rows] != NO_POSITION]
         px, py = (window.column(name)[rows].astype(np.int64) for name in ("px", "py"))
         move = find_move(cells_of(px, py), known.zones.cells)
 
@@ -58,7 +55,6 @@ def find_moved_cameras(state: LearnerState, window: Window) -> None:
             known.zoned_at = known.tested_at
             known.vanished = ()
             state.moved.append((camera, since, move))
-            rows_of_camera = window.rows_of_cameras()
 
 
 def refresh_camera_zones(state: LearnerState, window: Window, anew: bool = False) -> None:

@@ -14,6 +14,7 @@ from camtopod.learn.window.reorder_buffer import (
 )
 from camtopod.learn.window.sliding_window import (
     FORGOTTEN as FORGOTTEN,
+    NO_POSITION as NO_POSITION,
     Window as Window,
     WindowState as WindowState,
 )

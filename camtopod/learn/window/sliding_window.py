@@ -13,6 +13,7 @@ Positions are integers (fixed point), so that sums of them are exact in any orde
 from __future__ import annotations
 
 import sys
+from array import array
 from collections.abc import Set
 from itertools import takewhile
 from typing import Any
@@ -93,6 +94,13 @@ class Window:
         self._events_max = events_max
         self.state = state or WindowState()
         self._index = {name: camera for camera, name in enumerate(self.state.cameras)}
+        self._memory: dict[str, NDArray[Any]] = {}
+        """The columns, with rows removed before them and room behind them."""
+        self._end = 0
+        """Where the columns end in ``_memory``."""
+        self._rows: list[array[int]] = []
+        """Absolute rows of each camera, oldest first."""
+        self._hold(self.state.columns)
 
     def __len__(self) -> int:
         return len(self.state.columns["t"])
@@ -123,6 +131,10 @@ class Window:
 
     def append(self, batch: list[tuple[int, Event]]) -> None:
         """Add events (microseconds, event) in order of time, none older than the newest row."""
+        # Make room, for a quarter more than there are.
+        if self._end + len(batch) > len(self._memory["t"]):
+            self._hold(self.state.columns, len(self) // 4 + len(batch))
+
         # Compute the columns of the new rows.
         camera = [self._camera(event.camera) for _, event in batch]
         first = self.state.base + len(self)
@@ -134,14 +146,17 @@ class Window:
             "py": [_fixed_point(event.y, event.x) for _, event in batch],
             "mate": [self._mate(camera[k], event, first + k) for k, (_, event) in enumerate(batch)],
         }
-        for index, px in zip(camera, fresh["px"], strict=True):
+        for row, (index, px) in enumerate(zip(camera, fresh["px"], strict=True), first):
             self.seen[index] += px != NO_POSITION
+            self._rows[index].append(row)
 
-        # Store them.
-        self.state.columns = {
-            name: np.concatenate((column, np.array(fresh[name], column.dtype)))
-            for name, column in self.state.columns.items()
-        }
+        # Store them in the memory behind the other rows.
+        end = self._end + len(batch)
+        size = len(self) + len(batch)
+        for name, memory in self._memory.items():
+            memory[self._end : end] = fresh[name]
+            self.state.columns[name] = memory[end - size : end]
+        self._end = end
 
     def forget_old(self, before_us: int) -> int:
         """Remove events older than ``before_us`` or beyond the window's size; return their number.
@@ -158,6 +173,8 @@ class Window:
     def _forget_oldest(self, drop: int) -> None:
         """Remove the oldest ``drop`` rows, and open passages that began in them."""
         state = self.state
+        for camera, rows in enumerate(np.bincount(self.column("camera")[:drop]).tolist()):
+            del self._rows[camera][:rows]
         state.columns = {name: column[drop:] for name, column in state.columns.items()}
         state.base += drop
         gone = list(takewhile(lambda key: state.open[key] < state.base, state.open))
@@ -196,7 +213,7 @@ class Window:
         self._drop(~kept[self.column("camera")])
 
         # Renumber the cameras of the other events.
-        state.columns["camera"] = number[state.columns["camera"]].astype(_COLUMNS["camera"])
+        renumbered = number[state.columns["camera"]].astype(_COLUMNS["camera"])
         state.open = {
             (int(number[camera]), track): row for (camera, track), row in state.open.items()
         }
@@ -206,6 +223,7 @@ class Window:
         state.seen = [self.seen[camera] for camera in others]
         state.cameras = [self.cameras[camera] for camera in others]
         self._index = {name: camera for camera, name in enumerate(self.cameras)}
+        self._hold({**state.columns, "camera": renumbered})
         return number
 
     def _drop(self, gone: NDArray[np.bool_]) -> None:
@@ -226,18 +244,33 @@ class Window:
         }
 
         # Remove the rows.
-        state.columns = {
-            name: column[~gone] for name, column in {**state.columns, "mate": mate}.items()
-        }
         state.base = base
+        self._hold(
+            {name: column[~gone] for name, column in {**state.columns, "mate": mate}.items()}
+        )
 
-    def rows_of_cameras(self) -> list[NDArray[np.intp]]:
-        """Return the row indices of each camera, oldest first; valid until the window changes."""
-        return rows_by_group(self.column("camera"), len(self.cameras))
+    def _hold(self, columns: dict[str, NDArray[Any]], room: int = 0) -> None:
+        """Hold these columns, with room for so many more rows behind them."""
+        self.state.columns = columns
+        self._end = len(self)
+        self._memory = {
+            name: np.concatenate((column, np.empty(room, column.dtype)))
+            for name, column in columns.items()
+        }
+        groups = rows_by_group(columns["camera"], len(self.cameras))
+        self._rows = [array("q", (rows + self.state.base).tolist()) for rows in groups]
+
+    def rows_of_camera(self, camera: int) -> NDArray[np.int64]:
+        """Return the row indices of a camera, oldest first; valid until the window changes."""
+        return np.array(self._rows[camera], np.int64) - self.state.base
+
+    def rows_of_cameras(self) -> list[NDArray[np.int64]]:
+        """Return `rows_of_camera` of each camera."""
+        return [self.rows_of_camera(camera) for camera in range(len(self.cameras))]
 
     def events_of_cameras(self) -> NDArray[np.int64]:
         """Return the number of events of each camera in the window (cameras,)."""
-        return np.bincount(self.column("camera"), minlength=len(self.cameras))
+        return np.array([len(rows) for rows in self._rows], np.int64)
 
     def has_position(self) -> NDArray[np.bool_]:
         """Return a mask (n,) of the rows that have a position."""
@@ -250,6 +283,7 @@ class Window:
             self._index[name] = len(self.cameras)
             self.cameras.append(name)
             self.seen.append(0)
+            self._rows.append(array("q"))
         return self._index[name]
 
     def _mate(self, camera: int, event: Event, row: int) -> int:

@@ -76,6 +76,9 @@ def test_the_newest_events_are_held(
         assert len(window) == len(kept)
         assert window.column("t").tolist() == [t for t, _ in kept]
         assert [window.cameras[k] for k in window.column("camera")] == [e.camera for _, e in kept]
+        assert [rows.tolist() for rows in window.rows_of_cameras()] == [
+            [k for k, (_, e) in enumerate(kept) if e.camera == name] for name in window.cameras
+        ]
         assert window.column("entry").tolist() == [e.kind == "entry" for _, e in kept]
         assert window.has_position().tolist() == [e.x is not None for _, e in kept]
         for camera, name in enumerate(window.cameras):
@@ -196,3 +199,6 @@ def test_one_camera_forgets_and_the_passages_of_the_others_stay(
     now = np.where(row >= 0, t[np.maximum(row, 0)], -1)
     expected = np.where((began >= 0) & stays[began], began, -1)
     assert now.tolist() == expected[stays].tolist()
+    camera = window.column("camera")
+    for k, rows in enumerate(window.rows_of_cameras()):
+        assert rows.tolist() == np.flatnonzero(camera == k).tolist()
