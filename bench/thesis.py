@@ -35,7 +35,8 @@ def table_5_1() -> bool:
     np.add.at(grid, tuple(points.T), 1)
     width = bandwidth(grid)
     spectrum = data_spectroscopy(grid, width)
-    labels = spectrum.grid()[tuple(points.T)]
+    cells = np.ravel_multi_index(tuple(points.T), grid.shape)
+    labels = spectrum.labels[np.searchsorted(spectrum.cells, cells)]
     pairs = set(zip(labels.tolist(), zones.tolist(), strict=True))
     good = spectrum.groups == 2 and len(pairs) == 2
     authors = authors_bandwidth(points.astype(np.float64))

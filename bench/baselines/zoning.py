@@ -98,8 +98,9 @@ def daspec(positions: Floats, factor: float) -> Floats:
     )
     counts = np.zeros((GRID_ROWS, GRID_COLUMNS))
     np.add.at(counts, (cells[:, 1], cells[:, 0]), 1.0)
-    groups = data_spectroscopy(counts, factor * bandwidth(counts)).grid()
-    return _centres(positions, groups[cells[:, 1], cells[:, 0]].astype(np.int64))
+    found = data_spectroscopy(counts, factor * bandwidth(counts))
+    cell = cells @ (1, GRID_COLUMNS)
+    return _centres(positions, found.labels[np.searchsorted(found.cells, cell)])
 
 
 def _centres(positions: Floats, labels: NDArray[np.int64]) -> Floats:

@@ -112,18 +112,13 @@ def link_records(
             round_significant(table.q[k]),
             round_significant(table.variance[k]),
             counts_histogram(table.counts[k], bins, float(table.delay[k])) if histograms else None,
-            lacks and _lacks(float(lacks.passages[k]), float(lacks.seconds[k])),
+            None
+            if lacks is None or np.isnan(lacks.passages[k])
+            else Lacks(round_significant(lacks.passages[k]), round_significant(lacks.seconds[k])),
         )
         for k in range(len(table.source))
     ]
     return sorted(records, key=link_key)
-
-
-def _lacks(passages: float, seconds: float) -> Lacks | None:
-    """Return the record of a weak link's shortfall; None if it is unknown (nan)."""
-    if np.isnan(passages):
-        return None
-    return Lacks(round_significant(passages), round_significant(seconds))
 
 
 def with_clock_offsets(links: list[Link], zones: list[Zone], ahead: dict[str, float]) -> list[Link]:

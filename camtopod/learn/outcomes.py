@@ -66,17 +66,19 @@ def outcomes_of(
         rows.append(int(same[0]) if len(same) else -1)
 
     # The probability of each next camera, by name.
-    outcomes: list[Happened | None] = []
-    for row, share in zip(rows, _shares(posterior, arrivals, rows, len(cameras)), strict=True):
-        outcomes.append(None)
-        if row >= 0:
-            outcomes[-1] = {cameras[k]: float(share[k]) for k in np.flatnonzero(share)}
-    return outcomes
+    shares = _shares(posterior, len(departures.t), arrivals, rows, len(cameras))
+    return [
+        None if row < 0 else {cameras[k]: float(share[k]) for k in np.flatnonzero(share)}
+        for row, share in zip(rows, shares, strict=True)
+    ]
 
 
-def _shares(posterior: Posterior, arrivals: Arrivals, rows: list[int], cameras: int) -> Floats:
+def _shares(
+    posterior: Posterior, departures: int, arrivals: Arrivals, rows: list[int], cameras: int
+) -> Floats:
     """Return the probability of each camera to see the object of a departure next, (k, cameras).
 
+    departures: number of departures.
     rows: k departures; -1 for none.
     cameras: number of cameras.
 
@@ -84,11 +86,8 @@ def _shares(posterior: Posterior, arrivals: Arrivals, rows: list[int], cameras: 
     """
     result = np.zeros((len(rows), cameras))
     c = posterior.fit.candidates
-    number = np.full(int(c.departure.max(initial=-1)) + 1, -1)
-    for k, row in enumerate(rows):
-        if 0 <= row < len(number):
-            number[row] = k
-
+    number = np.full(departures + 1, -1)  # the last is for exits without a departure
+    number[rows] = np.arange(len(rows))
     candidate_rows = np.flatnonzero(number[c.departure] >= 0)
     sure = posterior.fit.responsibility[candidate_rows] * (
         1.0 - posterior.doubt[c.pair[candidate_rows]]

@@ -15,14 +15,12 @@ import numpy as np
 
 from camtopod.arrays import Longs
 from camtopod.event_time import MICROSECONDS
-from camtopod.learn.association import FollowedSources
+from camtopod.learn.association import FollowedSources, place
 from camtopod.learn.snapshot import LearnerState
 from camtopod.learn.window import FORGOTTEN, ReorderBuffer, Window
 
 REPLACEABLE_AFTER_SECONDS = 3600.0
 """Time, in seconds of event time, without events after which a new camera may replace a camera."""
-_CAMERA_SHIFT = 32
-"""Number of bits below the index of the camera in the key of a zone (`place`)."""
 
 
 def cameras_to_retire(
@@ -105,6 +103,6 @@ def _moved(keys: Longs, number: Longs) -> Longs:
 
     number (cameras,): new index of each camera.
     """
-    kept = keys[number[keys >> _CAMERA_SHIFT] != FORGOTTEN]
-    moved: Longs = number[kept >> _CAMERA_SHIFT] << _CAMERA_SHIFT | kept & (1 << _CAMERA_SHIFT) - 1
-    return moved
+    camera, zone = np.divmod(keys, place(1, 0))
+    kept = number[camera] != FORGOTTEN
+    return place(number[camera[kept]], zone[kept])

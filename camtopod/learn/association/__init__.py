@@ -19,6 +19,7 @@ from camtopod.learn.association.candidates import (
     find_candidates as find_candidates,
     initial_hazards as initial_hazards,
     newest_within_limit as newest_within_limit,
+    number_pairs as number_pairs,
 )
 from camtopod.learn.association.em import (
     NOTHING as NOTHING,
@@ -26,17 +27,17 @@ from camtopod.learn.association.em import (
     Em as Em,
 )
 from camtopod.learn.association.em_model import EmModel as EmModel
-from camtopod.learn.association.even_hazards import flatness as flatness
-from camtopod.learn.association.exposure import exposures as exposures
 from camtopod.learn.association.joint_fit import (
     Fit as Fit,
     fit_jointly as fit_jointly,
     fit_sparsely as fit_sparsely,
+    flatness as flatness,
     result as result,
 )
 from camtopod.learn.association.problem import (
     LagRanges as LagRanges,
     Problem as Problem,
+    exposures as exposures,
 )
 from camtopod.learn.association.screening import (
     CandidateScreen as CandidateScreen,

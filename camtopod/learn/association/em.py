@@ -2,9 +2,9 @@
 
 The model: every arrival has one cause, a departure or the outside. Every departure causes at most
 one arrival. The rate at which a departure from zone u causes an arrival at zone v after a lag is
-the *hazard* ``h[u, v](lag)``, per second and exposed departure (`exposure`). The *background* of v,
-the rate of arrivals from outside, is a share of the local rate of arrivals at v; as that is local
-in time, a rhythm common to all zones makes no links.
+the *hazard* ``h[u, v](lag)``, per second and exposed departure (`problem.exposures`). The
+*background* of v, the rate of arrivals from outside, is a share of the local rate of arrivals at v;
+as that is local in time, a rhythm common to all zones makes no links.
 
 `Em` is a fit in progress over M candidates of P pairs of zones. `Em.run` iterates the E step
 (`Em.expect`), which computes the responsibility of each candidate from the hazards, and the M step
@@ -22,8 +22,7 @@ import numpy as np
 from camtopod.arrays import Bools, Floats, Indices, Rows, Singles, row_slices
 from camtopod.learn.association.candidates import Candidates, initial_hazards
 from camtopod.learn.association.em_model import NO_ADDITIONS, EmModel
-from camtopod.learn.association.exposure import exposures
-from camtopod.learn.association.problem import Problem
+from camtopod.learn.association.problem import Problem, exposures
 from camtopod.learn.association.speed_adjustment import Adjusted, adjust
 from camtopod.learn.traffic import (
     NO_PERSISTENCE,

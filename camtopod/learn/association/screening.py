@@ -13,7 +13,7 @@ On a large site two cheaper steps go before the joint fit (`CandidateScreen.find
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, TypeVar
 
 import numpy as np
 from msgspec import Struct
@@ -42,8 +42,7 @@ from camtopod.learn.association.candidates import (
     reach,
 )
 from camtopod.learn.association.em import START_FLOOR
-from camtopod.learn.association.exposure import exposures
-from camtopod.learn.association.problem import Problem
+from camtopod.learn.association.problem import Problem, exposures
 from camtopod.learn.limits import (
     JUDGED_MAX,
     WEIGHED_AT_ONCE,
@@ -435,10 +434,13 @@ def negative_without_overlap(
     return result
 
 
-def place(camera: int, number: int) -> int:
-    """Return the key of a zone, which stays the same from one fit to the next.
+Place = TypeVar("Place", int, Longs)
+
+
+def place(camera: Place, number: Place) -> Place:
+    """Return the key of a zone, or of n zones, which stays the same from one fit to the next.
 
     camera: index of the camera.
     number: number of the zone among the camera's zones.
     """
-    return camera << 32 | number
+    return (camera << 32) + number

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from camtopod.arrays import Floats, Ints, row_slices
-from camtopod.learn.association import Fit, LagRanges, Problem, exposures
+from camtopod.learn.association import Fit, LagRanges, Problem, exposures, number_pairs
 from camtopod.learn.links import mahalanobis, monte_carlo
 from camtopod.learn.links.significance import log_likelihood_ratio, q_values
 from camtopod.learn.links.transit_time import TransitFigures, transit_figures
@@ -145,14 +145,9 @@ def tabulate(
     zones: number of zones.
     ranges: `Problem.ranges`.
     """
-    # Number the pairs of zones that occur.
-    key = transitions.source.astype(np.int64) * zones + transitions.target
-    present, pair = np.unique(key, return_inverse=True)
-    pair = pair.astype(np.int32)
-    pairs = len(present)
-    source = (present // max(zones, 1)).astype(np.int32)
-    target = (present % max(zones, 1)).astype(np.int32)
-
+    # The pairs of zones that occur.
+    pair, source, target = number_pairs(transitions.source, transitions.target, zones)
+    pairs = len(source)
     of = source if ranges is None else ranges.of[source, target]
     later = np.zeros(pairs) if ranges is None else ranges.delay[of]
 

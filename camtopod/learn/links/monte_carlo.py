@@ -15,22 +15,10 @@ from camtopod.topology import LagBins
 
 OBSERVATIONS = 89
 """Observations per link, as in the thesis's experiment 1."""
-EPSILON_SECONDS = 0.0134
-"""Precision epsilon of eq. 4.1, seconds; sigma = 0.5828 then takes the 348 iterations of section
-5.1.
+ITERATIONS = 64
+"""Iterations of the walk. It starts from lags that already have the stationary distribution, so it
+need not run as long as eq. 4.1 asks.
 """
-ITERATIONS_MAX = 64
-"""Limit of the iterations. The walk starts from lags that already have the stationary distribution,
-so it need not run long.
-"""
-
-
-def iterations_needed(sigma: float, epsilon: float = EPSILON_SECONDS) -> int:
-    """Return the number of iterations N = 8 sigma / epsilon (eq. 4.1), rounded up.
-
-    sigma (seconds): standard deviation of the displacements.
-    """
-    return int(np.ceil(round(8.0 * sigma / epsilon, 6)))
 
 
 def observe(density: Floats, sigma: Floats, bins: LagBins, seed: int) -> Floats:
@@ -53,7 +41,7 @@ def observe(density: Floats, sigma: Floats, bins: LagBins, seed: int) -> Floats:
 
     # Metropolis walk: accept a displacement with the ratio of the densities as probability.
     density_here = np.take_along_axis(density, at, axis=1)
-    for _ in range(min(iterations_needed(float(sigma.max(initial=0.0))), ITERATIONS_MAX)):
+    for _ in range(ITERATIONS):
         moved = lag + random.normal(size=lag.shape) * sigma[:, None]
         to = bins.index(moved)
         density_moved = np.where(

@@ -19,12 +19,14 @@ from numpy.typing import NDArray
 
 from camtopod.arrays import Floats, Longs, Rows, ranges_in_parts
 from camtopod.learn.traffic import Departures
-from camtopod.topology import LagBins, lag_smoothing_matrix, smooth
+from camtopod.topology import SMOOTHING_SD_BINS, LagBins, lag_smoothing_matrix, smooth
 
 SHIFTS_SECONDS = (-30.0, -15.0, 15.0, 30.0)
 """Shifts of the exits that make up the null model, seconds."""
-NULL_SD_BINS = 2.8
-"""Standard deviation of the Gaussian that smooths the null model, in bins of offset."""
+NULL_SD_BINS = SMOOTHING_SD_BINS[-1][1]
+"""Standard deviation of the Gaussian that smooths the null model, in bins of offset: as wide as for
+the fewest transitions.
+"""
 NULL_MIN = 0.02
 """Least number of passages that the null model expects in a bin, over all exits."""
 NOISE_SD = 0.5

@@ -36,15 +36,13 @@ class Spectrum(NamedTuple):
 
     Each group belongs to an eigenvector that does not change sign.
 
-    shape: rows and columns of the grid.
-    cells (m,): flat index of each occupied cell.
+    cells (m,): flat index of each occupied cell, ascending.
     values (G,): eigenvalues, descending.
     vectors (m, G): entry of each *point* of a cell in each eigenvector; these have unit length
         over all points.
     labels (m,): group of each occupied cell.
     """
 
-    shape: tuple[int, int]
     cells: NDArray[np.intp]
     values: Floats
     vectors: Floats
@@ -54,12 +52,6 @@ class Spectrum(NamedTuple):
     def groups(self) -> int:
         """Number of groups, G."""
         return len(self.values)
-
-    def grid(self) -> NDArray[np.int16]:
-        """Return the group of each cell (rows, columns), -1 where the cell is empty."""
-        table = np.full(self.shape[0] * self.shape[1], -1, dtype=np.int16)
-        table[self.cells] = self.labels
-        return table.reshape(self.shape)
 
 
 def kernel_1d(size: int, bandwidth: float) -> Floats:
@@ -114,7 +106,7 @@ def data_spectroscopy(counts: NDArray[np.generic], bandwidth: float) -> Spectrum
 
     # A cell belongs to the group of its largest eigenvector.
     labels = np.abs(vectors).argmax(axis=1)
-    return Spectrum((len(rows), len(columns)), cells, values, vectors, labels)
+    return Spectrum(cells, values, vectors, labels)
 
 
 def bandwidth(counts: NDArray[np.generic]) -> float:

@@ -16,10 +16,8 @@ from camtopod.learn.association.candidates import (
 )
 from camtopod.learn.association.em import Em
 from camtopod.learn.association.em_model import EmModel
-from camtopod.learn.association.even_hazards import flatness
-from camtopod.learn.association.exposure import exposures
-from camtopod.learn.association.joint_fit import Fit, fit_jointly
-from camtopod.learn.association.problem import Problem
+from camtopod.learn.association.joint_fit import Fit, fit_jointly, flatness
+from camtopod.learn.association.problem import Problem, exposures
 from camtopod.learn.links.cross_validation import cross_evidence
 from camtopod.learn.traffic.background_rate import local_rates
 from camtopod.learn.traffic.events import Arrivals, Departures

@@ -6,9 +6,8 @@ import numpy as np
 import pytest
 
 from camtopod.learn.association.candidates import find_candidates
-from camtopod.learn.association.exposure import exposures
 from camtopod.learn.association.joint_fit import fit_jointly
-from camtopod.learn.association.problem import Problem
+from camtopod.learn.association.problem import Problem, exposures
 from camtopod.learn.links.cross_validation import PARTS, WindowParts, cross_evidence
 from camtopod.learn.traffic.events import Arrivals, Departures
 from camtopod.topology.lag_bins import LagBins

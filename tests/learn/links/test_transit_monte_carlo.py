@@ -103,17 +103,6 @@ def test_peak_lies_between_the_bins(at: float) -> None:
 # --- Monte Carlo ---
 
 
-def test_iterations_of_the_thesis() -> None:
-    """Section 5.1: sigma 0.5828 takes N = 348 with epsilon = 0.0134."""
-    assert (
-        monte_carlo.iterations_needed(0.5828)
-        == monte_carlo.iterations_needed(0.5828, 0.0134)
-        == 348
-    )
-    assert monte_carlo.iterations_needed(1.0, 2.0) == 4
-    assert monte_carlo.iterations_needed(0.0) == 0
-
-
 def a_density() -> np.ndarray:
     """Return a density of two unequal humps with a gap between them."""
     shape = np.exp(-0.5 * ((BINS.centres - 5) / 1.5) ** 2)
