@@ -10,14 +10,12 @@ deleted when they exceed the retention.
 from __future__ import annotations
 
 import contextlib
-import functools
 import logging
 import math
 import sqlite3
 import threading
 import zlib
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from itertools import chain
 from pathlib import Path
 from typing import Any, Literal, NamedTuple
 
@@ -26,8 +24,15 @@ from msgspec import Struct
 from camtopod.config import KeepSettings
 from camtopod.records import JournalStatus
 from camtopod.serve.storage import journal_schema, sqlite_file
-from camtopod.serve.storage.journal_schema import FORMAT, SCHEMA, last_entry, rescue
-from camtopod.serve.storage.sqlite_file import crc, sound
+from camtopod.serve.storage.journal_schema import (
+    FORMAT,
+    SCHEMA,
+    insert,
+    insert_large,
+    last_entry,
+    rescue,
+)
+from camtopod.serve.storage.sqlite_file import sound
 from camtopod.serve.storage.witness import Witness
 
 log = logging.getLogger(__name__)
@@ -44,13 +49,6 @@ CHUNK_ENTRIES = 1_000
 """Entries read at a time; a long read would keep SQLite from checkpointing the log."""
 VERSIONS_TRIED_MAX = 10
 """Newest versions of which the first undamaged one is used at a start."""
-_ROWS_AT_ONCE = 1_000
-"""Most rows inserted by one statement.
-
-After each statement other threads can run, and it may take long until this one continues, so there
-should be few statements.
-"""
-
 EntryKind = Literal["event", "future", "refused", "advance", "command", "correction", "skipped"]
 """Kinds of entries.
 
@@ -303,7 +301,7 @@ class Journal:
         with self._access():
             for row in self._db.execute("SELECT * FROM entry WHERE id = ?", (number,)).fetchall():
                 skipped = (*row[:2], "skipped", *row[3:7])
-                self._insert("INSERT OR REPLACE INTO entry", [skipped])
+                insert(self._db, "INSERT OR REPLACE INTO entry", [skipped])
 
     def numbers(self) -> dict[Stream, int]:
         """Return the highest stored number of each stream, in the order of their last entries.
@@ -408,28 +406,10 @@ class Journal:
             for number, one in enumerate(entries, start=first)
         ]
         last = first + len(rows) - 1
-        self._insert("INSERT INTO entry", rows)
-        self._insert(
-            "INSERT OR REPLACE INTO stream", [(*one, seq, last) for one, seq in highest.items()]
-        )
+        insert(self._db, "INSERT INTO entry", rows)
+        streams = [(*one, seq, last) for one, seq in highest.items()]
+        insert(self._db, "INSERT OR REPLACE INTO stream", streams)
         return last
-
-    def _insert(self, insert: str, rows: Sequence[tuple[Any, ...]]) -> None:
-        """Insert rows of equal length, each with its checksum."""
-        for start in range(0, len(rows), _ROWS_AT_ONCE):
-            some = [(*row, crc(*row)) for row in rows[start : start + _ROWS_AT_ONCE]]
-            self._db.execute(_values(insert, len(some[0]), len(some)), [*chain.from_iterable(some)])
-
-    def _insert_large(self, insert: str, row: tuple[Any, ...]) -> None:
-        """Insert one large row with its checksum, and keep no copy of it.
-
-        SQLite keeps the statement, with its last values, for the next row; so it is executed again
-        with NULLs, which inserts nothing.
-        """
-        for values in ((*row, crc(*row)), (None,) * (len(row) + 1)):
-            self._db.execute(
-                f"{insert} SELECT {', '.join('?' * len(values))} WHERE ?1 IS NOT NULL", values
-            )
 
     def _add_version(self, version: StoredVersion, stored: int) -> None:
         """Insert a version; ``stored``: Unix seconds."""
@@ -437,12 +417,12 @@ class Journal:
         content = zlib.compress(version.content, level=3)
         key = (number, version.epoch, version.version)
         row = (*key, stored, version.digest, len(content), content)
-        self._insert_large("INSERT OR IGNORE INTO version", row)
+        insert_large(self._db, "INSERT OR IGNORE INTO version", row)
 
     def _add_snapshot(self, snapshot: Snapshot, stored: int) -> None:
         """Insert a snapshot, and delete those before the newest `SNAPSHOTS_KEPT`."""
         row = (snapshot.position, snapshot.epoch, stored, snapshot.state)
-        self._insert_large("INSERT OR REPLACE INTO snapshot", row)
+        insert_large(self._db, "INSERT OR REPLACE INTO snapshot", row)
         self._db.execute(
             "DELETE FROM snapshot WHERE position NOT IN"
             " (SELECT position FROM snapshot ORDER BY position DESC LIMIT ?)",
@@ -458,10 +438,3 @@ def highest_numbers(entries: Iterable[Entry]) -> dict[Stream, int]:
             stream = (one.camera, one.boot)
             highest[stream] = max(one.seq, highest.get(stream, 0))
     return highest
-
-
-@functools.cache
-def _values(insert: str, columns: int, rows: int) -> str:
-    """Return the statement that inserts ``rows`` rows of ``columns`` columns."""
-    row = f"({', '.join('?' * columns)})"
-    return f"{insert} VALUES {', '.join([row] * rows)}"

@@ -1,4 +1,4 @@
-"""The tables of the journal.
+"""The tables of the journal, and writing their rows.
 
 Every row ends with a checksum of its other columns, as SQLite does not notice a flipped bit in a
 value.
@@ -6,9 +6,13 @@ value.
 
 from __future__ import annotations
 
+import functools
 import logging
 import sqlite3
+from collections.abc import Sequence
+from itertools import chain
 from pathlib import Path
+from typing import Any
 
 from camtopod.serve.storage.sqlite_file import crc, readable, sound
 from camtopod.serve.storage.witness import JournalExtent
@@ -17,6 +21,13 @@ log = logging.getLogger(__name__)
 
 FORMAT = 3
 """Format of the tables; a journal of another format is refused."""
+
+_ROWS_AT_ONCE = 1_000
+"""Most rows inserted by one statement.
+
+After each statement other threads can run, and it may take long until this one continues, so there
+should be few statements.
+"""
 
 NAMES_KEY = "names"
 """Key in ``meta`` of forgotten and renamed cameras; see `camtopod.serve.ingest.names`."""
@@ -60,9 +71,7 @@ def rescue(database: sqlite3.Connection, aside: Path) -> int:
     kept = {"epoch": "epoch before", NAMES_KEY: NAMES_KEY}
     for row in readable(aside, "meta", "key"):
         if row[0] in kept and row == meta_row(*map(str, row[:2])):
-            database.execute(
-                "INSERT OR IGNORE INTO meta VALUES (?, ?, ?)", meta_row(kept[row[0]], str(row[1]))
-            )
+            insert(database, "INSERT OR IGNORE INTO meta", [(kept[row[0]], str(row[1]))])
 
     # Copy rows with the right checksum.
     entries = 0
@@ -74,8 +83,8 @@ def rescue(database: sqlite3.Connection, aside: Path) -> int:
         places = ", ".join("?" * columns)
         for row in readable(aside, table, key):
             if len(row) == columns and sound(row):
-                insert = f"INSERT OR IGNORE INTO {table} VALUES ({places})"
-                entries += database.execute(insert, row).rowcount * (table == "entry")
+                copy = f"INSERT OR IGNORE INTO {table} VALUES ({places})"
+                entries += database.execute(copy, row).rowcount * (table == "entry")
     _number_again(database)
     return entries
 
@@ -88,10 +97,33 @@ def _number_again(database: sqlite3.Connection) -> None:
     ):
         highest, _ = numbers.get((camera, boot), (0, 0))
         numbers[camera, boot] = (seq if seq == highest + 1 else highest, number)
-    for stream, row in numbers.items():
+    rows = [(*stream, *row) for stream, row in numbers.items()]
+    insert(database, "INSERT OR REPLACE INTO stream", rows)
+
+
+def insert(database: sqlite3.Connection, into: str, rows: Sequence[tuple[Any, ...]]) -> None:
+    """Insert rows of equal length, each with its checksum; ``into``: what precedes VALUES."""
+    for start in range(0, len(rows), _ROWS_AT_ONCE):
+        some = [(*row, crc(*row)) for row in rows[start : start + _ROWS_AT_ONCE]]
+        database.execute(_values(into, len(some[0]), len(some)), [*chain.from_iterable(some)])
+
+
+@functools.cache
+def _values(into: str, columns: int, rows: int) -> str:
+    """Return the statement that inserts ``rows`` rows of ``columns`` columns."""
+    row = f"({', '.join('?' * columns)})"
+    return f"{into} VALUES {', '.join([row] * rows)}"
+
+
+def insert_large(database: sqlite3.Connection, into: str, row: tuple[Any, ...]) -> None:
+    """Insert one large row with its checksum, and keep no copy of it.
+
+    SQLite keeps the statement, with its last values, for the next row; so it is executed again with
+    NULLs, which inserts nothing.
+    """
+    for values in ((*row, crc(*row)), (None,) * (len(row) + 1)):
         database.execute(
-            "INSERT OR REPLACE INTO stream VALUES (?, ?, ?, ?, ?)",
-            (*stream, *row, crc(*stream, *row)),
+            f"{into} SELECT {', '.join('?' * len(values))} WHERE ?1 IS NOT NULL", values
         )
 
 
@@ -111,7 +143,7 @@ def read_meta(database: sqlite3.Connection, key: str) -> str | None:
 
 def write_meta(database: sqlite3.Connection, key: str, value: str) -> None:
     """Store a value in ``meta``."""
-    database.execute("INSERT OR REPLACE INTO meta VALUES (?, ?, ?)", meta_row(key, value))
+    insert(database, "INSERT OR REPLACE INTO meta", [(key, value)])
 
 
 def last_entry(database: sqlite3.Connection) -> int:
