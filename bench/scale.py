@@ -33,7 +33,7 @@ from bench.support.clients import (
 from bench.support.site import children, peak_memory, processor_seconds, running
 from camtopod.config.settings import BusSettings, Config
 from camtopod.records import Event
-from camtopod.serve.bus.session import dial
+from camtopod.serve.bus import dial
 from camtopod.sim.settings import SimSettings
 from camtopod.sim.simulation import simulate
 

@@ -34,7 +34,7 @@ from bench.support.site import resident
 from camtopod.config.settings import BusSettings, Config, KeepSettings, Limits, StateSettings
 from camtopod.learn.learner import Learner
 from camtopod.learn.settings import Settings
-from camtopod.serve.bus.session import Bus, dial
+from camtopod.serve.bus import Bus, dial
 from camtopod.serve.daemon import Daemon
 from camtopod.serve.outbox.publisher import Publisher
 from camtopod.serve.outbox.spool import Spool

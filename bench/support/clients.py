@@ -26,7 +26,7 @@ from bench.support.site import Status
 from camtopod.codec import to_msgpack
 from camtopod.config.settings import BusSettings, Config
 from camtopod.records import Event, Prediction
-from camtopod.serve.bus.session import Bus, dial, open_daemon_session
+from camtopod.serve.bus import Bus, dial, open_daemon_session
 from camtopod.serve.requests import ANSWER_SECONDS_MAX, Answer, Batch, Hello
 
 PREFIX = "camtopo/site"

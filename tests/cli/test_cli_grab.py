@@ -18,7 +18,7 @@ from camtopod.cli.cameras.heartbeat import HeartbeatReceiver
 from camtopod.cli.main import main
 from camtopod.codec import event_from_json
 from camtopod.records import Event
-from camtopod.serve.bus import session as buses
+from camtopod.serve import bus as buses
 from camtopod.serve.daemon import Daemon
 from camtopod.serve.outbox.publisher import Publisher
 from camtopod.vision import grabber as grabbers

@@ -14,7 +14,7 @@ from camtopod import redact
 from camtopod.cli.commands import doctor
 from camtopod.cli.main import main
 from camtopod.config.settings import Config
-from camtopod.serve.bus.session import BusError, dial
+from camtopod.serve.bus import BusError, dial
 from camtopod.serve.daemon import Daemon
 
 SECRETS = {

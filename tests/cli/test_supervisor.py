@@ -25,7 +25,7 @@ from camtopod.cli.cameras.camera_process import CameraProcess
 from camtopod.cli.common import SignalRequests, signals
 from camtopod.cli.exits import CommandError
 from camtopod.config import CameraSettings, config_file
-from camtopod.serve.bus import session as buses
+from camtopod.serve import bus as buses
 
 CHILD = """
 import os, pathlib, signal, socket, sys, time

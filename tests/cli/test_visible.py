@@ -25,7 +25,7 @@ from camtopod.records import (
     Topology,
     Transit,
 )
-from camtopod.serve.bus import session as buses
+from camtopod.serve import bus as buses
 from camtopod.visible import visible, visible_lines
 
 HOSTILE = "run\x1b[2Jning \x1b]0;OWNED\x07\x9b31m\u202eright\u2028to\u2066left\r\nerror: FORGED\x7f\ud800\x00"

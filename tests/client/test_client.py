@@ -29,7 +29,7 @@ from camtopod.config.settings import BusSettings, Config, TlsSettings
 from camtopod.keys import rules
 from camtopod.keys.authority import Authority
 from camtopod.records import Event, Prediction
-from camtopod.serve.bus.session import dial
+from camtopod.serve.bus import dial
 
 
 @pytest.fixture

@@ -20,7 +20,7 @@ from serving import T0, closing_event, free_endpoint, numbered, small_config, wa
 
 from camtopod.codec import to_json
 from camtopod.records import Event
-from camtopod.serve.bus.session import dial
+from camtopod.serve.bus import dial
 
 README = (ROOT / "README.md").read_text()
 PROTOCOL = (DEPLOY / "protocol.md").read_text()

@@ -38,7 +38,8 @@ from camtopod.records import (
     Status,
     Topology,
 )
-from camtopod.serve.bus import Bus, session as buses
+from camtopod.serve import bus as buses
+from camtopod.serve.bus import Bus
 from camtopod.serve.daemon import Daemon
 
 TOPICS = Topics("hq")

@@ -11,7 +11,7 @@ from serving import T0, WAIT_SECONDS, free_endpoint, small_config
 
 from camtopod.config.settings import BusSettings
 from camtopod.records import Event
-from camtopod.serve.bus.session import Bus, dial
+from camtopod.serve.bus import Bus, dial
 from camtopod.serve.daemon import Daemon
 from camtopod.serve.outbox.publisher import Publisher
 from camtopod.serve.outbox.spool import Spool

@@ -14,7 +14,7 @@ import msgspec
 from serving import WAIT_SECONDS, camtopod, wait_for
 
 from camtopod.config.settings import BusSettings, Config
-from camtopod.serve.bus.session import Bus, dial
+from camtopod.serve.bus import Bus, dial
 
 READY_SECONDS = 60.0
 """Longest wait for a process to start or answer, seconds."""

@@ -35,7 +35,7 @@ from bench.support.rtsp_streams import (
 from bench.support.site import children
 from camtopod.codec import event_from_json
 from camtopod.config.settings import SiteSettings
-from camtopod.serve.bus.session import dial
+from camtopod.serve.bus import dial
 from camtopod.serve.daemon import Daemon
 from camtopod.serve.outbox import spool_path
 from camtopod.serve.storage.journal import Journal

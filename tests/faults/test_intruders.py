@@ -39,7 +39,7 @@ from camtopod.cli import exits
 from camtopod.cli.main import main
 from camtopod.config.settings import BusSettings, Config, SiteSettings
 from camtopod.keys import rules
-from camtopod.serve.bus.session import Bus, BusError, dial, open_daemon_session
+from camtopod.serve.bus import Bus, BusError, dial, open_daemon_session
 from camtopod.serve.bus.topology_subscriber import TopologySubscriber
 from camtopod.serve.daemon import Daemon
 

@@ -31,7 +31,7 @@ from camtopod.config.config_file import parse
 from camtopod.config.settings import BusSettings, Config
 from camtopod.learn.learner import Learner
 from camtopod.records import Event, Topology
-from camtopod.serve.bus.session import Bus, dial
+from camtopod.serve.bus import Bus, dial
 
 CAMERAS = ("a", "b", "c")
 LEARNER = "learner"

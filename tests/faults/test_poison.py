@@ -27,7 +27,7 @@ from camtopod.codec import (
     to_msgpack,
 )
 from camtopod.records import Event
-from camtopod.serve.bus.session import QueryError, dial, open_daemon_session
+from camtopod.serve.bus import QueryError, dial, open_daemon_session
 from camtopod.serve.daemon import Daemon
 from camtopod.serve.requests import Answer, Batch, read_request
 

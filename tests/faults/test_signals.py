@@ -34,7 +34,7 @@ from sizes import size
 
 from camtopod.config.settings import BusSettings
 from camtopod.records import Event
-from camtopod.serve.bus.session import dial
+from camtopod.serve.bus import dial
 from camtopod.serve.daemon import Daemon
 
 START_SECONDS = {"grab": 2.0, "run": 3.0}

@@ -25,7 +25,7 @@ from synthetic_topology import synthetic_topology
 from camtopod import codec
 from camtopod.config.settings import BusSettings, Config, SiteSettings
 from camtopod.records import Event, Prediction
-from camtopod.serve.bus.session import dial
+from camtopod.serve.bus import dial
 from camtopod.serve.bus.topology_subscriber import TopologySubscriber
 from camtopod.serve.storage.journal import Journal, StoredVersion
 

@@ -29,7 +29,7 @@ from camtopod import client
 from camtopod.codec import to_msgpack
 from camtopod.config.settings import BusSettings, Config, SiteSettings
 from camtopod.records import Event
-from camtopod.serve.bus.session import dial, open_daemon_session
+from camtopod.serve.bus import dial, open_daemon_session
 from camtopod.serve.outbox import spool_path
 
 _STEP_SECONDS = 0.01

@@ -17,7 +17,7 @@ from camtopod.config.config_file import parse
 from camtopod.config.settings import Config
 from camtopod.keys import rules
 from camtopod.records import Event
-from camtopod.serve.bus import session as buses
+from camtopod.serve import bus as buses
 
 COMPOSE = yaml.safe_load((DEPLOY / "compose.yaml").read_text())
 KUBERNETES = list(yaml.safe_load_all((DEPLOY / "kubernetes.yaml").read_text()))

@@ -28,9 +28,8 @@ from serving import (
 from camtopod import codec
 from camtopod.learn.learner import Learner
 from camtopod.records import CameraFigures, Event, Match, Prediction, Topology
-from camtopod.serve import daemon as daemons
-from camtopod.serve.bus import session as buses
-from camtopod.serve.bus.session import Bus, BusError, QueryError
+from camtopod.serve import bus as buses, daemon as daemons
+from camtopod.serve.bus import Bus, BusError, QueryError
 from camtopod.serve.bus.topology_subscriber import TopologySubscriber
 from camtopod.serve.daemon import Daemon
 from camtopod.serve.outbox.publisher import Publisher

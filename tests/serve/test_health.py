@@ -23,8 +23,7 @@ from fake_systemd import Systemd
 from serving import T0, WAIT_SECONDS, camtopod, free_endpoint, small_config, wait_for
 
 from camtopod.records import Event
-from camtopod.serve import daemon as daemons
-from camtopod.serve.bus import session as buses
+from camtopod.serve import bus as buses, daemon as daemons
 from camtopod.serve.daemon import Daemon
 from camtopod.serve.monitoring import health
 from camtopod.serve.runtime import systemd

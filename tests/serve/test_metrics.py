@@ -26,7 +26,7 @@ from serving import (
 
 from camtopod import records
 from camtopod.records import DaemonStatus, Event
-from camtopod.serve.bus import session as buses
+from camtopod.serve import bus as buses
 from camtopod.serve.daemon import Daemon
 from camtopod.serve.monitoring import health, metrics
 from camtopod.topology import links_between_views

@@ -18,7 +18,7 @@ from camtopod.cli.commands import bridge, web
 from camtopod.cli.main import main
 from camtopod.config.settings import BusSettings
 from camtopod.mqtt import RetainedMessages
-from camtopod.serve.bus import session as buses
+from camtopod.serve import bus as buses
 from camtopod.serve.bus.topology_subscriber import TopologySubscriber
 from camtopod.web import app
 

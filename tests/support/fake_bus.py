@@ -8,7 +8,7 @@ from typing import Any
 
 from camtopod import codec
 from camtopod.records import EventHours, Recent, SeenEvent, Topology
-from camtopod.serve.bus.session import QueryError
+from camtopod.serve.bus import QueryError
 
 
 class OneBus:

@@ -24,7 +24,7 @@ from camtopod.client import Site, aio
 from camtopod.config.settings import BusSettings, SiteSettings
 from camtopod.learn.learner import Learner
 from camtopod.records import Event, Topology
-from camtopod.serve.bus.session import Bus, dial
+from camtopod.serve.bus import Bus, dial
 from camtopod.serve.daemon import Daemon
 
 NOW = T0 + 20 * SPAN_SECONDS

@@ -16,7 +16,7 @@ from fake_bus import OneBus
 from camtopod.cli.commands.web import listening, names
 from camtopod.config.config_file import parse
 from camtopod.records import Topology
-from camtopod.serve.bus.session import Bus
+from camtopod.serve.bus import Bus
 from camtopod.web import app
 from camtopod.web.login import Login
 

@@ -29,8 +29,8 @@ from synthetic_topology import synthetic_topology
 from camtopod.cli.commands.web import listening, names
 from camtopod.config.settings import BusSettings, Config
 from camtopod.records import Event
-from camtopod.serve.bus import session as buses
-from camtopod.serve.bus.session import Bus
+from camtopod.serve import bus as buses
+from camtopod.serve.bus import Bus
 from camtopod.serve.daemon import Daemon
 from camtopod.web import app, report
 from camtopod.web.single_file import page

@@ -24,7 +24,7 @@ from camtopod.records import (
     Prediction,
     SeenEvent,
 )
-from camtopod.serve.bus.session import Bus
+from camtopod.serve.bus import Bus
 from camtopod.web import feed, recent_matches
 from camtopod.web.feed import Feed
 from camtopod.web.map_data import Map

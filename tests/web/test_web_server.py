@@ -20,7 +20,7 @@ from synthetic_topology import synthetic_topology
 
 from camtopod.cli import exits, main
 from camtopod.config.settings import BusSettings
-from camtopod.serve.bus import session as buses
+from camtopod.serve import bus as buses
 from camtopod.web import connections, outbox
 from camtopod.web.login import Login
 

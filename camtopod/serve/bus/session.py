@@ -13,9 +13,7 @@ import functools
 import json
 import logging
 import re
-import socket
 import threading
-import time
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
@@ -26,9 +24,8 @@ from camtopod.config import BusSettings, Config
 from camtopod.keys.rules import PREFIX
 from camtopod.records import NAME_PATTERN
 from camtopod.redact import redact
-from camtopod.serve.bus import access, forks, sockets
+from camtopod.serve.bus import forks, sockets
 from camtopod.serve.bus.access import BusError as BusError
-from camtopod.serve.runtime import clock
 
 log = logging.getLogger(__name__)
 
@@ -70,6 +67,10 @@ Called on a thread of the bus; must not block. The answer may be given later, on
 
 class QueryError(Exception):
     """A query that cannot be answered; ``str()`` is sent to the program that asked."""
+
+
+class NotOpened(Exception):
+    """A session cannot be opened; ``str()`` is zenoh's message without a path of its source."""
 
 
 class Bus(contextlib.AbstractContextManager["Bus"]):
@@ -375,56 +376,30 @@ class Bus(contextlib.AbstractContextManager["Bus"]):
         return key.removeprefix(f"{PREFIX}/{self.site}/")
 
 
-def dial(config: Config) -> Bus:
-    """Open a client session, trying for ``bus.connect_seconds``. Raises `BusError`."""
-    endpoints = config.dials
-    access.check_files(config)
+def open_session(
+    config: Config,
+    values: Mapping[str, object],
+    connect: Sequence[str] = (),
+    listen: Sequence[str] = (),
+) -> Bus:
+    """Open a session with these settings of zenoh and endpoints.
 
-    # Retry until the deadline.
-    deadline = time.monotonic() + config.bus.connect_seconds
-    while True:
-        try:
-            session = _open(config, access.settings(config, "client"), connect=endpoints)
-        except zenoh.ZError as error:
-            if time.monotonic() >= deadline:
-                also = ", and does it accept this certificate" if config.bus.tls.ca else ""
-                raise BusError(
-                    f"cannot reach the bus at {', '.join(endpoints)}: "
-                    f"is `camtopod run` running there{also}? ({_short(error)})"
-                ) from None
-            time.sleep(0.2)
-        else:
-            return Bus(session, config.site.name, endpoints[0], config.bus)
-
-
-def open_daemon_session(config: Config) -> Bus:
-    """Open the daemon's session: listen at ``config.listens``, or connect if there are none.
-
-    Port 0 stands for a free port. Logs a warning if the bus is open without authentication. Raises
-    `BusError`.
+    Raises `NotOpened`, and `BusError` after a fork.
     """
-    if (open_to := access.openness_warning(config)) is not None:
-        log.warning("%s", open_to)
-
-    if not config.listens:
-        return dial(config)
-
-    # Listen.
-    endpoints = [_with_port(endpoint) for endpoint in config.listens]
-    access.check_files(config)
-    values = access.settings(config, "router", access.read_access(config, clock.wall))
+    forks.note_use()
+    settings = zenoh.Config()
+    endpoints = {"connect/endpoints": list(connect), "listen/endpoints": list(listen)}
+    for key, value in {**values, **endpoints}.items():
+        settings.insert_json5(key, json.dumps(value))
+    if not listen:
+        settings.insert_json5(
+            "connect/timeout_ms", json.dumps(int(config.bus.connect_seconds * 1000))
+        )
     try:
-        session = _open(config, values, connect=config.bus.connect, listen=endpoints)
+        session = zenoh.open(settings)
     except zenoh.ZError as error:
-        raise BusError(
-            f"cannot listen at {', '.join(endpoints)}: another daemon may be running there; "
-            f"stop it or set other endpoints in [bus] ({_short(error)})"
-        ) from None
-
-    # Keep stalled connections from delaying others when they are closed.
-    bus = Bus(session, config.site.name, endpoints[0], config.bus)
-    bus.watch_connections()
-    return bus
+        raise NotOpened(str(error).split(" at /")[0].strip()) from None
+    return Bus(session, config.site.name, [*listen, *connect][0], config.bus)
 
 
 def log_to_standard_output() -> None:
@@ -435,44 +410,6 @@ def log_to_standard_output() -> None:
     zenoh.init_log_from_env_or("error,zenoh_link_tls=warn")
 
 
-def _open(
-    config: Config,
-    values: Mapping[str, object],
-    connect: Sequence[str] = (),
-    listen: Sequence[str] = (),
-) -> zenoh.Session:
-    """Open a zenoh session with these settings and endpoints. Raises `BusError` after a fork."""
-    forks.note_use()
-    settings = zenoh.Config()
-    endpoints = {"connect/endpoints": list(connect), "listen/endpoints": list(listen)}
-    for key, value in {**values, **endpoints}.items():
-        settings.insert_json5(key, json.dumps(value))
-    if not listen:
-        settings.insert_json5(
-            "connect/timeout_ms", json.dumps(int(config.bus.connect_seconds * 1000))
-        )
-    return zenoh.open(settings)
-
-
-def _with_port(endpoint: str) -> str:
-    """Replace port 0 of ``tcp/host:0`` by a port that is free now.
-
-    Zenoh accepts port 0 but does not tell which port it got.
-    """
-    if not endpoint.endswith(":0"):
-        return endpoint
-    host = endpoint.split("/", 1)[1].removesuffix(":0")
-    family = socket.AF_INET6 if ":" in host else socket.AF_INET
-    with socket.socket(family) as probe:
-        probe.bind((host.strip("[]"), 0))
-        return f"{endpoint.removesuffix('0')}{probe.getsockname()[1]}"
-
-
 @functools.cache
 def _encoding(schema: str) -> zenoh.Encoding:
     return zenoh.Encoding(_PACK.format(schema))
-
-
-def _short(error: Exception) -> str:
-    """Return zenoh's message without the path of its source file."""
-    return str(error).split(" at /")[0].strip()
