@@ -245,34 +245,31 @@ def _contexts(
     now (P,): factor on the share of each pair of zones (`_presently`).
     """
     c = posterior.fit.candidates
-    changed = {
-        (int(c.source[k]), int(c.target[k])): float(now[k]) for k in np.flatnonzero(now != 1.0)
-    }
+    first = np.searchsorted(c.source, np.arange(len(ids)))
     result = []
     for name, level in zip(LEVELS, posterior.levels, strict=True):
         for k in np.flatnonzero(level.departures >= CONTEXT_DEPARTURES_MIN).tolist():
-            first, block = (int(part) for part in level.parts[k])
+            zone, part, block = level.keys[k].tolist()
 
             # Transitions, scaled to present shares.
-            zone = int(level.zone[k])
-            row = slice(level.first[k], level.first[k + 1])
-            departures = float(level.departures[k])
-            to = {}
-            for v, mass in zip(
-                level.target[row].tolist(), level.transitions[row].tolist(), strict=True
-            ):
-                moved = mass * changed.get((zone, v), 1.0)
-                departures += moved - mass
-                if moved > CONTEXT_TRANSITIONS_MIN:
-                    to[ids[v]] = round_significant(moved)
+            row = slice(level.moved.indptr[k], level.moved.indptr[k + 1])
+            pairs = first[zone] + level.moved.indices[row]
+            mass = level.moved.data[row].astype(float)
+            moved = mass * now[pairs]
+            departures = float(level.departures[k] + (moved - mass).sum())
+            to = {
+                ids[c.target[pair]]: round_significant(number)
+                for pair, number in zip(pairs.tolist(), moved.tolist(), strict=True)
+                if number > CONTEXT_TRANSITIONS_MIN
+            }
             result.append(
                 Context(
                     ids[zone],
                     round_significant(max(departures, 0.0)),
                     dict(sorted(to.items())),
-                    ids[first] if "entry" in name else None,
+                    ids[part] if "entry" in name else None,
                     block if "block" in name else None,
-                    cameras[first] if name == "previous" else None,
+                    cameras[part] if name == "previous" else None,
                 )
             )
     return sorted(

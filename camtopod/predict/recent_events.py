@@ -86,11 +86,8 @@ class RecentEvents:
         moved: new index of each zone by its old index (`moved_zones`).
         """
         # New number of each old zone; -1 if it is gone.
-        number = np.full(int(older.zone.max(initial=0)) + 1, -1, np.int32)
-        for before, now in moved.items():
-            if before < len(number):
-                number[before] = now
-
+        zones = int(older.zone.max(initial=0)) + 1
+        number = np.array([moved.get(zone, -1) for zone in range(zones)], np.int32)
         zone = number[older.zone]
         kept = zone >= 0
         self.load(RecentState(older.t[kept], zone[kept], older.rate[kept]))

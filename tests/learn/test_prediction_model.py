@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from scipy.sparse import csr_array
 from synthetic_events import Views, fit_posterior
 
 from camtopod.learn.association.problem import Problem
@@ -108,7 +109,7 @@ def test_where_every_way_has_closed_no_context_has_fewer_departures_than_none(
     levels = [
         level._replace(
             departures=np.ones(len(level.departures)),
-            transitions=np.full(len(level.transitions), 1 + 1e-6),
+            moved=csr_array((level.moved > 0) * np.float32(1 + 1e-6)),
         )
         for level in posterior.levels
     ]

@@ -18,6 +18,7 @@ from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.sparse import csr_array
 
 from camtopod.arrays import Floats, Longs, Singles
 from camtopod.learn.association import NOTHING, Candidates, Problem
@@ -33,20 +34,18 @@ PREVIOUS_RESPONSIBILITY_MIN = 0.02
 
 
 class ContextLevel(NamedTuple):
-    """One level of context, as it is published: C contexts, with R next zones in all."""
+    """One level of context, as it is published: C contexts."""
 
-    zone: Longs
-    """(C,) zone of departure."""
-    parts: Longs
-    """(C, 2) zone of entry or previous camera, and image block; -1 if not part of the context."""
+    keys: Longs
+    """(C, 3) zone of departure; zone of entry or previous camera; image block. -1 for what is not
+    part of the context.
+    """
     departures: Floats
     """(C,) certain departures, f n."""
-    first: Longs
-    """(C + 1,) where the items of each context begin in ``target`` and ``transitions``."""
-    target: Longs
-    """(R,) zones where departures of a context appear next, ascending within the context."""
-    transitions: Floats
-    """(R,) certain transitions to each of these zones, f N."""
+    moved: csr_array
+    """(C, columns) certain transitions to each next zone, f N. The columns of a zone of departure
+    are its pairs of zones, in their order.
+    """
 
 
 class ContextCounts(NamedTuple):
@@ -56,7 +55,7 @@ class ContextCounts(NamedTuple):
     """
 
     keys: Longs
-    """(C, 3) zone of departure and the two parts of the context, as in `ContextLevel`."""
+    """(C, 3) as in `ContextLevel`."""
     departures: Floats
     """(C,) certain departures."""
     row: Longs
@@ -70,7 +69,11 @@ class ContextCounts(NamedTuple):
     unsure: Singles
     """(n,) probability that the departure is not in the context."""
     moved: Singles
-    """(C, columns) certain transitions to each next zone; `Contexts._columns` gives the columns."""
+    """(C, columns) as in `ContextLevel`; `Contexts._columns` gives the columns."""
+
+    def published(self) -> ContextLevel:
+        """Return the counts in the form that is published, which needs little memory."""
+        return ContextLevel(self.keys, self.departures, csr_array(self.moved))
 
     def cells_of(
         self, departure: NDArray[np.intp], target: Longs, responsibility: Singles
@@ -196,32 +199,6 @@ class Contexts:
             cell, own = level.cells_of(departure, target, responsibility)
             probability = level.judged(departure, cell, own, probability)
         return probability
-
-    def published_levels(
-        self, candidates: Candidates, levels: list[ContextCounts]
-    ) -> list[ContextLevel]:
-        """Return the levels in the form that is published.
-
-        levels: counts of each level (`count`).
-        """
-        first = np.searchsorted(candidates.source, np.arange(self.zones))
-        result = []
-        for level in levels:
-            context, at = np.nonzero(level.moved)
-            reached = candidates.target[first[level.keys[context, 0]] + at].astype(np.int64)
-            rows = np.searchsorted(context, np.arange(len(level.keys) + 1))
-            transitions = level.moved[context, at].astype(float)
-            result.append(
-                ContextLevel(
-                    level.keys[:, 0],
-                    level.keys[:, 1:],
-                    level.departures,
-                    rows,
-                    reached,
-                    transitions,
-                )
-            )
-        return result
 
     def _columns(self, candidates: Candidates) -> tuple[Longs, int]:
         """Return the column (P,) of each pair of zones in tables of transitions, and their width.

@@ -176,7 +176,7 @@ class PosteriorFitter:
     def posterior(self) -> Posterior:
         """Return the result of the fit, without doubt."""
         em = self.em
-        levels = self.contexts.published_levels(em.candidates, self._count_contexts())
+        levels = [counted.published() for counted in self._count_contexts()]
         found = result(em, self.hazard, np.zeros((0, self.problem.bins.size)))  # without counts
         return Posterior(
             found,

@@ -78,8 +78,6 @@ def data_spectroscopy(counts: NDArray[np.generic], bandwidth: float) -> Spectrum
     # The occupied cells, and the kernel matrix over them.
     grid = np.asarray(counts, dtype=np.float64)
     cells = np.flatnonzero(grid)
-    if not len(cells):
-        raise ValueError("no points: all counts are zero")
     rows, columns = (kernel_1d(size, bandwidth) for size in grid.shape)
     r, c = np.divmod(cells, grid.shape[1])
     weights = grid.ravel()[cells]

@@ -48,10 +48,11 @@ def anything(seed: int, n: int) -> Problem:
     return Problem(departures, arrivals, SHORT, 4, 60.0)
 
 
-def surely(level: ContextLevel, context: int) -> dict[int, float]:
+def surely(level: ContextLevel, found: Candidates, context: int) -> dict[int, float]:
     """Return sure transitions of a context by zone."""
-    rows = slice(level.first[context], level.first[context + 1])
-    return dict(zip(level.target[rows].tolist(), level.transitions[rows].tolist(), strict=True))
+    moved = level.moved[[context]].tocoo()
+    target = found.target[found.source == level.keys[context, 0]]
+    return dict(zip(target[moved.coords[1]].tolist(), moved.data.tolist(), strict=True))
 
 
 @settings(max_examples=40, deadline=None)
@@ -65,10 +66,8 @@ def test_counts_and_back_off_equal_their_slow_twin(seed: int, n: int) -> None:
     gone, leave = rng.random((2, n))
     contexts = Contexts(problem, 3)
     counted, leaving = contexts.count(found, responsibility, gone, leave)
-    after, levels = (
-        contexts.judged(found, responsibility, share, counted),
-        contexts.published_levels(found, counted),
-    )
+    after = contexts.judged(found, responsibility, share, counted)
+    levels = [level.published() for level in counted]
     slow = naive.contexts(
         *problem[:2],
         list(zip(found.departure.tolist(), found.arrival.tolist(), strict=True)),
@@ -83,19 +82,18 @@ def test_counts_and_back_off_equal_their_slow_twin(seed: int, n: int) -> None:
     assert leaving == pytest.approx(slow[2])
     assert len(levels) == len(LEVELS) == 2
     for level, (n_of, moved_of) in zip(levels, slow[0], strict=True):
-        assert len(level.first) == len(level.zone) + 1
-        assert len(level.transitions) == sum(count > 0 for count in moved_of.values()), (
+        assert level.moved.nnz == sum(count > 0 for count in moved_of.values()), (
             "only what occurs is kept"
         )
-        for k in range(len(level.zone)):
-            key = int(level.zone[k]), *level.parts[k].tolist()
+        for k in range(len(level.keys)):
+            key = tuple(level.keys[k].tolist())
             assert level.departures[k] == pytest.approx(n_of.get(key, 0.0))
-            to = surely(level, k)
+            to = surely(level, found, k)
             assert list(to) == sorted(to)
             for target in range(4):
                 assert to.get(target, 0.0) == pytest.approx(moved_of.get((key, target), 0.0))
         assert sum(level.departures) == pytest.approx(sum(n_of.values()))
-        assert level.transitions.sum() == pytest.approx(sum(moved_of.values()))
+        assert level.moved.sum() == pytest.approx(sum(moved_of.values()))
 
 
 def told(
@@ -119,7 +117,7 @@ def told(
     contexts = Contexts(problem, int(max(views.camera)) + 1)
     counted, _ = contexts.count(found, right, gone, leave)
     return (
-        contexts.published_levels(found, counted),
+        [level.published() for level in counted],
         found,
         departures,
         contexts.judged(found, right, share, counted),
@@ -142,15 +140,13 @@ def test_where_they_came_in_and_where_they_left_says_where_they_go(known: str) -
         true[t + 5] = t + 15
     levels, found, departures, after = told(views, true)
     level = levels[LEVELS.index("entry+block")]
-    context = {
-        tuple(parts): k for k, parts in enumerate(level.parts.tolist()) if level.zone[k] == 2
-    }
+    context = {tuple(parts): k for k, (zone, *parts) in enumerate(level.keys.tolist()) if zone == 2}
     one, other = (
         (context[0, 7], context[1, 7]) if known == "entry" else (context[0, 7], context[0, 8])
     )
-    assert surely(level, one)[3] == pytest.approx(level.departures[one])
-    assert 4 not in surely(level, one)
-    assert surely(level, other)[4] == pytest.approx(level.departures[other])
+    assert surely(level, found, one)[3] == pytest.approx(level.departures[one])
+    assert 4 not in surely(level, found, one)
+    assert surely(level, found, other)[4] == pytest.approx(level.departures[other])
     candidate = found.source[found.pair] == 2
     is_first = np.isin(departures.t[found.departure[candidate]], firsts)
     to_three, share = found.target[found.pair[candidate]] == 3, after[candidate]
@@ -170,8 +166,8 @@ def test_the_camera_before() -> None:
                 true[t + 20 * step + 5] = t + 20 * step + 20
     levels, found, _, after = told(views, true)
     level = levels[LEVELS.index("previous")]
-    (row,) = np.flatnonzero((level.zone == 2) & (level.parts[:, 0] == 0))
-    assert surely(level, row)[3] == pytest.approx(level.departures[row])
+    (row,) = np.flatnonzero((level.keys[:, 0] == 2) & (level.keys[:, 1] == 0))
+    assert surely(level, found, row)[3] == pytest.approx(level.departures[row])
     right = found.target[found.pair] > 2
     assert set(np.round(after[right]).tolist()) <= {0.0, 1.0}
     assert np.mean((after[right] > 0.9) | (after[right] < 0.1)) == 1.0
