@@ -21,8 +21,7 @@ def test_it_links_to_the_recorder_and_counts_events_by_the_hour(browser: Browser
     hour = time.time() // 3600 * 3600
     shown.bus.hours = EventHours(hour, hour, {A: [[4, 3]]})
     with shown.serving():
-        opened(browser, shown)
-        browser.go(f"#/camera/{A}")
+        opened(browser, shown, f"#/camera/{A}")
         browser.wait(lambda: "At the recorder" in browser.text(".panel"), "the link")
         assert browser.run("return document.querySelector('.panel a[target]').href") == page
         browser.wait(lambda: browser.count(".hours .count") in (1, 2), "this hour")

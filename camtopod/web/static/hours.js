@@ -15,8 +15,11 @@ const DIGIT_PIXELS = [7, 8]; // width of a digit of today's count, and half its 
 export class Hours {
   #told = null; // {since, first, cameras: {id: [[entries, exits] of each hour]}}
 
+  // Returns whether there was nothing before.
   use(told) {
+    const first = told && !this.#told;
     this.#told = told;
+    return first;
   }
 
   add({ camera, kind, t }) {

@@ -171,7 +171,7 @@ class App {
   async #catchUp() {
     try {
       for (const match of await this.source.walks()) this.walks.add(match);
-      this.hours.use(await this.source.hours());
+      if (this.hours.use(await this.source.hours())) this.#again(); // a camera may be open already
     } catch (error) {
       if (!(error instanceof Away)) throw error;
     }
