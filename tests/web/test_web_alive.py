@@ -85,10 +85,14 @@ def test_a_walk_goes_on_along_the_map_and_is_shown_on_it(browser: Browser) -> No
         assert re.fullmatch(line, browser.text(".walks li")), browser.text(".walks li")
         assert browser.text(".predictions ul") == "", "one list at a time"
 
-        at = "return document.querySelector(arguments[0]).getBoundingClientRect()"
-        dot, camera = (browser.run(at, one) for one in (".dot.walk", f"[data-id={B}] circle"))
-        assert abs(dot["x"] + dot["width"] / 2 - camera["x"] - camera["width"] / 2) < 2
-        assert dot["y"] < camera["y"] < dot["y"] + dot["height"], "at the camera's upper edge"
+        at = "return [...arguments].map((one) => document.querySelector(one).getBoundingClientRect())"
+
+        def has_arrived() -> bool:
+            dot, camera = browser.run(at, ".dot.walk", f"[data-id={B}] circle")
+            aside = abs(dot["x"] + dot["width"] / 2 - camera["x"] - camera["width"] / 2)
+            return bool(aside < 2 and dot["y"] < camera["y"] < dot["y"] + dot["height"])
+
+        browser.wait(has_arrived, "it at the camera's upper edge; the map makes room for the list")
         browser.run("document.querySelector('.walks a').click()")
         browser.wait(lambda: browser.count(".node.chosen") == 2, "its cameras")
         assert browser.count(".edge.chosen") == 1
