@@ -56,22 +56,15 @@ def zone_records(cameras: list[str], scene: Scene) -> list[Zone]:
         entries = int(scene.entries[index])
         exits = int(scene.exits[index])
         name = zone_id(cameras, zone)
-        shape = zone.shape
-        if shape is None:
-            records.append(Zone(name, cameras[zone.camera], entries, exits))
-        else:
-            cov = [[round_significant(float(value)) for value in row] for row in shape.cov]
-            records.append(
-                Zone(
-                    name,
-                    cameras[zone.camera],
-                    entries,
-                    exits,
-                    round_significant(shape.x),
-                    round_significant(shape.y),
-                    cov,
-                )
+        record = Zone(name, cameras[zone.camera], entries, exits)
+        if zone.shape is not None:
+            record = replace(
+                record,
+                x=round_significant(zone.shape.x),
+                y=round_significant(zone.shape.y),
+                cov=[[round_significant(float(value)) for value in row] for row in zone.shape.cov],
             )
+        records.append(record)
     return sorted(records, key=lambda record: record.id)
 
 

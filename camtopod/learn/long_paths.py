@@ -188,11 +188,9 @@ def long_ranges(problem: Problem, camera: Ints, candidates_max: int) -> LagRange
     of = np.tile(np.arange(zones, dtype=np.int32)[:, None], zones)
     sources = of[:, 0].copy()
     delay = np.zeros(zones)
-    view = camera.astype(np.int64)
-    for k, path in enumerate(paths, start=cameras):
+    for path in paths:
         [left], [reached] = (np.nonzero(camera == end) for end in (path.source, path.target))
         of[np.ix_(left, reached)] = len(sources) + np.arange(len(left))[:, None]
         sources = np.append(sources, left.astype(np.int32))
         delay = np.append(delay, np.full(len(left), path.seconds))
-        view = np.append(view, np.full(len(left), k))
-    return LagRanges(sources, delay, view, of)
+    return LagRanges(sources, delay, of)

@@ -59,8 +59,7 @@ def quantiles(mass: Floats, edges: Floats) -> Floats:
     Within a bin, the mass is taken as uniform.
     """
     # Mass below each edge, and the mass to be reached.
-    below = np.zeros((len(mass), len(edges)))
-    np.cumsum(mass, axis=1, out=below[:, 1:])
+    below = np.cumsum(np.pad(mass, ((0, 0), (1, 0))), axis=1)
     wanted = np.array(WINDOW) * below[:, -1:]
 
     # Bin in which that mass is reached.

@@ -19,7 +19,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from camtopod.arrays import Bools, Floats, Indices, Rows, Singles, row_slices
+from camtopod.arrays import Bools, Floats, Indices, Singles, row_slices
 from camtopod.learn.association.candidates import Candidates, initial_hazards
 from camtopod.learn.association.em_model import NO_ADDITIONS, EmModel
 from camtopod.learn.association.problem import Problem, exposures
@@ -28,7 +28,6 @@ from camtopod.learn.traffic import (
     NO_PERSISTENCE,
     SURE_RESPONSIBILITY,
     NullRates,
-    Persistence,
     estimate_persistence,
 )
 from camtopod.topology import LEAVE_FLOOR, smooth
@@ -117,7 +116,8 @@ class Em:
         With 0.15, a candidate with a responsibility of 0.8 is judged by 1 - 0.8 * 0.15 = 0.88 of
         the hazard of its bin.
         """
-        self._adjusted = adjusted or adjust(problem, candidates, NO_PERSISTENCE)
+        self.adjusted = adjusted or adjust(problem, candidates, NO_PERSISTENCE)
+        """The candidates, adjusted for speed."""
 
     def _use(self, candidates: Candidates) -> None:
         """Index the candidates: by arrival (those that have any), and by departure."""
@@ -134,16 +134,6 @@ class Em:
     def pairs(self) -> int:
         """Number of pairs of zones that are followed, P."""
         return len(self.candidates.source)
-
-    @property
-    def persistence(self) -> Persistence:
-        """How far speed persists from view to view, as the candidates are adjusted for it."""
-        return self._adjusted.persistence
-
-    @property
-    def cell(self) -> Rows:
-        """(M,) index of each candidate, at usual speed, in a flattened table (P, bins)."""
-        return self._adjusted.cell
 
     # --- Changes from outside ---------------------------------------------------------------------
 
@@ -243,7 +233,7 @@ class Em:
         before = self._at_exit()
 
         # The surest candidates, whatever their slownesses.
-        self._adjusted = self._adjusted._replace(agreement=None)
+        self.adjusted = self.adjusted._replace(agreement=None)
         self.expect(hazard)
         sure = np.flatnonzero(self.responsibility > SURE_RESPONSIBILITY)
         c = self.candidates
@@ -255,7 +245,7 @@ class Em:
             self.responsibility[sure].astype(float),
         )
 
-        self._adjusted = adjust(self.problem, c, found)
+        self.adjusted = adjust(self.problem, c, found)
         return self.hazards(self._count(before))
 
     def keep(self, kept: Bools) -> Bools:
@@ -268,7 +258,7 @@ class Em:
         self._message = self._message[kept]
         self.responsibility = self.responsibility[kept]
         self.own = self.own[left]
-        self._adjusted = adjust(self.problem, self.candidates, self.persistence)
+        self.adjusted = adjust(self.problem, self.candidates, self.adjusted.persistence)
         return left
 
     def responsibilities_under(self, hazard: Singles, outside: Floats, sweeps: int) -> Floats:
@@ -322,9 +312,9 @@ class Em:
         """
         # The hazard, without the candidate's own contribution to it (leave one out): otherwise a
         # lone arrival would be its own evidence, and all clutter would find a departure.
-        others = np.maximum(1.0 - self.own.take(self.cell) * self.responsibility, 0.0)
-        weight: Singles = hazard.take(self.cell) * others
-        agreement = self._adjusted.agreement
+        others = np.maximum(1.0 - self.own.take(self.adjusted.cell) * self.responsibility, 0.0)
+        weight: Singles = hazard.take(self.adjusted.cell) * others
+        agreement = self.adjusted.agreement
         if agreement is not None:
             weight *= agreement
 
@@ -370,7 +360,7 @@ class Em:
     def _count(self, shares: Singles) -> Floats:
         """Return the sum of shares (M,) of candidates by pair of zones and lag bin, (P, bins)."""
         size = self.problem.bins.size
-        counts = np.bincount(self.cell, shares, minlength=self.pairs * size)
+        counts = np.bincount(self.adjusted.cell, shares, minlength=self.pairs * size)
         return counts.astype(float, copy=False).reshape(self.pairs, size)
 
     def hazards(self, counts: Floats) -> Singles:

@@ -93,7 +93,7 @@ def result(em: Em, hazard: Singles, counts: Floats) -> Fit:
         flatness(em, hazard),
         em.outside,
         em.candidates,
-        em.persistence,
+        em.adjusted.persistence,
     )
 
 
@@ -117,5 +117,5 @@ def flatness(em: Em, hazard: Singles) -> Floats:
         total = np.maximum(seconds.sum(axis=1), 1e-9)
         even[rows] = (hazard[rows] * seconds).sum(axis=1) / total
 
-    flat: Floats = even[c.pair] / np.maximum(hazard.take(em.cell), NOTHING)
+    flat: Floats = even[c.pair] / np.maximum(hazard.take(em.adjusted.cell), NOTHING)
     return flat

@@ -9,7 +9,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from camtopod.arrays import Floats, Ints, Longs, rows_by_group
+from camtopod.arrays import Floats, Ints, rows_by_group
 from camtopod.learn.traffic import Arrivals, Departures
 from camtopod.topology import LagBins
 
@@ -23,8 +23,6 @@ class LagRanges(NamedTuple):
     """(R,) seconds from the departure to lag 0 of the bins: 0, or those of a long path
     (`camtopod.learn.long_paths`).
     """
-    view: Longs
-    """(R,) camera of the zone, or a number of the long path, which are counted on from cameras."""
     of: Ints
     """(zones, zones) range of the lags from each zone to each."""
 

@@ -17,7 +17,7 @@ from typing import NamedTuple
 
 import numpy as np
 import scipy.fft
-from scipy.ndimage import gaussian_filter1d
+from scipy import ndimage
 
 from camtopod.arrays import Floats
 from camtopod.learn.clocks.correlogram import (
@@ -75,7 +75,7 @@ def best_shift(forth: Counts, back: Counts) -> tuple[int, float]:
     length = scipy.fft.next_fast_len(4 * LAGS + 1, real=True)
     product = scipy.fft.rfft(forth, length) * np.conj(scipy.fft.rfft(back, length))
     match = scipy.fft.irfft(product.sum(axis=0), length).astype(np.float64)
-    match = gaussian_filter1d(
+    match = ndimage.gaussian_filter1d(
         np.concatenate((match[-2 * LAGS :], match[: 2 * LAGS + 1])), PEAK_BINS
     )
 
@@ -101,12 +101,8 @@ def find_two_way_paths(forth: Counts, back: Counts) -> list[TwoWayPath]:
         return []
 
     # Peaks that both directions have at this shift.
-    aligned = np.zeros_like(clear[0])
-    size = aligned.shape[1]
-    aligned[:, max(-shift, 0) : size - max(shift, 0)] = clear[0][
-        :, max(shift, 0) : size - max(-shift, 0)
-    ]
-    together = gaussian_filter1d(aligned * clear[1], PEAK_BINS, axis=1, mode="constant")
+    aligned = ndimage.shift(clear[0], (0, -shift), order=0)
+    together = ndimage.gaussian_filter1d(aligned * clear[1], PEAK_BINS, axis=1, mode="constant")
 
     # Refine those of each pair of zones that are high enough.
     found = [

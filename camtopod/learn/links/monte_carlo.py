@@ -34,9 +34,8 @@ def observe(density: Floats, sigma: Floats, bins: LagBins, seed: int) -> Floats:
     mass = density * bins.widths
     reached = np.cumsum(mass, axis=1) / np.maximum(mass.sum(axis=1, keepdims=True), 1e-300)
     level = (np.arange(OBSERVATIONS) + 0.5) / OBSERVATIONS
-    at = np.array([np.searchsorted(row, level) for row in reached], int)
-    at = at.reshape(links, OBSERVATIONS)
-    at = np.minimum(at, bins.size - 1)
+    quantile = np.array([np.searchsorted(row, level) for row in reached], int)
+    at = np.minimum(quantile.reshape(links, OBSERVATIONS), bins.size - 1)
     lag: Floats = bins.edges[at] + random.random((links, OBSERVATIONS)) * bins.widths[at]
 
     # Metropolis walk: accept a displacement with the ratio of the densities as probability.

@@ -121,19 +121,16 @@ def weighted_quantiles(
     # Leave out improbable transitions, unless a pair has no others.
     likely = weight > WEIGHT_MIN
     some_likely = np.bincount(pair[likely], minlength=pairs) > 0
-    kept = likely | ((weight > 0.0) & ~some_likely[pair])
-    pair = pair[kept]
-    lag = lag[kept]
-    weight = weight[kept]
-    if len(pair) == 0:
-        return np.full((pairs, len(shares)), np.nan)
+    rows = np.flatnonzero(likely | ((weight > 0.0) & ~some_likely[pair]))
+    result = np.full((pairs, len(shares)), np.nan)
+    if len(rows) == 0:
+        return result
 
     # Cumulative weights of the lags in order, pair by pair.
-    order = np.lexsort((lag, pair))
-    pair = pair[order]
-    lag = lag[order]
-    reached = np.cumsum(weight[order])
-    result = np.full((pairs, len(shares)), np.nan)
+    rows = rows[np.lexsort((lag[rows], pair[rows]))]
+    pair = pair[rows]
+    lag = lag[rows]
+    reached = np.cumsum(weight[rows])
     present, first = np.unique(pair, return_index=True)
     last = np.append(first[1:], len(pair)) - 1
     before = np.where(first > 0, reached[first - 1], 0.0)

@@ -31,17 +31,6 @@ DEGREE = 3.0
 """Expected number of paths from one camera."""
 
 
-class Peaks(NamedTuple):
-    """K peaks, ordered by pair of cameras."""
-
-    pair: Longs
-    """(K,) pair of cameras (`CameraLags`)."""
-    place: Floats
-    """(K,) lag in the middle, seconds."""
-    width: Floats
-    """(K,) width, seconds."""
-
-
 class _Window(NamedTuple):
     """Windows of one width about lags of the grid: indices of their edges, (windows,)."""
 
@@ -56,15 +45,18 @@ class _Window(NamedTuple):
     """(windows,) log prior of a path at this place, nats."""
 
 
-def find_peaks(lags: CameraLags) -> Peaks:
-    """Return the peaks of the lags of all pairs of cameras."""
+def find_peaks(lags: CameraLags) -> tuple[Longs, Floats, Floats]:
+    """Return the peaks of the lags of all pairs of cameras, ordered by pair.
+
+    They are columns (K,): pair of cameras (`CameraLags`), lag in the middle, and width, seconds.
+    """
     grid = np.arange(lags.lag_min, lags.lag_max + RESOLUTION_SECONDS, RESOLUTION_SECONDS)
     windows = [_window(width, grid, lags.cameras) for width in WIDTHS]
     found = [
         peak for source in range(lags.cameras) for peak in _peaks_from(lags, source, grid, windows)
     ]
     table = np.array(found).reshape(-1, 3)
-    return Peaks(table[:, 0].astype(np.int64), table[:, 1], table[:, 2])
+    return table[:, 0].astype(np.int64), table[:, 1], table[:, 2]
 
 
 def _window(width: float, grid: Floats, cameras: int) -> _Window:
@@ -136,9 +128,7 @@ def _peaks_from(
 
 def _summed(values: NDArray[Any]) -> Floats:
     """Return the sums (rows, columns + 1) of the values before each column."""
-    result = np.zeros((len(values), values.shape[1] + 1))
-    np.cumsum(values, axis=1, out=result[:, 1:])
-    return result
+    return np.cumsum(np.pad(values, ((0, 0), (1, 0))), axis=1, dtype=float)
 
 
 def _gain(window: _Window, counted: Floats, squared: Floats, exposed: Floats) -> Floats:

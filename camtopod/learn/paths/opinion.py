@@ -35,7 +35,7 @@ def second_opinion(scene: Scene, cameras: list[str], lag_min: float) -> list[Cam
     lag_min (seconds): least lag.
     """
     lags = camera_lags(scene.departures, scene.arrivals, len(cameras), lag_min, scene.last)
-    fit = PathFit(lags, find_peaks(lags))
+    fit = PathFit(lags, *find_peaks(lags))
     fit.run()
 
     pair, share, place, width = fit.paths

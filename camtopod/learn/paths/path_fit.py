@@ -16,7 +16,7 @@ from scipy.special import digamma
 
 from camtopod.arrays import Floats, Longs, Rows
 from camtopod.learn.paths.camera_lags import CameraLags
-from camtopod.learn.paths.dictionary import RESOLUTION_SECONDS, Peaks
+from camtopod.learn.paths.dictionary import RESOLUTION_SECONDS
 from camtopod.topology import DEGREES, LEAVE_FLOOR, REACH_WIDTHS, student_density
 
 SWEEPS = 2
@@ -44,19 +44,21 @@ class Paths(NamedTuple):
 class PathFit:
     """The fit in progress.
 
+    pair, place, width (K,): the peaks that it begins with (`find_peaks`).
+
     paths: the present estimate.
     outside (cameras,): share of the arrivals at each camera that come from outside.
     """
 
-    def __init__(self, lags: CameraLags, peaks: Peaks) -> None:
+    def __init__(self, lags: CameraLags, pair: Longs, place: Floats, width: Floats) -> None:
         self.lags = lags
         self.departures = np.bincount(lags.source, minlength=lags.cameras).astype(float)
         self.arrivals = np.bincount(lags.target, minlength=lags.cameras).astype(float)
 
         # Equal shares at first.
-        paths_from = np.bincount(peaks.pair // lags.cameras, minlength=lags.cameras)
-        share = 0.5 / np.maximum(paths_from, 5)[peaks.pair // lags.cameras]
-        self.paths = Paths(peaks.pair, share, peaks.place, peaks.width)
+        paths_from = np.bincount(pair // lags.cameras, minlength=lags.cameras)
+        share = 0.5 / np.maximum(paths_from, 5)[pair // lags.cameras]
+        self.paths = Paths(pair, share, place, width)
         self.outside = np.ones(lags.cameras)
         self._demand = lags.rate
 

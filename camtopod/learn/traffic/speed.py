@@ -173,8 +173,6 @@ def agreement(before: Floats, after: Floats, p: Persistence) -> Floats:
 
     before, after (M,): as for `estimate_persistence`. If either is unknown, the ratio is 1.
     """
-    if p.correlation <= 0:
-        return np.ones(len(before))
     u = before / p.sd
     v = after / p.sd
     r = p.correlation
