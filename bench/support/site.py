@@ -51,7 +51,6 @@ class Count(Struct, frozen=True):
     received: int = 0
     lost: int = 0
     flood: int = 0
-    held_full: int = 0
     waiting: int = 0
 
 

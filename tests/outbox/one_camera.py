@@ -50,7 +50,6 @@ it cannot tell whether the learner of an older journal knows them.
 FAULTS_SECONDS = 600.0
 """Time in which faults happen."""
 END_SECONDS = FAULTS_SECONDS + 4000.0
-HELD_SECONDS = 60.0
 CAMERA = "lobby"
 SPOOL_EVENTS = 240
 KEPT_EVENTS = 60
@@ -69,7 +68,6 @@ class World:
         self.until = dict.fromkeys(("busy", "slow", "held", "slow network"), -1.0)
         self.linked = False
         self.calm_at: float | None = None
-        self.last_fault = 0.0
         self.requests = 0
         self.uid = 0
         self._dropped = 0  # events that the spool has deleted, as it was full
@@ -79,7 +77,6 @@ class World:
         self._heap: list[tuple[float, int, Callable[..., None], tuple[object, ...]]] = []
         self._order = itertools.count()
         self._grabber = 0
-        self._now_boot = ""
         self.spool: Spool | None = None
         self.daemon: Any
 
@@ -159,7 +156,6 @@ class World:
         assert self.spool is not None
         chance = self.chance
         self.at(self.now + chance.expovariate(1 / 15), self.fault)
-        self.last_fault = self.now
         kind = chance.choice(self.kinds)
         rows = len(self.daemon.journal)
         if kind in ("restart", "replay"):

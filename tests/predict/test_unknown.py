@@ -6,8 +6,6 @@ import numpy as np
 
 from camtopod.predict.anywhere import missed_shares, surplus
 
-RATE = np.full(20, 0.02)
-
 
 def unknown(departures: float, leave: float, rate: float, cameras: int = 20) -> float:
     """Return the unknown share of one of 20 like zones."""

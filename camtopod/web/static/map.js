@@ -14,6 +14,7 @@ const UNIT = 110; // pixels of the map a hop, at scale 1
 const DOT_PIXELS = [2.6, 6];
 const NEAR_SCALE = 0.8;
 const PICK_PIXELS = 14;
+const MARGIN_PIXELS = 60; // so far from the edge is a camera that has the focus
 const WIDTH_PIXELS = [1.2, 7]; // of an edge, by traffic
 const SHOT_RATIO = 16 / 9; // width by height of a picture that is not there yet
 const SHOTS_MAX = 60; // pictures in sight; more take too much memory
@@ -362,12 +363,12 @@ export class NetworkMap {
     return best;
   }
 
-  #inSight(ids) {
+  #inSight(ids, margin = 0) {
     const { clientWidth: width, clientHeight: height } = this.svg;
     return ids.every((id) => {
       const node = this.nodes.get(id);
       const [x, y] = node ? this.view.toScreen(node.x, node.y) : [0, 0];
-      return !node || !width || (x > 0 && y > 0 && x < width && y < height);
+      return !node || !width || Math.min(x, y, width - x, height - y) > margin;
     });
   }
 
@@ -417,10 +418,7 @@ export class NetworkMap {
   #focusedNode(node) {
     this.#roam(node.id);
     if (this.plan?.placing) return; // who holds it does not want it moved
-    const [x, y] = this.view.toScreen(node.x, node.y);
-    const margin = 60;
-    if (x < margin || y < margin || x > this.svg.clientWidth - margin || y > this.svg.clientHeight - margin)
-      this.show(node.id);
+    if (!this.#inSight([node.id], MARGIN_PIXELS)) this.show(node.id);
   }
 
   #key(event) {
