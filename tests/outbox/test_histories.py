@@ -18,6 +18,7 @@ from camtopod.event_time import EventTime, microseconds
 from camtopod.serve.requests import Answer
 from camtopod.serve.storage import Journal
 from camtopod.serve.storage.journal import highest_numbers
+from camtopod.serve.storage.journal_schema import insert
 
 QUICK_HISTORIES = 12
 TICK_SECONDS = 1.0
@@ -93,10 +94,8 @@ class RealDaemon:
         journal._db.execute("DELETE FROM entry WHERE id > ?", (rows,))
         journal._db.execute("DELETE FROM stream")
         left = [entry for _, entry in journal.entries() if entry is not None]
-        journal._insert(
-            "INSERT INTO stream",
-            [(*stream, seq, rows) for stream, seq in highest_numbers(left).items()],
-        )
+        numbers = [(*stream, seq, rows) for stream, seq in highest_numbers(left).items()]
+        insert(journal._db, "INSERT INTO stream", numbers)
         self.stop(1.0)
 
     def lose_number(self, boot: str) -> None:
