@@ -12,11 +12,7 @@ from collections.abc import Callable
 
 from camtopod.export import homeassistant as homeassistant
 from camtopod.export.aicity import camera_numbers as camera_numbers, to_aicity
-from camtopod.export.arrivals import (
-    Arrivals as Arrivals,
-    Awaited as Awaited,
-    Passing as Passing,
-)
+from camtopod.export.arrivals import Arrivals as Arrivals, Awaited as Awaited, Passing as Passing
 from camtopod.export.dot import to_dot
 from camtopod.export.graph import (
     Edge as Edge,

@@ -12,14 +12,7 @@ from camtopod.records import Event
 from camtopod.vision.detect import Blob, Luma, MotionDetector, find_blobs, shrunk
 from camtopod.vision.detector.detector import Detector, DetectorResult
 from camtopod.vision.settings import VisionSettings
-from camtopod.vision.track import (
-    Crossings,
-    Decision,
-    IgnoredAreas,
-    Reason,
-    Track,
-    Tracker,
-)
+from camtopod.vision.track import Crossings, Decision, IgnoredAreas, Reason, Track, Tracker
 
 GHOST_SECONDS = 3.0
 """An object that has not moved for this long is tested for being a ghost.

@@ -118,7 +118,7 @@ class Routes:
                 **gather(newest, [], self._pictures, self._config),
                 "versions": self._feed.versions,
                 "growth": steps(self._bus, newest),
-                "recent": self._feed.last_hour(),
+                "recent": self._feed.recent(),
             }
             return HTMLResponse(page(data), headers={"Content-Disposition": "attachment"})
 
@@ -158,11 +158,7 @@ class Routes:
 
 
 def application(
-    site: Routes,
-    api: Api,
-    names: Collection[str],
-    login: Login | None,
-    beat: Beat,
+    site: Routes, api: Api, names: Collection[str], login: Login | None, beat: Beat
 ) -> Starlette:
     """Return the web application.
 

@@ -17,14 +17,7 @@ import msgspec
 from camtopod import codec
 from camtopod.predict import seen_now
 from camtopod.publishers import ELSEWHERE, is_gone
-from camtopod.records import (
-    DaemonStatus,
-    Match,
-    Prediction,
-    Recent,
-    Status,
-    Topology,
-)
+from camtopod.records import DaemonStatus, Match, Prediction, Recent, Status, Topology
 from camtopod.serve.bus import Bus, QueryError, TopologySubscriber
 from camtopod.serve.runtime import Beat, Clock, no_beat
 from camtopod.web.explanations import Explanations
@@ -153,9 +146,8 @@ class Feed:
         """Versions of the newest epoch since this server began, oldest first; never changed."""
         self.map = NO_MAP
         self.map_json = b"null"
-        bus.subscribe("status/*", self._on_message)
-        bus.subscribe("prediction/*", self._on_message)
-        bus.subscribe("match/*", self._on_message)
+        for key in ("status/*", "prediction/*", "match/*"):
+            bus.subscribe(key, self._on_message)
 
     def follow(self, stop: threading.Event, beat: Beat = no_beat) -> None:
         """Follow the topology until ``stop`` is set."""
@@ -239,20 +231,17 @@ class Feed:
         if not self._page_queues.is_any_open or abs(self._clock() - self._asked_at) < 1.0:
             return
         self._asked_at = self._clock()
-        with contextlib.suppress(QueryError, codec.Rejected):
-            for _, payload in self._bus.query("recent", {"since": self._answered_at}, one=True):
-                recent = codec.read(Recent, payload, pack=True)
-                self._answered_at = recent.t
-                if recent.events:
-                    newest = codec.to_json(recent.events[-SEEN_PER_SECOND_MAX:])
-                    self._page_queues.send("seen", newest, passing=True)
+        if (recent := self.recent(SEEN_PER_SECOND_MAX, since=self._answered_at)) is not None:
+            self._answered_at = recent.t
+            if recent.events:
+                self._page_queues.send("seen", codec.to_json(recent.events), passing=True)
 
-    def last_hour(self) -> Recent | None:
-        """Return the newest events of the last hour; None if the daemon does not answer."""
+    def recent(self, most: int = REPORT_EVENTS_MAX, **asked: float) -> Recent | None:
+        """Return the newest events of the last hour, at most ``most``; None without an answer."""
         with contextlib.suppress(QueryError, codec.Rejected):
-            for _, payload in self._bus.query("recent", one=True):
+            for _, payload in self._bus.query("recent", asked, one=True):
                 recent = codec.read(Recent, payload, pack=True)
-                return Recent(recent.t, recent.events[-REPORT_EVENTS_MAX:])
+                return Recent(recent.t, recent.events[-most:])
         return None
 
     def _version(self) -> bytes:

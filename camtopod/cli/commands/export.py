@@ -27,9 +27,7 @@ def add_parser(add: Any) -> None:
     )
     parser.add_argument("--format", choices=FORMATS, required=True, help="format of the output")
     parser.add_argument(
-        "--weak",
-        action="store_true",
-        help="also draw links with half of their evidence, dashed",
+        "--weak", action="store_true", help="also draw links with half of their evidence, dashed"
     )
     parser.add_argument(
         "--out", metavar="FILE", default="-", help="write to FILE (default: standard output)"

@@ -182,9 +182,7 @@ def _publish(
     # Publish batch by batch. Events that earlier runs have left are sent, too, but not waited for.
     limits = config.limits
     most = min(
-        WAITING_EVENTS_MAX,
-        limits.spool_events_max // 2,
-        limits.spool_bytes_max // 2 // 1_000,
+        WAITING_EVENTS_MAX, limits.spool_events_max // 2, limits.spool_bytes_max // 2 // 1_000
     )
     for batch in source:
         publisher.publish(*batch)

@@ -34,8 +34,7 @@ def add_parser(add: Any) -> None:
         "which only several versions show."
     )
     parser = add(
-        description=about,
-        epilog="example: camtopod learn events.jsonl --topology topology.json",
+        description=about, epilog="example: camtopod learn events.jsonl --topology topology.json"
     )
     parser.add_argument(
         "events",

@@ -105,11 +105,7 @@ class LineReader:
             yield Line(event, path, number)
 
     def adapted(
-        self,
-        path: str,
-        lines: Iterable[tuple[int, bytes]],
-        adapter: Adapter,
-        live: bool = False,
+        self, path: str, lines: Iterable[tuple[int, bytes]], adapter: Adapter, live: bool = False
     ) -> Iterator[Event]:
         """Yield events from another program's numbered lines.
 

@@ -55,10 +55,7 @@ _OPTIONS: dict[str, tuple[str, dict[str, Any]]] = {
         {"metavar": "NAME=ID", "type": _renaming, "action": "append", "default": []},
     ),
     "fps": ("frames per second", {"type": float, "metavar": "N"}),
-    "start": (
-        "event time of the first frame (default 0)",
-        {"type": float, "metavar": "SECONDS"},
-    ),
+    "start": ("event time of the first frame (default 0)", {"type": float, "metavar": "SECONDS"}),
 }
 """Option -> what it means, and the parser's arguments."""
 _SIZE = re.compile(r"(?:([A-Za-z0-9_.-]{1,64})=)?([1-9][0-9]{0,5})x([1-9][0-9]{0,5})")

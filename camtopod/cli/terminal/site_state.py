@@ -9,14 +9,7 @@ from collections.abc import Callable
 
 from camtopod import codec
 from camtopod.publishers import ELSEWHERE, is_gone
-from camtopod.records import (
-    CameraFigures,
-    DaemonStatus,
-    Link,
-    Prediction,
-    Status,
-    Topology,
-)
+from camtopod.records import CameraFigures, DaemonStatus, Link, Prediction, Status, Topology
 from camtopod.topology import links_between_views, links_in_words, waiting_for_links
 
 ALARMS_SHOWN = 5

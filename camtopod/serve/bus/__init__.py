@@ -9,10 +9,7 @@ what a forked child must not use. The others serve the daemon: `access` (who may
 
 from camtopod.serve.bus import access as access
 from camtopod.serve.bus.forks import guard as guard, note_use as note_use
-from camtopod.serve.bus.joining import (
-    dial as dial,
-    open_daemon_session as open_daemon_session,
-)
+from camtopod.serve.bus.joining import dial as dial, open_daemon_session as open_daemon_session
 from camtopod.serve.bus.session import (
     JSON as JSON,
     QUERY_SECONDS as QUERY_SECONDS,

@@ -31,12 +31,7 @@ class EventClock:
     """
 
     def __init__(
-        self,
-        learned: EventTime,
-        behind_max: float,
-        settle: float,
-        wall: float,
-        now: float,
+        self, learned: EventTime, behind_max: float, settle: float, wall: float, now: float
     ) -> None:
         self._learned = learned
         newest_us = learned.state.newest_us

@@ -15,12 +15,7 @@ from itertools import islice
 from msgspec.structs import replace
 
 from camtopod.records import CatchingUp
-from camtopod.serve.learner_process.messages import (
-    INPUTS_MAX,
-    Input,
-    LearnBatch,
-    LearnProgress,
-)
+from camtopod.serve.learner_process.messages import INPUTS_MAX, Input, LearnBatch, LearnProgress
 from camtopod.serve.learner_process.process import LearnerEnded, LearnerProcess
 from camtopod.serve.learner_process.recovery import Recovered, note_failure
 from camtopod.serve.runtime import Beat, no_beat

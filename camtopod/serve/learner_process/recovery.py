@@ -17,20 +17,9 @@ from camtopod import codec
 from camtopod.admin import Reset, Rewind
 from camtopod.learn.settings import Settings
 from camtopod.records import Event, Topology
-from camtopod.serve.learner_process.messages import (
-    STATE,
-    Begin,
-    LearnProgress,
-    Load,
-    Loaded,
-)
+from camtopod.serve.learner_process.messages import STATE, Begin, LearnProgress, Load, Loaded
 from camtopod.serve.learner_process.process import LearnerProcess
-from camtopod.serve.storage import (
-    Entry,
-    Journal,
-    StateError,
-    read_command,
-)
+from camtopod.serve.storage import Entry, Journal, StateError, read_command
 
 log = logging.getLogger(__name__)
 

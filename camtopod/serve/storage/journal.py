@@ -335,8 +335,7 @@ class Journal:
         """Return the undamaged version that was stored last, of any epoch, as JSON; else None."""
         with self._access():
             rows = self._db.execute(
-                "SELECT epoch, version FROM version ORDER BY id DESC LIMIT ?",
-                (VERSIONS_TRIED_MAX,),
+                "SELECT epoch, version FROM version ORDER BY id DESC LIMIT ?", (VERSIONS_TRIED_MAX,)
             ).fetchall()
         return next(filter(None, (self.version(*row) for row in rows)), None)
 

@@ -15,12 +15,7 @@ from collections.abc import Callable, Mapping, Sequence
 from typing import NamedTuple
 
 from camtopod.serve.runtime import Beat, Clock, no_beat
-from camtopod.serve.storage.journal import (
-    Entry,
-    Journal,
-    Snapshot,
-    StoredVersion,
-)
+from camtopod.serve.storage.journal import Entry, Journal, Snapshot, StoredVersion
 
 log = logging.getLogger(__name__)
 

@@ -20,10 +20,7 @@ def shrunk(image: Luma, side_max: int) -> Luma:
     longer = max(height, width)
     if longer <= side_max:
         return image.copy()
-    size = (
-        max(1, round(width * side_max / longer)),
-        max(1, round(height * side_max / longer)),
-    )
+    size = (max(1, round(width * side_max / longer)), max(1, round(height * side_max / longer)))
 
     # Halve as long as possible.
     while (

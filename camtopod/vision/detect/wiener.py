@@ -45,9 +45,7 @@ def wiener(image: npt.NDArray[Any], size: int, noise: float) -> npt.NDArray[np.f
 
 
 def temporal_noise(
-    frame: cv2.typing.MatLike,
-    previous: cv2.typing.MatLike,
-    watched: cv2.typing.MatLike,
+    frame: cv2.typing.MatLike, previous: cv2.typing.MatLike, watched: cv2.typing.MatLike
 ) -> float:
     """Return the one-sigma noise (grey levels) between two consecutive frames (H, W).
 

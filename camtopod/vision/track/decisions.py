@@ -42,14 +42,7 @@ in mid-view: began away from every edge; if that happens again and again, a door
 """
 
 Ending = Literal[
-    "left",
-    "left late",
-    "lost",
-    "occluded",
-    "interrupted",
-    "ghost",
-    "scene changed",
-    "in view",
+    "left", "left late", "lost", "occluded", "interrupted", "ghost", "scene changed", "in view"
 ]
 """Why a track has ended.
 
