@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
+from camtopod.arrays import Longs
 from camtopod.event_time import MICROSECONDS
-from camtopod.learn.changes import find_move
+from camtopod.learn.changes import find_moves
 from camtopod.learn.limits import ZONES_PER_CAMERA_MAX
 from camtopod.learn.snapshot import CameraState, LearnerState, RetiredCamera
 from camtopod.learn.window import NO_POSITION, Window
@@ -35,23 +36,21 @@ def find_moved_cameras(state: LearnerState, window: Window) -> None:
         for camera, known in enumerate(state.cameras)
         if window.seen[camera] - known.tested_at >= MOVE_EVENTS
     ]
+    cells = []
     for camera in to_test:
-        # Test the grid cells of the camera's events.
-        known = state.cameras[camera]
-        known.tested_at = window.seen[camera]
-        rows = window.rows_of_camera(camera)
-        rows = rows[window.column("px")[rows] != NO_POSITION]
-        px, py = (window.column(name)[rows].astype(np.int64) for name in ("px", "py"))
-        move = find_move(cells_of(px, py), known.zones.cells)
+        state.cameras[camera].tested_at = window.seen[camera]
+        _, px, py = _placed(window, camera)
+        cells.append(cells_of(px, py))
 
-        # Learn the zones of the new view from the events since the move.
+    # Learn the zones of a new view from the events since the move.
+    moves = find_moves(cells, [state.cameras[camera].zones.cells for camera in to_test])
+    for camera, move in zip(to_test, moves, strict=True):
         if move:
-            since = float(window.column("t")[rows[move.first]] / MICROSECONDS)
-            window.forget_camera(camera, int(rows[move.first]))
-            since_move = slice(move.first, None)
-            known.zones = find_zones(
-                cell_sums(px[since_move], py[since_move]), (), known.zones.next_number
-            )
+            known = state.cameras[camera]
+            rows, px, py = (one[move.first :] for one in _placed(window, camera))
+            since = float(window.column("t")[rows[0]] / MICROSECONDS)
+            window.forget_camera(camera, int(rows[0]))
+            known.zones = find_zones(cell_sums(px, py), (), known.zones.next_number)
             known.zoned_at = known.tested_at
             known.vanished = ()
             state.moved.append((camera, since, move))
@@ -62,25 +61,22 @@ def refresh_camera_zones(state: LearnerState, window: Window, anew: bool = False
 
     anew: True to learn the zones of all cameras from nothing; they keep their numbers.
     """
-    placed = window.has_position()
-    px, py = (window.column(name).astype(np.int64) for name in ("px", "py"))
-    for camera, rows_of_camera in enumerate(window.rows_of_cameras()):
-        events = window.seen[camera]
-        rows = rows_of_camera[placed[rows_of_camera]]
+    for camera, events in enumerate(window.seen):
+        _, px, py = _placed(window, camera)
 
         # A new camera, or a retired one that reports again.
         if camera == len(state.cameras):
             retired = state.retired.pop(window.cameras[camera], RetiredCamera())
-            zones = find_zones(cell_sums(px[rows], py[rows]), retired.zones, retired.next_number)
+            zones = find_zones(cell_sums(px, py), retired.zones, retired.next_number)
             vanished = _vanished(retired.zones, zones)
             state.cameras.append(CameraState(zones, events, vanished, events))
             continue
 
         # A known camera.
         known = state.cameras[camera]
-        if anew or events - known.zoned_at >= ZONES_REFRESH_SHARE * len(rows):
+        if anew or events - known.zoned_at >= ZONES_REFRESH_SHARE * len(px):
             before = known.zones.zones + known.vanished
-            sums = cell_sums(px[rows], py[rows])
+            sums = cell_sums(px, py)
             known.zones = (
                 find_zones(sums, before, known.zones.next_number)
                 if anew
@@ -88,6 +84,14 @@ def refresh_camera_zones(state: LearnerState, window: Window, anew: bool = False
             )
             known.zoned_at = events
             known.vanished = _vanished(before, known.zones)
+
+
+def _placed(window: Window, camera: int) -> tuple[Longs, Longs, Longs]:
+    """Return row and position (x, y) of each of a camera's events that have one, oldest first."""
+    rows = window.rows_of_camera(camera)
+    px, py = (window.column(name)[rows].astype(np.int64) for name in ("px", "py"))
+    placed = px != NO_POSITION
+    return rows[placed], px[placed], py[placed]
 
 
 def _vanished(known: tuple[ZoneShape, ...], now: ZoneMap) -> tuple[ZoneShape, ...]:

@@ -16,7 +16,7 @@ from camtopod.learn.changes.alarms import (
 from camtopod.learn.changes.camera_moved import (
     BEFORE_MIN as BEFORE_MIN,
     Move as Move,
-    find_move as find_move,
+    find_moves as find_moves,
 )
 from camtopod.learn.changes.change_points import (
     Change as Change,

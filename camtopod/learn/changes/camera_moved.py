@@ -1,6 +1,6 @@
 """Find turned cameras: their newest events come from new places, and their known zones are silent.
 
-`find_move` compares the newest n events of one camera, by grid cell, with its earlier events, for
+`find_moves` compares the newest n events of a camera, by grid cell, with its earlier events, for
 several n (`LENGTHS`). Two conditions must hold:
 
 * *The known zones are silent*: they have kept little of their share of the traffic.
@@ -11,12 +11,13 @@ several n (`LENGTHS`). Two conditions must hold:
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from camtopod.arrays import Floats
+from camtopod.arrays import Floats, Indices, Longs
 from camtopod.learn.zones import BANDWIDTH_MIN, CELLS, CONTRAST_MIN, kernel_1d
 from camtopod.topology import GRID_COLUMNS, GRID_ROWS
 
@@ -54,48 +55,57 @@ class Move(NamedTuple):
     """Share of their traffic that the known zones have kept."""
 
 
-def find_move(cell: NDArray[np.int64], zones: NDArray[np.int16]) -> Move | None:
-    """Return the move of a camera; None if there is none.
+def find_moves(cells: Sequence[Indices], zones: Sequence[NDArray[np.int16]]) -> list[Move | None]:
+    """Return the move of each of some cameras; None if there is none.
 
-    cell (n,): flat grid cell of each of the camera's events, oldest first.
+    cells (n,): flat grid cell of each of a camera's events, oldest first.
     zones (rows, columns): the zone of each cell (`ZoneMap.cells`).
     """
-    best: Move | None = None
+    best: list[Move | None] = [None] * len(cells)
+    left = list(range(len(cells)))
     for length in LENGTHS:
-        if len(cell) - length < BEFORE_MIN:
+        left = [k for k in left if len(cells[k]) - length >= BEFORE_MIN]
+        if not left:
             break
 
         # Condition 1: the known zones are silent.
-        part = _known_zones(np.bincount(cell[:-length], minlength=CELLS), zones.ravel())
-        if not part.any():
-            continue
-        kept = _left(cell[:-length], cell[-length:], part)
-        if kept + 2 * np.sqrt(kept / length) > LEFT_MAX:
-            break
+        before, newest = (
+            np.array([np.bincount(cells[k][part], minlength=CELLS) for k in left])
+            for part in (slice(-length), slice(-length, None))
+        )
+        part = _known_zones(before, np.array([zones[k].ravel() for k in left]))
+        kept = _kept(before, newest, part)
+        silent = kept + 2 * np.sqrt(kept / length) <= LEFT_MAX
 
         # Condition 2: other places explain the events better.
-        move = _moved(cell[:-length], cell[-length:], part, kept)
-        if move and (best is None or move.log_ratio > best.log_ratio):
-            best = move
+        for row in np.flatnonzero(silent).tolist():
+            cell = cells[left[row]]
+            move = _moved(cell[:-length], cell[-length:], part[row], float(kept[row]))
+            known = best[left[row]]
+            if move and (known is None or move.log_ratio > known.log_ratio):
+                best[left[row]] = move
+        left = [k for k, goes_on in zip(left, silent | np.isnan(kept), strict=True) if goes_on]
     return best
 
 
-def _left(before: NDArray[np.int64], newest: NDArray[np.int64], part: NDArray[np.int64]) -> float:
+def _kept(before: Longs, newest: Longs, part: Longs) -> Floats:
     """Return the share of their traffic that the known zones have kept, compared cell by cell.
 
-    before, newest (n,), (m,): flat grid cells of the earlier and the newest events.
-    part (cells,): known zone of each cell, from 1; 0 outside.
+    before, newest (cameras, cells): number of earlier and of newest events in each cell.
+    part (cameras, cells): known zone of each cell, from 1; 0 outside.
+
+    The result (cameras,) is NaN without known zones.
     """
     share_before, share_now = (
-        _smooth(np.bincount(cell, minlength=CELLS))[part > 0] / len(cell)
-        for cell in (before, newest)
+        _smooth(count) / count.sum(axis=1, keepdims=True) for count in (before, newest)
     )
-    return float(np.minimum(share_before, share_now).sum() / share_before.sum())
+    share_before *= part > 0
+    had = share_before.sum(axis=1)
+    has = np.minimum(share_before, share_now).sum(axis=1)
+    return np.asarray(np.divide(has, had, out=np.full(len(had), np.nan), where=had > 0))
 
 
-def _moved(
-    before: NDArray[np.int64], newest: NDArray[np.int64], part: NDArray[np.int64], left: float
-) -> Move | None:
+def _moved(before: Indices, newest: Indices, part: Longs, left: float) -> Move | None:
     """Return the move if other places explain the newest events better than the known ones.
 
     before, newest (n,), (m,): flat grid cells of the earlier and the newest events.
@@ -103,7 +113,7 @@ def _moved(
     left: share of their traffic that the known zones have kept.
     """
     # Log likelihood ratio of the kernel density over the known places.
-    smooth = _smooth(np.bincount(before, minlength=CELLS))
+    smooth = _smooth(np.bincount(before, minlength=CELLS)[None])[0]
     parts = int(part.max()) + 1
     had, has = (np.bincount(part[cell], minlength=parts) / len(cell) for cell in (before, newest))
     within = np.log(smooth / np.bincount(part, smooth, parts)[part])[newest]
@@ -122,34 +132,37 @@ def _moved(
     return Move(len(before) + first, len(newest) - first, outside, log_ratio, left)
 
 
-def _known_zones(count: NDArray[np.int64], zones: NDArray[np.int16]) -> NDArray[np.int64]:
-    """Return the known zone of each cell (cells,), counted from 1; 0 for all other cells.
+def _known_zones(count: Longs, zones: NDArray[np.int16]) -> Longs:
+    """Return the known zone of each cell (cameras, cells), counted from 1; 0 for all other cells.
 
-    count (cells,): number of earlier events in each cell.
-    zones (cells,): zone of each cell in the map; -1 outside all zones.
+    count (cameras, cells): number of earlier events in each cell.
+    zones (cameras, cells): zone of each cell in the map; -1 outside all zones.
 
     A zone is known if before the newest events, which may have made a zone of the map, it was as
     much denser than the cells outside all zones as a zone has to be (`CONTRAST_MIN`).
     The known zones are numbered anew, without gaps: their numbers are not those of the map.
     """
-    part = zones.astype(np.int64) + 1
-    had = np.bincount(part, count, part.max() + 1)
-    size = np.bincount(part, minlength=part.max() + 1)
-    rest = (had[0] + 1) / max(int(size[0]), 1)
-    kept = had > CONTRAST_MIN * rest * size
-    kept[0] = False
-    number = np.cumsum(kept) * kept
-    return np.asarray(number[part])
-
-
-def _smooth(count: NDArray[np.int64]) -> Floats:
-    """Return event counts (cells,) smoothed over the grid; no count is zero."""
-    return np.asarray(
-        (_ROWS.T @ (count + 1 / CELLS).reshape(GRID_ROWS, GRID_COLUMNS) @ _COLUMNS).ravel()
+    cameras = len(count)
+    parts = int(zones.max()) + 2
+    part = zones + 1 + parts * np.arange(cameras)[:, None]
+    had, size = (
+        np.bincount(part.ravel(), weight, cameras * parts).reshape(cameras, parts)
+        for weight in (count.ravel(), None)
     )
+    rest = (had[:, :1] + 1) / np.maximum(size[:, :1], 1)
+    kept = had > CONTRAST_MIN * rest * size
+    kept[:, 0] = False
+    number = np.cumsum(kept, axis=1) * kept
+    return np.asarray(number.ravel()[part])
 
 
-def _foretold(cell: NDArray[np.int64], earlier: bool) -> Floats:
+def _smooth(count: Longs) -> Floats:
+    """Return event counts (cameras, cells) smoothed over the grid; no count is zero."""
+    grids = (count + 1 / CELLS).reshape(-1, GRID_ROWS, GRID_COLUMNS)
+    return np.asarray((_ROWS.T @ grids @ _COLUMNS).reshape(count.shape))
+
+
+def _foretold(cell: Indices, earlier: bool) -> Floats:
     """Return the log density (n,) of each of n events under a kernel density of the others.
 
     cell (n,): flat grid cell of each event.

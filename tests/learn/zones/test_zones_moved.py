@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from camtopod.learn.changes.camera_moved import find_move
+from camtopod.learn.changes.camera_moved import find_moves
 from camtopod.learn.learner import Learner
 from camtopod.learn.settings import Settings
 from camtopod.learn.zones.cells import cell_sums, cells_of, fixed_point
@@ -29,7 +29,7 @@ def first_look(before: np.ndarray, after: np.ndarray) -> int | None:
     table = find_zones(cell_sums(*fixed_point(before.T))).cells
     cell = cells_of(*fixed_point(np.concatenate([before, after]).T))
     looks = range(len(before) + 25, len(cell) + 1, 25)
-    return next((at - len(before) for at in looks if find_move(cell[:at], table)), None)
+    return next((at - len(before) for at in looks if find_moves([cell[:at]], [table])[0]), None)
 
 
 @pytest.mark.parametrize("seed", range(2))
@@ -41,11 +41,30 @@ def test_a_turned_camera_is_seen_within_a_hundred_events(seed: int, n: int) -> N
     assert seen is not None
     assert seen <= 100
     table = find_zones(cell_sums(*fixed_point(before.T))).cells
-    move = find_move(cells_of(*fixed_point(np.concatenate([before, after]).T)), table)
+    move = find_moves([cells_of(*fixed_point(np.concatenate([before, after]).T))], [table])[0]
     assert move is not None
     assert abs(move.first - n) <= 20
     assert move.outside > 0.8
     assert move.left < 0.2
+
+
+def test_cameras_tested_together_do_not_disturb_each_other() -> None:
+    before = places(0, BEFORE, [0.5, 0.3, 0.2], 500)
+    table = find_zones(cell_sums(*fixed_point(before.T))).cells
+    cells = [
+        cells_of(*fixed_point(np.concatenate([before, after]).T))
+        for after in (
+            places(1, AFTER, [0.4, 0.4, 0.2], 200),
+            places(2, BEFORE, [0.5, 0.3, 0.2], 200),
+            places(3, AFTER, [0.4, 0.4, 0.2], 90),
+            places(4, BEFORE[:1], [1.0], 400),
+            np.zeros((0, 2)),
+        )
+    ]
+    tables = [table, table, table, table, np.full_like(table, -1)]
+    alone = [find_moves([cell], [zones])[0] for cell, zones in zip(cells, tables, strict=True)]
+    assert find_moves(cells, tables) == alone
+    assert [move is not None for move in alone] == [True, False, True, False, False]
 
 
 @pytest.mark.parametrize("seed", range(2))
