@@ -18,8 +18,8 @@ from msgspec import Struct
 from camtopod.event_time import MICROSECONDS
 from camtopod.learn.outcomes import Happened, ScoredPrediction
 from camtopod.learn.prediction_model import SHARE_MIN
-from camtopod.predict import Predictor, PredictorState
-from camtopod.records import Event, Prediction, SelfScore, Topology
+from camtopod.predict import Predictor, PredictorState, sum_by_camera
+from camtopod.records import Event, SelfScore, Topology
 
 EXITS_PER_VERSION = 100
 """Approximate number of exits that are predicted between two versions, evenly spread."""
@@ -100,7 +100,9 @@ class Scorer:
             if event.kind == "exit":
                 state.exits += 1
                 if state.exits % state.stride == 0 and predictor.zone_of(event) is not None:
-                    predicted = _by_camera(predictor.predict(event))
+                    prediction = predictor.predict(event)
+                    by_camera = ((one.camera, one.probability) for one in prediction.candidates)
+                    predicted = {"": prediction.leave, **sum_by_camera(by_camera)}
                     baseline = state.baseline.get(event.camera, {"": 1.0})
                     version = predictor.version
                     state.waiting.append(
@@ -162,14 +164,6 @@ class Scorer:
             baseline_log_loss=_short(np.mean(m.baseline_loss)),
             baseline_top1=_short(np.sum(m.baseline_top1) / followed),
         )
-
-
-def _by_camera(prediction: Prediction) -> dict[str, float]:
-    """Return the probability of each next camera, by name, with "" for leaving the site."""
-    shares = {"": prediction.leave}
-    for choice in prediction.candidates:
-        shares[choice.camera] = shares.get(choice.camera, 0.0) + choice.probability
-    return shares
 
 
 def marks(guess: ScoredPrediction, happened: dict[str, float]) -> Scores:

@@ -161,13 +161,6 @@ class Hazards:
         begun = (self.bins.edges[1:] + dwell) / self.bins.widths
         return np.where(self.past, np.minimum(np.maximum(begun, 0.0), 1.0), 1.0)
 
-    def longest_dwell(self, zones: list[int]) -> float | None:
-        """Return the longest known dwell time (seconds) of passages that end in any of the zones.
-
-        None if no dwell time is known.
-        """
-        return max((self.stay[zone][-1] for zone in zones if self.stay[zone]), default=None)
-
     def _from_posterior(self, rows: list[Onward], index: dict[str, int]) -> dict[int, Outcomes]:
         """Return the outcomes by zone from the records of a model; ``index``: of zones by id."""
         outcomes = {}

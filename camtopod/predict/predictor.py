@@ -87,11 +87,12 @@ class Predictor:
         self._lookup = ZoneLookup(self.zones)
         self.site = Site(topology, self._hazards)
         self.anywhere = Anywhere(topology, self.site)
+        deciles = self._hazards.stay
         longest = {
-            camera: self._hazards.longest_dwell(zones)
+            camera: [deciles[zone][-1] for zone in zones if any(deciles[zone])]
             for camera, zones in self._lookup.of_camera.items()
         }
-        self._longest_stay = {camera: stay for camera, stay in longest.items() if stay}
+        self._longest_stay = {camera: max(stays) for camera, stays in longest.items() if stays}
 
         # Observed events.
         self.forget()

@@ -224,7 +224,7 @@ class _Table:
         self.at = np.append(np.searchsorted(trials.moved, trials.t), len(trials.moved))
         """(n + 1,) number of transitions before each departure, and in all."""
         log = np.log1p((self.factors - 1.0) * trials.share).cumsum(axis=1)
-        log = np.concatenate((np.zeros((len(log), 1)), log), axis=1)
+        log = np.pad(log, ((0, 0), (1, 0)))
         self.log = log[:, self.at] - (self.factors - 1.0) * rate * self.weight
         """(F, n + 1) log likelihood of every factor up to each departure."""
         self.shares = trials.share

@@ -98,12 +98,9 @@ class EntryKernels:
         noise_sd: standard deviations of the null model that are subtracted in addition.
         """
         a = self._arrivals
-        order = np.argsort(self._began, kind="stable")
         if len(self.rows) == 0:
             return
-        rates = NullRates(
-            self._began[order], self._entered[order].astype(np.int32), a.t, a.zone, self._zones
-        )
+        rates = NullRates(self._began, self._entered.astype(np.int32), a.t, a.zone, self._zones)
         for rows, members, counts in self._counts(np.ones(len(self.rows))):
             source = self.source[rows]
             chance = rates.rates_of(source, self.target[rows])

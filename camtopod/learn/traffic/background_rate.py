@@ -59,8 +59,8 @@ class NullRates:
     that in its bin and the two bins beside it, and the mean is taken over the departures. So a
     rhythm common to all zones is part of the null model.
 
-    departure_t, departure_zone (n,): times (seconds, ascending) and zones of departures, not empty.
-    arrival_t, arrival_zone (m,): times (seconds, ascending) and zones of arrivals, not empty.
+    departure_t, departure_zone (n,): times (seconds) and zones of departures, not empty.
+    arrival_t, arrival_zone (m,): times (seconds) and zones of arrivals, not empty.
     zones: number of zones.
     """
 
@@ -73,8 +73,8 @@ class NullRates:
         zones: int,
     ) -> None:
         # Count departures and arrivals (zones, bins).
-        first = min(departure_t[0], arrival_t[0])
-        n = int((max(departure_t[-1], arrival_t[-1]) - first) // CHANCE_BIN_SECONDS) + 1
+        first = min(departure_t.min(), arrival_t.min())
+        n = int((max(departure_t.max(), arrival_t.max()) - first) // CHANCE_BIN_SECONDS) + 1
         self._departures = _per_bin(departure_t, departure_zone, first, n, zones)
         arrivals = _per_bin(arrival_t, arrival_zone, first, n, zones)
 

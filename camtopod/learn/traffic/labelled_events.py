@@ -22,9 +22,6 @@ from camtopod.learn.window import Window
 from camtopod.learn.zones import ZoneMap, ZoneShape, cells_of
 from camtopod.topology import blocks_of
 
-NO_ZONE = -1
-"""Zone index of events that belong to no zone (clutter)."""
-
 
 class ZoneRef(NamedTuple):
     """A zone of the site.
@@ -64,7 +61,7 @@ def number_zones(window: Window, maps: list[ZoneMap]) -> tuple[list[ZoneRef], ND
     maps: zone map of each camera.
 
     Return the zones, and a table (cameras, cells + 1) with the index of the zone of each grid cell,
-    `NO_ZONE` for clutter. The last column is for events without position: they belong to the single
+    -1 for clutter. The last column is for events without position: they belong to the single
     zone of a camera none of whose events has a position, and otherwise to no zone.
     """
     unplaced = set(window.column("camera")[~window.has_position()].tolist())
@@ -74,7 +71,7 @@ def number_zones(window: Window, maps: list[ZoneMap]) -> tuple[list[ZoneRef], ND
         first = len(zones)
         zones.extend(ZoneRef(camera, shape.number, shape) for shape in zone_map.zones)
         cells = zone_map.cells.ravel().astype(np.int32)
-        table = np.append(np.where(cells >= 0, cells + first, NO_ZONE), NO_ZONE)
+        table = np.append(np.where(cells >= 0, cells + first, -1), -1)
 
         # A camera whose events have no positions is one zone.
         if not zone_map.zones and camera in unplaced:

@@ -12,8 +12,6 @@ from camtopod.topology import GRID_COLUMNS, GRID_ROWS, POSITION_ONE
 
 CELLS = GRID_ROWS * GRID_COLUMNS
 """Number of cells of the grid."""
-NO_CELL = -1
-"""Cell of events without position."""
 
 
 def fixed_point(x: ArrayLike) -> Longs:
@@ -22,13 +20,13 @@ def fixed_point(x: ArrayLike) -> Longs:
 
 
 def cells_of(px: Longs, py: Longs) -> Longs:
-    """Return the flat grid cell (n,), row * columns + column, of positions; `NO_CELL` for none.
+    """Return the flat grid cell (n,), row * columns + column, of positions; -1 for none.
 
     px, py (n,): positions in fixed point, negative if unknown.
     """
     column = np.minimum(px * GRID_COLUMNS // POSITION_ONE, GRID_COLUMNS - 1)
     row = np.minimum(py * GRID_ROWS // POSITION_ONE, GRID_ROWS - 1)
-    return np.where(px < 0, NO_CELL, row * GRID_COLUMNS + column)
+    return np.where(px < 0, -1, row * GRID_COLUMNS + column)
 
 
 def cell_sums(px: Longs, py: Longs) -> Longs:

@@ -39,15 +39,6 @@ def moments(groups: Floats) -> tuple[Floats, Floats]:
     return mean, groups[3:] - np.array((sx * x, sx * y, sy * y))
 
 
-def gaussians(groups: Floats) -> tuple[Floats, Floats]:
-    """Return the mean (2, ...) and the posterior covariance (3, ...: xx, xy, yy) of groups.
-
-    groups (6, ...): sums of each group.
-    """
-    mean, scatter = moments(groups)
-    return mean, covariance(groups[0], scatter)
-
-
 def covariance(n: Floats, scatter: Floats) -> Floats:
     """Return the posterior covariance (3, ...: xx, xy, yy) of groups.
 

@@ -27,7 +27,6 @@ from camtopod.learn.zones.clutter import (
 from camtopod.learn.zones.daspec import POINTS_NEAR_MIN
 from camtopod.learn.zones.marginal_likelihood import (
     covariance,
-    gaussians,
     log_zone,
     log_zones,
     moments,
@@ -338,7 +337,9 @@ class _Partition:
     def _valley(self, a: Floats, b: Floats, inside: NDArray[np.bool_]) -> float:
         """Compute the result of `_valley_between`."""
         # The line that discriminates the two best, and the distance of the centres along it.
-        mean, cov = gaussians(np.stack((a, b), axis=1))
+        groups = np.stack((a, b), axis=1)
+        mean, scatter = moments(groups)
+        cov = covariance(groups[0], scatter)
         (x, to_x), (y, to_y) = mean.tolist()
         to_x = to_x - x
         to_y = to_y - y

@@ -15,7 +15,7 @@ from camtopod.learn.window.sliding_window import (
     NO_MATE,
     Window,
 )
-from camtopod.learn.zones.cells import NO_CELL, cells_of
+from camtopod.learn.zones.cells import cells_of
 from camtopod.records import Event
 from camtopod.topology.grid import GRID_COLUMNS, GRID_ROWS, POSITION_ONE
 
@@ -138,7 +138,7 @@ def test_cells_hold_what_the_zones_see(x: float, y: float) -> None:
     row, column = divmod(int(cell), GRID_COLUMNS)
     assert row <= y * GRID_ROWS + 0.01 <= row + 1.02
     assert column <= x * GRID_COLUMNS + 0.01 <= column + 1.02
-    assert cells_of(np.array([-1]), np.array([py])).tolist() == [NO_CELL]
+    assert cells_of(np.array([-1]), np.array([py])).tolist() == [-1]
 
 
 def test_a_camera_that_floods_displaces_only_itself() -> None:
