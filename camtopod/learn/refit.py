@@ -259,8 +259,7 @@ def associate(
     view = np.array([zone.camera for zone in scene.zones], np.int32)
     problem = problem._replace(ranges=long_ranges(problem, view, settings.candidates_max))
     places = [place(zone.camera, zone.number) for zone in scene.zones]
-    screen = CandidateScreen()
-    screen.followed = dict(known.followed)
+    screen = CandidateScreen(known.followed)
     candidates = screen.find(
         problem,
         np.array(places),

@@ -12,7 +12,7 @@ On a large site two cheaper steps go before the joint fit (`CandidateScreen.find
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Mapping
 from typing import Any, NamedTuple, TypeVar
 
 import numpy as np
@@ -92,8 +92,8 @@ class CandidateScreen:
     On a small site, `find` returns all candidates, and no pair is remembered.
     """
 
-    def __init__(self) -> None:
-        self.followed: dict[int, FollowedSources] = {}
+    def __init__(self, followed: Mapping[int, FollowedSources] | None = None) -> None:
+        self.followed = dict(followed or {})
         """Zones of departure that are followed, by key (`place`) of the zone of arrival."""
 
     @staticmethod

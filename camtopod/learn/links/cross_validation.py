@@ -29,7 +29,7 @@ from camtopod.learn.association import (
     flatness,
 )
 from camtopod.learn.links.link_table import TRANSITIONS_MIN
-from camtopod.learn.links.significance import FLAT_MAX
+from camtopod.learn.links.significance import evidence_against_untimed
 
 PARTS = 8
 """Number of parts of the window, a power of two."""
@@ -188,8 +188,5 @@ def _evidence(fitter: Em, hazard: Singles, outside: Floats) -> tuple[Floats, Flo
     unrelated: Floats = np.bincount(c.pair, -np.log1p(-share), minlength=fitter.pairs) - expected
 
     # Likelihood ratio against the same number of transitions spread evenly over all lags.
-    flat = np.minimum(flatness(fitter, hazard), FLAT_MAX)
-    untimed: Floats = np.bincount(
-        c.pair, -np.log1p(share * (flat - 1.0)), minlength=fitter.pairs
-    ).astype(float)
-    return unrelated, untimed
+    flat = flatness(fitter, hazard)
+    return unrelated, evidence_against_untimed(c.pair, share, flat, fitter.pairs)

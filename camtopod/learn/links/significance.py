@@ -31,11 +31,20 @@ def log_likelihood_ratio(pair: Ints, responsibility: Floats, flat: Floats, pairs
         model), over the hazard at its lag.
     pairs: number of pairs, P.
     """
+    unrelated = evidence_against_unrelated(pair, responsibility, pairs)
+    return np.minimum(unrelated, evidence_against_untimed(pair, responsibility, flat, pairs))
+
+
+def evidence_against_untimed(
+    pair: Ints, responsibility: Floats, flat: Floats, pairs: int
+) -> Floats:
+    """Return the evidence (P, nats) of each pair of zones against transitions at no particular lag.
+
+    Arguments are as for `log_likelihood_ratio`.
+    """
     share = np.minimum(responsibility, RESPONSIBILITY_MAX)
-    untimed = np.bincount(
-        pair, -np.log1p(share * (np.minimum(flat, FLAT_MAX) - 1.0)), minlength=pairs
-    )
-    return np.minimum(evidence_against_unrelated(pair, responsibility, pairs), untimed)
+    nats = -np.log1p(share * (np.minimum(flat, FLAT_MAX) - 1.0))
+    return np.bincount(pair, nats, minlength=pairs).astype(float)
 
 
 def evidence_against_unrelated(pair: Ints, responsibility: Floats, pairs: int) -> Floats:

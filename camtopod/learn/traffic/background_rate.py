@@ -12,6 +12,7 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.ndimage import convolve1d
 
 from camtopod.arrays import Floats, Singles, row_slices, rows_by_group
 
@@ -79,13 +80,9 @@ class NullRates:
         arrivals = _per_bin(arrival_t, arrival_zone, first, n, zones)
 
         # Arrivals in each bin and its two neighbours, and the seconds that these bins last.
-        self._around = np.copy(arrivals)
-        self._around[:, 1:] += arrivals[:, :-1]
-        self._around[:, :-1] += arrivals[:, 1:]
-        bins = np.full(n, 3.0)
-        bins[0] -= 1.0
-        bins[-1] -= 1.0
-        self._seconds = CHANCE_BIN_SECONDS * np.maximum(bins, 1.0)
+        beside = np.ones(3)
+        self._around = convolve1d(arrivals, beside, mode="constant")
+        self._seconds = CHANCE_BIN_SECONDS * convolve1d(np.ones(n), beside, mode="constant")
 
         self._number = np.maximum(self._departures.sum(axis=1, dtype=float), 1.0)
 
