@@ -37,7 +37,7 @@ def rhythm_rates(t: Floats, zone: Ints, even: Floats, zones: int) -> Floats:
 
     Where a rhythm gains little, the rate is the even one.
     """
-    parts = np.stack((even, even * _cycles(t, zone, zones), _own_past(t, zone)))
+    parts = np.stack((even, even * _cycles(t, zone, zones), _own_past(t, zone, zones)))
     number = np.maximum(np.bincount(zone, minlength=zones), 1.0)
     share = np.full((len(parts), zones), 1.0 / len(parts))
     for _ in range(ITERATIONS):
@@ -95,25 +95,14 @@ def _cycles(t: Floats, zone: Ints, zones: int) -> Floats:
     return relative
 
 
-def _own_past(t: Floats, zone: Ints) -> Floats:
+def _own_past(t: Floats, zone: Ints, zones: int) -> Floats:
     """Return the rate (n, 1/s) that earlier arrivals at the zone of each arrival make.
 
     Each of them adds 1 / d exp(-lag / d), with d `PAST_SECONDS`.
     """
-    # In order of zone and time, the sum over earlier ones is past = decay * (past before + 1).
-    order = np.argsort(zone, kind="stable")
-    gap = np.diff(t[order], prepend=0.0)
-    first = np.diff(zone[order], prepend=-1) != 0
-    decay = np.where(first, 0.0, np.exp(-np.where(first, 0.0, gap) / PAST_SECONDS))
-    past = decay.copy()
-
-    # This recursion takes log2(n) steps: each joins two stretches of the same length.
-    step = 1
-    while step < len(t) and decay.any():
-        past[step:] += decay[step:] * past[:-step].copy()
-        decay[step:] *= decay[:-step].copy()
-        decay[:step] = 0.0
-        step *= 2
-    result = np.empty(len(t))
-    result[order] = past / PAST_SECONDS
-    return result
+    rate = np.zeros(len(t))
+    since = (t - t.min(initial=np.inf)) / PAST_SECONDS
+    for rows in rows_by_group(zone, zones):
+        log_sum = np.logaddexp.accumulate(since[rows])
+        rate[rows[1:]] = np.exp(log_sum[:-1] - since[rows[1:]]) / PAST_SECONDS
+    return rate
