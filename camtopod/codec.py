@@ -34,6 +34,7 @@ _JSON_STARTS = (b"{", b" ", b"\t", b"\r", b"\n")
 """First bytes of an event in JSON; a MessagePack map begins above 0x7f."""
 
 _json_event = msgspec.json.Decoder(Event)
+_json_value = msgspec.json.Decoder(msgspec.Raw)
 _pack_event = msgspec.msgpack.Decoder(Event)
 _to_json = msgspec.json.Encoder()
 _to_pack = msgspec.msgpack.Encoder()
@@ -125,6 +126,15 @@ def _event(decoder: Any, raw: bytes) -> Event:
     if event.boot is not None:
         force_setattr(event, "boot", sys.intern(event.boot))
     return event
+
+
+def is_json(raw: bytes) -> bool:
+    """Return True if this is one value of JSON, whatever its type."""
+    try:
+        _json_value.decode(raw)
+    except _UNREADABLE:
+        return False
+    return True
 
 
 def in_words(error: msgspec.ValidationError) -> str:

@@ -14,8 +14,6 @@ from __future__ import annotations
 import re
 from collections.abc import Iterable, Iterator
 
-from msgspec import Raw
-
 from camtopod import codec
 
 _BOM = b"\xef\xbb\xbf"
@@ -81,19 +79,20 @@ def frames(
     begin = re.compile(b"[" + begins + b"\n]")
     while True:
         # Skip what stands between.
-        if (between := _BETWEEN.match(text)) and between[0]:
-            stream.drop(between.end())
-        if _BOM.startswith(bytes(text[:3])):  # or nothing
-            if not stream.more():
-                return
-            continue
+        if not text.startswith(b"{"):
+            if (between := _BETWEEN.match(text)) and between[0]:
+                stream.drop(between.end())
+            if _BOM.startswith(bytes(text[:3])):  # or nothing
+                if not stream.more():
+                    return
+                continue
 
         # The message, and nothing of the rest of one that is too long.
         end = _whole_line(text, begin, bytes_max) if stream.at_line else None
         end = end or _end(stream, begin)
         message = bytes(text[: min(end or len(text), bytes_max + 1)]).strip()
         yield stream.number, message
-        stream.drop(end)
+        stream.drop(end and end + text.startswith(b"\n", end))
         if end is None:
             after = b"<" if message.startswith(b"<") and b"<" in begins else b"\n"
             while after not in text:
@@ -109,10 +108,7 @@ def _whole_line(text: bytearray, begin: re.Pattern[bytes], bytes_max: int) -> in
     found = begin.search(text, 0, end + 1)
     if found is None or found[0] == b"<":
         return None
-    try:
-        if found[0] == b"{":
-            codec.read(Raw, bytes(text[found.start() : end]))
-    except codec.Rejected:
+    if found[0] == b"{" and not codec.is_json(bytes(text[found.start() : end])):
         return None
     return end
 
