@@ -10,9 +10,8 @@ fixed number. Beyond the limit it leaves out the arrivals with the most departur
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
-Counts = NDArray[np.intp]
+from camtopod.arrays import Bools, Rows
 
 WEIGHED_MAX = 128_000_000
 """Event pairs that screening weighs in one fit, over all followed pairs of zones."""
@@ -42,7 +41,7 @@ each next zone.
 """
 
 
-def arrivals_within(reach: Counts, most: int) -> NDArray[np.bool_]:
+def arrivals_within(reach: Rows, most: int) -> Bools:
     """Return a mask (n,) of arrivals to keep, so that they have at most ``most`` event pairs.
 
     reach (n,): number of departures in reach of each arrival, its event pairs.
@@ -57,7 +56,7 @@ def arrivals_within(reach: Counts, most: int) -> NDArray[np.bool_]:
     return kept
 
 
-def fair_share(wanted: Counts, most: int) -> int:
+def fair_share(wanted: Rows, most: int) -> int:
     """Return the limit for each of n users of a budget that keeps their sum within ``most``.
 
     wanted (n,): amount that each user wants. A user that wants less than the limit leaves the rest

@@ -10,8 +10,6 @@ pair.
 
 from __future__ import annotations
 
-from typing import NamedTuple
-
 import numpy as np
 from scipy.ndimage import uniform_filter1d
 
@@ -44,21 +42,12 @@ FALSE_PROBABILITY = 0.01
 """Probability of any false peak on a site without links."""
 
 
-class LongPath(NamedTuple):
-    """A path from the view of camera ``source`` to that of camera ``target``.
-
-    seconds: lag of its peak, about the transit time.
-    """
-
-    source: int
-    target: int
-    seconds: float
-
-
 def find_long_paths(
     departures: Departures, arrivals: Arrivals, cameras: int, lag_max: float
-) -> list[LongPath]:
-    """Find the long paths between cameras; return them sorted by source, then target.
+) -> list[tuple[int, int, float]]:
+    """Find the long paths between cameras, as (source, target, seconds), sorted.
+
+    The seconds are the lag of the peak, about the transit time.
 
     cameras: number of cameras.
     lag_max (seconds): longest lag with a lag bin.
@@ -98,7 +87,7 @@ def find_long_paths(
     lag[source[clear], target[clear]] = seconds[clear]
     dwell = _usual_dwell_time(departures, cameras)
     return [
-        LongPath(*pairs[k], float(seconds[k]))
+        (*pairs[k], float(seconds[k]))
         for k in np.flatnonzero(clear & (seconds >= LONG_SECONDS_MIN)).tolist()
         if not _is_over(lag, dwell, *pairs[k])
     ]
@@ -188,9 +177,9 @@ def long_ranges(problem: Problem, camera: Ints, candidates_max: int) -> LagRange
     of = np.tile(np.arange(zones, dtype=np.int32)[:, None], zones)
     sources = of[:, 0].copy()
     delay = np.zeros(zones)
-    for path in paths:
-        [left], [reached] = (np.nonzero(camera == end) for end in (path.source, path.target))
+    for source, target, seconds in paths:
+        [left], [reached] = (np.nonzero(camera == end) for end in (source, target))
         of[np.ix_(left, reached)] = len(sources) + np.arange(len(left))[:, None]
         sources = np.append(sources, left.astype(np.int32))
-        delay = np.append(delay, np.full(len(left), path.seconds))
+        delay = np.append(delay, np.full(len(left), seconds))
     return LagRanges(sources, delay, of)

@@ -2,8 +2,8 @@
 
 Reading order: `predictor` takes events and returns predictions. `odds` computes the odds of the
 possible next zones after an exit, from the version and from the observed arrivals. `hazards`,
-`contexts`, `speed` and `time_windows` read the version: rates of appearing by lag, the effect of an
-exit's context, and time windows for an object of some speed. `outcomes` averages the version's two
+`contexts` and `time_windows` read the version: rates of appearing by lag, the effect of an exit's
+context, and time windows for an object of some speed. `outcomes` averages the version's two
 opinions, and `anywhere` shares out what neither explains. `recent_events` and `open_passages` store
 the observed events, by which `reporting` tells the cameras that are silent. `zone_lookup` finds the
 zone of an event, and `hand_over` the other cameras that see the object at the exit. `walks` tells

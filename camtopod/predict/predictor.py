@@ -5,9 +5,9 @@ exit (`Predictor.predict`). The possible outcomes of an exit compete: the object
 the zones after some lag, or leaves the site. Their prior odds are the learned hazards of all pairs
 of zones. They are changed by the exit's *context* (`contexts`), by *exposure* (a lag of -L is only
 possible if the passage has lasted L), by *seen arrivals* (where views overlap, the object may
-already have appeared: `odds`), by *speed* (`speed`), and by *silent cameras*, which have probably
-stopped reporting (`reporting`). If the question is asked again later, outcomes that would have been
-observed by then have lost their odds.
+already have appeared: `odds`), by *speed* (`time_windows`), and by *silent cameras*, which have
+probably stopped reporting (`reporting`). If the question is asked again later, outcomes that would
+have been observed by then have lost their odds.
 
 Events have the times of their cameras' clocks. All times inside are *corrected times*: less the
 clock offset of the camera, as given in the topology.
@@ -34,8 +34,7 @@ from camtopod.predict.recent_events import (
     moved_zones,
 )
 from camtopod.predict.reporting import Reporting
-from camtopod.predict.speed import PaceModel, windows_at_pace
-from camtopod.predict.time_windows import quantiles
+from camtopod.predict.time_windows import PaceModel, quantiles, windows_at_pace
 from camtopod.predict.zone_lookup import ZoneLookup
 from camtopod.records import Event, NextCamera, Prediction, Topology, Zone
 from camtopod.topology import LEAVE_FLOOR, block_of

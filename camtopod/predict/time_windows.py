@@ -3,16 +3,38 @@
 A time window says when an object probably appears at a zone: the 10 %, 50 % and 90 % quantiles of
 the lag. As time passes without a matching arrival, lags that have passed are no longer possible
 (`unknown_share`).
+
+Windows are adjusted to an object's speed. The slowness of an object is the log of its dwell time
+over the usual one for the same zones of entry and exit (`camtopod.learn.traffic.speed`). It
+persists in part from one view to the next; the topology version says how far. `PaceModel` computes
+the expected `Pace` of an object after a passage, and `windows_at_pace` changes time windows
+accordingly.
 """
 
 from __future__ import annotations
 
+import math
+from typing import NamedTuple
+
 import numpy as np
 
 from camtopod.arrays import Floats
+from camtopod.predict.hazards import NORMAL_Q90, model_of
+from camtopod.records import Topology
+from camtopod.topology import (
+    DWELL_SECONDS_MIN,
+    LAG_SECONDS_MIN,
+    LAG_STEP,
+    SLOWNESS_MAX,
+    SMOOTHING_SD_BINS,
+)
 
 WINDOW = (0.1, 0.5, 0.9)
 """Quantiles of the lag at which a time window has its beginning, median and end."""
+_SMOOTHING_TRANSITIONS = np.array([least for least, _ in SMOOTHING_SD_BINS])
+"""Least number of transitions for each kernel of `camtopod.topology.smooth`, descending."""
+_SMOOTHING_WIDTHS = np.array([NORMAL_Q90 * LAG_STEP * sd_bins for _, sd_bins in SMOOTHING_SD_BINS])
+"""Distance from the median to the 0.9 quantile of each of these kernels, difference of logs."""
 
 
 def scale_lags(lags: Floats, factor: float) -> Floats:
@@ -70,3 +92,85 @@ def quantiles(mass: Floats, edges: Floats) -> Floats:
     seconds_per_mass = (edges[at + 1] - edges[at]) / (below[row, at + 1] - below[row, at])
     lags: Floats = edges[at] + seconds_per_mass * (wanted - below[row, at])
     return lags
+
+
+class Pace(NamedTuple):
+    """The expected transit time of an object to the next view, relative to the usual one."""
+
+    factor: float
+    """Expected transit time over the usual one."""
+    spread: float
+    """Uncertainty of ``factor``: log of its 0.9 quantile over its median."""
+
+
+class PaceModel:
+    """Persistence of speed and usual dwell times at a site, as a topology version has them.
+
+    If the version has none, windows are not adjusted.
+    """
+
+    def __init__(self, topology: Topology) -> None:
+        index = {zone.id: k for k, zone in enumerate(topology.zones)}
+        self._pace = model_of(topology).pace
+        self._usual_dwell: dict[tuple[int | None, int], float] = {}
+        if self._pace is not None:
+            for route in self._pace.ways:
+                self._usual_dwell[index[route.entry], index[route.exit]] = route.stay
+
+    def of_passage(self, entry: int | None, exit_: int, dwell: float | None) -> Pace | None:
+        """Return the expected pace of an object after a passage; None if the version has none.
+
+        entry, exit_: zones (indices) of the passage; the entry is None if unknown.
+        dwell (seconds): duration of the passage; None if unknown.
+
+        The log of a transit time was learned as proportional to the mean of the slownesses in the
+        views before and after. At best the slowness before is known. The slowness after is expected
+        to be a share of it, and the rest of its variance widens the window.
+        """
+        if self._pace is None:
+            return None
+        usual = self._usual_dwell.get((entry, exit_))
+        correlation = self._pace.correlation
+        sd = self._pace.sd
+
+        # Mean slowness of the two views, and its standard deviation.
+        if usual is None or dwell is None:
+            expected = 0.0
+            uncertain = sd * math.sqrt((1.0 + correlation) / 2.0)
+        else:
+            slowness = math.log(max(dwell, DWELL_SECONDS_MIN) / usual)
+            slowness = min(max(slowness, -SLOWNESS_MAX), SLOWNESS_MAX)
+            expected = slowness * (1.0 + correlation) / 2.0
+            uncertain = sd * math.sqrt(1.0 - correlation**2) / 2.0
+        scaling = self._pace.scaling
+        return Pace(math.exp(scaling * expected), NORMAL_Q90 * scaling * uncertain)
+
+
+def windows_at_pace(pace: Pace | None, lags: Floats, transitions: Floats) -> Floats:
+    """Return the time windows (n, 3, seconds) of an object of a given pace.
+
+    pace: the expected pace; None for the usual pace.
+    lags (n, 3, seconds): windows of an object of usual pace, as 0.1, 0.5 and 0.9 quantiles of lags.
+    transitions (n,): number of transitions from which the lags were learned; it decides how widely
+        they have been smoothed.
+    """
+    if pace is None:
+        return lags
+
+    # Widths (n, 2) of the window below and above the median, log scale.
+    logs = np.log(np.maximum(lags, LAG_SECONDS_MIN))
+    width = logs[:, 1:] - logs[:, :-1]
+
+    # Subtract the width that smoothing has added, half at most, and add the pace's uncertainty.
+    smoothing = np.count_nonzero(transitions[:, None] < _SMOOTHING_TRANSITIONS, axis=1)
+    added = _SMOOTHING_WIDTHS[smoothing, None]
+    width = np.sqrt(np.maximum(width**2 - added**2, (0.5 * width) ** 2) + pace.spread**2)
+
+    # The quantiles at this pace; a quantile before the exit is scaled only.
+    adjusted = lags * pace.factor
+    adjusted[:, 2] = adjusted[:, 1] * np.exp(width[:, 1])
+    low = adjusted[:, 1] * np.exp(-width[:, 0])
+    adjusted[:, 0] = np.where(lags[:, 0] > 0, low, adjusted[:, 0])
+
+    # Short lags do not scale with speed.
+    return np.where(lags[:, 1:2] > LAG_SECONDS_MIN, adjusted, lags)

@@ -21,6 +21,7 @@ from camtopod.arrays import Floats
 from camtopod.learn.zones.cells import Cells
 from camtopod.learn.zones.clutter import (
     ROUNDS_MAX,
+    Labels,
     daspec_groups,
     dense_cells,
 )
@@ -34,8 +35,6 @@ from camtopod.learn.zones.marginal_likelihood import (
 from camtopod.learn.zones.mixture import CELL_X, CELL_Y
 from camtopod.learn.zones.separation import discriminant, sd_along, valley_log_ratio
 from camtopod.topology import GRID_COLUMNS, GRID_ROWS
-
-Labels = NDArray[np.intp]
 
 ZONE_EVENTS_MIN = 3
 """Least number of events of a zone if a camera has several. Where there is hardly any clutter, two
