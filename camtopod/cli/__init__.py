@@ -7,6 +7,4 @@ camera, `events` reads event lines and other programs' formats, `terminal` draws
 live view, and `generated` makes the example configuration and its JSON Schema.
 """
 
-from __future__ import annotations
-
 from camtopod.cli.main import console as console

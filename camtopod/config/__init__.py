@@ -5,8 +5,6 @@
 writes files that hold secrets.
 """
 
-from __future__ import annotations
-
 from camtopod.config import config_file as config_file, secret_files as secret_files
 from camtopod.config.config_file import (
     detector_line as detector_line,

@@ -9,8 +9,6 @@ and the deltas between them.
 `first_links` says what a site without links waits for.
 """
 
-from __future__ import annotations
-
 from camtopod.topology.camera_pairs import (
     RELATIONS as RELATIONS,
     find_camera_pairs as find_camera_pairs,

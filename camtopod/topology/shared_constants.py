@@ -1,7 +1,5 @@
 """Limits that learning and prediction share, so that both treat a figure in the same way."""
 
-from __future__ import annotations
-
 LEAVE_FLOOR = 0.02
 """Smallest probability that an object which leaves a view leaves the site."""
 UNKNOWN_DWELL_SECONDS = 10.0

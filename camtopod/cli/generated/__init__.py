@@ -4,7 +4,5 @@
 Schemas (`camtopod schema`).
 """
 
-from __future__ import annotations
-
 from camtopod.cli.generated.example_config import example as example, table as table
 from camtopod.cli.generated.schemas import NAMES as NAMES, schema_text as schema_text

@@ -1,7 +1,5 @@
 """Terminal output: `progress` of long commands; `site_state`, which `camtopod watch` shows."""
 
-from __future__ import annotations
-
 from camtopod.cli.terminal.progress import Progress as Progress
 from camtopod.cli.terminal.site_state import (
     LINKS_SHOWN as LINKS_SHOWN,

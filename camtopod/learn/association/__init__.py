@@ -10,8 +10,6 @@ links. `even_hazards` tells how far a lag speaks for a transition. On large site
 many candidates for one fit, `screening` selects the candidates first.
 """
 
-from __future__ import annotations
-
 from camtopod.learn.association.candidates import (
     RESPONSIBILITY_MAX as RESPONSIBILITY_MAX,
     Candidates as Candidates,

@@ -6,8 +6,6 @@ that were turned. `repeats` finds recordings that are played in a loop. `alarms`
 these changes once, in the first version that shows it.
 """
 
-from __future__ import annotations
-
 from camtopod.learn.changes.alarms import (
     AlarmLog as AlarmLog,
     AlarmState as AlarmState,

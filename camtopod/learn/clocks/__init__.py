@@ -6,8 +6,6 @@ finds paths that objects take in both directions, each of which shows the differ
 `offsets` combines the differences into one offset per camera.
 """
 
-from __future__ import annotations
-
 from camtopod.learn.clocks.correlogram import (
     BIN_SECONDS as BIN_SECONDS,
     LAGS as LAGS,

@@ -12,8 +12,6 @@ exist only because a camera misses passages. `shortfall` estimates how many pass
 not published still lacks.
 """
 
-from __future__ import annotations
-
 from camtopod.learn.links import mahalanobis as mahalanobis, monte_carlo as monte_carlo
 from camtopod.learn.links.cross_validation import cross_evidence as cross_evidence
 from camtopod.learn.links.link_table import (

@@ -14,9 +14,6 @@ import numpy as np
 from camtopod.arrays import Floats, Ints
 from camtopod.learn.association import RESPONSIBILITY_MAX
 
-FLAT_MAX = 1e6
-"""Upper bound on the ratio of a hazard that is even over all lags to the hazard at a lag."""
-
 
 def log_likelihood_ratio(pair: Ints, responsibility: Floats, flat: Floats, pairs: int) -> Floats:
     """Return the evidence (P, nats) that the zones of each pair are linked.
@@ -43,7 +40,8 @@ def evidence_against_untimed(
     Arguments are as for `log_likelihood_ratio`.
     """
     share = np.minimum(responsibility, RESPONSIBILITY_MAX)
-    nats = -np.log1p(share * (np.minimum(flat, FLAT_MAX) - 1.0))
+    flat = np.minimum(flat, 1.0 / (1.0 - RESPONSIBILITY_MAX))  # as far as evidence for a link goes
+    nats = -np.log1p(share * (flat - 1.0))
     return np.bincount(pair, nats, minlength=pairs).astype(float)
 
 

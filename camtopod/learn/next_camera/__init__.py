@@ -12,8 +12,6 @@ appear next at the second, and the hazard (rate of appearing by lag). In the ord
 * `spurious`: the share of each pair's transitions that may be made by chance
 """
 
-from __future__ import annotations
-
 from camtopod.learn.next_camera.contexts import LEVELS as LEVELS
 from camtopod.learn.next_camera.fit import (
     Posterior as Posterior,

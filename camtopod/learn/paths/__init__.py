@@ -13,6 +13,4 @@ predicts better than either. In the order to read:
 * `opinion`: when it is asked for; the rows that are published
 """
 
-from __future__ import annotations
-
 from camtopod.learn.paths.opinion import is_wanted as is_wanted, second_opinion as second_opinion

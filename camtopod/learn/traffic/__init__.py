@@ -10,8 +10,6 @@ null model, in which arrivals have nothing to do with departures; `rhythm` adds 
 zone's own arrivals to it.
 """
 
-from __future__ import annotations
-
 from camtopod.learn.traffic.background_rate import (
     NullRates as NullRates,
     local_rates as local_rates,

@@ -6,8 +6,6 @@ the released events by column (`Window`): it ties the entry and the exit of each
 and removes events that are too old or too many.
 """
 
-from __future__ import annotations
-
 from camtopod.learn.window.reorder_buffer import (
     ReorderBuffer as ReorderBuffer,
     ReorderBufferState as ReorderBufferState,

@@ -15,8 +15,6 @@ Reading order: `zone_map` turns the sums of a camera into numbered zones (`find_
 Last, `mixture` assigns every cell of the grid to one of the zones found, or to clutter.
 """
 
-from __future__ import annotations
-
 from camtopod.learn.zones.cells import (
     CELLS as CELLS,
     cell_sums as cell_sums,
