@@ -161,11 +161,6 @@ def dwell_bins(settings: Settings) -> LagBins:
     return LagBins(0.0, settings.transit_max_seconds)
 
 
-def nothing(settings: Settings, zones: int) -> LinkTable:
-    """Return a link table without rows."""
-    return tabulate(concatenate_transitions([]), np.zeros((zones, 1)), lag_bins(settings), zones)
-
-
 def refit(
     scene: Scene,
     window: Window,
@@ -205,7 +200,8 @@ def refit(
         all_pairs, changes = associated.between, associated.changes
         followed = associated.followed
     else:
-        all_pairs = likely_pairs = nothing(settings, zones)
+        none = concatenate_transitions([])
+        all_pairs = likely_pairs = tabulate(none, np.zeros((zones, 1)), bins, zones)
         happened, changes = [], []
         followed = dict(known.followed)
         corrected = settings.correct_clocks
@@ -328,7 +324,8 @@ def predict_next(
     transitions = transitions_of(posterior.fit, WEAK_TRANSITIONS_MIN)
     exposed = exposed_departures(problem)
     likely_pairs = tabulate(transitions, exposed, bins, problem.zones, ranges=problem.ranges)
-    likely_pairs = likely_pairs.without_counts()
+    # Counts take most of the memory.
+    likely_pairs = likely_pairs._replace(counts=np.zeros((len(likely_pairs.source), 0)))
     likely_pairs = likely_pairs.with_evidence(likely_pairs.ratio, len(posterior.share))
 
     # Outcomes of the exits of which no further arrival is possible.

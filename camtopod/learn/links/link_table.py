@@ -118,10 +118,6 @@ class LinkTable(NamedTuple):
             self.delay[keep],
         )
 
-    def without_counts(self) -> LinkTable:
-        """Return the table without the transitions per lag bin, which take most of the memory."""
-        return self._replace(counts=np.zeros((len(self.source), 0)))
-
     def with_evidence(self, ratio: Floats, tests: int) -> LinkTable:
         """Return the table with its evidence, and so its false discovery rates, replaced.
 

@@ -128,7 +128,9 @@ class Contexts:
         self.entry = np.where(departures.own >= 0, arrivals.zone[departures.own], -1).astype(
             np.int64
         )
-        self._way = _numbered(zone, self.entry, block)
+        columns = np.column_stack((zone, self.entry, block))
+        keys, number = np.unique(columns, axis=0, return_inverse=True)
+        self._way = number.ravel().astype(np.int64), keys
         self._way_known = ((self.entry >= 0) & (block >= 0)).astype(float)
 
     def count(
@@ -292,12 +294,3 @@ def _commonest(
     renamed[kept] = np.arange(most)
     number = renamed[number]
     return np.maximum(number, 0), keys[kept], certainty * (number >= 0)
-
-
-def _numbered(zone: Longs, first: Longs, second: Longs) -> tuple[Longs, Longs]:
-    """Number the contexts of n departures; return each departure's number and the keys (C, 3).
-
-    zone, first, second (n,): zone of departure and the two parts of its context.
-    """
-    keys, number = np.unique(np.column_stack((zone, first, second)), axis=0, return_inverse=True)
-    return number.ravel().astype(np.int64), keys.astype(np.int64)

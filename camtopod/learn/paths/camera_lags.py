@@ -51,15 +51,14 @@ class CameraLags(NamedTuple):
     """Time up to which arrivals are known, seconds."""
 
     def within(self, pair: Longs, low: Floats, high: Floats) -> tuple[Rows, Rows]:
-        """Return the candidates (n,) with lags in given ranges, and the number of each one's range.
+        """Return which of some ranges of lags the candidates in them are in, and their rows, (n,).
 
         pair, low, high (k,): pair of cameras, and lags in seconds, of k ranges.
         """
         bounds = np.clip((low, high), self.lag_min, self.lag_max)
         first, last = (keys(pair, lag, self.lag_min, self.lag_max) for lag in bounds)
         begin = np.searchsorted(self.key, first)
-        which, row = ranges(begin, np.searchsorted(self.key, last, side="right") - begin)
-        return row, which
+        return ranges(begin, np.searchsorted(self.key, last, side="right") - begin)
 
 
 def keys(pair: Longs, lag: Floats, lag_min: float, lag_max: float) -> Floats:

@@ -73,7 +73,7 @@ class PathFit:
         lags = self.lags
         pair, share, place, width = self.paths
         near = REACH_WIDTHS * width
-        row, path = lags.within(pair, place - near, place + near)
+        path, row = lags.within(pair, place - near, place + near)
         lag = lags.lag[row]
         rate = share[path] * student_density(lag, place[path], width[path])
         is_used = np.zeros(len(lags.lag), np.bool_)

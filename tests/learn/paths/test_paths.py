@@ -121,7 +121,7 @@ def test_lags_equal_their_slow_twin() -> None:
     )
     found = list(zip(lags.departure.tolist(), lags.arrival.tolist(), strict=True))
     assert sorted(found) == naive.camera_lags(left, source, dwell, t, camera, -30.0, lags.lag_max)
-    row, _ = lags.within(np.array([5]), np.array([-4.0]), np.array([80.0]))
+    _, row = lags.within(np.array([5]), np.array([-4.0]), np.array([80.0]))
     assert {found[k] for k in row} == {
         (d, a)
         for d, a in found
