@@ -253,7 +253,7 @@ def _joined(blocks: Iterable[Block]) -> tuple[Ints, Ints, Ints, Singles]:
         departure, arrival, pair = (row.astype(np.int32) for row in rows)
         parts.append((departure, arrival, pair, block.lag.astype(np.float32)))
     departure, arrival, pair, lag = (np.concatenate(column) for column in zip(*parts, strict=True))
-    order = np.lexsort((departure, arrival))
+    order = np.argsort(arrival.astype(np.int64) << 32 | departure)
     return departure[order], arrival[order], pair[order], lag[order]
 
 
