@@ -21,6 +21,10 @@ ODDS_QUANTILE = 0.75
 """Weighted quantile of the odds of pairs that is used as the odds. It is above the median, as the
 fit estimates no transitions for many pairs that have few.
 """
+MISSED_SHARE_LEAST = 0.1
+"""Least share of missed passages that is assumed, unless the setting allows less. Of hundreds of
+zones, or with few events, the fit estimates no transitions for nearly all pairs.
+"""
 UNCERTAINTY = 2.0
 """Factor by which the number of missed passages may be larger than expected."""
 
@@ -43,8 +47,8 @@ def without_missed_detections(
     seen = np.where(known, total[row], 0.0)
 
     # Take off what missed passages explain.
-    most = settings.missed_share_max / (1.0 - settings.missed_share_max)
-    odds = np.minimum(odds_of_others(seen, expected), most)
+    limits = np.minimum((MISSED_SHARE_LEAST, 1.0), settings.missed_share_max)
+    odds = np.clip(odds_of_others(seen, expected), *(limits / (1.0 - limits)))
     own = total.astype(float)
     explained = np.minimum(UNCERTAINTY * odds * expected, seen)
     own[row[known]] -= explained[known]

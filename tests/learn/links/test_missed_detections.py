@@ -75,6 +75,11 @@ def test_a_tenth_missed_everywhere() -> None:
     assert kept(*CHAIN, (0, 3, 25.0, 33), (2, 5, 25.0, 33), (4, 7, 25.0, 33)) == LINKS
 
 
+def test_a_tenth_missed_where_the_fit_saw_no_others() -> None:
+    """On a site of hundreds of zones hardly any such pair gets transitions."""
+    assert kept(*CHAIN, (0, 3, 25.0, 33)) == LINKS
+
+
 def test_several_missed_in_a_row() -> None:
     missed = ((0, 3, 25.0, 100), (2, 5, 25.0, 100), (4, 7, 25.0, 100))
     assert kept(*CHAIN, *missed, (0, 5, 40.0, 33), (2, 7, 40.0, 33), (0, 7, 55.0, 14)) == LINKS
