@@ -112,7 +112,7 @@ def detector_line(text: str, camera: str, key: str) -> tuple[int, str]:
 
 
 def _mistakes(config: Config) -> Iterator[tuple[Keys, str]]:
-    """Yield what is wrong between settings that are right by themselves."""
+    """Yield the errors of settings that are each valid but contradict each other."""
     yield from _mistakes_of_bus(config.bus)
     if config.web.token_file and not config.web.password_file:
         yield ("web", "token_file"), "password_file is missing: people cannot give a token"
@@ -145,7 +145,7 @@ def _mistakes(config: Config) -> Iterator[tuple[Keys, str]]:
 
 
 def _mistakes_of_bus(bus: BusSettings) -> Iterator[tuple[Keys, str]]:
-    """Yield what is wrong with certificates: they need all files, and tls/ endpoints."""
+    """Yield the errors of certificates: they need all files, and tls/ endpoints."""
     if bus.tls == TlsSettings():
         return
     for key in ("ca", "certificate", "private_key"):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from camtopod.learn.changes import News
 from camtopod.learn.snapshot import LearnerState
 from camtopod.publishers import RETURNS_MIN, Publisher
 from camtopod.records import Event
@@ -20,3 +21,17 @@ def find_doubled_cameras(state: LearnerState, batch: list[tuple[int, Event]]) ->
         publisher = state.publishers.setdefault(event.camera, Publisher(event.boot))
         if publisher.note_boot(event.boot) and publisher.returns == RETURNS_MIN:
             state.doubled.append(event.camera)
+
+
+def doubled_news(state: LearnerState) -> list[News]:
+    """Return the alarms for the cameras found since the last version, ``state.doubled``."""
+    found = [(name, state.publishers[name]) for name in state.doubled]
+    return [
+        (
+            "camera_doubled",
+            name,
+            "two programs publish it at the same time,"
+            f" boots {publisher.before} and {publisher.boot}",
+        )
+        for name, publisher in found
+    ]

@@ -32,7 +32,7 @@ from camtopod.learn.assemble import (
 )
 from camtopod.learn.camera_zones import find_moved_cameras, refresh_camera_zones
 from camtopod.learn.changes import BEFORE_MIN, AlarmLog, News
-from camtopod.learn.doubled_cameras import find_doubled_cameras
+from camtopod.learn.doubled_cameras import doubled_news, find_doubled_cameras
 from camtopod.learn.limits import ZONES_PER_CAMERA_MAX
 from camtopod.learn.links import zone_pairs_of
 from camtopod.learn.refit import Known, Refit, dwell_bins, lag_bins, refit
@@ -420,10 +420,7 @@ class Learner:
         self._updates.append(version)
 
     def _report(self, found: Refit, topology: Topology, now: float, news: list[News]) -> None:
-        """Raise an alarm for each change that this version is the first to show.
-
-        news: those that are known already.
-        """
+        """Raise alarms for ``news`` and for each change that this version is the first to show."""
         cameras = self._window.cameras
         ids = [zone_id(cameras, zone) for zone in found.scene.zones]
         if self.only_last:  # no earlier version has published the links that have closed
@@ -447,11 +444,5 @@ class Learner:
         for camera, since, move in self.state.moved:
             outside = f"{move.outside:.2f} of {move.events} events outside its zones"
             news.append(("camera_moved", cameras[camera], f"{outside} since {utc_text(since)}"))
-        for name in self.state.doubled:
-            publisher = self.state.publishers[name]
-            boots = f"boots {publisher.before} and {publisher.boot}"
-            news.append(
-                ("camera_doubled", name, f"two programs publish it at the same time, {boots}")
-            )
-        self._alarms.add(self._next_version, now, news)
+        self._alarms.add(self._next_version, now, [*news, *doubled_news(self.state)])
         self.state.moved, self.state.doubled = [], []

@@ -2,8 +2,8 @@
 
 Neither a fit nor a slow disk delays a prediction. Each entry is matched with earlier passages as
 well (`camtopod.predict.Walks`), while nothing else waits and in a share of the time: a site that is
-too busy has fewer matches, not later predictions. What is kept for this is in memory only, for an
-hour at most.
+too busy has fewer matches, not later predictions. Passages are kept in memory only, for an hour at
+most.
 """
 
 from __future__ import annotations

@@ -12,13 +12,12 @@ from serving import T0, closing_event, walkers
 from camtopod.adapt.frigate import Frigate
 from camtopod.learn.learner import Learner
 from camtopod.predict import Predictor, Walks
+from camtopod.predict.walk_graph import Edge, Step
 from camtopod.predict.walks import (
     MEMORY_SECONDS,
     REVISE_CHANGE,
     REVISE_SECONDS,
     UNSEEN_IN_VIEW,
-    Edge,
-    Step,
 )
 from camtopod.records import Event, Match, Topology
 

@@ -37,8 +37,8 @@ class ContextLevel(NamedTuple):
     """One level of context, as it is published: C contexts."""
 
     keys: Longs
-    """(C, 3) zone of departure; zone of entry or previous camera; image block. -1 for what is not
-    part of the context.
+    """(C, 3) zone of departure; zone of entry or previous camera; image block; -1 where a context
+    has none.
     """
     departures: Floats
     """(C,) certain departures, f n."""

@@ -250,7 +250,7 @@ class Window:
         )
 
     def _hold(self, columns: dict[str, NDArray[Any]], room: int = 0) -> None:
-        """Hold these columns, with room for so many more rows behind them."""
+        """Store columns, with unused memory for ``room`` more rows behind them."""
         self.state.columns = columns
         self._end = len(self)
         self._memory = {

@@ -1,0 +1,124 @@
+"""The graph on which walks are matched: passages, and edges to the entries that may continue them.
+
+At most one of the claims on a passage is right, and each entry has one cause. `pass_messages`
+estimates the probability of each edge by the sum-product approximation (`walks`).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+SWEEPS = 3
+"""Sweeps of messages over the entries that compete."""
+
+
+class Step:
+    """A passage as a step of a walk.
+
+    camera, track: as in its events; track None if they have none.
+    t (seconds): time of its entry by the camera's clock; of its exit if the entry is unknown.
+    name: name of the walk that it would begin.
+    entry: index of the zone of entry; None if unknown.
+    began (seconds): corrected time of the entry.
+    """
+
+    def __init__(
+        self, camera: str, track: str | None, t: float, name: str, entry: int | None, began: float
+    ) -> None:
+        self.camera = camera
+        self.track = track
+        self.t = t
+        self.name = name
+        self.entry = entry
+        self.began = began
+        self.walk = name
+        """Name of its walk."""
+        self.edges: list[Edge] = []
+        """Edges from the passages that it may continue."""
+        self.outside = 0.0
+        """Rate at which objects from outside enter where it does, 1/s."""
+        self.told: list[tuple[Edge, float]] = []
+        """The probabilities of its edges when its match was given."""
+        self.claims: dict[str, Claims] = {}
+        """By the entries that may continue it: by their camera while in view, "" afterwards."""
+
+        # The exit.
+        self.ended: float | None = None
+        """Time of the exit by the camera's clock; None while the object is in view."""
+        self.left = began
+        """Corrected time of the exit, seconds."""
+        self.zone = -1
+        """Index of the zone of exit."""
+        self.block: int | None = None
+        """Block of the image where the object left."""
+        self.expected: Expected | None = None
+        """Outlook after the exit; None until the first candidate needs it."""
+
+
+class Expected(NamedTuple):
+    """Where and when the object of an exit is likely to be seen again.
+
+    scale (rows,): factor on the hazards of the zone of exit, by the context.
+    unseen (bins + 1): probability of not having been seen again by each edge of the lag bins.
+    """
+
+    scale: list[float]
+    unseen: list[float]
+
+
+class Claims:
+    """The claims on a passage of which at most one is right.
+
+    edges: the edges to the entries that may continue it.
+    odds: the sum of their claims, each the weight of the edge times its message.
+    """
+
+    def __init__(self) -> None:
+        self.edges: list[Edge] = []
+        self.odds = 0.0
+
+
+class Edge:
+    """An entry, and an earlier passage that it may continue.
+
+    slot: key of `Step.claims`.
+    weight: rate at which the passage would cause the entry, 1/s.
+    """
+
+    def __init__(self, source: Step, entry: Step, slot: str, weight: float) -> None:
+        self.source = source
+        self.entry = entry
+        self.slot = slot
+        self.weight = weight
+        self.claims = source.claims.setdefault(slot, Claims())
+        """The claims that compete with it for the passage."""
+        self.message = 1.0 / entry.outside
+        """Sum-product message from the entry, s."""
+        self.probability = 0.0
+
+    def add(self) -> None:
+        """Add the edge to its entry, and its claim to those on the passage."""
+        self.entry.edges.append(self)
+        self.claims.edges.append(self)
+        self.claims.odds += self.weight * self.message
+
+
+def pass_messages(competing: Sequence[tuple[Step, Sequence[tuple[Edge, float]]]]) -> None:
+    """Update messages and probabilities of the edges of entries that compete.
+
+    competing: the entries, each with its edges; each edge with the odds that its passage has no
+        successor.
+    """
+    for _ in range(SWEEPS):
+        for entry, edges in competing:
+            offers = [
+                edge.weight / (unclaimed + edge.claims.odds - edge.weight * edge.message)
+                for edge, unclaimed in edges
+            ]
+            total = entry.outside + sum(offers)
+            for (edge, _), offer in zip(edges, offers, strict=True):
+                message = 1.0 / (total - offer)
+                edge.claims.odds += edge.weight * (message - edge.message)
+                edge.message = message
+                edge.probability = offer / total
