@@ -91,7 +91,7 @@ class Correlograms:
         """
         product = np.empty((len(source), BLOCK + 1), np.complex64)
         for row, u, v in zip(product, source.tolist(), target.tolist(), strict=True):
-            np.einsum("bf,bf->f", self._of_label(0, u), self._of_label(1, v), out=row)
+            np.sum(self._of_label(0, u) * self._of_label(1, v), axis=0, out=row)
         lags = scipy.fft.irfft(product, 2 * BLOCK)
         counts: Counts = np.rint(np.concatenate((lags[:, -LAGS:], lags[:, : LAGS + 1]), axis=1))
         return counts

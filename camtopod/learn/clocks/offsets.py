@@ -16,7 +16,7 @@ import numpy as np
 from msgspec import Struct, field
 from numpy.typing import NDArray
 from scipy.optimize import linprog
-from scipy.sparse import block_array, csr_array, diags_array, eye_array
+from scipy.sparse import block_array, csr_array, eye_array
 
 from camtopod.arrays import Bools, Floats, Ints
 from camtopod.learn.clocks.correlogram import (
@@ -253,15 +253,9 @@ def solve_offsets(found: list[Difference], weight: NDArray[np.int64], known: Clo
     if not found:
         return clocks
 
-    # The differences as a matrix (differences, cameras): -1 for the first camera, 1 for the second.
     a = np.array([one.a for one in found])
     b = np.array([one.b for one in found])
     ahead, own_sd, transit = np.array([one[2:] for one in found]).T
-    each = np.arange(len(found))
-    signs = np.repeat((-1.0, 1.0), len(found))
-    apart = csr_array(
-        (signs, (np.tile(each, 2), np.concatenate((a, b)))), shape=(len(found), cameras)
-    )
     clocks.identified[a] = clocks.identified[b] = True
 
     # A robust first estimate, in which most offsets are zero, with the likeliest asymmetry. The
@@ -272,8 +266,8 @@ def solve_offsets(found: list[Difference], weight: NDArray[np.int64], known: Clo
     best = -np.inf
     for asymmetry in ASYMMETRIES:
         spread = np.hypot(own_sd, asymmetry * transit)
-        first = _least_disagreement(apart, ahead, spread, trust)
-        squared = ((ahead - apart @ first) / spread) ** 2
+        first = _least_disagreement(a, b, ahead, spread, trust)
+        squared = ((ahead - (first[b] - first[a])) / spread) ** 2
         score = redundant * float(
             np.sum(-np.log(spread))
             - 2.0 * np.sum(np.log1p(squared / max(redundant, 1e-9) / OUTLIER_SD))
@@ -287,7 +281,7 @@ def solve_offsets(found: list[Difference], weight: NDArray[np.int64], known: Clo
     # the least clear one as right and repeat.
     wrong = np.abs(offset) > 1e-6
     while True:
-        offset, error = _least_squares(apart, ahead, sd, wrong, offset)
+        offset, error = _least_squares(a, b, ahead, sd, wrong, offset)
         clear = np.where(wrong, np.abs(offset) / error, np.inf)
         least = int(np.argmin(clear))
         if clear[least] > CLEAR_SD:
@@ -296,22 +290,25 @@ def solve_offsets(found: list[Difference], weight: NDArray[np.int64], known: Clo
     return Clocks(offset.round(DECIMALS), error, clocks.identified)
 
 
-def _least_disagreement(apart: csr_array, ahead: Floats, sd: Floats, trust: Floats) -> Floats:
+def _least_disagreement(
+    a: Ints, b: Ints, ahead: Floats, sd: Floats, trust: Floats
+) -> Floats:
     """Return the offsets (cameras, seconds) with the least sum of absolute disagreements.
 
     The disagreement of a difference is that between its ``ahead`` and the offsets of its cameras,
     in standard deviations. Absolute offsets cost a little, too (`RIGHT_WEIGHT`), so that most are
     zero.
 
-    apart (differences, cameras): matrix that takes the offsets to the differences.
-    ahead, sd (differences,): as in `Difference`.
+    a, b, ahead, sd (differences,): as in `Difference`.
     trust (cameras,): factor on the cost of an offset of each clock.
     """
     # A linear programme. Variables: the offsets, their absolute values, and the disagreement of
     # each difference in standard deviations; the latter two are at least either sign of their
     # argument.
-    n, cameras = apart.shape
-    scaled = diags_array(1.0 / sd) @ apart
+    n, cameras = len(a), len(trust)
+    rows = np.tile(np.arange(n), 2)
+    signs = np.concatenate((-1.0 / sd, 1.0 / sd))
+    scaled = csr_array((signs, (rows, np.concatenate((a, b)))), shape=(n, cameras))
     clock = eye_array(cameras)
     matrix = block_array(
         [
@@ -336,31 +333,37 @@ def _least_disagreement(apart: csr_array, ahead: Floats, sd: Floats, trust: Floa
 
 
 def _least_squares(
-    apart: csr_array, ahead: Floats, sd: Floats, wrong: Bools, offset: Floats
+    a: Ints, b: Ints, ahead: Floats, sd: Floats, wrong: Bools, offset: Floats
 ) -> tuple[Floats, Floats]:
     """Estimate the offsets of the wrong clocks by robust least squares; the others are 0.
 
-    apart, ahead, sd: as in `_least_disagreement`.
+    a, b, ahead, sd (differences,): as in `Difference`.
     wrong (cameras,): True for clocks that may have an offset.
     offset (cameras, seconds): first estimate.
 
     Return the offsets and their standard deviations, (cameras, seconds) each. Differences that
     disagree with the others have little weight (`OUTLIER_SD`).
     """
-    # Iteratively reweighted least squares.
+    # Iteratively reweighted least squares, until no offset changes by the precision kept.
+    cameras = len(wrong)
     offset = np.where(wrong, offset, 0.0)
     free = np.flatnonzero(wrong)
     for _ in range(ROUNDS):
-        disagreement = (ahead - apart @ offset) / sd
-        weighted = apart.T @ diags_array(1.0 / sd**2 / (1.0 + (disagreement / OUTLIER_SD) ** 2))
-        normal = (weighted @ apart).toarray()
-        inverse = np.linalg.pinv(normal[np.ix_(free, free)], hermitian=True)
-        offset[free] = inverse @ (weighted @ ahead)[free]
+        disagreement = (ahead - (offset[b] - offset[a])) / sd
+        weight = 1.0 / sd**2 / (1.0 + (disagreement / OUTLIER_SD) ** 2)
+        precision = np.bincount(a, weight, cameras) + np.bincount(b, weight, cameras)
+        towards = np.bincount(b, weight * ahead, cameras) - np.bincount(a, weight * ahead, cameras)
+        between = np.bincount(a * cameras + b, weight, cameras**2).reshape(cameras, cameras)
+        normal = (np.diag(precision) - between - between.T)[np.ix_(free, free)]
+        inverse = np.linalg.pinv(normal, hermitian=True)
+        before = offset[free]
+        offset[free] = inverse @ towards[free]
+        if np.abs(offset[free] - before).max(initial=0.0) < 0.1 * 10.0**-DECIMALS:
+            break
 
     # Standard deviations: of each right clock from its differences alone, of the wrong clocks from
     # the inverse of the normal matrix.
-    precision = np.diag(normal)
-    error = np.full(len(wrong), np.inf)
+    error = np.full(cameras, np.inf)
     error[precision > 0] = 1.0 / np.sqrt(precision[precision > 0])
     error[free] = np.sqrt(np.maximum(np.diag(inverse), 0.0))
     return offset, error

@@ -245,7 +245,9 @@ def _offsets(
     total = np.zeros(pairs * bins.size)
     for exit_, passage in _open(passages, exits, shift):
         pair = number[passages.camera[exit_], passages.camera[passage]]
+        counted = np.flatnonzero(pair >= 0)
+        exit_, passage, pair = exit_[counted], passage[counted], pair[counted]
         at = bins.index(passages.since[passage] - shift - passages.since[exit_])
-        counted = np.flatnonzero((pair >= 0) & (at >= 0))
-        total += np.bincount(pair[counted] * bins.size + at[counted], minlength=len(total))
+        inside = at >= 0
+        total += np.bincount(pair[inside] * bins.size + at[inside], minlength=len(total))
     return total.reshape(pairs, bins.size)
