@@ -127,12 +127,14 @@ class CandidateScreen:
         self._look(traffic, places, learned, everywhere)
         pairs = ZonePairs(problem, *self._pairs(places))
         blocks = pairs.blocks(WEIGHED_MAX)
-        departure, arrival, _, lag = _joined(_likely(traffic, pairs, block) for block in blocks)
-        zone_left = problem.departures.zone[departure]
-        pair, source, target = number_pairs(
-            zone_left, problem.arrivals.zone[arrival], problem.zones
-        )
-        return Candidates(departure, arrival, pair, lag, source, target)
+        departure, arrival, pair, lag = _joined(_likely(traffic, pairs, block) for block in blocks)
+
+        # Number the pairs of zones that are left.
+        left = np.unique(pair)
+        number, source, target = number_pairs(pairs.source[left], pairs.target[left], problem.zones)
+        renumbered = np.zeros(len(pairs.source), np.int32)
+        renumbered[left] = number
+        return Candidates(departure, arrival, renumbered[pair], lag, source, target)
 
     def _look(self, traffic: Traffic, places: Longs, learned: int, everywhere: bool) -> None:
         """Look at zones of arrival; forget zones that exist no more."""
