@@ -416,7 +416,8 @@ class Learner:
         self.state.topology = version
         self.state.fitted_us = tick_us
         self.state.since_fit = 0
-        self._scorer.use(version, self._events_for_version())
+        if not self.only_last:
+            self._scorer.use(version, self._events_for_version())
         self._updates.append(version)
 
     def _report(self, found: Refit, topology: Topology, now: float, news: list[News]) -> None:

@@ -120,7 +120,8 @@ class AlarmLog:
         # What the window can no longer show again is forgotten.
         state = self.state
         state.reported = {one: at for one, at in state.reported.items() if at >= scene.first}
-        state.joined = {link for link in state.joined if {*link.split("->")} <= {*zones}}
+        present = {*zones}
+        state.joined = {link for link in state.joined if present.issuperset(link.split("->"))}
 
         # Cameras and zones.
         begun = scene.first + SETTLING_SECONDS

@@ -106,15 +106,14 @@ class Correlograms:
         if spectra is None:
             # Count the events by block and bin.
             bins = self._bins[side][label]
-            present = np.zeros((self._blocks, 2 * BLOCK), np.float32)
-            for shift in ((0,), (-1, 0, 1))[side]:
-                block = bins // BLOCK + shift
-                at = bins - block * BLOCK + BLOCK // 2
-                inside = (block >= 0) & (block < self._blocks) & (at >= 0) & (at < 2 * BLOCK)
-                np.add.at(present, (block[inside], at[inside]), 1.0)
+            block = bins // BLOCK + np.array(((0,), (-1, 0, 1))[side])[:, None]
+            at = bins - block * BLOCK + BLOCK // 2
+            inside = (block >= 0) & (block < self._blocks) & (at >= 0) & (at < 2 * BLOCK)
+            cell = block[inside] * (2 * BLOCK) + at[inside]
+            present = np.bincount(cell, minlength=self._blocks * 2 * BLOCK).astype(np.float32)
 
             # Transform.
-            spectra = scipy.fft.rfft(present, overwrite_x=True)
+            spectra = scipy.fft.rfft(present.reshape(self._blocks, -1), overwrite_x=True)
             if side == 0:
                 np.conj(spectra, out=spectra)
 
@@ -158,7 +157,7 @@ def significant_peaks(counts: Counts, usual: Counts) -> Counts:
     """
     above = (counts - usual) / np.sqrt(usual)
     smooth = gaussian_filter1d(above, PEAK_BINS, axis=1, mode="constant", truncate=3.0)
-    noise = NOISE_SD / np.sqrt(2.0 * np.sqrt(np.pi) * PEAK_BINS)
+    noise = np.float32(NOISE_SD / np.sqrt(2.0 * np.sqrt(np.pi) * PEAK_BINS))
     near = 1.0 / np.sqrt(1.0 + (np.arange(-LAGS, LAGS + 1) / NEAR_BINS) ** 2)
-    peaks: Counts = np.maximum(smooth - noise, 0.0) * near.astype(np.float32)
+    peaks: Counts = np.maximum(smooth - noise, np.float32(0.0)) * near.astype(np.float32)
     return peaks

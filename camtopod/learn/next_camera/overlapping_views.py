@@ -180,7 +180,7 @@ def _shifted(count: Callable[[float], NDArray[Any]]) -> Floats:
 
 
 def _open(passages: Departures, exits: slice, shift: float) -> Iterator[tuple[Rows, Rows]]:
-    """Yield pairs of an exit and a passage of another camera that is open after it, part by part.
+    """Yield pairs of an exit and a passage that is open after it, part by part.
 
     exits: slice of the passages whose exits are used.
     shift: seconds after the exit at which the passage is open.
@@ -192,9 +192,7 @@ def _open(passages: Departures, exits: slice, shift: float) -> Iterator[tuple[Ro
     first, stop = (np.searchsorted(exit_times, t - shift) for t in (passages.since, passages.t))
     pairs = ranges_in_parts(first, np.maximum(stop - first, 0), OPEN_PAIRS_AT_ONCE)
     for passage, at in pairs:
-        exit_ = at + exits.start
-        other = np.flatnonzero(passages.camera[exit_] != passages.camera[passage])
-        yield exit_[other], passage[other]
+        yield at + exits.start, passage
 
 
 def _newest(passages: Departures, most: int) -> int:
@@ -211,14 +209,17 @@ def _newest(passages: Departures, most: int) -> int:
 def _totals(passages: Departures, exits: slice, shift: float, cameras: int) -> Longs:
     """Return the number of passages open ``shift`` seconds after an exit, (cameras, cameras).
 
-    The result is by camera of the exit and camera of the open passage, added up over ``exits``.
+    The result is by camera of the exit and camera of the open passage, added up over ``exits``; 0
+    for a camera and itself.
     """
     total = np.zeros(cameras * cameras, np.int64)
     for exit_, passage in _open(passages, exits, shift):
         total += np.bincount(
             passages.camera[exit_] * cameras + passages.camera[passage], minlength=len(total)
         )
-    return total.reshape(cameras, cameras)
+    result = total.reshape(cameras, cameras)
+    np.fill_diagonal(result, 0)
+    return result
 
 
 def _count(passages: Departures, exits: slice, number: Longs, bins: LagBins) -> _Counted:
@@ -243,8 +244,9 @@ def _offsets(
     """
     pairs = int(number.max()) + 1
     total = np.zeros(pairs * bins.size)
+    flat = number.ravel()
     for exit_, passage in _open(passages, exits, shift):
-        pair = number[passages.camera[exit_], passages.camera[passage]]
+        pair = flat.take(passages.camera[exit_] * len(number) + passages.camera[passage])
         counted = np.flatnonzero(pair >= 0)
         exit_, passage, pair = exit_[counted], passage[counted], pair[counted]
         at = bins.index(passages.since[passage] - shift - passages.since[exit_])
