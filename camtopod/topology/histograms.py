@@ -8,6 +8,8 @@ at most `STEPS` per bin). The functions make such histograms and read them.
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 from msgspec.structs import replace
 
@@ -87,6 +89,6 @@ DIGITS = 6
 
 def round_significant(value: float) -> float:
     """Return a value rounded to `DIGITS` significant digits; -0.0 and nan become 0.0."""
-    if np.isnan(value):
+    if math.isnan(value):
         return 0.0
     return float(f"{value:.{DIGITS}g}") + 0.0

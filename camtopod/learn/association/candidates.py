@@ -120,7 +120,9 @@ def possible(problem: Problem, departure: Rows, arrival: Rows, lag: Floats) -> N
     that begin at the same instant, the one that ends first counts as the earlier.
     """
     departures, arrivals, bins, *_ = problem
-    delayed = lag - problem.delays(departures.zone[departure], arrivals.zone[arrival])
+    delayed = lag
+    if problem.ranges is not None:
+        delayed = lag - problem.delays(departures.zone[departure], arrivals.zone[arrival])
     result = (delayed >= bins.lag_min) & (delayed <= bins.lag_max)
     ahead = np.flatnonzero(lag <= 0)
     departed = departure[ahead]

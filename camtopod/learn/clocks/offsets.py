@@ -290,9 +290,7 @@ def solve_offsets(found: list[Difference], weight: NDArray[np.int64], known: Clo
     return Clocks(offset.round(DECIMALS), error, clocks.identified)
 
 
-def _least_disagreement(
-    a: Ints, b: Ints, ahead: Floats, sd: Floats, trust: Floats
-) -> Floats:
+def _least_disagreement(a: Ints, b: Ints, ahead: Floats, sd: Floats, trust: Floats) -> Floats:
     """Return the offsets (cameras, seconds) with the least sum of absolute disagreements.
 
     The disagreement of a difference is that between its ``ahead`` and the offsets of its cameras,

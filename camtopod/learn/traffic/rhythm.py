@@ -41,7 +41,7 @@ def rhythm_rates(t: Floats, zone: Ints, even: Floats, zones: int) -> Floats:
     number = np.maximum(np.bincount(zone, minlength=zones), 1.0)
     share = np.full((len(parts), zones), 1.0 / len(parts))
     for _ in range(ITERATIONS):
-        made = share[:, zone] * parts
+        made = share.take(zone, axis=1) * parts
         made /= made.sum(axis=0)
         share = np.stack([np.bincount(zone, part, zones) for part in made]) / number
 
