@@ -8,17 +8,18 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from typing import NamedTuple
 
 import numpy as np
 from msgspec.structs import replace
 
-from camtopod.arrays import Floats, rows_by_group
+from camtopod.arrays import Floats, Rows, find_rows, rows_by_group
 from camtopod.event_time import MICROSECONDS
 from camtopod.learn.assemble import STAY_DECILES, zone_id
 from camtopod.learn.changes import Change
-from camtopod.learn.links import NEXT_ZONES_MAX
+from camtopod.learn.links import NEXT_ZONES_MAX, MissedTransitions
 from camtopod.learn.next_camera import LEVELS, OverlappingViews, Posterior
-from camtopod.learn.traffic import Persistence, Scene, usual_dwell_times
+from camtopod.learn.traffic import EVENT_SD_SECONDS, Persistence, Scene, usual_dwell_times
 from camtopod.learn.window import Window
 from camtopod.records import (
     CameraModel,
@@ -33,7 +34,13 @@ from camtopod.records import (
     Way,
     ZoneModel,
 )
-from camtopod.topology import LagBins, offset_bins, round_significant, step_histogram
+from camtopod.topology import (
+    LagBins,
+    offset_bins,
+    round_significant,
+    step_histogram,
+    student_share,
+)
 
 SHARE_MIN = 1e-4
 """Least share of a listed next zone, and least mass of a listed entry kernel. A share in the window
@@ -55,6 +62,7 @@ def build_model(
     clocks_corrected: bool,
     overlapping: Sequence[OverlappingViews] = (),
     paths: list[CameraPath] | None = None,
+    missed: MissedTransitions | None = None,
 ) -> Model:
     """Return the part of the topology, beside the links, that prediction reads.
 
@@ -65,6 +73,7 @@ def build_model(
     clocks_corrected: True if the links' transit times are in corrected time.
     overlapping: pairs of overlapping views.
     paths: the second opinion (`camtopod.learn.paths`); None without one.
+    missed: transitions that missed detections make; None for none.
     """
     ids = [zone_id(cameras, zone) for zone in scene.zones]
     zones = sorted(_zone_models(ids, scene, posterior), key=lambda zone: zone.zone)
@@ -83,7 +92,7 @@ def build_model(
     now = _presently(posterior, changes)
     return replace(
         model,
-        onward=_onward(ids, posterior, now, bins),
+        onward=_onward(ids, posterior, now, bins, _missed_shares(posterior, scene, bins, missed)),
         entered=_entered(ids, posterior, bins),
         contexts=_contexts(ids, cameras, posterior, now),
         pace=_pace(ids, scene, posterior.fit.persistence),
@@ -160,25 +169,68 @@ def _presently(posterior: Posterior, changes: list[Change]) -> Floats:
     return factor
 
 
-def _onward(ids: list[str], posterior: Posterior, now: Floats, bins: LagBins) -> list[Onward]:
+class _Missed(NamedTuple):
+    """Shares of the departures that missed detections add; columns are (W,)."""
+
+    source: Rows
+    target: Rows
+    share: Floats
+    mass: Floats
+    """(W, bins) the share by lag."""
+
+
+def _missed_shares(
+    posterior: Posterior, scene: Scene, bins: LagBins, missed: MissedTransitions | None
+) -> _Missed:
+    """Return what missed detections add to the shares that the fit has found, the largest first.
+
+    missed: as for `build_model`.
+    """
+    if missed is None:
+        none = np.zeros(0, np.intp)
+        return _Missed(none, none, np.zeros(0), np.zeros((0, bins.size)))
+
+    # The share that the fit lacks.
+    c = posterior.fit.candidates
+    zones = len(scene.zones)
+    keys = c.source.astype(np.intp) * zones + c.target
+    row, known = find_rows(keys, missed.source * zones + missed.target)
+    departures = np.bincount(scene.departures.zone, minlength=zones)[missed.source]
+    share = missed.transitions / departures
+    share[known] -= posterior.share[row[known]]
+
+    # By lag.
+    listed = np.argsort(-share, kind="stable")[: int((share > SHARE_MIN).sum())]
+    place, width = missed.place[listed, None], missed.width[listed, None]
+    below = student_share(bins.edges, place, np.maximum(width, EVENT_SD_SECONDS))
+    mass = share[listed, None] * np.diff(below, axis=1)
+    return _Missed(missed.source[listed], missed.target[listed], mass.sum(axis=1), mass)
+
+
+def _onward(
+    ids: list[str], posterior: Posterior, now: Floats, bins: LagBins, missed: _Missed
+) -> list[Onward]:
     """Return, for each zone of departure, the next zones with shares and lags, sorted by zone.
 
     ids: public id of each zone.
     now (P,): factor on the share of each pair of zones (`_presently`).
 
-    Where shares and leaving make more than 1, as the messages of the fit and changed shares may,
-    all of them are scaled to make 1, which leaves their odds as they are.
+    Where shares and leaving make more than 1, as the messages of the fit, changed shares and missed
+    detections may, all of them are scaled to make 1, which leaves their odds as they are.
     """
     # Shares of each zone, with that of leaving, and the hazards likewise, make 1 at most.
     c = posterior.fit.candidates
     total = posterior.leave + np.bincount(c.source, posterior.share * now, minlength=len(ids))
-    leave = posterior.leave / np.maximum(total, 1.0)
-    now = now / np.maximum(total, 1.0)[c.source]
+    total = np.maximum(total + np.bincount(missed.source, missed.share, minlength=len(ids)), 1.0)
+    leave = posterior.leave / total
+    now = now / total[c.source]
     share = posterior.share * now
 
     rows = []
     likely = np.flatnonzero(share > SHARE_MIN)
+    added = rows_by_group(missed.source, len(ids))
     for zone, members in enumerate(rows_by_group(c.source[likely], len(ids))):
+        # The likeliest pairs of the fit, then those that missed detections join.
         pairs = likely[members]
         pairs = pairs[np.argsort(-share[pairs], kind="stable")][:NEXT_ZONES_MAX]
         mass = posterior.fit.hazard[pairs] * bins.widths * now[pairs, None]
@@ -190,6 +242,15 @@ def _onward(ids: list[str], posterior: Posterior, now: Floats, bins: LagBins) ->
                 round_significant(float(posterior.doubt[k])),
             )
             for k, lags in zip(pairs.tolist(), mass, strict=True)
+        ]
+        outcomes += [
+            Outcome(
+                ids[missed.target[k]],
+                round_significant(float(missed.share[k] / total[zone])),
+                step_histogram(missed.mass[k] / total[zone], bins),
+                0.0,
+            )
+            for k in added[zone][:NEXT_ZONES_MAX].tolist()
         ]
         rows.append(Onward(ids[zone], round_significant(float(leave[zone])), outcomes))
     return sorted(rows, key=lambda row: row.zone)

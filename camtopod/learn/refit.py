@@ -51,6 +51,7 @@ from camtopod.learn.links import (
     concatenate_transitions,
     cross_evidence,
     exposed_departures,
+    missed_transitions,
     select_weak_links,
     shortfall_of,
     significant,
@@ -195,7 +196,7 @@ def refit(
         associated = associate(scene, silences, overlapping, window, known, settings, on_step)
         on_step("prediction")
         likely_pairs, model, happened = predict_next(
-            scene, window, clocks, associated, overlapping, known, settings
+            scene, window, clocks, associated, through, overlapping, known, settings
         )
         all_pairs, changes = associated.between, associated.changes
         followed = associated.followed
@@ -305,6 +306,7 @@ def predict_next(
     window: Window,
     clocks: Clocks,
     associated: Associated,
+    through: LinkTable,
     overlapping: list[OverlappingViews],
     known: Known,
     settings: Settings,
@@ -314,6 +316,7 @@ def predict_next(
     Return every pair of zones with expected transitions in this fit, the model and the outcomes.
 
     associated: result of steps 3 to 6.
+    through: pairs of zones by passages through a view.
     """
     # The posterior, and its table of pairs of zones.
     problem = associated.problem
@@ -339,7 +342,10 @@ def predict_next(
         clocks.offset,
         scene.last - longest,
     )
-    # The model that is published, with the second opinion if it is wanted.
+    # The model that is published, with what missed detections make, and the second opinion if it is
+    # wanted.
+    between = associated.between
+    missed = missed_transitions(between, through, significant(between, settings), settings)
     wanted = is_wanted(scene, len(cameras))
     paths = second_opinion(scene, cameras, bins.lag_min) if wanted else None
     model = build_model(
@@ -352,5 +358,6 @@ def predict_next(
         settings.correct_clocks,
         overlapping,
         paths,
+        missed,
     )
     return likely_pairs, model, happened

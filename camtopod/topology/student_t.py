@@ -19,8 +19,11 @@ def student_density(x: Floats, place: Floats, width: Floats) -> Floats:
     return density
 
 
-def student_share(x: Floats, place: float, width: float) -> Floats:
-    """Return the probability (n,) of values below ``x`` (n,), in closed form."""
+def student_share(x: Floats, place: float | Floats, width: float | Floats) -> Floats:
+    """Return the probability (n,) of values below ``x`` (n,), in closed form.
+
+    place, width: median and scale, or columns (K, 1) of them; then the result is (K, n).
+    """
     angle = np.arctan((x - place) / width / np.sqrt(DEGREES))
     sines = np.sin(angle) * np.cos(angle) * (1.0 + 2.0 / 3.0 * np.cos(angle) ** 2)
     share: Floats = 0.5 + (angle + sines) / np.pi

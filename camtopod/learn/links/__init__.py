@@ -30,6 +30,8 @@ from camtopod.learn.links.link_table import (
     zone_pairs_of as zone_pairs_of,
 )
 from camtopod.learn.links.missed_detections import (
+    MissedTransitions as MissedTransitions,
+    missed_transitions as missed_transitions,
     without_missed_detections as without_missed_detections,
 )
 from camtopod.learn.links.shortfall import (

@@ -1,14 +1,17 @@
-"""Missed detections: with paths A -> B -> C, objects that camera B misses make a false link A -> C.
+"""Missed detections: with paths A -> B -> C, objects that camera B misses go from A to C unseen.
 
 A *path over a skipped camera* is a link from zone u to zone a, a passage from a to b through the
 view of a camera, and a link from b to v. If the camera misses a share m of the passages, then for
 every object recorded on the path ``odds = m / (1 - m)`` objects are recorded at u and next at v.
 The odds for a pair of zones (u, v) are estimated from all other pairs that such paths join, as most
 of these have no link of their own. Transitions of a pair beyond what the odds explain are the
-pair's own; a link must meet the rule for publishing with these.
+pair's own; a link must meet the rule for publishing with these. Prediction counts on those that the
+odds explain, as most pairs have too few to be found one by one.
 """
 
 from __future__ import annotations
+
+from typing import NamedTuple
 
 import numpy as np
 from scipy.sparse import csr_array
@@ -29,6 +32,21 @@ UNCERTAINTY = 2.0
 """Factor by which the number of missed passages may be larger than expected."""
 
 
+class MissedTransitions(NamedTuple):
+    """Transitions that missed detections make, by pair of zones; columns are (W,)."""
+
+    source: Rows
+    """Zone of departure."""
+    target: Rows
+    """Zone of arrival."""
+    transitions: Floats
+    """Expected transitions."""
+    place: Floats
+    """Mean lag, seconds."""
+    width: Floats
+    """Standard deviation of the lags, seconds."""
+
+
 def without_missed_detections(
     between: LinkTable, through: LinkTable, found: Bools, settings: Settings
 ) -> Bools:
@@ -38,47 +56,68 @@ def without_missed_detections(
     through: pairs of zones by passages through a view.
     found (P,): mask of the pairs of ``between`` that are links.
     """
-    # Pairs of zones that paths over skipped cameras join, and their transitions.
-    total = between.transit.total
-    source, target, expected = skipped_paths(between, through, found)
-    zones = max(int(between.target.max(initial=0)), int(target.max(initial=0))) + 1
-    keys = between.source.astype(np.intp) * zones + between.target
-    row, known = find_rows(keys, source * zones + target)
-    seen = np.where(known, total[row], 0.0)
-
-    # Take off what missed passages explain.
-    limits = np.minimum((MISSED_SHARE_LEAST, 1.0), settings.missed_share_max)
-    odds = np.clip(odds_of_others(seen, expected), *(limits / (1.0 - limits)))
-    own = total.astype(float)
-    explained = np.minimum(UNCERTAINTY * odds * expected, seen)
+    missed = missed_transitions(between, through, found, settings)
+    row, known, seen = _seen(between, missed)
+    own = between.transit.total.astype(float)
+    explained = np.minimum(UNCERTAINTY * missed.transitions, seen)
     own[row[known]] -= explained[known]
-    share = between.probability * own / np.maximum(total, 1e-9)
+    share = between.probability * own / np.maximum(between.transit.total, 1e-9)
     certain: Bools = found & (own >= TRANSITIONS_MIN) & (share >= settings.publish_probability_min)
     return certain
 
 
-def skipped_paths(
-    between: LinkTable, through: LinkTable, found: Bools
-) -> tuple[Rows, Rows, Floats]:
-    """Return the pairs of zones that paths over a skipped camera join.
+def missed_transitions(
+    between: LinkTable, through: LinkTable, found: Bools, settings: Settings
+) -> MissedTransitions:
+    """Return the transitions that missed detections make, by pair of zones.
 
-    Return source, target, and expected transitions at odds of 1, that is if the cameras miss every
-    second passage, (W,) each; arguments are as for `without_missed_detections`.
+    The arguments are as for `without_missed_detections`.
     """
-    # Transitions of each link; and passages, as a share of those that enter and those that leave.
-    ends = (between.source, between.target, through.source, through.target)
+    paths = skipped_paths(between, through, found)
+    *_, seen = _seen(between, paths)
+    limits = np.minimum((MISSED_SHARE_LEAST, 1.0), settings.missed_share_max)
+    odds = np.clip(odds_of_others(seen, paths.transitions), *(limits / (1.0 - limits)))
+    return paths._replace(transitions=odds * paths.transitions)
+
+
+def _seen(between: LinkTable, missed: MissedTransitions) -> tuple[Rows, Bools, Floats]:
+    """Return the rows of W pairs of zones in ``between``, if they are there, and transitions."""
+    zones = max(int(ends.max(initial=0)) for ends in (between.target, missed.target)) + 1
+    keys = between.source.astype(np.intp) * zones + between.target
+    row, known = find_rows(keys, missed.source * zones + missed.target)
+    return row, known, np.where(known, between.transit.total[row], 0.0)
+
+
+def skipped_paths(between: LinkTable, through: LinkTable, found: Bools) -> MissedTransitions:
+    """Return the transitions at odds of 1, that is if the cameras miss every second passage.
+
+    The arguments are as for `without_missed_detections`.
+    """
+    # Links by transitions; passages as a share of those that enter and those that leave.
+    links = between.rows(np.flatnonzero(found))
+    views = through.rows(np.flatnonzero(through.transit.total >= TRANSITIONS_MIN))
+    ends = (links.source, links.target, views.source, views.target)
     zones = max(int(end.max(initial=0)) for end in ends) + 1
-    links = csr_array(
-        (between.transit.total[found], (between.source[found], between.target[found])),
-        shape=(zones, zones),
-    )
-    kept = through.transit.total >= TRANSITIONS_MIN
-    passages, entry, exit_ = through.transit.total[kept], through.source[kept], through.target[kept]
-    entered, exited = (np.bincount(end, passages, minlength=zones) for end in (entry, exit_))
-    share = passages / entered[entry] / exited[exit_]
-    over = (links @ csr_array((share, (entry, exit_)), shape=(zones, zones)) @ links).tocoo()
+    entered, exited = (np.bincount(end, views.transit.total, zones) for end in ends[2:])
+    total = links.transit.total
+    share = views.transit.total / entered[views.source] / exited[views.target]
+
+    def table(value: Floats, of: LinkTable) -> csr_array:
+        return csr_array((value, (of.source, of.target)), shape=(zones, zones))
+
+    link, view = table(total, links), table(share, views)
+
+    def along(of_links: Floats, of_views: Floats) -> Floats:
+        """Return the sums, over the paths of each pair, of a figure of their three parts, (W,)."""
+        leg, stay = table(total * of_links, links), table(share * of_views, views)
+        sums = leg @ view @ link + link @ stay @ link + link @ view @ leg
+        return sums[source, target] if len(source) else np.zeros(0)
+
+    over = (link @ view @ link).tocoo()
     source, target = (end.astype(np.intp) for end in over.coords)
-    return source, target, over.data
+    place = along(links.transit.mean, views.transit.mean) / over.data
+    variance = along(links.transit.sd**2, views.transit.sd**2) / over.data
+    return MissedTransitions(source, target, over.data, place, np.sqrt(variance))
 
 
 def odds_of_others(seen: Floats, expected: Floats) -> Floats:

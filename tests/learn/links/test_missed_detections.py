@@ -136,9 +136,9 @@ def test_ways_equal_three_loops(seed: int, links: int, passages: int) -> None:
                     share /= stays[through.target == through.target[j]].sum()
                     pair = between.source[k], between.target[m]
                     expected[pair] += total[k] * share * total[m]
-    *pair, odd = skipped_paths(between, through, np.isin(np.arange(len(between.source)), found))
+    paths = skipped_paths(between, through, np.isin(np.arange(len(between.source)), found))
     ways = np.zeros((9, 9))
-    ways[tuple(pair)] = odd
+    ways[paths.source, paths.target] = paths.transitions
     assert ways == pytest.approx(expected)
 
 
