@@ -130,7 +130,10 @@ MECHANISMS = [
         },
     ),
     Mechanism(
-        "missed detections",
+        "missed detections, prediction", {"learn.refit:missed_transitions": lambda *arguments: None}
+    ),
+    Mechanism(
+        "missed detections, links",
         {"learn.refit:without_missed_detections": lambda between, through, found, *rest: found},
     ),
     Mechanism("changes", {"learn.refit:find_changes": lambda *arguments: []}),

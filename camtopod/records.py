@@ -249,12 +249,14 @@ class Outcome(Struct, frozen=True):
         program wrote estimates above 1, too.
     hazard: for each lag bin, the probability to arrive in it of a departure that is exposed to it.
     doubt: share of this that may be spurious; objects of spurious transitions are not seen again.
+    missed: True for objects that a camera on the way misses; contexts do not tell these.
     """
 
     to: str
     share: Number
     hazard: Histogram
     doubt: Share = 0.0
+    missed: bool = False
 
 
 class Onward(Struct, frozen=True):

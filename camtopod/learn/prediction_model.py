@@ -190,14 +190,14 @@ def _missed_shares(
         none = np.zeros(0, np.intp)
         return _Missed(none, none, np.zeros(0), np.zeros((0, bins.size)))
 
-    # The share that the fit lacks.
+    # The share that the fit lacks, what may be spurious left out.
     c = posterior.fit.candidates
     zones = len(scene.zones)
     keys = c.source.astype(np.intp) * zones + c.target
     row, known = find_rows(keys, missed.source * zones + missed.target)
     departures = np.bincount(scene.departures.zone, minlength=zones)[missed.source]
     share = missed.transitions / departures
-    share[known] -= posterior.share[row[known]]
+    share[known] -= (posterior.share * (1.0 - posterior.doubt))[row[known]]
 
     # By lag.
     listed = np.argsort(-share, kind="stable")[: int((share > SHARE_MIN).sum())]
@@ -248,7 +248,7 @@ def _onward(
                 ids[missed.target[k]],
                 round_significant(float(missed.share[k] / total[zone])),
                 step_histogram(missed.mass[k] / total[zone], bins),
-                0.0,
+                missed=True,
             )
             for k in added[zone][:NEXT_ZONES_MAX].tolist()
         ]

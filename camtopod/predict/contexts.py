@@ -72,7 +72,8 @@ class ContextMultipliers:
         sure: probability that ``previous`` is right.
 
         The factors (rows,) are relative to an exit of which only the zone is known; those of paths
-        are 1. The second result is the share of such exits after which objects leave the site.
+        and of missed detections are 1. The second result is the share of such exits after which
+        objects leave the site.
         """
         numbers = self._numbers.get(zone)
         if numbers is None:
@@ -105,4 +106,4 @@ class ContextMultipliers:
         # Ratio to the share without any context, within limits.
         ratio = share / np.maximum(outcomes.share, 1e-300)
         ratio = np.clip(ratio, 1.0 / MULTIPLIER_MAX, MULTIPLIER_MAX)
-        return np.where(outcomes.by_path, 1.0, ratio), max(leave, LEAVE_FLOOR)
+        return np.where(outcomes.by_path | outcomes.missed, 1.0, ratio), max(leave, LEAVE_FLOOR)

@@ -178,6 +178,7 @@ class Hazards:
                 doubt=np.array([outcome.doubt for outcome in row.next_]),
                 delay=np.array([outcome.hazard.delay for outcome in row.next_]),
                 by_path=np.zeros(len(row.next_), np.bool_),
+                missed=np.array([outcome.missed for outcome in row.next_]),
             )
         return outcomes
 
@@ -211,6 +212,7 @@ class Hazards:
                 doubt=np.zeros(len(out)),
                 delay=delay,
                 by_path=np.zeros(len(out), np.bool_),
+                missed=np.zeros(len(out), np.bool_),
             )
         return outcomes
 
@@ -234,6 +236,7 @@ class Hazards:
                 self._exposure(k),
                 none,
                 none,
+                none > 0,
                 none > 0,
             )
             first = self.outcomes.get(k, gone)

@@ -47,6 +47,8 @@ class Outcomes(NamedTuple):
     """(rows,) seconds to add to the lags of the bins; above 0 for long paths."""
     by_path: Bools
     """(rows,) True for the rows of the second opinion."""
+    missed: Bools
+    """(rows,) True for objects that a camera on the way misses."""
     leave_by_paths: float = 0.0
     """As ``leave``, of the second opinion; 0 if there is none."""
     paths_weight: float = 0.0
@@ -135,6 +137,7 @@ def with_paths(
         doubt=np.concatenate((outcomes.doubt, np.zeros(len(beside)))),
         delay=np.concatenate((outcomes.delay, *delays)),
         by_path=np.arange(len(outcomes.targets) + len(targets)) >= len(outcomes.targets),
+        missed=np.concatenate((outcomes.missed, np.zeros(len(beside), np.bool_))),
         leave_by_paths=max(1.0 - float(beside.sum()), FLOOR),
         paths_weight=weight,
     )

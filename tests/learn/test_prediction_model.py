@@ -9,6 +9,7 @@ from synthetic_events import Views, fit_posterior
 
 from camtopod.learn.association.problem import Problem
 from camtopod.learn.changes.change_points import Change
+from camtopod.learn.links import MissedTransitions
 from camtopod.learn.next_camera.fit import Posterior
 from camtopod.learn.prediction_model import NEXT_ZONES_MAX, build_model
 from camtopod.learn.traffic.labelled_events import Scene, ZoneRef
@@ -16,6 +17,7 @@ from camtopod.learn.window.sliding_window import Window
 from camtopod.predict.hazards import Hazards
 from camtopod.predict.predictor import Predictor
 from camtopod.records import TOPOLOGY_SCHEMA, Camera, Event, Model, Topology, Zone
+from camtopod.topology.histograms import masses_on_bins
 from camtopod.topology.lag_bins import LagBins
 
 BINS = LagBins(-20.0, 120.0)
@@ -49,10 +51,16 @@ def learned() -> tuple[Scene, Posterior]:
     return scene, fit_posterior(Problem(departures, arrivals, BINS, 3, scene.last))
 
 
-def made(learned: tuple[Scene, Posterior | None], changes: list[Change] | None = None) -> Model:
+def made(
+    learned: tuple[Scene, Posterior | None],
+    changes: list[Change] | None = None,
+    missed: MissedTransitions | None = None,
+) -> Model:
     window = Window(10)
     window.append([(k, Event(name, "entry", float(k))) for k, name in enumerate(NAMES)])
-    return build_model(NAMES, learned[0], learned[1], BINS, window, changes or [], False)
+    return build_model(
+        NAMES, learned[0], learned[1], BINS, window, changes or [], False, missed=missed
+    )
 
 
 def topology_of(model: Model) -> Topology:
@@ -99,6 +107,31 @@ def test_a_way_that_has_closed_is_not_expected(
     found = chances(made(learned, [Change(0, 1, 20_000.0, 0.9, 0.0, 50.0)]), known)
     assert found["b"] < 0.01
     assert found["c"] == pytest.approx(0.3 / 0.4, abs=0.07)
+
+
+@pytest.mark.parametrize("known", [False, True])
+def test_what_missed_detections_make_is_expected(
+    learned: tuple[Scene, Posterior], known: bool
+) -> None:
+    """Of 800 departures at a, 80 come back past a camera that misses them, in every context.
+
+    Nine come to c so, where the fit has found many more.
+    """
+    pairs = np.zeros(2, np.intp), np.array([0, 2])
+    missed = MissedTransitions(
+        *pairs, np.array([80.0, 9.0]), np.array([40.0, 8.0]), np.array([2.0, 2.0])
+    )
+    model = made(learned, missed=missed)
+    found = chances(model, known)
+    share = 0.1 / 1.1
+    assert found["a"] == pytest.approx(share, abs=0.01)
+    assert (found["b"], found["c"]) == pytest.approx((0.6 / 1.1, 0.3 / 1.1), abs=0.05)
+    assert sum(found.values()) == pytest.approx(1.0)
+    [back] = [one for one in (model.onward or [])[0].next_ if one.missed]
+    assert back.to == "a/1"
+    mass = masses_on_bins(back.hazard, BINS)
+    assert mass.sum() == pytest.approx(share, rel=0.02)
+    assert abs(BINS.centres[mass.argmax()] - 40.0) < 3.0
 
 
 def test_where_every_way_has_closed_no_context_has_fewer_departures_than_none(

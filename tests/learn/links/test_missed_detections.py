@@ -14,6 +14,7 @@ from camtopod.learn.links.link_table import (
 )
 from camtopod.learn.links.missed_detections import (
     ODDS_QUANTILE,
+    missed_transitions,
     odds_of_others,
     skipped_paths,
     without_missed_detections,
@@ -97,6 +98,18 @@ def test_a_camera_that_misses_little_explains_little() -> None:
     rows = (*CHAIN, (0, 3, 25.0, 90))
     assert (0, 3) not in kept(*rows, (2, 5, 25.0, 100), (4, 7, 25.0, 100))
     assert (0, 3) in kept(*rows, (2, 5, 25.0, 2), (4, 7, 25.0, 2))
+
+
+def test_transitions_past_a_camera_that_misses_a_quarter() -> None:
+    """300 recorded passages of two cameras imply 100 past the first one, 25 s later."""
+    between = table(*CHAIN, (2, 5, 25.0, 100), (4, 7, 25.0, 100))
+    found = np.isin(between.source * 9 + between.target, [u * 9 + v for u, v in LINKS])
+    missed = missed_transitions(between, THROUGH, found, SETTINGS)
+    assert [*zip(missed.source, missed.target, strict=True)] == [(0, 3), (2, 5), (4, 7)]
+    assert missed.transitions == pytest.approx([100.0] * 3, rel=0.01)
+    assert missed.place == pytest.approx([25.0] * 3, abs=0.5)
+    one = between.transit.sd[found][0], THROUGH.transit.sd[0]
+    assert missed.width == pytest.approx([np.sqrt(2 * one[0] ** 2 + one[1] ** 2)] * 3, rel=0.1)
 
 
 def test_no_more_than_the_setting_says() -> None:
