@@ -8,6 +8,8 @@ from camtopod.arrays import Floats
 
 DEGREES = 5.0
 """Degrees of freedom: tails heavier than those of a normal distribution."""
+WIDTH_MIN = 1e-3
+"""Least scale of the shares of a distribution, seconds."""
 REACH_WIDTHS = 5.0
 """Lags farther than this many widths from the place of a path do not belong to it."""
 
@@ -22,9 +24,10 @@ def student_density(x: Floats, place: Floats, width: Floats) -> Floats:
 def student_share(x: Floats, place: float | Floats, width: float | Floats) -> Floats:
     """Return the probability (n,) of values below ``x`` (n,), in closed form.
 
-    place, width: median and scale, or columns (K, 1) of them; then the result is (K, n).
+    place, width: median and scale, or columns (K, 1) of them; then the result is (K, n). A scale
+        below `WIDTH_MIN` counts as that.
     """
-    angle = np.arctan((x - place) / width / np.sqrt(DEGREES))
+    angle = np.arctan((x - place) / np.maximum(width, WIDTH_MIN) / np.sqrt(DEGREES))
     sines = np.sin(angle) * np.cos(angle) * (1.0 + 2.0 / 3.0 * np.cos(angle) ** 2)
     share: Floats = 0.5 + (angle + sines) / np.pi
     return share
