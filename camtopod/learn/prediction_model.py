@@ -13,7 +13,7 @@ from typing import NamedTuple
 import numpy as np
 from msgspec.structs import replace
 
-from camtopod.arrays import Floats, Rows, find_rows, rows_by_group
+from camtopod.arrays import Floats, Rows, rows_by_group
 from camtopod.event_time import MICROSECONDS
 from camtopod.learn.assemble import STAY_DECILES, zone_id
 from camtopod.learn.changes import Change
@@ -192,11 +192,9 @@ def _missed_shares(
 
     # The share that the fit lacks, what may be spurious left out.
     c = posterior.fit.candidates
-    zones = len(scene.zones)
-    keys = c.source.astype(np.intp) * zones + c.target
-    row, known = find_rows(keys, missed.source * zones + missed.target)
-    departures = np.bincount(scene.departures.zone, minlength=zones)[missed.source]
-    share = missed.transitions / departures
+    row, known = missed.rows_in(c.source, c.target)
+    departures = np.bincount(scene.departures.zone, minlength=len(scene.zones))
+    share = missed.transitions / departures[missed.source]
     share[known] -= (posterior.share * (1.0 - posterior.doubt))[row[known]]
 
     # By lag.

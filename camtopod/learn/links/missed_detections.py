@@ -16,7 +16,7 @@ from typing import NamedTuple
 import numpy as np
 from scipy.sparse import csr_array
 
-from camtopod.arrays import Bools, Floats, Rows, find_rows
+from camtopod.arrays import Bools, Floats, Ints, Rows, find_rows
 from camtopod.learn.links.link_table import TRANSITIONS_MIN, LinkTable
 from camtopod.learn.settings import Settings
 
@@ -46,6 +46,12 @@ class MissedTransitions(NamedTuple):
     width: Floats
     """Standard deviation of the lags, seconds."""
 
+    def rows_in(self, source: Ints, target: Ints) -> tuple[Rows, Bools]:
+        """Return the row of each pair among the pairs given, and whether it is there, (W,)."""
+        zones = max(int(ends.max(initial=0)) for ends in (target, self.target)) + 1
+        keys = source.astype(np.intp) * zones + target
+        return find_rows(keys, self.source * zones + self.target)
+
 
 def without_missed_detections(
     between: LinkTable, through: LinkTable, found: Bools, settings: Settings
@@ -57,10 +63,10 @@ def without_missed_detections(
     found (P,): mask of the pairs of ``between`` that are links.
     """
     missed = missed_transitions(between, through, found, settings)
-    row, known, seen = _seen(between, missed)
+    row, known = missed.rows_in(between.source, between.target)
     own = between.transit.total.astype(float)
-    explained = np.minimum(UNCERTAINTY * missed.transitions, seen)
-    own[row[known]] -= explained[known]
+    explained = UNCERTAINTY * missed.transitions[known]
+    own[row[known]] -= np.minimum(explained, own[row[known]])
     share = between.probability * own / np.maximum(between.transit.total, 1e-9)
     certain: Bools = found & (own >= TRANSITIONS_MIN) & (share >= settings.publish_probability_min)
     return certain
@@ -74,18 +80,11 @@ def missed_transitions(
     The arguments are as for `without_missed_detections`.
     """
     paths = skipped_paths(between, through, found)
-    *_, seen = _seen(between, paths)
+    row, known = paths.rows_in(between.source, between.target)
+    seen = np.where(known, between.transit.total[row], 0.0)
     limits = np.minimum((MISSED_SHARE_LEAST, 1.0), settings.missed_share_max)
     odds = np.clip(odds_of_others(seen, paths.transitions), *(limits / (1.0 - limits)))
     return paths._replace(transitions=odds * paths.transitions)
-
-
-def _seen(between: LinkTable, missed: MissedTransitions) -> tuple[Rows, Bools, Floats]:
-    """Return the rows of W pairs of zones in ``between``, if they are there, and transitions."""
-    zones = max(int(ends.max(initial=0)) for ends in (between.target, missed.target)) + 1
-    keys = between.source.astype(np.intp) * zones + between.target
-    row, known = find_rows(keys, missed.source * zones + missed.target)
-    return row, known, np.where(known, between.transit.total[row], 0.0)
 
 
 def skipped_paths(between: LinkTable, through: LinkTable, found: Bools) -> MissedTransitions:
