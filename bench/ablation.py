@@ -109,8 +109,8 @@ MECHANISMS = [
     Mechanism(
         "spurious transitions",
         {
-            "learn.next_camera.fit:spurious_shares": lambda pair, responsibility, pairs, *rest: (
-                np.zeros(pairs)
+            "learn.next_camera.fit:spurious_shares": lambda pair, responsibility, evidence, *rest: (
+                np.zeros(len(evidence))
             )
         },
     ),

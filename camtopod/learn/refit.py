@@ -275,7 +275,6 @@ def associate(
     on_step("evidence")
     first = float(min(problem.departures.t[0], problem.arrivals.t[0]))
     evidence = cross_evidence(problem, fit, first)
-    posterior = with_doubt(posterior, problem, evidence)
     between = tabulate(
         transitions_of(fit),
         exposed_departures(problem),
@@ -284,6 +283,7 @@ def associate(
         ranges=problem.ranges,
     )
     between = between.with_evidence(evidence, problem.zones**2)
+    posterior = with_doubt(posterior, problem, between)
 
     # 6. Links that have opened or closed; departures during a camera's silence do not count.
     on_step("changes")

@@ -5,15 +5,13 @@ import numpy as np
 from camtopod.learn.association.candidates import Candidates, find_candidates
 from camtopod.learn.association.problem import Problem
 from camtopod.learn.learner import Learner
-from camtopod.learn.next_camera.fit import Posterior, fit_window, with_doubt
+from camtopod.learn.next_camera.fit import Posterior, fit_window
+from camtopod.learn.next_camera.spurious import spurious_shares
 from camtopod.learn.traffic.background_rate import local_rates
 from camtopod.learn.traffic.events import Arrivals, Departures
 from camtopod.records import TOPOLOGY_SCHEMA, Camera, Event, Link, Topology, Zone
 from camtopod.sim.truth import Truth
 from camtopod.topology.lag_bins import LagBins
-
-LINKED = np.array([100.0])
-"""Evidence far above that of a link, nats."""
 
 
 def topology_of(truth: Truth) -> Topology:
@@ -117,8 +115,11 @@ class Views:
 
 
 def fit_posterior(problem: Problem, candidates: Candidates | None = None) -> Posterior:
-    """Return the posterior of some candidates of a problem, or all, with clear evidence."""
+    """Return the posterior of some candidates of a problem, or all, on a site that has links."""
     cameras = 1 + max(int(ends.camera.max(initial=0)) for ends in problem[:2])
     apart = np.zeros((cameras, cameras), np.bool_)
     posterior, _ = fit_window(problem, candidates or find_candidates(problem), apart)
-    return with_doubt(posterior, problem, LINKED)
+    c = posterior.fit.candidates
+    no_evidence = np.zeros(len(c.source))
+    doubt = spurious_shares(c.pair, posterior.fit.responsibility, no_evidence, any_link=1.0)
+    return posterior._replace(doubt=doubt)

@@ -17,7 +17,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from camtopod.arrays import Floats, Ints, Singles, row_slices
+from camtopod.arrays import Floats, Ints, Singles, find_rows, row_slices
 from camtopod.learn.association import (
     Candidates,
     Em,
@@ -28,10 +28,11 @@ from camtopod.learn.association import (
     negative_without_overlap,
     result,
 )
+from camtopod.learn.links import LinkTable
 from camtopod.learn.next_camera.contexts import ContextCounts, ContextLevel, Contexts, multipliers
 from camtopod.learn.next_camera.entry_kernels import EntryKernels
 from camtopod.learn.next_camera.prior import Prior
-from camtopod.learn.next_camera.spurious import spurious_shares
+from camtopod.learn.next_camera.spurious import any_link_probability, spurious_shares
 from camtopod.topology import LEAVE_FLOOR
 
 FIRST_NOISE_SD = 3.0
@@ -96,16 +97,24 @@ def fit_window(
     return posterior, fit_sparsely(fitter.em)
 
 
-def with_doubt(posterior: Posterior, problem: Problem, evidence: Floats) -> Posterior:
+def with_doubt(posterior: Posterior, problem: Problem, between: LinkTable) -> Posterior:
     """Return a posterior with the spurious share of each pair of zones.
 
-    evidence (k, nats): held-out evidence of k pairs of zones (`cross_evidence`).
+    between: pairs of zones with their held-out evidence (`cross_evidence`).
     """
-    departures = np.bincount(problem.departures.zone, minlength=problem.zones).astype(float)
+    # The evidence, by number of the pair in the posterior.
     fit = posterior.fit
-    pairs = len(posterior.share)
-    doubt = spurious_shares(fit.candidates.pair, fit.responsibility, pairs, evidence, departures)
-    return posterior._replace(doubt=doubt)
+    c = fit.candidates
+    pairs, wanted = (
+        ends.source.astype(np.int64) * problem.zones + ends.target for ends in (between, c)
+    )
+    row, known = find_rows(pairs, wanted)
+    evidence = np.zeros(len(wanted))
+    evidence[known] = between.ratio[row[known]]
+
+    departures = np.bincount(problem.departures.zone, minlength=problem.zones).astype(float)
+    any_link = any_link_probability(between.ratio, departures)
+    return posterior._replace(doubt=spurious_shares(c.pair, fit.responsibility, evidence, any_link))
 
 
 class PosteriorFitter:

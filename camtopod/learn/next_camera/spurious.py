@@ -3,7 +3,9 @@
 Among thousands of pairs of zones, chance makes a few transitions for each. They contribute far less
 evidence than transitions on the real paths of the site, which contribute about equally much. So
 `real_probability` compares each pair's *evidence per transition* with the site's usual value,
-allowing for the spread among pairs and for pairs with few transitions.
+allowing for the spread among pairs and for pairs with few transitions. A path of widely spread
+transit times through heavy traffic has little evidence per transition, too, but many transitions:
+its held-out evidence (`links.cross_validation`) makes up for it.
 
 Where no pair of zones has significant evidence, the usual value has no meaning. So
 `any_link_probability` estimates from all pairs together whether the site has any link at all: the
@@ -33,29 +35,30 @@ departures are enough with probability ``1 - exp(-n / DEPARTURES_TO_TELL)``.
 
 
 def spurious_shares(
-    pair: Ints, responsibility: Floats, pairs: int, evidence: Floats, departures: Floats
+    pair: Ints, responsibility: Floats, evidence: Floats, any_link: float
 ) -> Floats:
     """Return the spurious share of the transitions of each pair of zones, (P,).
 
     pair, responsibility (M,): pair of zones and responsibility of each candidate.
-    pairs: number of pairs, P.
-    evidence (k, nats): held-out evidence of k pairs of zones (`cross_evidence`).
-    departures (zones,): number of departures of each zone.
+    evidence (P, nats): held-out evidence of each pair (`cross_evidence`); 0 if there is none.
+    any_link: probability that the site has any link at all (`any_link_probability`).
 
     A pair without a transition gets the probability that the site has no link at all.
     """
+    pairs = len(evidence)
     transitions: Floats = np.bincount(pair, responsibility, minlength=pairs).astype(float)
     each = evidence_against_unrelated(pair, responsibility, pairs) / np.maximum(transitions, 1e-300)
-    real = np.where(transitions > 0, real_probability(each, transitions), 1.0)
-    doubt: Floats = 1.0 - any_link_probability(evidence, departures) * real
+    real = np.where(transitions > 0, real_probability(each, transitions, evidence), 1.0)
+    doubt: Floats = 1.0 - any_link * real
     return doubt
 
 
-def real_probability(each: Floats, transitions: Floats) -> Floats:
+def real_probability(each: Floats, transitions: Floats, evidence: Floats) -> Floats:
     """Return the probability (P,) that the transitions of each pair of zones are real.
 
     each (P,): evidence per transition of each pair, nats.
     transitions (P,): number of transitions of each pair.
+    evidence (P,): held-out evidence of each pair, nats.
 
     The usual evidence per transition is the median over the site's transitions.
     """
@@ -67,9 +70,11 @@ def real_probability(each: Floats, transitions: Floats) -> Floats:
     reached = np.cumsum(transitions[order])
     usual = max(float(each[order[np.searchsorted(reached, 0.5 * reached[-1])]]), 1e-12)
 
-    # Likelihood of a real path: log-normal below the usual value, 1 above it.
+    # Likelihood of a real path: log-normal below the usual value, 1 above it. Held-out evidence
+    # multiplies it, up to 1.
     variance = SPREAD**2 + NATS_TO_TELL / np.maximum(usual * transitions, 1e-12)
-    likely = np.exp(-0.5 * np.log(np.clip(each / usual, 1e-12, 1.0)) ** 2 / variance)
+    nats = -0.5 * np.log(np.clip(each / usual, 1e-12, 1.0)) ** 2 / variance
+    likely = np.exp(np.minimum(nats + np.maximum(evidence, 0.0), 0.0))
 
     # Posterior probability, scaled to 1 at the usual value.
     probability: Floats = (1.0 + CHANCE_PRIOR) * likely / (likely + CHANCE_PRIOR)
