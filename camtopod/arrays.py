@@ -71,6 +71,15 @@ def find_rows(keys: Indices, wanted: Indices) -> tuple[NDArray[np.intp], NDArray
     return at, keys[at] == wanted
 
 
+def find_pairs(
+    pairs: tuple[Indices, Indices], wanted: tuple[Indices, Indices]
+) -> tuple[NDArray[np.intp], NDArray[np.bool_]]:
+    """Return what `find_rows` does, for pairs of numbers, each given as two columns."""
+    size = 1 + max(int(second.max(initial=0)) for _, second in (pairs, wanted))
+    keys, sought = (first.astype(np.int64) * size + second for first, second in (pairs, wanted))
+    return find_rows(keys, sought)
+
+
 ROWS_AT_ONCE = 1024
 """Rows of a table processed together, so that intermediate results stay in the CPU's cache."""
 

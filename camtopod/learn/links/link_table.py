@@ -13,7 +13,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from camtopod.arrays import Floats, Ints, row_slices
+from camtopod.arrays import Floats, Ints, find_pairs, row_slices
 from camtopod.learn.association import Fit, LagRanges, Problem, exposures, number_pairs
 from camtopod.learn.links import mahalanobis, monte_carlo
 from camtopod.learn.links.significance import log_likelihood_ratio, q_values
@@ -126,6 +126,13 @@ class LinkTable(NamedTuple):
         """
         return self._replace(ratio=ratio, q=q_values(ratio, tests))
 
+    def evidence_of(self, source: Ints, target: Ints) -> Floats:
+        """Return the evidence (n, nats) of pairs of zones; 0 of those that are not in the table."""
+        row, known = find_pairs((self.source, self.target), (source, target))
+        evidence = np.zeros(len(source))
+        evidence[known] = self.ratio[row[known]]
+        return evidence
+
 
 def tabulate(
     transitions: Transitions,
@@ -223,10 +230,7 @@ def select_weak_links(likely: LinkTable, published: LinkTable, zones: int) -> Li
     and leaving the site, in the proportions of the posterior.
     """
     # Scale the probabilities of each zone of departure to what its published links leave over.
-    key, done = (
-        table.source.astype(np.int64) * zones + table.target for table in (likely, published)
-    )
-    known = np.isin(key, done)
+    _, known = find_pairs((published.source, published.target), (likely.source, likely.target))
     taken = np.bincount(published.source, published.probability, minlength=zones)
     before, others = (
         np.bincount(likely.source[rows], likely.probability[rows], minlength=zones)

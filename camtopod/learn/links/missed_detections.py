@@ -16,7 +16,7 @@ from typing import NamedTuple
 import numpy as np
 from scipy.sparse import csr_array
 
-from camtopod.arrays import Bools, Floats, Ints, Rows, find_rows
+from camtopod.arrays import Bools, Floats, Ints, Rows, find_pairs
 from camtopod.learn.links.link_table import TRANSITIONS_MIN, LinkTable
 from camtopod.learn.settings import Settings
 
@@ -48,9 +48,7 @@ class MissedTransitions(NamedTuple):
 
     def rows_in(self, source: Ints, target: Ints) -> tuple[Rows, Bools]:
         """Return the row of each pair among the pairs given, and whether it is there, (W,)."""
-        zones = max(int(ends.max(initial=0)) for ends in (target, self.target)) + 1
-        keys = source.astype(np.intp) * zones + target
-        return find_rows(keys, self.source * zones + self.target)
+        return find_pairs((source, target), (self.source, self.target))
 
 
 def without_missed_detections(

@@ -14,7 +14,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from camtopod.arrays import Floats, find_rows
+from camtopod.arrays import Floats
 from camtopod.learn.links.link_table import TRANSITIONS_MIN, LinkTable
 from camtopod.learn.links.significance import ratio_needed
 from camtopod.learn.settings import Settings
@@ -47,17 +47,14 @@ def shortfall_of(
     """
     # Evidence needed for the next link, and held-out evidence so far.
     needed = ratio_needed(published + 1, zones * zones, settings.publish_q_max)
-    key, known = (table.source.astype(np.int64) * zones + table.target for table in (weak, between))
-    at, tested = find_rows(known, key)
-    held_out = np.zeros(len(key))
-    held_out[tested] = between.ratio[at[tested]]
+    held_out = between.evidence_of(weak.source, weak.target)
 
     # Each further object adds the mean evidence of the transitions so far. A link whose share is
     # below the limit for publishing is not published with any number of objects.
     transitions = weak.transit.total
     each = weak.ratio / np.maximum(transitions, 1e-9)
     helps = (each > 0) & (weak.probability >= settings.publish_probability_min)
-    passages = np.full(len(key), np.nan)
+    passages = np.full(len(held_out), np.nan)
     passages[helps] = (needed - held_out[helps]) / each[helps]
     passages = np.maximum(passages, np.maximum(TRANSITIONS_MIN - transitions, 1.0))
     return LinkShortfall(passages, passages * seconds / np.maximum(transitions, 1e-9))

@@ -17,7 +17,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from camtopod.arrays import Floats, Ints, Singles, find_rows, row_slices
+from camtopod.arrays import Floats, Ints, Singles, row_slices
 from camtopod.learn.association import (
     Candidates,
     Em,
@@ -102,18 +102,11 @@ def with_doubt(posterior: Posterior, problem: Problem, between: LinkTable) -> Po
 
     between: pairs of zones with their held-out evidence (`cross_evidence`).
     """
-    # The evidence, by number of the pair in the posterior.
-    fit = posterior.fit
-    c = fit.candidates
-    pairs, wanted = (
-        ends.source.astype(np.int64) * problem.zones + ends.target for ends in (between, c)
-    )
-    row, known = find_rows(pairs, wanted)
-    evidence = np.zeros(len(wanted))
-    evidence[known] = between.ratio[row[known]]
-
     departures = np.bincount(problem.departures.zone, minlength=problem.zones).astype(float)
     any_link = any_link_probability(between.ratio, departures)
+    fit = posterior.fit
+    c = fit.candidates
+    evidence = between.evidence_of(c.source, c.target)
     return posterior._replace(doubt=spurious_shares(c.pair, fit.responsibility, evidence, any_link))
 
 

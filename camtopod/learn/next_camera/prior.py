@@ -13,7 +13,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from camtopod.arrays import Floats, Ints, find_rows
+from camtopod.arrays import Floats, Ints, find_pairs
 from camtopod.learn.association import Candidates
 
 RETURNING = 10.0
@@ -35,9 +35,8 @@ class Prior:
     """
 
     def __init__(self, candidates: Candidates, ranges: Ints, zones: int) -> None:
-        source = candidates.source.astype(np.int64)
-        target = candidates.target.astype(np.int64)
-        back, exists = find_rows(source * zones + target, target * zones + source)
+        source, target = candidates.source, candidates.target
+        back, exists = find_pairs((source, target), (target, source))
         short = ranges < zones
         self.back = np.where(exists & short & short[back], back, -1)
 
