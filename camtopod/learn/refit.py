@@ -28,6 +28,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from camtopod.arrays import Floats
 from camtopod.event_time import MICROSECONDS
 from camtopod.learn.association import (
     CandidateScreen,
@@ -42,6 +43,7 @@ from camtopod.learn.changes import (
     find_repeats,
     find_silences,
     present,
+    silent_odds,
 )
 from camtopod.learn.clocks import Clocks
 from camtopod.learn.links import (
@@ -187,6 +189,7 @@ def refit(
     # 2. Silent cameras, recordings in a loop, and views that overlap.
     seconds = window.column("t") / MICROSECONDS
     silences = find_silences(seconds, window.column("camera"), len(window.cameras))
+    silent = silent_odds(silences, seconds[0], seconds[-1])[[zone.camera for zone in scene.zones]]
     repeats = find_repeats(window)
     offsets = offset_bins(bins.scale, bins.step)
     overlapping = find_overlapping(scene.departures.passages(), len(window.cameras), offsets)
@@ -196,7 +199,7 @@ def refit(
         associated = associate(scene, silences, overlapping, window, known, settings, on_step)
         on_step("prediction")
         likely_pairs, model, happened = predict_next(
-            scene, window, clocks, associated, through, overlapping, known, settings
+            scene, window, clocks, associated, through, silent, overlapping, known, settings
         )
         all_pairs, changes = associated.between, associated.changes
         followed = associated.followed
@@ -214,7 +217,7 @@ def refit(
         present(pairs, changes, zones, settings.publish_probability_min)
         for pairs in (all_pairs, likely_pairs)
     )
-    published = to_publish(between, through, settings)
+    published = to_publish(between, through, silent, settings)
     visible = through.rows(np.flatnonzero(significant(through, settings)))
     weak = select_weak_links(likely, published, zones)
     observed = scene.last - seconds[0]
@@ -291,13 +294,15 @@ def associate(
     return Associated(between, changes, problem, posterior, screen.followed)
 
 
-def to_publish(between: LinkTable, through: LinkTable, settings: Settings) -> LinkTable:
+def to_publish(
+    between: LinkTable, through: LinkTable, silent: Floats, settings: Settings
+) -> LinkTable:
     """Return the links between views to publish: significant, and not by missed detections.
 
-    between, through: pairs of zones by transitions between views, and by passages through a view.
+    The arguments are as for `without_missed_detections`.
     """
     found = significant(between, settings)
-    certain = without_missed_detections(between, through, found, settings)
+    certain = without_missed_detections(between, through, found, silent, settings)
     return with_monte_carlo_variance(between.rows(np.flatnonzero(certain)), lag_bins(settings))
 
 
@@ -307,6 +312,7 @@ def predict_next(
     clocks: Clocks,
     associated: Associated,
     through: LinkTable,
+    silent: Floats,
     overlapping: list[OverlappingViews],
     known: Known,
     settings: Settings,
@@ -316,7 +322,7 @@ def predict_next(
     Return every pair of zones with expected transitions in this fit, the model and the outcomes.
 
     associated: result of steps 3 to 6.
-    through: pairs of zones by passages through a view.
+    through, silent: as for `missed_transitions`.
     """
     # The posterior, and its table of pairs of zones.
     problem = associated.problem
@@ -345,7 +351,7 @@ def predict_next(
     # The model that is published, with what missed detections make, and the second opinion if it is
     # wanted.
     between = associated.between
-    missed = missed_transitions(between, through, significant(between, settings), settings)
+    missed = missed_transitions(between, through, significant(between, settings), silent, settings)
     wanted = is_wanted(scene, len(cameras))
     paths = second_opinion(scene, cameras, bins.lag_min) if wanted else None
     model = build_model(

@@ -25,4 +25,5 @@ from camtopod.learn.changes.repeats import find_repeats as find_repeats
 from camtopod.learn.changes.silence import (
     CameraSilences as CameraSilences,
     find_silences as find_silences,
+    silent_odds as silent_odds,
 )

@@ -45,6 +45,17 @@ def find_silences(t: Floats, camera: NDArray[np.int64], cameras: int) -> list[Ca
     return [_silences(t, own) for own in rows_by_group(camera, cameras)]
 
 
+def silent_odds(silences: list[CameraSilences], first: float, last: float) -> Floats:
+    """Return the time that each camera was silent over the time that it was not, (cameras,).
+
+    first, last (seconds): the time that is considered.
+    """
+    silent = np.array(
+        [sum(min(end, last) - begin for begin, end in one.intervals) for one in silences]
+    )
+    return silent / np.maximum(last - first - silent, 1.0)
+
+
 def _silences(t: Floats, own: NDArray[np.intp]) -> CameraSilences:
     """Return the silences of one camera.
 

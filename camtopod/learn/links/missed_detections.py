@@ -4,9 +4,11 @@ A *path over a skipped camera* is a link from zone u to zone a, a passage from a
 view of a camera, and a link from b to v. If the camera misses a share m of the passages, then for
 every object recorded on the path ``odds = m / (1 - m)`` objects are recorded at u and next at v.
 The odds for a pair of zones (u, v) are estimated from all other pairs that such paths join, as most
-of these have no link of their own. Transitions of a pair beyond what the odds explain are the
-pair's own; a link must meet the rule for publishing with these. Prediction counts on those that the
-odds explain, as most pairs have too few to be found one by one.
+of these have no link of their own. A silent camera misses all objects, so the odds of its passages
+are larger by the time that it was silent over the time that it was not. Transitions of a pair
+beyond what the odds explain are the pair's own; a link must meet the rule for publishing with
+these. Prediction counts on those that the odds explain, as most pairs have too few to be found one
+by one.
 """
 
 from __future__ import annotations
@@ -52,15 +54,16 @@ class MissedTransitions(NamedTuple):
 
 
 def without_missed_detections(
-    between: LinkTable, through: LinkTable, found: Bools, settings: Settings
+    between: LinkTable, through: LinkTable, found: Bools, silent: Floats, settings: Settings
 ) -> Bools:
     """Return a mask (P,) of the links that missed detections do not explain.
 
     between: P pairs of zones by transitions between views.
     through: pairs of zones by passages through a view.
     found (P,): mask of the pairs of ``between`` that are links.
+    silent (zones,): time that the camera of each zone was silent, over the time that it was not.
     """
-    missed = missed_transitions(between, through, found, settings)
+    missed = missed_transitions(between, through, found, silent, settings)
     row, known = missed.rows_in(between.source, between.target)
     own = between.transit.total.astype(float)
     explained = UNCERTAINTY * missed.transitions[known]
@@ -71,24 +74,27 @@ def without_missed_detections(
 
 
 def missed_transitions(
-    between: LinkTable, through: LinkTable, found: Bools, settings: Settings
+    between: LinkTable, through: LinkTable, found: Bools, silent: Floats, settings: Settings
 ) -> MissedTransitions:
     """Return the transitions that missed detections make, by pair of zones.
 
     The arguments are as for `without_missed_detections`.
     """
-    paths = skipped_paths(between, through, found)
+    paths, by_silence = skipped_paths(between, through, found, silent)
     row, known = paths.rows_in(between.source, between.target)
-    seen = np.where(known, between.transit.total[row], 0.0)
+    seen = np.maximum(np.where(known, between.transit.total[row], 0.0) - by_silence, 0.0)
     limits = np.minimum((MISSED_SHARE_LEAST, 1.0), settings.missed_share_max)
     odds = np.clip(odds_of_others(seen, paths.transitions), *(limits / (1.0 - limits)))
-    return paths._replace(transitions=odds * paths.transitions)
+    return paths._replace(transitions=odds * paths.transitions + by_silence)
 
 
-def skipped_paths(between: LinkTable, through: LinkTable, found: Bools) -> MissedTransitions:
-    """Return the transitions at odds of 1, that is if the cameras miss every second passage.
+def skipped_paths(
+    between: LinkTable, through: LinkTable, found: Bools, silent: Floats
+) -> tuple[MissedTransitions, Floats]:
+    """Return the transitions at odds of 1, and those that silent cameras have missed, (W,).
 
-    The arguments are as for `without_missed_detections`.
+    The arguments are as for `without_missed_detections`. At odds of 1, cameras miss every second
+    passage.
     """
     # Links by transitions; passages as a share of those that enter and those that leave.
     links = between.rows(np.flatnonzero(found))
@@ -104,17 +110,21 @@ def skipped_paths(between: LinkTable, through: LinkTable, found: Bools) -> Misse
 
     link, view = table(total, links), table(share, views)
 
+    def of_pairs(sums: csr_array) -> Floats:
+        """Return the sums over the paths of each pair, (W,)."""
+        return sums[source, target] if len(source) else np.zeros(0)
+
     def along(of_links: Floats, of_views: Floats) -> Floats:
         """Return the sums, over the paths of each pair, of a figure of their three parts, (W,)."""
         leg, stay = table(total * of_links, links), table(share * of_views, views)
-        sums = leg @ view @ link + link @ stay @ link + link @ view @ leg
-        return sums[source, target] if len(source) else np.zeros(0)
+        return of_pairs(leg @ view @ link + link @ stay @ link + link @ view @ leg)
 
     over = (link @ view @ link).tocoo()
     source, target = (end.astype(np.intp) for end in over.coords)
     place = along(links.transit.mean, views.transit.mean) / over.data
     variance = along(links.transit.sd**2, views.transit.sd**2) / over.data
-    return MissedTransitions(source, target, over.data, place, np.sqrt(variance))
+    by_silence = of_pairs(link @ table(share * silent[views.source], views) @ link)
+    return MissedTransitions(source, target, over.data, place, np.sqrt(variance)), by_silence
 
 
 def odds_of_others(seen: Floats, expected: Floats) -> Floats:

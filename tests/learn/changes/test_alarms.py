@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from camtopod.learn.changes.alarms import AlarmLog, AlarmState
 from camtopod.learn.changes.change_points import Change
-from camtopod.learn.changes.silence import CameraSilences, find_silences
+from camtopod.learn.changes.silence import CameraSilences, find_silences, silent_odds
 from camtopod.learn.learner import Learner
 from camtopod.learn.settings import Settings
 from camtopod.learn.snapshot import pack, unpack
@@ -86,6 +86,7 @@ def test_a_camera_that_stops_is_silent() -> None:
     first, second = heard(busy, lost)
     assert first == CameraSilences([], False)
     assert second == CameraSilences([(lost[-1], np.inf)], True)
+    assert silent_odds([first, second], 0.0, 40_000.0) == pytest.approx([0.0, 1 / 3], rel=0.01)
 
 
 def test_nobody_is_silent_by_chance_or_at_night() -> None:

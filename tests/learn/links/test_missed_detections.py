@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from hypothesis import example, given, strategies as st
 
+from camtopod.arrays import Floats
 from camtopod.learn.links.link_table import (
     LinkTable,
     Transitions,
@@ -25,6 +26,8 @@ from camtopod.topology.lag_bins import LagBins
 SETTINGS = Settings(publish_probability_min=0.03, missed_share_max=0.25)
 BINS = LagBins(-SETTINGS.overlap_max_seconds, SETTINGS.transit_max_seconds)
 LEAVING = 400.0
+WATCHED = np.zeros(9)
+"""No camera was ever silent."""
 Row = tuple[int, int, float, int]
 """Source, target, seconds, how many."""
 
@@ -54,12 +57,15 @@ CHAIN = ((0, 1, 10.0, 300), (2, 3, 10.0, 300), (4, 5, 10.0, 300), (6, 7, 10.0, 3
 
 
 def kept(
-    *rows: Row, through: LinkTable = THROUGH, settings: Settings = SETTINGS
+    *rows: Row,
+    through: LinkTable = THROUGH,
+    silent: Floats = WATCHED,
+    settings: Settings = SETTINGS,
 ) -> set[tuple[int, int]]:
     """Return the pairs that remain of these rows."""
     between = table(*rows)
     found = np.ones(len(between.source), bool)
-    stays = without_missed_detections(between, through, found, settings)
+    stays = without_missed_detections(between, through, found, silent, settings)
     assert found.all()
     return {
         (int(u), int(v))
@@ -104,12 +110,21 @@ def test_transitions_past_a_camera_that_misses_a_quarter() -> None:
     """300 recorded passages of two cameras imply 100 past the first one, 25 s later."""
     between = table(*CHAIN, (2, 5, 25.0, 100), (4, 7, 25.0, 100))
     found = np.isin(between.source * 9 + between.target, [u * 9 + v for u, v in LINKS])
-    missed = missed_transitions(between, THROUGH, found, SETTINGS)
+    missed = missed_transitions(between, THROUGH, found, WATCHED, SETTINGS)
     assert [*zip(missed.source, missed.target, strict=True)] == [(0, 3), (2, 5), (4, 7)]
     assert missed.transitions == pytest.approx([100.0] * 3, rel=0.01)
     assert missed.place == pytest.approx([25.0] * 3, abs=0.5)
     one = between.transit.sd[found][0], THROUGH.transit.sd[0]
     assert missed.width == pytest.approx([np.sqrt(2 * one[0] ** 2 + one[1] ** 2)] * 3, rel=0.1)
+
+
+def test_a_camera_that_was_silent_half_of_the_time_has_missed_as_many_as_it_has_seen() -> None:
+    """Of the other cameras it tells nothing."""
+    silent = np.where(CAMERA == 1, 1.0, 0.0)
+    rows = (*CHAIN, (0, 3, 25.0, 300), (2, 5, 25.0, 33), (4, 7, 25.0, 33))
+    assert kept(*rows) == {*LINKS, (0, 3)}
+    assert kept(*rows, silent=silent) == LINKS
+    assert (4, 7) in kept(*CHAIN, (0, 3, 25.0, 300), (4, 7, 25.0, 150), silent=silent)
 
 
 def test_no_more_than_the_setting_says() -> None:
@@ -136,7 +151,8 @@ def test_ways_equal_three_loops(seed: int, links: int, passages: int) -> None:
     seen = [(*pick[k], 5.0, 3 + int(k) % 9) for k in rng.integers(0, len(pick), passages)]
     between, through = table(*row), table(*seen)
     found = np.flatnonzero(rng.random(len(between.source)) < 0.7)
-    expected = np.zeros((9, 9))
+    silent = rng.uniform(0.0, 2.0, 9)
+    expected, by_silent = np.zeros((2, 9, 9))
     for k in found:
         for j in range(len(through.source)):
             for m in found:
@@ -149,10 +165,14 @@ def test_ways_equal_three_loops(seed: int, links: int, passages: int) -> None:
                     share /= stays[through.target == through.target[j]].sum()
                     pair = between.source[k], between.target[m]
                     expected[pair] += total[k] * share * total[m]
-    paths = skipped_paths(between, through, np.isin(np.arange(len(between.source)), found))
-    ways = np.zeros((9, 9))
-    ways[paths.source, paths.target] = paths.transitions
-    assert ways == pytest.approx(expected)
+                    by_silent[pair] += total[k] * share * total[m] * silent[through.source[j]]
+    paths, by_silence = skipped_paths(
+        between, through, np.isin(np.arange(len(between.source)), found), silent
+    )
+    for transitions, total in ((paths.transitions, expected), (by_silence, by_silent)):
+        ways = np.zeros((9, 9))
+        ways[paths.source, paths.target] = transitions
+        assert ways == pytest.approx(total)
 
 
 @given(st.lists(st.tuples(st.integers(0, 20), st.integers(1, 40)), max_size=12))
