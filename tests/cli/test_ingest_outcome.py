@@ -141,7 +141,7 @@ def test_who_waits_for_a_daemon_that_takes_nothing_says_why(
     with site(tmp_path, "a") as daemon:
         assert ingest(daemon, tmp_path, first) == 0
 
-    monkeypatch.setattr(ingest_command, "PATIENCE_SECONDS", 0.2)
+    monkeypatch.setattr(ingest_command, "PATIENCE_SECONDS", 2.0)
     with site(tmp_path, "a", now=T0) as daemon:
         says = ingest_command.log.warning
 

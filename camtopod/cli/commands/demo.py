@@ -171,7 +171,8 @@ def _watch(videos: dict[str, Path], seconds: float, work: Path) -> Topology:
     ):
         say("demo: playing the videos as fast as the grabbers read them")
         _until(daemon, lambda _: _have_ended(grabbers))
-        clock.skip(AFTERWARDS_SECONDS + seconds)
+        # The last events wait for the lateness and the end of their tick.
+        clock.skip(AFTERWARDS_SECONDS + seconds + config.learn.version_seconds)
         _until(daemon, functools.partial(_has_learned, daemon))
         say(f"demo: {_progress(daemon)}")
         topology = daemon.topology
