@@ -206,8 +206,7 @@ def refit(
     else:
         none = concatenate_transitions([])
         all_pairs = likely_pairs = tabulate(none, np.zeros((zones, 1)), bins, zones)
-        happened, changes = [], []
-        followed = dict(known.followed)
+        happened, changes, followed = [], [], dict(known.followed)
         corrected = settings.correct_clocks
         model = build_model(window.cameras, scene, None, bins, window, [], corrected, overlapping)
 
