@@ -11,7 +11,7 @@ from pathlib import Path
 
 import msgspec
 import pytest
-from serving import T0, small_config
+from serving import T0, small_config, wait_for
 
 from camtopod import codec
 from camtopod.cli.commands import ingest as ingest_command
@@ -19,7 +19,9 @@ from camtopod.cli.main import main
 from camtopod.config import Limits
 from camtopod.config.settings import SiteSettings
 from camtopod.records import Event
+from camtopod.serve.bus import Bus
 from camtopod.serve.daemon import Daemon
+from camtopod.serve.outbox import Publisher
 from camtopod.serve.outbox.spool_files import open_ingest_spool
 
 
@@ -141,7 +143,19 @@ def test_who_waits_for_a_daemon_that_takes_nothing_says_why(
     with site(tmp_path, "a") as daemon:
         assert ingest(daemon, tmp_path, first) == 0
 
-    monkeypatch.setattr(ingest_command, "PATIENCE_SECONDS", 2.0)
+    class ToldWhy(Publisher):
+        """A publisher that has found the daemon, and been told a reason, however slow they are."""
+
+        def attach(self, bus: Bus) -> None:
+            super().attach(bus)
+            wait_for(lambda: bool(bus.list_alive("daemon")), "the daemon to be visible")
+
+        def own_reason(self) -> str:
+            wait_for(lambda: bool(super(ToldWhy, self).own_reason()), "the daemon's reason")
+            return super().own_reason()
+
+    monkeypatch.setattr(ingest_command, "Publisher", ToldWhy)
+    monkeypatch.setattr(ingest_command, "PATIENCE_SECONDS", 0.4)
     with site(tmp_path, "a", now=T0) as daemon:
         says = ingest_command.log.warning
 
