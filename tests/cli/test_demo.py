@@ -29,6 +29,7 @@ main.console()
 """The demo with another interpreter for its grabbers."""
 
 
+@pytest.mark.timeout(300)
 def test_demo_works_in_an_empty_directory_though_one_grabber_is_slow(tmp_path: Path) -> None:
     slow, empty = tmp_path / "python", tmp_path / "empty"
     slow.write_text(
@@ -39,7 +40,7 @@ def test_demo_works_in_an_empty_directory_though_one_grabber_is_slow(tmp_path: P
     environment = {**os.environ, "PYTHONPATH": str(ROOT), "TMPDIR": str(empty)}
     command = [sys.executable, "-c", UNEVEN, str(slow), "demo", "--minutes", "4", "--out", "here"]
     done = subprocess.run(
-        command, cwd=empty, env=environment, capture_output=True, text=True, timeout=100
+        command, cwd=empty, env=environment, capture_output=True, text=True, timeout=280
     )
     assert done.returncode == 0, done.stderr
     assert [path.name for path in empty.iterdir()] == ["here"], "nothing is left over"

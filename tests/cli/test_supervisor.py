@@ -51,8 +51,8 @@ for turn in range(100000):
     time.sleep(0.02)
 """
 QUICK = {
-    "HUNG_SECONDS": 2.0,
-    "START_SECONDS": 3.0,
+    "HUNG_SECONDS": 4.0,
+    "START_SECONDS": 5.0,
     "RESTART_SECONDS_MIN": 0.05,
     "RESTART_SECONDS_MAX": 0.4,
     "STOP_SECONDS": 0.3,
@@ -165,12 +165,12 @@ def test_a_camera_that_dies_or_hangs_is_restarted_and_delays_no_other(
     assert box.starts("good") == 1
     log = "\n".join(caplog.messages)
     for text in (
-        "camera hangs: the process hung for 2 s while running; killing it",
-        "camera blocked: the process hung for 2 s while connecting; killing it",
+        "camera hangs: the process hung for [0-9]+ s while running; killing it",
+        "camera blocked: the process hung for [0-9]+ s while connecting; killing it",
         "camera crashes: ended with status 1; restarting in",
         "camera leaves: ended with status 0; restarting in",
     ):
-        assert text in log
+        assert re.search(text, log)
     assert not any(is_running(box.pid(camera)) for camera in (*bad, "deaf", "good-stopped"))
 
 

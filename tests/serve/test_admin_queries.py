@@ -10,7 +10,7 @@ from pathlib import Path
 
 import msgspec
 import pytest
-from serving import T0, all_out, closing_event, numbered, wait_for, walkers
+from serving import T0, WAIT_SECONDS, all_out, closing_event, numbered, wait_for, walkers
 from test_daemon import NOW, Site, caught_up, journal_of, put
 
 from camtopod import codec
@@ -31,7 +31,7 @@ def site(tmp_path: Path) -> Iterator[Site]:
 
 def ask(bus: Bus, command: Command) -> str:
     key, parameters = parameters_of(command)
-    [(_, answer)] = bus.query(key, parameters, one=True)
+    [(_, answer)] = bus.query(key, parameters, seconds=WAIT_SECONDS, one=True)
     return codec.read(Done, answer, pack=True).done
 
 
@@ -55,7 +55,7 @@ def cameras(daemon: Daemon) -> set[str]:
 
 
 def recent_cameras(bus: Bus) -> set[str]:
-    [(_, answer)] = bus.query("recent", one=True)
+    [(_, answer)] = bus.query("recent", seconds=WAIT_SECONDS, one=True)
     return {event.camera for event in codec.read(Recent, answer, pack=True).events}
 
 

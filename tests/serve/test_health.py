@@ -128,7 +128,7 @@ def test_a_full_disk_is_not_ready_but_starting_again_would_not_help(
     wait_for(lambda: daemon.unready() != [], "not ready")
     assert "disk is full" in daemon.unready()[0]
     time.sleep(0.7)  # longer than any loop is allowed
-    assert daemon.failing() == []
+    wait_for(lambda: daemon.failing() == [], "no loop to be stuck")
     full = False
     wait_for(lambda: daemon.unready() == [], "ready again")
 
