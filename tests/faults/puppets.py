@@ -16,7 +16,7 @@ import zenoh
 from camtopod.keys import rules
 
 HQ = "camtopo/hq"
-WAIT_SECONDS = 30.0
+WAIT_SECONDS = 60.0
 _SPAWN = multiprocessing.get_context("spawn")
 
 

@@ -25,7 +25,7 @@ T0 = 1_700_000_000.0
 """Event time at which the simulated walkers start."""
 SPAN_SECONDS = 1200.0
 """Length of a simulated recording, seconds."""
-WAIT_SECONDS = 30.0
+WAIT_SECONDS = 60.0
 """Default timeout of waits, seconds."""
 AT_ONCE = {"camtopod.serve.ingest.merge:SETTLE_SECONDS": 0.0}
 """Constant with which a daemon stores from its start on, and waits for no backlogs."""
