@@ -62,7 +62,7 @@ def test_its_tables_have_costs(
 
 
 def test_scale_measures_a_daemon_and_a_fit_beside_live_events(tmp_path: Path) -> None:
-    arguments = ["--cameras", "9", "--hours", "0.1", "--seconds", "5", "--json"]
+    arguments = ["--cameras", "9", "--hours", "0.1", "--rate", "0.6", "--seconds", "5", "--json"]
 
     assert import_module("bench.scale").main([*arguments, str(tmp_path / "out")]) == 0
 
