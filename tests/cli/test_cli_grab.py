@@ -211,7 +211,8 @@ def test_every_event_reaches_the_daemon_and_the_status_tells(tmp_path: Path) -> 
         client = buses.dial(small_config(tmp_path, daemon.endpoint))
         said: list[dict[str, Any]] = []
         client.subscribe("status/lobby", lambda key, raw: said.append(msgspec.msgpack.decode(raw)))
-        client.query("status/daemon")  # the daemon has the subscription once it has answered
+        # The daemon has the subscription once it has answered.
+        assert client.query("status/daemon", seconds=serving.WAIT_SECONDS, one=True)
         arguments = grab_to(daemon.endpoint, tmp_path)
         assert main(arguments) == 0
         assert daemon.status().events.stored == len(EVENTS)

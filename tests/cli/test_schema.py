@@ -16,6 +16,7 @@ import pytest
 from fake_bus_daemon import LEFT, NOW, learned, put, running
 from rendered_scenes import Scene
 from serving import (
+    WAIT_SECONDS,
     camtopod,
     closing_event,
     free_endpoint,
@@ -76,7 +77,8 @@ def test_what_is_on_the_bus_is_valid(tmp_path: Path) -> None:
             "status": "status/*",
         }.items():
             bus.subscribe(key, hear(name))
-        bus.query("status/daemon")  # the daemon has the subscriptions once it has answered
+        # The daemon has the subscriptions once it has answered.
+        assert bus.query("status/daemon", seconds=WAIT_SECONDS, one=True)
         put(bus, *events)
         learned(daemon, events)
         put(bus, Event("a", "entry", NOW, 0.1, 0.5), Event(kind="exit", **LEFT))
