@@ -148,7 +148,7 @@ def test_who_waits_for_a_daemon_that_takes_nothing_says_why(
 
         def attach(self, bus: Bus) -> None:
             super().attach(bus)
-            wait_for(lambda: bool(bus.list_alive("daemon")), "the daemon to be visible")
+            wait_for(lambda: self.sees_daemon, "the daemon to be visible")
 
         def own_reason(self) -> str:
             wait_for(lambda: bool(super(ToldWhy, self).own_reason()), "the daemon's reason")

@@ -154,7 +154,7 @@ def attack(thief: Puppet, observer: Puppet, everything: bool = False) -> set[str
     effects = {f"answered {key}" for key in ANSWERED if thief_answers(observer, key, seconds)}
     for key in ASKED:
         expected = everything or f"asked {key}" in OWN
-        if thief.do("ask", key=f"{HQ}/{key}", seconds=WAIT_SECONDS if expected else None):
+        if gets_answer(thief, key, WAIT_SECONDS if expected else 0.5):
             effects.add(f"asked {key}")
 
     # What was heard is looked at last: it comes in another order than it was sent in. On a slow
@@ -164,6 +164,15 @@ def attack(thief: Puppet, observer: Puppet, everything: bool = False) -> set[str
     usual = r"alive/daemon/(?!last)|alive/grabber/cam[12]"
     heard = [line for line in thief.do("heard") if not re.search(usual, line)]
     return effects | {f"thief heard {line}" for line in heard}
+
+
+def gets_answer(thief: Puppet, key: str, seconds: float) -> bool:
+    """Return True if the thief gets an answer within ``seconds``; a lost one is asked for again."""
+    deadline = time.monotonic() + seconds
+    while not thief.do("ask", key=f"{HQ}/{key}"):
+        if time.monotonic() > deadline:
+            return False
+    return True
 
 
 def thief_answers(observer: Puppet, key: str, seconds: float) -> bool:

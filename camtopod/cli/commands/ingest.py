@@ -283,7 +283,7 @@ def _wait(
         patience -= _TICK_SECONDS
         if now < before:
             patience = PATIENCE_SECONDS
-        elif patience <= 0 and bus.list_alive("daemon"):
+        elif patience <= 0 and publisher.sees_daemon:
             patience = PATIENCE_SECONDS
             if not told:
                 told = True

@@ -160,6 +160,11 @@ class Publisher:
         """Return why the daemon takes nothing of this process's cameras; "" if it does."""
         return next((one.reason for one in self._own() if one.reason), "")
 
+    @property
+    def sees_daemon(self) -> bool:
+        """True if a daemon of the site is on the bus."""
+        return bool(self._daemons)
+
     def own_cameras_unanswered(self) -> list[str]:
         """Return this process's cameras for which a daemon that is there does not answer.
 
