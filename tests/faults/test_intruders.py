@@ -151,10 +151,14 @@ def attack(thief: Puppet, observer: Puppet, everything: bool = False) -> set[str
     audible = ("alive/daemon/last", *(HEARD if everything else ()))
     thief.hears(*(f"put {HQ}/{key}" for key in audible))
     seconds = WAIT_SECONDS if everything else 0.5
-    effects = {f"answered {key}" for key in ANSWERED if thief_answers(observer, key, seconds)}
+    effects = {
+        f"answered {key}"
+        for key in ANSWERED
+        if is_answered(observer, key, seconds, "from the thief")
+    }
     for key in ASKED:
         expected = everything or f"asked {key}" in OWN
-        if gets_answer(thief, key, WAIT_SECONDS if expected else 0.5):
+        if is_answered(thief, key, WAIT_SECONDS if expected else 0.5):
             effects.add(f"asked {key}")
 
     # What was heard is looked at last: it comes in another order than it was sent in. On a slow
@@ -166,22 +170,13 @@ def attack(thief: Puppet, observer: Puppet, everything: bool = False) -> set[str
     return effects | {f"thief heard {line}" for line in heard}
 
 
-def gets_answer(thief: Puppet, key: str, seconds: float) -> bool:
-    """Return True if the thief gets an answer within ``seconds``; a lost one is asked for again."""
-    deadline = time.monotonic() + seconds
-    while not thief.do("ask", key=f"{HQ}/{key}"):
-        if time.monotonic() > deadline:
-            return False
-    return True
+def is_answered(asker: Puppet, key: str, seconds: float, by: str = "") -> bool:
+    """Return True if an answer that begins with ``by`` comes within ``seconds``.
 
-
-def thief_answers(observer: Puppet, key: str, seconds: float) -> bool:
-    """Return True if the observer gets the thief's answer within ``seconds``.
-
-    It is asked again, as the thief's offers to answer arrive one by one, in any order.
+    It is asked for again: zenoh sometimes loses one, and offers to answer arrive in any order.
     """
     deadline = time.monotonic() + seconds
-    while "from the thief" not in observer.do("ask", key=f"{HQ}/{key}"):
+    while not any(answer.startswith(by) for answer in asker.do("ask", key=f"{HQ}/{key}")):
         if time.monotonic() > deadline:
             return False
         time.sleep(0.02)
@@ -226,9 +221,9 @@ def test_a_stolen_box_that_poses_as_a_router_gains_and_breaks_nothing(
     assert other.open(**client(guarded), **keys.tls("camera/cam2"))
     other.do("put", key=f"{HQ}/event/cam2")
     observer.hears(f"put {HQ}/event/cam2")
-    heard = {line for line in observer.do("heard") if "daemon" not in line}
-    heard.discard(f"delete {HQ}/alive/grabber/cam1")  # the thief itself, on a machine that pauses
-    assert heard == {f"put {HQ}/alive/grabber/cam1", f"put {HQ}/event/cam2"}
+    usual = rf"daemon|delete {HQ}/alive/grabber/cam1"  # a pausing machine may lose the thief
+    heard = [line for line in observer.do("heard") if not re.search(usual, line)]
+    assert sorted(heard) == [f"put {HQ}/alive/grabber/cam1", f"put {HQ}/event/cam2"]
     wait_for(lambda: other.do("ask", key=f"{HQ}/store/cam2"), "the daemon's answer")
     assert "from the thief" not in other.do("ask", key=f"{HQ}/store/cam2")
     assert "from the thief" not in observer.do("ask", key=f"{HQ}/topology")
@@ -336,7 +331,7 @@ def test_a_box_whose_certificate_was_withdrawn_has_no_rights(
     thief.do("put", key=f"{HQ}/event/gone")
 
     assert thief.do("ask", key=f"{HQ}/store/gone") == []  # and the put has been dealt with
-    assert f"put {HQ}/event/gone" not in observer.do("heard")
+    assert not [line for line in observer.do("heard") if "/event/" in line]
 
 
 # --- at the door ----------------------------------------------------------------------------------

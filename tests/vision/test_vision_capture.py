@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import contextlib
+import os
 import shutil
 import socket
 import subprocess
-import threading
+import tempfile
 import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -183,7 +184,7 @@ def run_until(
 ) -> list[Event]:
     """Return events until ``condition``; control must return at least once a second.
 
-    A moment in which the machine does nothing, neither here nor in another thread, does not count.
+    A moment in which the machine does nothing, not for another process either, does not count.
     """
     events: list[Event] = []
     with ticks() as count:
@@ -202,21 +203,13 @@ def run_until(
 
 @contextlib.contextmanager
 def ticks() -> Iterator[Callable[[], int]]:
-    """Count in a thread for how many times `TICK_SECONDS` the machine has let it run."""
-    passed, done = 0, threading.Event()
-
-    def tick() -> None:
-        nonlocal passed
-        while not done.wait(TICK_SECONDS):
-            passed += 1
-
-    thread = threading.Thread(target=tick)
-    thread.start()
-    try:
-        yield lambda: passed
-    finally:
-        done.set()
-        thread.join()
+    """Count for how many times `TICK_SECONDS` the machine has let another process sleep."""
+    command = ["sh", "-c", f"while sleep {TICK_SECONDS}; do printf .; done"]
+    with tempfile.TemporaryFile() as file, subprocess.Popen(command, stdout=file) as ticking:
+        try:
+            yield lambda: os.fstat(file.fileno()).st_size
+        finally:
+            ticking.terminate()
 
 
 def test_a_stream_that_is_not_there_is_waited_for() -> None:

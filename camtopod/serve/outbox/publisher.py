@@ -171,7 +171,7 @@ class Publisher:
         Where programs have certificates, this one's is not for these cameras.
         """
         silent = [one.camera for one in self._own() if one.unanswered >= UNANSWERED_MAX]
-        return silent if self._daemons else []
+        return silent if self.sees_daemon else []
 
     def drop(self, camera: str) -> None:
         """Delete the events of a camera that wait in the spool, and count them as dropped."""
@@ -286,7 +286,7 @@ class Publisher:
         delivery.on_answer(request, answer, time.monotonic())
         if delivery.no_room and not lacking:  # of many cameras the first one
             log.error("%s", delivery.no_room)
-        if delivery.unanswered == UNANSWERED_MAX and self._daemons:
+        if delivery.unanswered == UNANSWERED_MAX and self.sees_daemon:
             log.error("camera %s: %s", camera, UNANSWERED)
 
     def _send(self, delivery: Delivery) -> None:
