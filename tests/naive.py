@@ -134,6 +134,44 @@ def _valley_ratio(positions, grid, b, c, f, g):
     return inside * np.log(rate / together) + flank * np.log(flank_rate / together)
 
 
+def way_contrast(sums, n, mean, cov, rates, constants):
+    """Return the density of a group by that of the densest way through it (`zones/ways`)."""
+    rare, rounder, kernel, denser, directions, turn = constants
+    xx, xy, yy = cov
+    more = rounder * (xx + yy)
+    root = np.linalg.cholesky([[xx + more, xy], [xy, yy + more]])
+
+    def away(cell, place):
+        return np.hypot(*(np.linalg.solve(root, cell[1:3] / cell[0] - mean) - place))
+
+    def density(place):
+        return sum(cell[0] * np.exp(-((away(cell, place) / kernel) ** 2) / 2) for cell in sums.T)
+
+    def on_ray(direction):
+        angle = 2 * np.pi * direction / directions
+        best, least = 0.0, np.inf
+        for step in range(1, 9):
+            here = density(step / 2 * np.array((np.cos(angle), np.sin(angle))))
+            least = min(least, here)
+            if here > denser * centre:
+                best = max(best, least)
+        return max(best, least)
+
+    centre = density(np.zeros(2))
+    way = [on_ray(direction) for direction in range(directions)]
+    through = max(
+        min(way[a], way[b])
+        for a in range(directions)
+        for b in range(directions)
+        if abs((a - b) % directions - directions // 2) <= turn
+    )
+    rows, columns = rates.shape
+    area = 2 * np.pi * kernel**2 * np.sqrt(np.linalg.det(root @ root.T)) * rates.size
+    row, column = min(int(mean[1] * rows), rows - 1), min(int(mean[0] * columns), columns - 1)
+    ratio = centre / max(through - area * rates[row, column] / 2, 1e-9)
+    return ratio / 2 if n < rare * sums[0].sum() else ratio
+
+
 def gaussian_density(points, mean, cov):
     """Return the density of eq. 2.5 with the correct normaliser."""
     d = points - mean

@@ -10,7 +10,8 @@ Reading order: `zone_map` turns the sums of a camera into numbered zones (`find_
 * `clutter`: the rate of clutter around each cell, and the first groups of cells;
 * `daspec`: data spectroscopy, the clustering method of the thesis;
 * `marginal_likelihood`: the evidence that a group of events is one zone;
-* `separation`: the evidence that two groups of events are two zones.
+* `separation`: the evidence that two groups of events are two zones;
+* `ways`: the evidence that a group is a zone and no piece of a way between zones.
 
 Last, `mixture` assigns every cell of the grid to one of the zones found, or to clutter.
 """

@@ -34,6 +34,7 @@ from camtopod.learn.zones.marginal_likelihood import (
 )
 from camtopod.learn.zones.mixture import CELL_X, CELL_Y
 from camtopod.learn.zones.separation import discriminant, sd_along, valley_log_ratio
+from camtopod.learn.zones.ways import CELL_SPREAD, WAY_CONTRAST, way_contrast
 from camtopod.topology import GRID_COLUMNS, GRID_ROWS
 
 ZONE_EVENTS_MIN = 3
@@ -63,8 +64,8 @@ HOLD = 1.5
 many times the usual evidence, and a held zone is dropped only if its evidence is this many times
 smaller than a new zone would need. So zones do not come and go.
 """
-_CELL_SPREAD = np.array([[1 / (12 * GRID_COLUMNS**2)], [0.0], [1 / (12 * GRID_ROWS**2)]])
-"""Covariance (xx, xy, yy) of a uniform distribution over one cell, image units."""
+_CORE = 1.6
+"""Radius of the densest place of a group, grid steps."""
 _DIRECTIONS = np.array([(np.cos(angle), np.sin(angle)) for angle in np.arange(6) * np.pi / 6])
 """Unit vectors (x, y) perpendicular to the cuts of groups."""
 
@@ -100,6 +101,7 @@ class _Partition:
     hold: `HOLD` if the first partition is held, else 1.
     valleys: cached results of `_valley_between`, by the sums of the two groups.
     uncut: sums of groups that could not be split.
+    contrasts: cached results of `_contrast`, by the sums of the group.
     """
 
     def __init__(self, cells: Cells, labels: Labels, rates: Floats) -> None:
@@ -120,6 +122,7 @@ class _Partition:
         self.total = float(cells.sums[0].sum())
         self.valleys: dict[bytes, float] = {}
         self.uncut: set[bytes] = set()
+        self.contrasts: dict[bytes, float] = {}
         self._set(labels)
 
     def _set(self, labels: Labels) -> None:
@@ -147,6 +150,7 @@ class _Partition:
             self._find()
         for _ in range(ROUNDS_MAX):
             self._merge()
+            self._shrink()
             self._drop()
             if self._assign():
                 self._assign()
@@ -253,10 +257,10 @@ class _Partition:
         """Return the gain (z,) of log posterior if a group became clutter, for each of some groups.
 
         which (z,): the groups.
-        hold: factor on `EXCESS_MIN`.
+        hold: factor on `EXCESS_MIN` and `WAY_CONTRAST`.
 
         The gain is negative if the group stands out from the clutter around it by more than
-        ``hold`` times `EXCESS_MIN`.
+        ``hold`` times `EXCESS_MIN`. It is infinite if the group is a piece of a way.
         """
         # The marginal likelihoods.
         n = self.zones[which, 0]
@@ -272,7 +276,48 @@ class _Partition:
         # The log likelihood ratio that the Poisson mean of the events there is beyond the expected.
         n, expected = self._inside(which)
         surplus = (n * np.log(n / expected) - n + expected) * np.sign(n - expected)
-        return np.where(gain > 0, np.minimum(gain, EXCESS_MIN * hold - surplus), gain)
+        gain = np.where(gain > 0, np.minimum(gain, EXCESS_MIN * hold - surplus), gain)
+
+        # Pieces of ways.
+        for i in np.flatnonzero(gain <= 0):
+            if self._contrast(int(which[i])) < WAY_CONTRAST * hold:
+                gain[i] = np.inf
+        return gain
+
+    def _shrink(self) -> None:
+        """Shrink groups that are pieces of ways to their densest place if that is a zone.
+
+        A rare door and its ways may have become one group. As the place was chosen for its density,
+        it needs twice the contrast.
+        """
+        labels = self.labels.copy()
+        for k in range(len(self.zones)):
+            if self._contrast(k) < WAY_CONTRAST / self.hold:
+                inside = np.flatnonzero(self.labels == k)
+                places = self.cells.average[1:3, inside] * [[GRID_COLUMNS], [GRID_ROWS]]
+                dense = places[:, [self.cells.sums[0, inside].argmax()]]
+                core = np.hypot(*(places - dense)) < _CORE
+                sums = self.cells.sums[:, inside[core]].sum(axis=1)
+                if way_contrast(self.cells, sums, self.rates) >= 2 * WAY_CONTRAST:
+                    labels[inside[~core]] = -1
+        self._set(labels)
+
+    def _contrast(self, k: int) -> float:
+        """Return the `way_contrast` of zone ``k``, or of one of two parts of it, if that is more.
+
+        Two zones that are still one group have no contrast together.
+        """
+        zone = self.zones[k]
+        key = zone.tobytes()
+        if key not in self.contrasts:
+            contrast = way_contrast(self.cells, zone, self.rates)
+            part = self._cut(k) if contrast < WAY_CONTRAST * HOLD else None
+            if part is not None:
+                one = self.cells.sums[:, part].sum(axis=1)
+                parts = [way_contrast(self.cells, sums, self.rates) for sums in (one, zone - one)]
+                contrast = max(contrast, *parts)
+            self.contrasts[key] = contrast
+        return self.contrasts[key]
 
     def _inside(self, which: Labels) -> tuple[Floats, Floats]:
         """Return the number of events around each of some zones, and the expected clutter, (z,).
@@ -282,7 +327,7 @@ class _Partition:
         Events count within two standard deviations of the zone's centre, unless in another zone.
         """
         # The cells around each zone (z, cells of the grid).
-        xx, xy, yy = (self.cov[:, which] + _CELL_SPREAD)[:, :, None, None]
+        xx, xy, yy = (self.cov[:, which] + CELL_SPREAD)[:, :, None, None]
         x, y = self.mean[:, which, None, None]
         dx = CELL_X - x
         dy = CELL_Y - y

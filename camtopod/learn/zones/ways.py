@@ -1,0 +1,67 @@
+"""Evidence that a group of events is a zone and no piece of a way between zones, for `partition`.
+
+Tracks lost or found between zones are clutter as narrow as a zone, and dense where ways cross. But
+a way goes on: on two sides of such a group, events are about as dense as in the group.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from scipy.spatial.distance import cdist
+
+from camtopod.arrays import Floats
+from camtopod.learn.zones.cells import Cells
+from camtopod.learn.zones.marginal_likelihood import covariance, moments
+from camtopod.topology import GRID_COLUMNS, GRID_ROWS
+
+WAY_CONTRAST = 4.0
+"""Least ratio of a zone's density to the density of the ways through it."""
+RARE = 0.03
+"""Share of a camera's events below which a group needs twice the contrast: ways make many of them.
+"""
+CELL_SPREAD = np.array([[1 / (12 * GRID_COLUMNS**2)], [0.0], [1 / (12 * GRID_ROWS**2)]])
+"""Covariance (xx, xy, yy) of a uniform distribution over one cell, image units."""
+_ROUNDER = 0.2
+"""Share of the sum of a group's variances that is added along both axes, as ways are bent."""
+_KERNEL = 0.7
+"""Standard deviation of the kernel that measures density, in those of the group."""
+_DENSER = 2.0
+"""A way ends in a place this many times as dense as the group."""
+_DIRECTIONS = 16
+_TURN = 2
+"""Most sixteenths of a circle by which a way turns within a group."""
+_ANGLE = 2 * np.pi / _DIRECTIONS * np.arange(_DIRECTIONS)
+_RAYS = np.arange(0.5, 4.5, 0.5)[:, None, None] * np.array((np.cos(_ANGLE), np.sin(_ANGLE))).T
+_PLACES = np.concatenate((np.zeros((1, 2)), _RAYS.reshape(-1, 2)))
+"""Centre of a group and places on rays out of it, (places, 2), in the group's deviations."""
+
+
+def way_contrast(cells: Cells, group: Floats, rates: Floats) -> float:
+    """Return the ratio of a group's density to that of the densest way through it.
+
+    group (6,): its sums. rates (rows, columns): expected events of clutter in each cell.
+
+    On each ray out of the centre, the way is as dense as the least dense place up to a denser zone,
+    or else up to four deviations. It needs two rays that are roughly opposite, and the sparser one
+    counts, less half of the expected clutter.
+    """
+    mean, scatter = moments(group)
+    xx, xy, yy = covariance(group[0], scatter) + CELL_SPREAD[:, 0]
+    more = _ROUNDER * (xx + yy)
+    root = np.linalg.cholesky(np.array([[xx + more, xy], [xy, yy + more]]))
+    events = np.linalg.solve(root, cells.average[1:3] - mean[:, None]).T
+    density = np.exp(cdist(_PLACES, events, "sqeuclidean") / (-2 * _KERNEL**2)) @ cells.sums[0]
+
+    # The way along each ray, and the two rays of the densest way.
+    here, rays = float(density[0]), density[1:].reshape(-1, _DIRECTIONS)
+    least = np.minimum.accumulate(rays)
+    way = np.maximum(least[-1], np.where(rays > _DENSER * here, least, 0.0).max(axis=0))
+    back = [np.roll(way, _DIRECTIONS // 2 + turn) for turn in range(-_TURN, _TURN + 1)]
+    through = float(np.minimum(way, np.max(back, axis=0)).max())
+
+    # The expected clutter under the kernel, whose area is in cells.
+    area = 2 * np.pi * _KERNEL**2 * root[0, 0] * root[1, 1] * GRID_ROWS * GRID_COLUMNS
+    column, row = (mean * (GRID_COLUMNS, GRID_ROWS)).astype(np.intp)
+    even = area * rates[min(row, GRID_ROWS - 1), min(column, GRID_COLUMNS - 1)]
+    here /= 2 if group[0] < RARE * cells.sums[0].sum() else 1
+    return float(here / max(through - even / 2, 1e-9))
