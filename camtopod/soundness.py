@@ -39,6 +39,7 @@ def _unknown(topology: Topology) -> Iterator[str]:
             name
             for path in (topology.model.paths if topology.model is not None else None) or []
             for name in (path.from_, path.to)
+            if name not in zones
         ),
     }
     links = {"links": topology.links, "weak_links": topology.weak_links or []}

@@ -24,6 +24,8 @@ JUDGED_MAX = 6_000_000
 """Event pairs from which cross-validation estimates the evidence for links in one fit."""
 PATH_CANDIDATES_MAX = 4_000_000
 """Event pairs from which the paths between cameras are learned (`learn.paths`)."""
+ZONE_PATH_CANDIDATES_MAX = 16_000_000
+"""Event pairs from which the paths between zones are learned."""
 PATH_CAMERAS_MAX = 128
 """Cameras of a site for which paths are learned: the search grows with the pairs of cameras."""
 ZONES_PER_CAMERA_MAX = 32

@@ -240,7 +240,7 @@ class Hazards:
                 none > 0,
             )
             first = self.outcomes.get(k, gone)
-            mine = by_camera.get(zone.camera, [])
+            mine = by_camera.get(zone.camera, []) + by_camera.get(zone.id, [])
             both = with_paths(first, linked.get(zone.id, 0.0), mine, zones, self.bins)
             if both.targets:
                 self.outcomes[k] = both

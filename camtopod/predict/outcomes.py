@@ -115,7 +115,7 @@ def with_paths(
     shares, hazards, delays = [], [], []
     exposure = outcomes.exposure
     for path in paths:
-        there = [k for k, zone in enumerate(zones) if zone.camera == path.to]
+        there = [k for k, zone in enumerate(zones) if path.to in (zone.camera, zone.id)]
         entries = np.array([zones[k].entries for k in there]) + 1e-9
         mass, delay = _lags(path, bins)
         hazard = mass / (bins.widths * (1.0 if delay else exposure))

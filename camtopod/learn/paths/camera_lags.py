@@ -11,11 +11,11 @@ from typing import NamedTuple
 import numpy as np
 
 from camtopod.arrays import Floats, Longs, Rows, ranges
-from camtopod.learn.limits import PATH_CANDIDATES_MAX
+from camtopod.learn.limits import PATH_CANDIDATES_MAX, ZONE_PATH_CANDIDATES_MAX
 from camtopod.learn.traffic import Arrivals, Departures, local_rates
 
-LAG_SECONDS_MAX = 900.0
-"""Longest lag."""
+LAG_SECONDS_MAX, ZONE_LAG_SECONDS_MAX = 900.0, 200.0
+"""Longest lag between cameras, and between zones."""
 
 
 class CameraLags(NamedTuple):
@@ -68,20 +68,30 @@ def keys(pair: Longs, lag: Floats, lag_min: float, lag_max: float) -> Floats:
 
 
 def camera_lags(
-    departures: Departures, arrivals: Arrivals, cameras: int, lag_min: float, until: float
+    departures: Departures,
+    arrivals: Arrivals,
+    cameras: int,
+    lag_min: float,
+    until: float,
+    by_zone: bool = False,
 ) -> CameraLags:
     """Return the candidates of a window, `PATH_CANDIDATES_MAX` at most, of its newest events.
 
     cameras: number of cameras.
     lag_min (seconds): least lag; an arrival is not before the entry of the departing object either.
     until: time up to which arrivals are known, seconds.
+    by_zone: True for paths between zones of different cameras, not between cameras; ``cameras`` is
+        the number of zones then.
     """
+    if by_zone:
+        lag_min = 0.0
     span = max(until - float(min(departures.t[0], arrivals.t[0])), 1.0)
-    lag_max = min(LAG_SECONDS_MAX, 0.5 * span)
+    lag_max = min(ZONE_LAG_SECONDS_MAX if by_zone else LAG_SECONDS_MAX, 0.5 * span)
+    most = ZONE_PATH_CANDIDATES_MAX if by_zone else PATH_CANDIDATES_MAX
 
     # Arrivals in reach of each departure, of the newest departures.
     first, end = _reach(departures, arrivals, lag_min, lag_max)
-    newest = np.cumsum((end - first)[::-1])[::-1] <= PATH_CANDIDATES_MAX
+    newest = np.cumsum((end - first)[::-1])[::-1] <= most
     late = arrivals.t >= departures.t[newest].min(initial=np.inf) + lag_min
     departures = departures.take(newest, late)
     arrivals = arrivals.take(late)
@@ -89,10 +99,14 @@ def camera_lags(
     departure, arrival = ranges(first, end - first)
 
     # An object does not return before it has left, and its own entry is no transition.
-    source = departures.camera.astype(np.int64)
-    target = arrivals.camera.astype(np.int64)
+    left, came = (
+        (departures.zone, arrivals.zone) if by_zone else (departures.camera, arrivals.camera)
+    )
+    source, target = left.astype(np.int64), came.astype(np.int64)
     lag = arrivals.t[arrival] - departures.t[departure]
-    possible = (lag > 0) | (source[departure] != target[arrival])
+    possible = departures.camera[departure] != arrivals.camera[arrival]
+    if not by_zone:
+        possible |= lag > 0
     possible &= departures.own[departure] != arrival
 
     # In order of pair and lag.
@@ -105,7 +119,7 @@ def camera_lags(
         departures.t - departures.since,
         source,
         target,
-        np.maximum(local_rates(arrivals.t, arrivals.camera, cameras), 1e-7),
+        np.maximum(arrivals.rate if by_zone else local_rates(arrivals.t, came, cameras), 1e-7),
         departure[order],
         arrival[order],
         lag[order],
