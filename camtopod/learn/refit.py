@@ -54,6 +54,7 @@ from camtopod.learn.links import (
     cross_evidence,
     exposed_departures,
     missed_transitions,
+    repeated_evidence,
     select_weak_links,
     shortfall_of,
     significant,
@@ -61,6 +62,7 @@ from camtopod.learn.links import (
     transitions_of,
     visible_transitions,
     with_monte_carlo_variance,
+    with_second_opinion,
     with_usual_dwell_times,
     without_missed_detections,
 )
@@ -79,7 +81,7 @@ from camtopod.learn.prediction_model import build_model
 from camtopod.learn.settings import Settings
 from camtopod.learn.traffic import Scene
 from camtopod.learn.window import Window
-from camtopod.records import Model
+from camtopod.records import CameraPath, Model
 from camtopod.topology import LagBins, offset_bins
 
 STEPS = ("candidates", "joint fit", "evidence", "changes", "prediction", "topology")
@@ -198,8 +200,15 @@ def refit(
     if len(scene.departures.t) and len(scene.arrivals.t):
         associated = associate(scene, silences, overlapping, window, known, settings, on_step)
         on_step("prediction")
+        paths = None
+        if is_wanted(scene, len(window.cameras)):
+            paths, evidence = second_opinion(scene, window.cameras, bins.lag_min)
+            if evidence is not None:
+                view = np.array([zone.camera for zone in scene.zones])
+                both = with_second_opinion(associated.between, evidence, view, zones)
+                associated = associated._replace(between=both)
         likely_pairs, model, happened = predict_next(
-            scene, window, clocks, associated, through, silent, overlapping, known, settings
+            scene, window, clocks, associated, through, silent, overlapping, paths, known, settings
         )
         all_pairs, changes = associated.between, associated.changes
         followed = associated.followed
@@ -284,8 +293,14 @@ def associate(
         problem.zones,
         ranges=problem.ranges,
     )
-    between = between.with_evidence(evidence, problem.zones**2)
-    posterior = with_doubt(posterior, problem, between)
+    tests = problem.zones**2
+    posterior = with_doubt(posterior, problem, between.with_evidence(evidence, tests))
+    # The geometric mean of two e-values is one: of that of the whole fit, each candidate left out
+    # of its own prediction, and that of the halves held out.
+    at = (problem.arrivals.t[fit.candidates.arrival] - first) / max(problem.until - first, 1.0)
+    c = fit.candidates
+    repeated = repeated_evidence(c.pair, fit.responsibility, fit.flat, at, len(c.source))
+    between = between.with_evidence(0.5 * (repeated + evidence), tests)
 
     # 6. Links that have opened or closed; departures during a camera's silence do not count.
     on_step("changes")
@@ -313,6 +328,7 @@ def predict_next(
     through: LinkTable,
     silent: Floats,
     overlapping: list[OverlappingViews],
+    paths: list[CameraPath] | None,
     known: Known,
     settings: Settings,
 ) -> tuple[LinkTable, Model, list[Happened | None]]:
@@ -322,6 +338,7 @@ def predict_next(
 
     associated: result of steps 3 to 6.
     through, silent: as for `missed_transitions`.
+    paths: the second opinion (`camtopod.learn.paths`); None without one.
     """
     # The posterior, and its table of pairs of zones.
     problem = associated.problem
@@ -347,12 +364,9 @@ def predict_next(
         clocks.offset,
         scene.last - longest,
     )
-    # The model that is published, with what missed detections make, and the second opinion if it is
-    # wanted.
+    # The model that is published, with what missed detections make, and the second opinion.
     between = associated.between
     missed = missed_transitions(between, through, significant(between, settings), silent, settings)
-    wanted = is_wanted(scene, len(cameras))
-    paths = second_opinion(scene, cameras, bins.lag_min) if wanted else None
     model = build_model(
         cameras,
         scene,

@@ -121,5 +121,8 @@ def fit_posterior(problem: Problem, candidates: Candidates | None = None) -> Pos
     posterior, _ = fit_window(problem, candidates or find_candidates(problem), apart)
     c = posterior.fit.candidates
     no_evidence = np.zeros(len(c.source))
-    doubt = spurious_shares(c.pair, posterior.fit.responsibility, no_evidence, any_link=1.0)
+    views = problem.cameras()
+    doubt = spurious_shares(
+        c.pair, posterior.fit.responsibility, no_evidence, 1.0, views[c.source] == views[c.target]
+    )
     return posterior._replace(doubt=doubt)

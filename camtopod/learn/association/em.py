@@ -81,7 +81,7 @@ class Em:
         exposure (R, bins): exposed departures of each range of lags; None to compute them.
         adjusted: the candidates adjusted for speed; None to begin without adjustment.
         """
-        departures, arrivals, bins, zones, *_ = problem
+        _, arrivals, bins, zones, *_ = problem
         self.problem = problem
         self.model = model
         """The additions; they are replaced as the fit goes on."""
@@ -95,10 +95,8 @@ class Em:
         # exit; before the exit, it is about the share of passages that had begun by then.
         most = self.exposure_at_least_one.max(axis=1, keepdims=True)
         self._able_share = np.where(bins.edges[1:] > 0, 1.0, self.exposure / most)
-        self.camera = np.zeros(zones, np.int64)
+        self.camera = problem.cameras()
         """(zones,) camera of each zone."""
-        self.camera[departures.zone] = departures.camera
-        self.camera[arrivals.zone] = arrivals.camera
         self.arrivals_of_zone = np.maximum(np.bincount(arrivals.zone, minlength=zones), 1.0)
         """(zones,) arrivals of each zone, at least 1."""
         self.outside = np.full(zones, 0.5)

@@ -41,6 +41,13 @@ class Problem(NamedTuple):
     ranges: LagRanges | None = None
     """Ranges of lags; None without long paths, where range z is that of zone z."""
 
+    def cameras(self) -> Ints:
+        """Return the camera of each zone, (zones,); 0 for a zone without any event."""
+        camera = np.zeros(self.zones, np.int32)
+        camera[self.departures.zone] = self.departures.camera
+        camera[self.arrivals.zone] = self.arrivals.camera
+        return camera
+
     def range_of(self, source: Ints, target: Ints) -> Ints:
         """Return the range (n,) of the lags from zones ``source`` to zones ``target``, (n,)."""
         return source if self.ranges is None else self.ranges.of[source, target]

@@ -341,9 +341,7 @@ class Traffic:
         ]
 
         # Camera of each zone; integers that hold the number of candidates of any pair of zones.
-        self._camera = np.zeros(zones, np.int32)
-        self._camera[departures.zone] = departures.camera
-        self._camera[arrivals.zone] = arrivals.camera
+        self._camera = problem.cameras()
         most = np.bincount(departures.zone).max() * np.bincount(arrivals.zone).max()
         self._kind: type = np.uint16 if most < 1 << 16 else np.float32
 

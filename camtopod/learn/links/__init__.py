@@ -27,6 +27,7 @@ from camtopod.learn.links.link_table import (
     tabulate as tabulate,
     transitions_of as transitions_of,
     with_monte_carlo_variance as with_monte_carlo_variance,
+    with_second_opinion as with_second_opinion,
     zone_pairs_of as zone_pairs_of,
 )
 from camtopod.learn.links.missed_detections import (
@@ -41,6 +42,7 @@ from camtopod.learn.links.shortfall import (
 from camtopod.learn.links.significance import (
     evidence_against_unrelated as evidence_against_unrelated,
     log_likelihood_ratio as log_likelihood_ratio,
+    repeated_evidence as repeated_evidence,
 )
 from camtopod.learn.links.transit_time import WEIGHT_MIN as WEIGHT_MIN
 from camtopod.learn.links.visible_links import (

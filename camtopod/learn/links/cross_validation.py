@@ -1,15 +1,14 @@
-"""Held-out evidence for links (METHOD 7): parts of the window are judged by fits of others.
+"""Held-out evidence for links (METHOD 7): one half of the window is judged by a fit of the other.
 
-The window is cut into stretches of time, which are assigned in turn to eight parts. The hazards of
-all pairs of zones are fitted from scratch on the first part and judged on the second: how much
-better are its arrivals predicted with the pair than without it? Then hazards are fitted on the
-first two parts and judged on the next two, and those of the first half on the other half.
+The window is cut into stretches of time, which are assigned in turn to two halves. The hazards of
+all pairs of zones are fitted from scratch on one half and bet on the other: how much better are its
+arrivals predicted with the pair than without it?
 
-If two zones are unrelated, the product of these likelihood ratios has a mean of at most 1, whatever
-the shape of the fit (a test martingale; Shafer and others, Statistical Science 26(1), 2011).
-Another product comes from the order of parts reversed. The mean of both is an e-value, from which
-false discovery rates follow (Wang and Ramdas 2022). The bound is approximate, as the likelihood
-approximates the competition for departures and the rates of the null model.
+If two zones are unrelated, this likelihood ratio has a mean of at most 1, whatever the shape of the
+fit (Shafer and others, Statistical Science 26(1), 2011). Another comes from the halves exchanged.
+The mean of both is an e-value, from which false discovery rates follow (Wang and Ramdas 2022). The
+bound is approximate, as the likelihood approximates the competition for departures and the rates of
+the null model.
 """
 
 from __future__ import annotations
@@ -31,14 +30,14 @@ from camtopod.learn.association import (
 from camtopod.learn.links.link_table import TRANSITIONS_MIN
 from camtopod.learn.links.significance import evidence_against_untimed
 
-PARTS = 8
-"""Number of parts of the window, a power of two."""
-STRETCH_LAGS = 4.0
+STRETCH_LAGS = 16.0
 """Length of a stretch, in multiples of the longest transit time, unless the window is too short."""
 BET_SPARSITY = 0.5
 """Transitions that the sparse prior takes off each pair of zones in the fit for a bet. They are
-fewer than in the fit of the whole window, as a part of the window has few transitions.
+fewer than in the fit of the whole window, as half of the window has fewer transitions.
 """
+OUTSIDE_LEAST = 0.5
+"""Least share of the local rate of arrivals that counts as from outside when a bet is judged."""
 SWEEPS = 3
 """Number of E steps under given hazards."""
 
@@ -56,33 +55,32 @@ def cross_evidence(problem: Problem, fit: Fit, first: float) -> Floats:
     """
     pairs = np.flatnonzero(fit.counts.sum(axis=1) >= TRANSITIONS_MIN)
     every = candidates_of_pairs(problem, fit.candidates, pairs)
-    parts = WindowParts(problem, fit._replace(candidates=every), first)
-    numbers = np.arange(PARTS)
-    products = (_product(parts, numbers), _product(parts, numbers[::-1]))
-    mean: Floats = np.logaddexp(*products) - np.log(2.0)
+    halves = Halves(problem, fit._replace(candidates=every), first)
+    mean: Floats = np.logaddexp(_bet(halves, 0), _bet(halves, 1)) - np.log(2.0)
     return mean
 
 
-def _product(parts: WindowParts, order: Longs) -> Floats:
-    """Return the log of the product of all bets (P, nats).
+def _bet(halves: Halves, fitted: int) -> Floats:
+    """Return the log (P, nats) of what a bet of half of the stake makes of the stake.
 
-    order: numbers of the parts, in the order in which they are used.
+    A bet that loses everything then costs ln 2 nats, not hundreds.
 
-    The product is against the stronger of the two null models.
+    fitted: the half that the hazards are fitted on; they bet on the other one.
+
+    The bet is against the stronger of the two null models.
     """
-    evidence = np.zeros((2, len(parts.fit.candidates.source)))
-    known = 1
-    while known < PARTS:
-        rest = parts.take(order[:known])
-        judged = parts.take(order[known : 2 * known])
-        known *= 2
-        evidence += _evidence(judged, _fitted(rest), rest.outside)
-    weaker: Floats = evidence.min(axis=0)
-    return weaker
+    fitter = halves.take(fitted)
+    hazard = _fitted(fitter)
+    # What is left when a pair is taken away must be as good as knowing nothing. On noise, the pairs
+    # explain nearly all arrivals, and each would look needed beside so small a rest.
+    outside = np.maximum(fitter.outside, OUTSIDE_LEAST)
+    ratio = np.minimum(*_evidence(halves.take(1 - fitted), hazard, outside))
+    stake: Floats = np.logaddexp(ratio, 0.0) - np.log(2.0)
+    return stake
 
 
-class WindowParts:
-    """The window cut into `PARTS` parts, with the exposure of each part.
+class Halves:
+    """The two halves of a window, each with its exposure.
 
     Arguments are as for `cross_evidence`.
     """
@@ -94,22 +92,22 @@ class WindowParts:
 
         # Length of the stretches, seconds.
         span = max(problem.until - first, 1.0)
-        self.stretch = min(STRETCH_LAGS * problem.bins.lag_max, span / PARTS)
+        self.stretch = min(STRETCH_LAGS * problem.bins.lag_max, 0.5 * span)
 
-        # Part of each event, exposure of each part, and the speed-adjusted candidates.
-        self._departure_part = self._of(problem.departures.t)
-        self._arrival_part = self._of(problem.arrivals.t)
+        # Half of each event, exposure of each half, and the speed-adjusted candidates.
+        self._departure_half = self._of(problem.departures.t)
+        self._arrival_half = self._of(problem.arrivals.t)
         self._exposure = self._exposures()
         self._adjusted = adjust(problem, fit.candidates, fit.persistence)
 
-    def take(self, numbers: Longs) -> Em:
-        """Return a fit in progress of the arrivals in some parts; pairs are numbered as in `fit`.
+    def take(self, half: int) -> Em:
+        """Return a fit in progress of the arrivals in one half; pairs are numbered as in `fit`.
 
-        numbers: the parts.
+        half: its number, 0 or 1.
         """
-        # Keep the candidates whose arrivals lie in these parts.
-        departs = np.isin(self._departure_part, numbers)
-        arrives = np.isin(self._arrival_part, numbers)
+        # Keep the candidates whose arrivals lie in this half.
+        departs = self._departure_half == half
+        arrives = self._arrival_half == half
         c = self.fit.candidates
         kept = np.flatnonzero(arrives[c.arrival])
         arrival = (np.cumsum(arrives) - 1).astype(np.int32)
@@ -126,34 +124,34 @@ class WindowParts:
             self.problem._replace(arrivals=self.problem.arrivals.take(arrives)),
             candidates,
             EmModel(near=departs if departs.any() else slice(None)),
-            self._exposure[numbers].sum(axis=0),
+            self._exposure[half],
             self._adjusted.take(kept),
         )
 
     def _of(self, t: Floats) -> Longs:
-        """Return the number of the part (n,) in which each of the times (n, seconds) lies."""
-        part: Longs = np.floor((t - self.first) / self.stretch).astype(np.int64) % PARTS
-        return part
+        """Return the number of the half (n,) in which each of the times (n, seconds) lies."""
+        half: Longs = np.floor((t - self.first) / self.stretch).astype(np.int64) % 2
+        return half
 
     def _exposures(self) -> Floats:
-        """Return the exposed departures of each range of lags by part and bin, (PARTS, R, bins).
+        """Return the exposed departures of each range of lags by half and bin, (2, R, bins).
 
-        A departure counts for the part in which an arrival after the lag would lie, if it is
+        A departure counts for the half in which an arrival after the lag would lie, if it is
         exposed to the lag. With the exposure of the whole window instead, short lags would look
-        like links: an arrival after a short lag is often in the departure's own part.
+        like links: an arrival after a short lag is often in the departure's own half.
         """
         bins = self.problem.bins
         number, t, since = self.problem.delayed_departures()
         ranges = self.problem.range_count
-        result = np.zeros((PARTS, ranges, bins.size))
+        result = np.zeros((2, ranges, bins.size))
         for k, centre in enumerate(bins.centres):
             if bins.edges[k + 1] <= 0:
                 exposed = np.clip((bins.edges[k + 1] + t - since) / bins.widths[k], 0.0, 1.0)
             else:
                 exposed = (self.problem.until - t >= bins.edges[k + 1]).astype(float)
             cell = self._of(t + centre) * ranges + number
-            counted = np.bincount(cell, exposed, minlength=PARTS * ranges)
-            result[:, :, k] = counted.reshape(PARTS, ranges)
+            counted = np.bincount(cell, exposed, minlength=2 * ranges)
+            result[:, :, k] = counted.reshape(2, ranges)
         return result
 
 
@@ -173,7 +171,7 @@ def _evidence(fitter: Em, hazard: Singles, outside: Floats) -> tuple[Floats, Flo
     The first is against no link, the second against a link without a transit time.
 
     fitter: the held-out arrivals and their candidates.
-    hazard (P, bins): hazards fitted on other parts.
+    hazard (P, bins): hazards fitted on the other half.
     outside (zones,): share of the local rate of arrivals that no departure explains, from the same
         fit.
     """

@@ -134,6 +134,27 @@ class LinkTable(NamedTuple):
         return evidence
 
 
+AGREEMENT_NATS = 1.0
+"""Least evidence of its own with which a pair of zones gets that of the second opinion, too."""
+
+
+def with_second_opinion(table: LinkTable, evidence: Floats, camera: Ints, zones: int) -> LinkTable:
+    """Return the table with the evidence of the second opinion added where both opinions agree.
+
+    evidence (cameras ** 2, nats): by pair of cameras (`camtopod.learn.paths`).
+    camera (zones,): camera of each zone.
+
+    Of each pair of cameras, the pair of zones with the most transitions gets it.
+    """
+    pair = camera[table.source] * round(len(evidence) ** 0.5) + camera[table.target]
+    order = np.lexsort((-table.transit.total, pair))
+    most = order[np.diff(pair[order], prepend=-1) != 0]
+    agreed = most[table.ratio[most] >= AGREEMENT_NATS]
+    ratio = table.ratio.copy()
+    ratio[agreed] += evidence[pair[agreed]]
+    return table.with_evidence(ratio, zones**2)
+
+
 def tabulate(
     transitions: Transitions,
     departures: Floats,

@@ -11,11 +11,16 @@ from __future__ import annotations
 
 import numpy as np
 
-from camtopod.arrays import Floats, Ints
+from camtopod.arrays import Floats, Ints, Rows
 from camtopod.learn.association import RESPONSIBILITY_MAX
 
+PARTS = 16
+"""Parts of the window; two in a row are taken for one occasion."""
 
-def log_likelihood_ratio(pair: Ints, responsibility: Floats, flat: Floats, pairs: int) -> Floats:
+
+def log_likelihood_ratio(
+    pair: Ints | Rows, responsibility: Floats, flat: Floats, pairs: int
+) -> Floats:
     """Return the evidence (P, nats) that the zones of each pair are linked.
 
     The evidence is a log likelihood ratio against two null models, of which the stronger one counts
@@ -33,7 +38,7 @@ def log_likelihood_ratio(pair: Ints, responsibility: Floats, flat: Floats, pairs
 
 
 def evidence_against_untimed(
-    pair: Ints, responsibility: Floats, flat: Floats, pairs: int
+    pair: Ints | Rows, responsibility: Floats, flat: Floats, pairs: int
 ) -> Floats:
     """Return the evidence (P, nats) of each pair of zones against transitions at no particular lag.
 
@@ -45,7 +50,7 @@ def evidence_against_untimed(
     return np.bincount(pair, nats, minlength=pairs).astype(float)
 
 
-def evidence_against_unrelated(pair: Ints, responsibility: Floats, pairs: int) -> Floats:
+def evidence_against_unrelated(pair: Ints | Rows, responsibility: Floats, pairs: int) -> Floats:
     """Return the evidence (P, nats) of each pair of zones against the zones being unrelated.
 
     Arguments are as for `log_likelihood_ratio`.
@@ -53,6 +58,26 @@ def evidence_against_unrelated(pair: Ints, responsibility: Floats, pairs: int) -
     share = np.minimum(responsibility, RESPONSIBILITY_MAX)
     evidence: Floats = np.bincount(pair, -np.log1p(-share) - share, minlength=pairs).astype(float)
     return evidence
+
+
+def repeated_evidence(
+    pair: Ints | Rows, responsibility: Floats, flat: Floats, at: Floats, pairs: int
+) -> Floats:
+    """Return the evidence (P, nats) of each pair of zones that does not rest on one occasion.
+
+    at (M,): when each candidate arrives, as a share of the window, 0 to 1.
+
+    A group of people that walks together makes as many transitions of one lag as it has members,
+    once. So the eighth of the window that speaks most for a pair is left out. Other arguments are
+    as for `log_likelihood_ratio`.
+    """
+    cell = pair * PARTS + np.clip((at * PARTS).astype(np.int64), 0, PARTS - 1)
+    unrelated = evidence_against_unrelated(cell, responsibility, pairs * PARTS)
+    untimed = evidence_against_untimed(cell, responsibility, flat, pairs * PARTS)
+    nats = np.stack((unrelated, untimed)).reshape(2, pairs, PARTS)
+    occasion = nats[..., :-1] + nats[..., 1:]
+    repeated: Floats = (nats.sum(axis=2) - np.maximum(occasion.max(axis=2), 0.0)).min(axis=0)
+    return repeated
 
 
 def q_values(ratio: Floats, tests: int) -> Floats:

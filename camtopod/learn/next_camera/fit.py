@@ -107,7 +107,10 @@ def with_doubt(posterior: Posterior, problem: Problem, between: LinkTable) -> Po
     fit = posterior.fit
     c = fit.candidates
     evidence = between.evidence_of(c.source, c.target)
-    return posterior._replace(doubt=spurious_shares(c.pair, fit.responsibility, evidence, any_link))
+    camera = problem.cameras()
+    returns = camera[c.source] == camera[c.target]
+    doubt = spurious_shares(c.pair, fit.responsibility, evidence, any_link, returns)
+    return posterior._replace(doubt=doubt)
 
 
 class PosteriorFitter:

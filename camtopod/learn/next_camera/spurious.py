@@ -17,7 +17,7 @@ from __future__ import annotations
 import numpy as np
 from scipy.special import expit
 
-from camtopod.arrays import Floats, Ints
+from camtopod.arrays import Bools, Floats, Ints
 from camtopod.learn.links import evidence_against_unrelated
 
 SPREAD = 0.7
@@ -28,6 +28,8 @@ of its evidence per transition.
 """
 CHANCE_PRIOR = 0.1
 """Prior odds of being spurious."""
+RETURN_SHARE = 0.15
+"""How likely a path that leads back into the same view is, compared with one into another."""
 DEPARTURES_TO_TELL = 10.0
 """Scale of the number of departures of a zone that are enough to find a link from there. n
 departures are enough with probability ``1 - exp(-n / DEPARTURES_TO_TELL)``.
@@ -35,30 +37,32 @@ departures are enough with probability ``1 - exp(-n / DEPARTURES_TO_TELL)``.
 
 
 def spurious_shares(
-    pair: Ints, responsibility: Floats, evidence: Floats, any_link: float
+    pair: Ints, responsibility: Floats, evidence: Floats, any_link: float, returns: Bools
 ) -> Floats:
     """Return the spurious share of the transitions of each pair of zones, (P,).
 
     pair, responsibility (M,): pair of zones and responsibility of each candidate.
     evidence (P, nats): held-out evidence of each pair (`cross_evidence`); 0 if there is none.
     any_link: probability that the site has any link at all (`any_link_probability`).
+    returns (P,): True for the pairs that lead back into the same view.
 
     A pair without a transition gets the probability that the site has no link at all.
     """
     pairs = len(evidence)
     transitions: Floats = np.bincount(pair, responsibility, minlength=pairs).astype(float)
     each = evidence_against_unrelated(pair, responsibility, pairs) / np.maximum(transitions, 1e-300)
-    real = np.where(transitions > 0, real_probability(each, transitions, evidence), 1.0)
+    real = np.where(transitions > 0, real_probability(each, transitions, evidence, returns), 1.0)
     doubt: Floats = 1.0 - any_link * real
     return doubt
 
 
-def real_probability(each: Floats, transitions: Floats, evidence: Floats) -> Floats:
+def real_probability(each: Floats, transitions: Floats, evidence: Floats, returns: Bools) -> Floats:
     """Return the probability (P,) that the transitions of each pair of zones are real.
 
     each (P,): evidence per transition of each pair, nats.
     transitions (P,): number of transitions of each pair.
     evidence (P,): held-out evidence of each pair, nats.
+    returns (P,): as for `spurious_shares`.
 
     The usual evidence per transition is the median over the site's transitions.
     """
@@ -74,7 +78,10 @@ def real_probability(each: Floats, transitions: Floats, evidence: Floats) -> Flo
     # multiplies it, up to 1.
     variance = SPREAD**2 + NATS_TO_TELL / np.maximum(usual * transitions, 1e-12)
     nats = -0.5 * np.log(np.clip(each / usual, 1e-12, 1.0)) ** 2 / variance
-    likely = np.exp(np.minimum(nats + np.maximum(evidence, 0.0), 0.0))
+    held_out = np.maximum(evidence, 0.0)
+    likely = np.exp(np.minimum(nats + held_out, 0.0))
+    rare = np.exp(np.minimum(np.log(RETURN_SHARE) + held_out, 0.0))
+    likely = np.where(returns, likely * rare, likely)
 
     # Posterior probability, scaled to 1 at the usual value.
     probability: Floats = (1.0 + CHANCE_PRIOR) * likely / (likely + CHANCE_PRIOR)

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
+from camtopod.arrays import Floats
+from camtopod.learn.assemble import zone_id
 from camtopod.learn.limits import PATH_CAMERAS_MAX
 from camtopod.learn.paths.camera_lags import camera_lags
 from camtopod.learn.paths.dictionary import find_peaks
@@ -14,29 +16,57 @@ from camtopod.topology import round_significant
 
 DEPARTURES_PER_ZONE = 40.0
 """Departures per zone from which the fit by zones needs no second opinion, given positions."""
+PLATOON_NATS = 0.05
+"""Mean gain of the rhythm of the zones over an even rate, nats an arrival, with which paths lead
+between zones: signals make platoons, which tell paths worse than their bins resolve.
+"""
+PLATOON_DEPARTURES_PER_ZONE = 150.0
+"""Departures per zone from which platoons need no second opinion."""
 PATHS_PER_CAMERA_MAX = 32
 """Paths of one camera that are published, the likeliest first."""
 
 
 def is_wanted(scene: Scene, cameras: int) -> bool:
-    """Return True if positions or departures are too few for the fit by zones alone.
+    """Return True if the fit by zones needs a second opinion.
 
     cameras: number of cameras; on a large site the answer is False.
     """
+    return cameras <= PATH_CAMERAS_MAX and (_is_few(scene) or _has_platoons(scene))
+
+
+def _is_few(scene: Scene) -> bool:
+    """Return True if positions or departures are too few for the fit by zones alone."""
     placed = any(zone.shape is not None for zone in scene.zones)
-    few = not placed or len(scene.departures.t) < DEPARTURES_PER_ZONE * len(scene.zones)
-    return few and cameras <= PATH_CAMERAS_MAX
+    return not placed or len(scene.departures.t) < DEPARTURES_PER_ZONE * len(scene.zones)
 
 
-def second_opinion(scene: Scene, cameras: list[str], lag_min: float) -> list[CameraPath]:
-    """Return the paths between cameras, sorted by cameras and place.
+def _has_platoons(scene: Scene) -> bool:
+    """Return True if rhythm tells much of the arrivals, and zones have not many departures."""
+    weight = scene.arrivals.weight
+    nats = 0.0 if weight is None else -float(np.log(np.maximum(weight, 1e-9)).mean())
+    few = len(scene.departures.t) < PLATOON_DEPARTURES_PER_ZONE * len(scene.zones)
+    return few and nats >= PLATOON_NATS
+
+
+def second_opinion(
+    scene: Scene, cameras: list[str], lag_min: float
+) -> tuple[list[CameraPath], Floats | None]:
+    """Return the paths, sorted by their ends and place, and the evidence for pairs of cameras.
+
+    The evidence (cameras ** 2, nats) is by pair of cameras, as numbered by `CameraLags`; None where
+    paths lead between zones.
 
     cameras: names of all cameras.
     lag_min (seconds): least lag.
     """
-    lags = camera_lags(scene.departures, scene.arrivals, len(cameras), lag_min, scene.last)
+    by_zone = not _is_few(scene)
+    if by_zone:
+        cameras = [zone_id(cameras, zone) for zone in scene.zones]
+    lags = camera_lags(scene.departures, scene.arrivals, len(cameras), lag_min, scene.last, by_zone)
     fit = PathFit(lags, *find_peaks(lags))
     fit.run()
+    if by_zone:
+        fit.run()
 
     pair, share, place, width = fit.paths
     rows = []
@@ -51,4 +81,6 @@ def second_opinion(scene: Scene, cameras: list[str], lag_min: float) -> list[Cam
             )
             for k in likely.tolist()
         ]
-    return sorted(rows, key=lambda row: (row.from_, row.to, row.place))
+    return sorted(rows, key=lambda row: (row.from_, row.to, row.place)), (
+        None if by_zone else fit.evidence()
+    )

@@ -15,6 +15,7 @@ import numpy as np
 from scipy.special import digamma
 
 from camtopod.arrays import Floats, Longs, Rows
+from camtopod.learn.links import evidence_against_unrelated, repeated_evidence
 from camtopod.learn.paths.camera_lags import CameraLags
 from camtopod.learn.paths.dictionary import RESOLUTION_SECONDS
 from camtopod.topology import DEGREES, LEAVE_FLOOR, REACH_WIDTHS, student_density
@@ -23,6 +24,9 @@ SWEEPS = 2
 """Sweeps of messages in each iteration."""
 ITERATIONS = 15
 """EM iterations."""
+SPARSE_NATS = (0.3, 0.6, 1.0, 1.5, 2.0, 2.5, 3.0)
+SPARSE_ITERATIONS = 4
+"""Least evidence of a path in the rounds of the fit for links, and EM iterations of each."""
 WIDTH_PRIOR_SECONDS = 4.0
 WIDTH_PRIOR_TRANSITIONS = 3.0
 """The usual width, and its weight in that of a path, in transitions."""
@@ -67,9 +71,46 @@ class PathFit:
         for _ in range(ITERATIONS):
             self._iterate()
 
+    def evidence(self) -> Floats:
+        """Go on with fewer and fewer paths, and return the evidence (cameras ** 2, nats) of pairs.
+
+        Most peaks of the dictionary are no paths. Together, they take the arrivals of true ones.
+        """
+        for least in SPARSE_NATS:
+            _, _, path, _, part = self._expect()
+            kept = evidence_against_unrelated(path, part, len(self.paths.pair)) >= least
+            pair, share, place, width = self.paths
+            self.paths = Paths(pair[kept], share[kept], place[kept], width[kept])
+            for _ in range(SPARSE_ITERATIONS):
+                self._iterate()
+        rows, responsibility, *_ = self._expect()
+        lags = self.lags
+        pair = lags.source[lags.departure[rows]] * lags.cameras + lags.target[lags.arrival[rows]]
+        came = lags.left[lags.departure[rows]] + lags.lag[rows]
+        first = float(lags.left.min(initial=lags.until))
+        at = (came - first) / max(lags.until - first, 1.0)
+        no_lag = np.zeros(len(rows))
+        return repeated_evidence(pair, responsibility, no_lag, at, lags.cameras**2)
+
     def _iterate(self) -> None:
         """Do one E step and one M step."""
-        # The rate of each path at the candidates near it. A candidate may be near several.
+        lags = self.lags
+        rows, responsibility, path, lag, part = self._expect()
+        transitions: Floats = np.bincount(path, part, minlength=len(self.paths.pair)).astype(float)
+        target = lags.target[lags.arrival[rows]]
+        explained = np.bincount(target, responsibility, minlength=lags.cameras)
+        self.outside = np.maximum(1.0 - explained / np.maximum(self.arrivals, 1.0), LEAVE_FLOOR)
+
+        # M step: places and widths, then shares.
+        place, width = self._moved(lag, path, part, transitions)
+        self.paths = Paths(self.paths.pair, self._shares(transitions), place, width)
+
+    def _expect(self) -> tuple[Rows, Floats, Rows, Floats, Floats]:
+        """Do the E step on the candidates near any path, which may be near several.
+
+        Return these candidates (rows) and their responsibilities, (n,); then, of each of them and a
+        path near it, path, lag and expected transitions, (e,).
+        """
         lags = self.lags
         pair, share, place, width = self.paths
         near = REACH_WIDTHS * width
@@ -80,19 +121,10 @@ class PathFit:
         is_used[row] = True
         [rows] = is_used.nonzero()
         row = (np.cumsum(is_used) - 1)[row]
-
-        # E step.
         total = np.bincount(row, rate, minlength=len(rows)).astype(float)
         responsibility = self._responsibility(rows, total)
         part = responsibility[row] * rate / np.maximum(total[row], 1e-300)
-        transitions: Floats = np.bincount(path, part, minlength=len(pair)).astype(float)
-        target = lags.target[lags.arrival[rows]]
-        explained = np.bincount(target, responsibility, minlength=lags.cameras)
-        self.outside = np.maximum(1.0 - explained / np.maximum(self.arrivals, 1.0), LEAVE_FLOOR)
-
-        # M step: places and widths, then shares.
-        place, width = self._moved(lag, path, part, transitions)
-        self.paths = Paths(pair, self._shares(transitions), place, width)
+        return rows, responsibility, path, lag, part
 
     def _responsibility(self, rows: Rows, rate: Floats) -> Floats:
         """Return the responsibility (n,) of candidates.

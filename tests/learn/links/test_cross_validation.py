@@ -8,7 +8,7 @@ import pytest
 from camtopod.learn.association.candidates import find_candidates
 from camtopod.learn.association.joint_fit import fit_jointly
 from camtopod.learn.association.problem import Problem, exposures
-from camtopod.learn.links.cross_validation import PARTS, WindowParts, cross_evidence
+from camtopod.learn.links.cross_validation import Halves, cross_evidence
 from camtopod.learn.traffic.events import Arrivals, Departures
 from camtopod.topology.lag_bins import LagBins
 
@@ -31,16 +31,16 @@ def crowd(seed: int, zones: int, each: int, seconds: float) -> tuple[Departures,
 
 
 @pytest.mark.parametrize("seconds", [300.0, 20_000.0])
-def test_parts_together_see_what_the_whole_sees(seconds: float) -> None:
+def test_halves_together_see_what_the_whole_sees(seconds: float) -> None:
     """Except for arrivals before the first departure."""
     crowded = crowd(1, 4, 50, seconds)
     problem = Problem(*crowded, BINS, 4, seconds)
     fit = fit_jointly(problem, find_candidates(problem))
-    parts = WindowParts(problem, fit, 0.0)
-    taken = [parts.take(np.array([k])) for k in range(PARTS)]
-    assert sum(part.exposure for part in taken) == pytest.approx(exposures(problem))
-    assert sum(len(part.candidates.lag) for part in taken) == len(fit.candidates.lag)
-    assert sum(len(part.problem.arrivals.t) for part in taken) == len(problem.arrivals.t)
+    halves = Halves(problem, fit, 0.0)
+    taken = [halves.take(k) for k in range(2)]
+    assert sum(half.exposure for half in taken) == pytest.approx(exposures(problem))
+    assert sum(len(half.candidates.lag) for half in taken) == len(fit.candidates.lag)
+    assert sum(len(half.problem.arrivals.t) for half in taken) == len(problem.arrivals.t)
 
 
 def test_chance_rarely_wins_where_it_is_dense_and_short() -> None:

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from hypothesis import given, strategies as st
 
-from camtopod.learn.links.significance import log_likelihood_ratio, q_values
+from camtopod.learn.links.significance import log_likelihood_ratio, q_values, repeated_evidence
 
 RATIOS = st.lists(st.one_of(st.floats(-5, 40), st.sampled_from([0.0, 3.0])), max_size=25)
 
@@ -35,3 +35,14 @@ def test_ratio_by_loops(seed: int, n: int) -> None:
         unrelated = sum(-np.log(1 - share[k]) - share[k] for k in rows)
         untimed = sum(-np.log(1 - share[k] + share[k] * flat[k]) for k in rows)
         assert found[p] == pytest.approx(min(unrelated, untimed))
+
+
+def test_what_one_occasion_tells_is_left_out() -> None:
+    """Twelve transitions at once count as none; twelve over the window count but for an eighth."""
+    share, flat = np.full(12, 0.9), np.full(12, 0.01)
+    pair = np.zeros(12, np.int32)
+    all_of_it = log_likelihood_ratio(pair, share, flat, 1)
+    together = repeated_evidence(pair, share, flat, np.full(12, 0.3), 1)
+    spread = repeated_evidence(pair, share, flat, np.linspace(0.0, 1.0, 12), 1)
+    assert together == pytest.approx(0.0)
+    assert spread == pytest.approx(all_of_it * 10 / 12)

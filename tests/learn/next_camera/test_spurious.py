@@ -16,6 +16,7 @@ from camtopod.records import Event, Prediction, Topology
 from camtopod.sim.settings import SimSettings
 from camtopod.sim.simulation import simulate
 
+NO_RETURNS = np.zeros(4, np.bool_)
 ONCE = Settings(refit_share=1e9, refit_hours=1e9)
 """Everything is learned in one fit."""
 
@@ -25,6 +26,7 @@ def test_what_is_usual_is_not_doubted_and_what_is_out_of_character_is() -> None:
         np.array([4.0, 5.0, 6.0, 2.0, 0.1]),
         np.array([100.0, 100.0, 100.0, 5.0, 5.0]),
         np.zeros(5),
+        np.zeros(5, np.bool_),
     )
     assert real[1:3] == pytest.approx([1.0, 1.0])
     assert real[0] > 0.95
@@ -35,9 +37,18 @@ def test_what_is_usual_is_not_doubted_and_what_is_out_of_character_is() -> None:
 def test_a_wide_path_through_heavy_traffic_is_real_by_its_held_out_evidence() -> None:
     """Its transitions are many, with little evidence each; evidence against it adds no doubt."""
     each, transitions = np.array([4.0, 0.2, 0.2, 0.2]), np.array([900.0, 50.0, 50.0, 50.0])
-    real = real_probability(each, transitions, np.array([50.0, -9.0, 0.0, 20.0]))
+    real = real_probability(each, transitions, np.array([50.0, -9.0, 0.0, 20.0]), NO_RETURNS)
     assert real[1] == real[2] < 0.05
     assert real[3] == pytest.approx(1.0)
+
+
+def test_a_path_back_into_the_same_view_has_to_earn_it() -> None:
+    each, transitions = np.full(3, 4.0), np.full(3, 100.0)
+    returns = np.array([False, True, True])
+    real = real_probability(each, transitions, np.array([0.0, 0.0, 3.0]), returns)
+    assert real[0] == pytest.approx(1.0)
+    assert real[1] < 0.7
+    assert real[2] == pytest.approx(1.0)
 
 
 def test_whether_anything_is_linked_takes_evidence_or_departures_to_tell() -> None:
@@ -47,7 +58,7 @@ def test_whether_anything_is_linked_takes_evidence_or_departures_to_tell() -> No
     assert any_link_probability(np.array([np.log(100.0)]), many) == pytest.approx(0.5)
     assert any_link_probability(np.array([-20.0, 60.0]), many) == pytest.approx(1.0)
     assert spurious_shares(
-        np.zeros(0, np.int32), np.zeros(0), np.zeros(2), any_link=0.8
+        np.zeros(0, np.int32), np.zeros(0), np.zeros(2), 0.8, np.zeros(2, np.bool_)
     ) == pytest.approx([0.2, 0.2])
 
 
