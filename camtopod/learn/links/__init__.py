@@ -13,7 +13,10 @@ not published still lacks.
 """
 
 from camtopod.learn.links import mahalanobis as mahalanobis, monte_carlo as monte_carlo
-from camtopod.learn.links.cross_validation import cross_evidence as cross_evidence
+from camtopod.learn.links.cross_validation import (
+    OUTSIDE_LEAST as OUTSIDE_LEAST,
+    cross_evidence as cross_evidence,
+)
 from camtopod.learn.links.link_table import (
     MONTE_CARLO_SEED as MONTE_CARLO_SEED,
     NEXT_ZONES_MAX as NEXT_ZONES_MAX,

@@ -68,15 +68,16 @@ def repeated_evidence(
     at (M,): when each candidate arrives, as a share of the window, 0 to 1.
 
     A group of people that walks together makes as many transitions of one lag as it has members,
-    once. So the eighth of the window that speaks most for a pair is left out. Other arguments are
-    as for `log_likelihood_ratio`.
+    once. So the eighth of the window that speaks most for a pair counts no more than all the rest.
+    Other arguments are as for `log_likelihood_ratio`.
     """
     cell = pair * PARTS + np.clip((at * PARTS).astype(np.int64), 0, PARTS - 1)
     unrelated = evidence_against_unrelated(cell, responsibility, pairs * PARTS)
     untimed = evidence_against_untimed(cell, responsibility, flat, pairs * PARTS)
     nats = np.stack((unrelated, untimed)).reshape(2, pairs, PARTS)
-    occasion = nats[..., :-1] + nats[..., 1:]
-    repeated: Floats = (nats.sum(axis=2) - np.maximum(occasion.max(axis=2), 0.0)).min(axis=0)
+    total = nats.sum(axis=2)
+    rest = total - np.maximum((nats[..., :-1] + nats[..., 1:]).max(axis=2), 0.0)
+    repeated: Floats = np.minimum(total, 2.0 * rest).min(axis=0)
     return repeated
 
 

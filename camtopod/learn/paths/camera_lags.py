@@ -50,6 +50,10 @@ class CameraLags(NamedTuple):
     until: float
     """Time up to which arrivals are known, seconds."""
 
+    def came(self, rows: Rows) -> Floats:
+        """Return when the arrivals of the candidates ``rows`` came, (n,) seconds."""
+        return self.left[self.departure[rows]] + self.lag[rows]
+
     def within(self, pair: Longs, low: Floats, high: Floats) -> tuple[Rows, Rows]:
         """Return which of some ranges of lags the candidates in them are in, and their rows, (n,).
 

@@ -59,6 +59,17 @@ def find_peaks(lags: CameraLags) -> tuple[Longs, Floats, Floats]:
     return table[:, 0].astype(np.int64), table[:, 1], table[:, 2]
 
 
+def log_density(place: Floats, width: Floats | float, lag_max: float) -> Floats:
+    """Return the log probability (n,) that a path of some width is at each place and no other.
+
+    All scales of places up to the longest lag are equally likely.
+
+    place, width (n, seconds): places and widths of paths; lag_max (seconds): the longest lag.
+    """
+    density: Floats = width / (np.abs(place) + width) / np.log1p(lag_max / width)
+    return np.log(density)
+
+
 def _window(width: float, grid: Floats, cameras: int) -> _Window:
     """Return the windows of one width (seconds) about each lag of the grid (lags, seconds)."""
     half = round(HALF_WINDOW * width / RESOLUTION_SECONDS)
@@ -67,10 +78,8 @@ def _window(width: float, grid: Floats, cameras: int) -> _Window:
     place = grid[at]
     far = half + SURROUNDINGS * half + SURROUNDINGS // 2
 
-    # Log of the expected number of paths of a pair at this place: all scales of places up to the
-    # longest lag are equally likely.
-    density = width / (np.abs(place) + width) / np.log1p(grid[-1] / width)
-    prior = np.log(DEGREE / max(cameras - 1, 1) * density)
+    # Log of the expected number of paths of a pair at this place.
+    prior = np.log(DEGREE / max(cameras - 1, 1)) + log_density(place, width, grid[-1])
     low, high, far_low, far_high = (
         np.clip(edge, 0, len(grid)) for edge in (at - half, at + half + 1, at - far, at + far + 1)
     )

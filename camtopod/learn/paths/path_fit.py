@@ -15,9 +15,9 @@ import numpy as np
 from scipy.special import digamma
 
 from camtopod.arrays import Floats, Longs, Rows
-from camtopod.learn.links import evidence_against_unrelated, repeated_evidence
+from camtopod.learn.links import OUTSIDE_LEAST, evidence_against_unrelated, repeated_evidence
 from camtopod.learn.paths.camera_lags import CameraLags
-from camtopod.learn.paths.dictionary import RESOLUTION_SECONDS
+from camtopod.learn.paths.dictionary import RESOLUTION_SECONDS, log_density
 from camtopod.topology import DEGREES, LEAVE_FLOOR, REACH_WIDTHS, student_density
 
 SWEEPS = 2
@@ -43,6 +43,21 @@ class Paths(NamedTuple):
     """(K,) median lag, seconds."""
     width: Floats
     """(K,) scale of the lags, which have Student's t distribution with 5 degrees, seconds."""
+
+
+class Expected(NamedTuple):
+    """Result of an E step: n candidates near any path, and e pairs of one and a path near it."""
+
+    rows: Rows
+    """(n,) the candidates."""
+    responsibility: Floats
+    """(n,) of all paths near each candidate together."""
+    row: Rows
+    """(e,) index in ``rows``."""
+    path: Rows
+    """(e,) the path."""
+    part: Floats
+    """(e,) its expected transitions."""
 
 
 class PathFit:
@@ -77,40 +92,40 @@ class PathFit:
         Most peaks of the dictionary are no paths. Together, they take the arrivals of true ones.
         """
         for least in SPARSE_NATS:
-            _, _, path, _, part = self._expect()
-            kept = evidence_against_unrelated(path, part, len(self.paths.pair)) >= least
+            step = self._expect()
+            kept = evidence_against_unrelated(step.path, step.part, len(self.paths.pair)) >= least
             pair, share, place, width = self.paths
             self.paths = Paths(pair[kept], share[kept], place[kept], width[kept])
             for _ in range(SPARSE_ITERATIONS):
                 self._iterate()
-        rows, responsibility, *_ = self._expect()
-        lags = self.lags
-        pair = lags.source[lags.departure[rows]] * lags.cameras + lags.target[lags.arrival[rows]]
-        came = lags.left[lags.departure[rows]] + lags.lag[rows]
-        first = float(lags.left.min(initial=lags.until))
-        at = (came - first) / max(lags.until - first, 1.0)
-        no_lag = np.zeros(len(rows))
-        return repeated_evidence(pair, responsibility, no_lag, at, lags.cameras**2)
+        self.outside = np.maximum(self.outside, OUTSIDE_LEAST)
+        step = self._expect()
+        pair, _, place, width = self.paths
+        came = self.lags.came(step.rows[step.row])
+        first = float(self.lags.left.min(initial=self.lags.until))
+        at = (came - first) / max(self.lags.until - first, 1.0)
+        nats = repeated_evidence(step.path, step.part, np.zeros(len(at)), at, len(pair))
+
+        # A path has been looked for at all places.
+        nats = np.maximum(nats + log_density(place, width, self.lags.lag_max), 0.0)
+        return np.bincount(pair, nats, minlength=self.lags.cameras**2).astype(float)
 
     def _iterate(self) -> None:
         """Do one E step and one M step."""
         lags = self.lags
-        rows, responsibility, path, lag, part = self._expect()
+        step = self._expect()
+        path, part = step.path, step.part
         transitions: Floats = np.bincount(path, part, minlength=len(self.paths.pair)).astype(float)
-        target = lags.target[lags.arrival[rows]]
-        explained = np.bincount(target, responsibility, minlength=lags.cameras)
+        target = lags.target[lags.arrival[step.rows]]
+        explained = np.bincount(target, step.responsibility, minlength=lags.cameras)
         self.outside = np.maximum(1.0 - explained / np.maximum(self.arrivals, 1.0), LEAVE_FLOOR)
 
         # M step: places and widths, then shares.
-        place, width = self._moved(lag, path, part, transitions)
+        place, width = self._moved(lags.lag[step.rows[step.row]], path, part, transitions)
         self.paths = Paths(self.paths.pair, self._shares(transitions), place, width)
 
-    def _expect(self) -> tuple[Rows, Floats, Rows, Floats, Floats]:
-        """Do the E step on the candidates near any path, which may be near several.
-
-        Return these candidates (rows) and their responsibilities, (n,); then, of each of them and a
-        path near it, path, lag and expected transitions, (e,).
-        """
+    def _expect(self) -> Expected:
+        """Do the E step on the candidates near any path, which may be near several."""
         lags = self.lags
         pair, share, place, width = self.paths
         near = REACH_WIDTHS * width
@@ -124,7 +139,7 @@ class PathFit:
         total = np.bincount(row, rate, minlength=len(rows)).astype(float)
         responsibility = self._responsibility(rows, total)
         part = responsibility[row] * rate / np.maximum(total[row], 1e-300)
-        return rows, responsibility, path, lag, part
+        return Expected(rows, responsibility, row, path, part)
 
     def _responsibility(self, rows: Rows, rate: Floats) -> Floats:
         """Return the responsibility (n,) of candidates.
