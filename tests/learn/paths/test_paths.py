@@ -2,19 +2,30 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import naive
 import numpy as np
 import pytest
 from msgspec.structs import replace
 from synthetic_events import learned_from
 
+from camtopod.arrays import Floats
 from camtopod.client import Gate
+from camtopod.learn import refit
+from camtopod.learn.learner import Learner
+from camtopod.learn.links import tabulate, with_second_opinion
+from camtopod.learn.links.link_table import Transitions
+from camtopod.learn.paths import second_opinion
 from camtopod.learn.paths.camera_lags import camera_lags
+from camtopod.learn.traffic import Scene
 from camtopod.learn.traffic.events import Arrivals, Departures
 from camtopod.predict import Predictor
 from camtopod.predict.outcomes import PATHS_WEIGHT_MAX
 from camtopod.records import CameraPath, Event, Topology
-from camtopod.topology import student_density, student_share
+from camtopod.topology import LagBins, student_density, student_share
+
+BINS = LagBins(-120.0, 180.0)
 
 
 def events(seed: int = 0) -> list[Event]:
@@ -135,3 +146,57 @@ def test_share_and_density_of_student_agree() -> None:
     assert np.cumsum(density)[60_000] * 1e-3 == pytest.approx(
         float(student_share(x, 3.0, 2.0)[60_000]), abs=1e-3
     )
+
+
+# --- evidence for links ---
+
+
+def evidence_of(events: list[Event]) -> tuple[list[str], Floats]:
+    """Return the cameras of a recording, and the second opinion's evidence for each pair."""
+    learner, seen = Learner(only_last=True), dict[str, Any]()
+
+    def asked(scene: Scene, cameras: list[str], lag_min: float) -> Any:
+        paths, nats = second_opinion(scene, cameras, lag_min)
+        seen.update(cameras=cameras, nats=nats)
+        return paths, nats
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(refit, "second_opinion", asked)
+        for event in events:
+            learner.receive(event)
+        learner.flush()
+    size = len(seen["cameras"])
+    return seen["cameras"], seen["nats"].reshape(size, size)
+
+
+def test_its_evidence_is_large_for_ways_and_small_for_chance() -> None:
+    cameras, nats = evidence_of(events())
+    a, b, c = (cameras.index(name) for name in "abc")
+    assert nats[a, b] > 20
+    assert nats[b, c] > 20
+    assert max(nats[b, a], nats[c, b], nats[c, a]) < 5
+
+    rng, alone = np.random.default_rng(1), list[Event]()
+    for camera in "abcd":
+        for k, t in enumerate(rng.uniform(0.0, 1200.0, 400)):
+            alone.append(Event(camera, "entry", t, track=f"{k}"))
+            alone.append(Event(camera, "exit", t + 10.0, track=f"{k}"))
+    assert evidence_of(sorted(alone, key=lambda event: event.t))[1].max() < 7
+
+
+def test_it_counts_where_the_zones_agree() -> None:
+    """Of each pair of cameras, for the pair of zones with the most transitions."""
+    n = 3
+    lag = np.full(300, 10.0)
+    source, target = np.repeat([0, 1, 2], 100).astype(np.int32), np.full(300, 3, np.int32)
+    weight = np.repeat([0.9, 0.5, 0.9], 100)
+    flat = np.where(np.arange(300) < 200, 0.5, 1.0)
+    table = tabulate(
+        Transitions(source, target, lag, weight, flat), np.full((4, 1), 200.0), BINS, 4
+    )
+    camera = np.array([0, 0, 1, 2], np.int32)
+    nats = np.zeros((n, n))
+    nats[0, 2], nats[1, 2] = 7.0, 8.0
+    both = with_second_opinion(table, nats.ravel(), camera, 4)
+    assert both.ratio - table.ratio == pytest.approx([7.0, 0.0, 0.0])
+    assert table.ratio[0] > 1.0 > table.ratio[2]
