@@ -54,15 +54,31 @@ class CameraLags(NamedTuple):
         """Return when the arrivals of the candidates ``rows`` came, (n,) seconds."""
         return self.left[self.departure[rows]] + self.lag[rows]
 
-    def within(self, pair: Longs, low: Floats, high: Floats) -> tuple[Rows, Rows]:
-        """Return which of some ranges of lags the candidates in them are in, and their rows, (n,).
+    def within(self, pair: Longs, low: Floats, high: Floats) -> tuple[Rows, Rows, Rows]:
+        """Return the candidates within some ranges of lags.
 
-        pair, low, high (k,): pair of cameras, and lags in seconds, of k ranges.
+        pair, low, high (k,): pair of cameras, and lags in seconds, of k ranges, not empty.
+
+        The results are the range of each candidate in a range (e,), which may be in several; which
+        of the n candidates that are in any range it is (e,); and the rows of these, (n,) ascending.
         """
         bounds = np.clip((low, high), self.lag_min, self.lag_max)
         first, last = (keys(pair, lag, self.lag_min, self.lag_max) for lag in bounds)
         begin = np.searchsorted(self.key, first)
-        return ranges(begin, np.searchsorted(self.key, last, side="right") - begin)
+        end = np.maximum(np.searchsorted(self.key, last, side="right"), begin)
+
+        # Join the ranges that overlap.
+        order = np.argsort(begin, kind="stable")
+        reached = np.maximum.accumulate(end[order])
+        is_new = np.append(True, begin[order][1:] >= reached[:-1])[: len(order)]
+        joined = np.empty(len(order), np.intp)
+        joined[order] = np.cumsum(is_new) - 1
+        start = begin[order][is_new]
+        size = np.maximum.reduceat(reached, np.flatnonzero(is_new)) - start
+        _, rows = ranges(start, size)
+        before = np.cumsum(size) - size - start
+        number, row = ranges(begin + before[joined], end - begin)
+        return number, row, rows
 
 
 def keys(pair: Longs, lag: Floats, lag_min: float, lag_max: float) -> Floats:

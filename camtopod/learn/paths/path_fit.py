@@ -129,13 +129,9 @@ class PathFit:
         lags = self.lags
         pair, share, place, width = self.paths
         near = REACH_WIDTHS * width
-        path, row = lags.within(pair, place - near, place + near)
-        lag = lags.lag[row]
+        path, row, rows = lags.within(pair, place - near, place + near)
+        lag = lags.lag[rows][row]
         rate = share[path] * student_density(lag, place[path], width[path])
-        is_used = np.zeros(len(lags.lag), np.bool_)
-        is_used[row] = True
-        [rows] = is_used.nonzero()
-        row = (np.cumsum(is_used) - 1)[row]
         total = np.bincount(row, rate, minlength=len(rows)).astype(float)
         responsibility = self._responsibility(rows, total)
         part = responsibility[row] * rate / np.maximum(total[row], 1e-300)

@@ -132,12 +132,21 @@ def test_lags_equal_their_slow_twin() -> None:
     )
     found = list(zip(lags.departure.tolist(), lags.arrival.tolist(), strict=True))
     assert sorted(found) == naive.camera_lags(left, source, dwell, t, camera, -30.0, lags.lag_max)
-    _, row = lags.within(np.array([5]), np.array([-4.0]), np.array([80.0]))
-    assert {found[k] for k in row} == {
-        (d, a)
-        for d, a in found
-        if source[d] == 1 and camera[a] == 2 and -4.0 <= t[a] - left[d] <= 80.0
-    }
+    pair, low, high = (
+        np.array([5, 2, 5, 5]),
+        np.array([-4.0, 0, 60, -9]),
+        np.array([80.0, 9, 99, 0]),
+    )
+    number, row, rows = lags.within(pair, low, high)
+    assert rows.tolist() == sorted({*rows.tolist()})
+    in_range = [(k, *found[rows[at]]) for k, at in zip(number.tolist(), row.tolist(), strict=True)]
+    assert sorted(in_range) == [
+        (k, d, a)
+        for k in range(len(pair))
+        for d, a in sorted(found)
+        if 3 * source[d] + camera[a] == pair[k] and low[k] <= t[a] - left[d] <= high[k]
+    ]
+    assert [len(column) for column in lags.within(pair[:0], low[:0], high[:0])] == [0, 0, 0]
 
 
 def test_share_and_density_of_student_agree() -> None:
