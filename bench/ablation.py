@@ -270,7 +270,7 @@ def measure(task: Task) -> list[float]:
 
 def _real(folder: Path) -> list[float]:
     """Return the `FIGURES` of a real network."""
-    found = real.measure(folder)
+    found = real.measure(real.Task(folder, beside=False))
     links = (
         found.links.found[TOLD_NATS] / found.links.can_be_told[TOLD_NATS]
         if found.links.can_be_told[TOLD_NATS]

@@ -1,14 +1,19 @@
 """Measure links and predictions on real networks with known identities.
 
-    python -m bench real [--data FOLDER] [--networks a,b] [--jobs 2] [--json FILE]
+    python -m bench real [--data FOLDER] [--networks a,b] [--stretch F] [--jobs 2] [--json FILE]
 
 Each folder in ``--data`` (default: CAMTOPOD_REAL_DATA) with events.jsonl and identities.csv is a
 network; without data the part is skipped. The first 70 % of the events are learned in one fit, as
 `camtopod learn` does. Every exit is predicted with that, as `camtopod predict` does, and those
 after the cut are scored. Compared are an oracle (a Markov chain that is given the identities) on
 the same zones, and for links the cross-correlation of cameras (Makris 2004) at the bin width and
-threshold that are best on these very networks. Links are pooled over the networks, the saving of a
-search is a geometric mean, all else are plain means.
+threshold that are best on these very networks. Beside both is pm4py's correlation miner, if it is
+installed, and for the next camera, given that there is one, the rule of Area Occupancy Detection,
+with every pair of cameras and told the true neighbours. Links are pooled over the networks, the
+saving of a search is a geometric mean, all else are plain means.
+
+With ``--stretch`` all times and stays grow by a factor, and with them the window in which an exit
+is scored and the time in which it is searched.
 """
 
 from __future__ import annotations
@@ -23,6 +28,13 @@ from pathlib import Path
 import numpy as np
 from msgspec import Struct, to_builtins
 
+from bench.support.beside import (
+    WHO,
+    FollowingFigures,
+    MinedFigures,
+    following_figures,
+    mined_figures,
+)
 from bench.support.jobs import map_tasks
 from bench.support.real_figures import (
     SEARCH_RECALLS,
@@ -46,6 +58,17 @@ LAGS_SECONDS = (-60.0, 180.0)
 """Range of lags of the cross-correlation, seconds."""
 
 
+class Task(Struct, frozen=True):
+    """A network to measure: its folder, and the factor by which its times grow.
+
+    beside: whether others (`bench.support.beside`) are measured beside us.
+    """
+
+    folder: Path
+    stretch: float = 1.0
+    beside: bool = True
+
+
 class Result(Struct):
     """Figures of one network."""
 
@@ -66,6 +89,9 @@ class Result(Struct):
     """Processor time of learning, seconds."""
     predict_seconds: float
     """Processor time of all predictions, seconds."""
+    mined: MinedFigures | None
+    following: list[FollowingFigures]
+    """Of the next camera, given that there is one: by each of `WHO`."""
 
 
 def main(argv: Sequence[str]) -> int:
@@ -88,16 +114,17 @@ def main(argv: Sequence[str]) -> int:
     )  # inherited by the workers: two of them share two cores
 
     # Measure and report.
-    results = map_tasks(measure, folders, arguments.jobs)
-    print("\n".join([*_links(results), "", *_predictions(results)]))
+    tasks = [Task(folder, arguments.stretch) for folder in folders]
+    results = map_tasks(measure, tasks, arguments.jobs)
+    print("\n".join([*_links(results), "", *_predictions(results), "", *_beside(results)]))
     if arguments.json is not None:
         arguments.json.write_text(json.dumps(to_builtins(results, str_keys=True), indent=1) + "\n")
     return 0
 
 
-def measure(folder: Path) -> Result:
+def measure(task: Task) -> Result:
     """Learn one network, predict its exits and score both."""
-    recording = load(folder)
+    recording = load(task.folder, task.stretch)
     learner = Learner(only_last=True)
     started = time.process_time()
     for event in recording.events:
@@ -130,6 +157,8 @@ def measure(folder: Path) -> Result:
         [correlated(recording, width) for width in WIDTHS_SECONDS],
         learned - started,
         predicted - learned,
+        mined_figures(recording) if task.beside else None,
+        following_figures(predictions, recording) if task.beside else [],
     )
 
 
@@ -146,7 +175,7 @@ def correlated(recording: Recording, width: float) -> list[tuple[float, bool, bo
             (came if event.kind == "entry" else left)[event.camera].append(event.t)
 
     # Score each pair of cameras.
-    edges = np.arange(LAGS_SECONDS[0], LAGS_SECONDS[1] + width / 2, width)
+    edges = recording.stretch * np.arange(LAGS_SECONDS[0], LAGS_SECONDS[1] + width / 2, width)
     links, transitions = recording.links(), recording.transitions()
     scores = []
     for source in recording.cameras:
@@ -299,6 +328,21 @@ def _predictions(results: Sequence[Result]) -> list[str]:
     return lines
 
 
+def _beside(results: Sequence[Result]) -> list[str]:
+    """Return the tables of others beside us: links that are mined, and the next camera by rule."""
+    lines = [_row("correlation miner", "true", "found", "false", "mean way off by")]
+    mined = [(one.name, one.mined) for one in results if one.mined is not None]
+    lines += [_row(name, f.true, f.right, f.false, f"{f.transit_error:.1f} s") for name, f in mined]
+    if not mined:
+        lines.append("skipped: the miner is pm4py's (AGPL), pip install -e '.[bench]'")
+    lines += ["", _row("next camera, if any", "exits", *(f"{who}: loss/top-1" for who in WHO))]
+    for one in results:
+        if one.following:
+            figures = [f"{f.log_loss:.2f}/{f.top1:.2f}" for f in one.following]
+            lines.append(_row(one.name, one.following[0].exits, *figures))
+    return lines
+
+
 _COMPARED = ("log_loss", "leave_loss", "top1", "top3", "calibration_error", "coverage")
 """Figures of the table of predictions, in order."""
 
@@ -324,4 +368,7 @@ def networks_parser(part: str, what: str) -> argparse.ArgumentParser:
 def _parse(argv: Sequence[str]) -> argparse.Namespace:
     parser = networks_parser("real", "links and predictions")
     parser.add_argument("--json", type=Path, metavar="FILE")
+    parser.add_argument(
+        "--stretch", type=float, default=1.0, help="factor of all times and stays (default 1)"
+    )
     return parser.parse_args(argv)

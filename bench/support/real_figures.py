@@ -36,8 +36,6 @@ LOSS_FLOOR = 1e-3
 """Added to every outcome's probability before its logarithm is taken."""
 CALIBRATION_BINS = 10
 """Bins of the calibration error, of equal mass."""
-REACH_SECONDS = 180
-"""Time after an exit in which every camera is searched, second by second."""
 UNIFORM_SHARE = 0.05
 """Share of each camera's density that is spread over the whole search time."""
 SEARCH_RECALLS = (0.8, 0.9, 0.95)
@@ -226,13 +224,16 @@ def prediction_figures(
             told.append(chain.guess(zone, one.camera))
     if not happened:
         return None
-    return _judged(ours, happened, outcomes), _judged(told, happened, outcomes)
+    return (
+        _judged(ours, happened, outcomes, recording.reach),
+        _judged(told, happened, outcomes, recording.reach),
+    )
 
 
 def _judged(
-    guesses: Sequence[Guess], happened: Sequence[Passage], outcomes: Sequence[str]
+    guesses: Sequence[Guess], happened: Sequence[Passage], outcomes: Sequence[str], reach: int
 ) -> PredictionFigures:
-    """Score predictions against the passages that followed."""
+    """Score predictions against the passages that followed, searched for ``reach`` seconds."""
     losses, leave_losses, confidence, right, third, covered, cost = (
         [],
         [],
@@ -264,11 +265,11 @@ def _judged(
                 sum(share * float(_reached(np.array(passage.lag), *q)) for share, q in mine) / total
             )
             covered.append(0.1 - 1e-9 <= reached <= 0.9 + 1e-9)
-        if outcome != passage.camera and passage.lag <= REACH_SECONDS - 1:
-            cost.append(_searched(guess, passage.camera, outcome, passage.lag, outcomes))
+        if outcome != passage.camera and passage.lag <= reach - 1:
+            cost.append(_searched(guess, passage, outcomes, reach))
 
     # Savings of a search, against searching all cameras.
-    everything = (len(outcomes) - 2) * REACH_SECONDS
+    everything = (len(outcomes) - 2) * reach
     saved = {
         recall: everything / max(1.0, float(np.quantile(cost, recall)))
         for recall in SEARCH_RECALLS
@@ -302,21 +303,24 @@ def _reached(x: Floats, q10: float, q50: float, q90: float) -> Floats:
     )
 
 
-def _searched(guess: Guess, left: str, found: str, lag: float, outcomes: Sequence[str]) -> float:
-    """Return the camera-seconds searched, in order of density, until the object is found."""
-    seconds = np.arange(REACH_SECONDS + 1.0)
+def _searched(guess: Guess, passage: Passage, outcomes: Sequence[str], reach: int) -> float:
+    """Return the camera-seconds searched, in order of density, until the object is found.
+
+    passage: the passage that ended, whose next one is in reach.
+    reach: time after the exit in which every camera is searched, seconds.
+    """
+    assert passage.next_ is not None
+    seconds = np.arange(reach + 1.0)
     density = {
-        camera: np.zeros(REACH_SECONDS) for camera in outcomes if camera not in (left, LEAVE)
+        camera: np.zeros(reach) for camera in outcomes if camera not in (passage.camera, LEAVE)
     }
     for camera, share, quantiles in guess.ways:
         if camera in density:
             reached = _reached(seconds, *quantiles)
             each = np.diff(reached)
             each[0] += reached[0]
-            density[camera] += share * (
-                (1.0 - UNIFORM_SHARE) * each + UNIFORM_SHARE / REACH_SECONDS
-            )
-    here = density[found][int(max(0.0, lag))]
+            density[camera] += share * ((1.0 - UNIFORM_SHARE) * each + UNIFORM_SHARE / reach)
+    here = density[passage.next_.camera][int(max(0.0, passage.lag))]
     every = np.concatenate([*density.values()])
     return float(np.sum(every > here) + 0.5 * (np.sum(every == here) - 1) + 1)
 

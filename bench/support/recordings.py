@@ -15,6 +15,7 @@ from pathlib import Path
 
 import numpy as np
 from msgspec import Struct
+from msgspec.structs import replace
 from numpy.typing import NDArray
 
 from camtopod.arrays import Floats
@@ -28,6 +29,8 @@ TRAIN_SHARE = 0.7
 """Share of the events before the cut; exits in the rest are predicted."""
 WINDOW_SECONDS_MAX = 180.0
 """Lag window of an exit, seconds (or a tenth of the recording); exits count when it is over."""
+REACH_SECONDS = 180
+"""Time after an exit in which every camera is searched, second by second."""
 TRANSITIONS_MIN, TRANSITIONS_SHARE_MIN = 5, 0.03
 """Least transitions of a true link, and least share of all transitions from its camera."""
 SPURIOUS_TRANSITIONS_MAX = 2
@@ -67,6 +70,13 @@ class Recording(Struct):
     end: float
     window: float
     """Lag window of an exit, seconds."""
+    stretch: float = 1.0
+    """By what all times were multiplied, and with them `WINDOW_SECONDS_MAX` and `REACH_SECONDS`."""
+
+    @property
+    def reach(self) -> int:
+        """Time after an exit in which every camera is searched, seconds."""
+        return round(self.stretch * REACH_SECONDS)
 
     @property
     def cameras(self) -> list[str]:
@@ -127,13 +137,18 @@ class Recording(Struct):
         }
 
 
-def load(folder: Path) -> Recording:
+def load(folder: Path, stretch: float = 1.0) -> Recording:
     """Read a recording.
+
+    stretch: factor by which all times and stays grow, as on a larger site.
 
     Raises OSError if a file is missing, `camtopod.codec.Rejected` if a line is no event.
     """
     with (folder / "events.jsonl").open("rb") as lines:
         events = sorted((event_from_json(line) for line in lines), key=lambda event: event.t)
+    if stretch != 1.0:
+        first = events[0].t
+        events = [replace(event, t=first + stretch * (event.t - first)) for event in events]
     with (folder / "identities.csv").open(newline="") as rows:
         identity = {row["track"]: row["identity"] for row in csv.DictReader(rows)}
     cut, end = events[int(TRAIN_SHARE * len(events))].t, events[-1].t
@@ -154,7 +169,8 @@ def load(folder: Path) -> Recording:
         _in_order(passages, identity),
         cut,
         end,
-        min(WINDOW_SECONDS_MAX, (end - events[0].t) / 10),
+        min(stretch * WINDOW_SECONDS_MAX, (end - events[0].t) / 10),
+        stretch,
     )
 
 
@@ -178,13 +194,21 @@ def tellable(
     It is the log likelihood ratio of the link's arrivals with and without it, where every kernel is
     made of the true lags. A kernel is Gaussian around each lag, ``low`` to ``high`` seconds;
     arrivals from outside come at the local rate times their true share; correspondences are shared
-    by a few sweeps of a one-to-one assignment. As it is in sample, the estimate is generous.
+    by a few sweeps of a one-to-one assignment. As it is in sample, the estimate is generous. All
+    times are before the stretch: a slow site tells as much as the same site at speed.
     """
-    lags, true = recording.transitions(), recording.links()
+    lags = {
+        pair: [lag / recording.stretch for lag in each]
+        for pair, each in recording.transitions().items()
+    }
+    true = recording.links()
     seen = [one for one in recording.passages.values() if one.left < recording.cut]
     number = {camera: k for k, camera in enumerate(sorted({one.camera for one in seen}))}
     camera = np.array([number[one.camera] for one in seen])
-    came, left = np.array([one.came for one in seen]), np.array([one.left for one in seen])
+    came, left = (
+        np.array(times) / recording.stretch
+        for times in ([one.came for one in seen], [one.left for one in seen])
+    )
     passages = np.bincount(camera, minlength=len(number))
 
     # Arrivals by time, and their rate from outside.

@@ -6,14 +6,17 @@ import numpy as np
 import pytest
 
 from bench.baselines.anonymous import anonymous
+from bench.baselines.area_occupancy import AreaOccupancy
 from bench.baselines.correlation import correlation
 from bench.baselines.crossings import Crossings, candidates
 from bench.baselines.findings import Findings, Ranked, at, tune
 from bench.baselines.hawkes import hawkes
 from bench.baselines.information import information
+from bench.baselines.process_mining import mined_links
 from bench.baselines.told import oracle_predictions
 from bench.baselines.transfer import transfer
 from bench.baselines.zoning import methods
+from bench.support.recordings import Passage
 from camtopod.records import Event
 from camtopod.sim.truth import TRUTH_SCHEMA, Truth
 
@@ -145,3 +148,58 @@ def test_the_told_chain_counts_with_a_part_of_a_count_for_everything() -> None:
     assert here.leave == pytest.approx((1 + 0.5) / (4 + 1.0))
     assert [(c.camera, c.probability) for c in here.candidates] == [("b", pytest.approx(3.5 / 5.0))]
     assert elsewhere.leave == here.leave  # nothing was ever seen to leave b: as all together
+
+
+def test_the_rule_of_home_automation_counts_who_is_next_within_a_minute() -> None:
+    events = []
+    for k in range(30):
+        t = 1e6 + 1000.0 * k
+        for camera, later in (("a", 0.0), ("b", 20.0), ("c", 200.0)):
+            events += [
+                Event(camera, "entry", t + later, track=k),
+                Event(camera, "exit", t + later + 5.0, track=k),
+            ]
+    every = {(x, y) for x in "abc" for y in "abc" if x != y}
+    rule, apart = AreaOccupancy(every), AreaOccupancy(every - {("a", "b")})
+    rule.learn(events, until=1e6 + 30_000.0)
+    apart.learn(events, until=1e6 + 30_000.0)
+
+    last = 1e6 + 29_000.0 + 5.0
+    assert rule.guess("a", last, ["a", "b", "c"])["b"] > 0.99
+    assert rule.guess("b", last + 20.0, ["a", "b", "c"]) == {"a": 0.5, "c": 0.5}  # too late
+    assert apart.guess("a", last, ["a", "b", "c"]) == {"b": 0.5, "c": 0.5}
+
+
+def test_the_rule_takes_the_area_before_into_account() -> None:
+    events = []
+    for k in range(120):
+        t = 1e6 + 2000.0 * k
+        first, last = ("a", "d") if k % 2 else ("b", "e")
+        for camera, later in ((first, 0.0), ("c", 20.0), (last, 40.0)):
+            events += [
+                Event(camera, "entry", t + later, track=k),
+                Event(camera, "exit", t + later + 5.0, track=k),
+            ]
+    rule = AreaOccupancy({("a", "c"), ("b", "c"), ("c", "d"), ("c", "e")})
+
+    rule.learn(events, until=1e6 + 1e6)
+
+    after_a = rule.guess("c", 1e6 + 2000.0 * 119 + 25.0, ["a", "b", "c", "d", "e"])
+    after_b = rule.guess("c", 1e6 + 2000.0 * 118 + 25.0, ["a", "b", "c", "d", "e"])
+    assert after_a["d"] > 0.95
+    assert after_b["e"] > 0.95
+
+
+def test_the_correlation_miner_finds_a_corridor() -> None:
+    pytest.importorskip("pm4py")
+    rng = np.random.default_rng(1)
+    passages = []
+    for k in range(200):
+        t = 1000.0 * k
+        passages.append(Passage(f"a{k}", "a", t, t + 5.0))
+        t += 25.0 + rng.normal(0.0, 1.0)
+        passages.append(Passage(f"b{k}", "b", t, t + 5.0))
+
+    links = mined_links(passages)
+
+    assert links["a", "b"] == pytest.approx(20.0, abs=1.0)

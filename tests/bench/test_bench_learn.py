@@ -12,6 +12,7 @@ import pytest
 
 from bench import ablation, zones
 from bench.change import Found, summary
+from bench.support.recordings import load, tellable
 from bench.support.regimes import REGIMES
 from camtopod.codec import to_json
 from camtopod.learn.next_camera import fit
@@ -75,6 +76,28 @@ def test_a_real_network_is_learned_and_foretold(
 
     assert "2 of 2: 1.00" in capsys.readouterr().out
     assert json.loads((tmp_path / "real.json").read_text())
+
+
+def test_others_are_measured_beside_us(
+    recordings: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert import_module("bench.real").main(["--data", str(recordings), "--jobs", "1"]) == 0
+
+    tables = capsys.readouterr().out.partition("correlation miner")[2]
+    [row] = [line for line in tables.splitlines() if line.startswith("walks") and "/" in line]
+    ours, rule, told = (float(cell.partition("/")[0]) for cell in row.split()[2:])
+    assert max(ours, told) < rule
+
+
+def test_a_slow_site_tells_as_much_as_the_same_at_speed(recordings: Path) -> None:
+    fast, slow = load(recordings / "walks"), load(recordings / "walks", 12.0)
+
+    assert tellable(slow) == pytest.approx(tellable(fast))
+    assert slow.window == pytest.approx(12.0 * fast.window)
+    assert slow.reach == 12 * fast.reach
+    assert slow.events[-1].t - slow.events[0].t == pytest.approx(
+        12.0 * (fast.end - fast.events[0].t)
+    )
 
 
 def test_a_mechanism_is_left_out(recordings: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -1,0 +1,104 @@
+"""Figures of others beside us on a real recording: process mining, and a rule of home automation.
+
+The rule (`baselines.area_occupancy`) says only which camera is next, so it is scored on the exits
+after the cut whose object appears at another camera again, whenever that is; and so are we.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+from msgspec import Struct
+
+from bench.baselines.area_occupancy import AreaOccupancy
+from bench.baselines.process_mining import mined_links
+from bench.support.recordings import SPURIOUS_TRANSITIONS_MAX, Recording
+from camtopod.records import Prediction
+
+OURS_LEAST = 1e-3
+"""Added to our probability of every camera."""
+WHO = ("ours", "rule", "rule, told")
+"""Whose figures of the next camera there are: ours, the rule with every pair of cameras, the rule
+told the true neighbours.
+"""
+
+
+class MinedFigures(Struct):
+    """Figures of links between cameras that were mined."""
+
+    true: int
+    right: int
+    false: int
+    transit_error: float
+    """Median over the right links of the error of their mean, seconds; nan without any."""
+
+
+class FollowingFigures(Struct):
+    """Figures of the next camera, given that there is one."""
+
+    exits: int
+    log_loss: float
+    top1: float
+
+
+def mined_figures(recording: Recording) -> MinedFigures | None:
+    """Mine the passages before the cut and score the links; None if the miner is not installed."""
+    passages = [one for one in recording.passages.values() if one.came < recording.cut]
+    try:
+        mined = mined_links(sorted(passages, key=lambda one: one.came))
+    except ModuleNotFoundError:
+        return None
+    true, transitions = recording.links(), recording.transitions()
+    right = mined.keys() & true.keys()
+    false = [p for p in mined if len(transitions.get(p, ())) <= SPURIOUS_TRANSITIONS_MAX]
+    errors = [abs(mined[pair] - np.mean(true[pair])) for pair in right]
+    error = float(np.median(errors)) if errors else float("nan")
+    return MinedFigures(len(true), len(right), len(false), error)
+
+
+def following_figures(
+    predictions: Sequence[Prediction], recording: Recording
+) -> list[FollowingFigures]:
+    """Score the next camera by each of `WHO`; the list is empty if there is no exit to score.
+
+    predictions: those of every exit, in order.
+    """
+    cameras = recording.cameras
+    asked = []
+    for one in predictions:
+        following = recording.passages[str(one.track)].next_
+        elsewhere = following is not None and following.camera != one.camera
+        if following is not None and elsewhere and one.t >= recording.cut:
+            asked.append((one, following.camera))
+    if not asked:
+        return []
+    happened = [camera for _, camera in asked]
+    figures = [_judged([_ours(one, cameras) for one, _ in asked], happened)]
+
+    # The rule, with every pair and told the true neighbours.
+    every = {(a, b) for a in cameras for b in cameras if a != b}
+    for neighbours in (every, recording.links().keys()):
+        rule = AreaOccupancy(set(neighbours))
+        rule.learn(recording.events, recording.cut)
+        guesses = [rule.guess(one.camera, one.t, cameras) for one, _ in asked]
+        figures.append(_judged(guesses, happened))
+    return figures
+
+
+def _ours(prediction: Prediction, cameras: Sequence[str]) -> dict[str, float]:
+    """Return our probability of each other camera, given that the object appears at one."""
+    weight = {name: OURS_LEAST for name in cameras if name != prediction.camera}
+    for way in prediction.candidates:
+        if way.camera in weight:
+            weight[way.camera] += way.probability
+    total = sum(weight.values())
+    return {name: each / total for name, each in weight.items()}
+
+
+def _judged(guesses: Sequence[Mapping[str, float]], happened: Sequence[str]) -> FollowingFigures:
+    """Score guesses by the cameras that were next."""
+    losses = [-np.log(guess[camera]) for guess, camera in zip(guesses, happened, strict=True)]
+    first = [max(guess, key=lambda name: guess[name]) for guess in guesses]
+    right = [name == camera for name, camera in zip(first, happened, strict=True)]
+    return FollowingFigures(len(happened), float(np.mean(losses)), float(np.mean(right)))
