@@ -935,3 +935,24 @@ def matching_marginals(weights, nobody, outside):
             if cause >= 0:
                 found[cause, entry] += mass
     return found / total
+
+
+# --- common_cycle (moved copies against their definition) ---
+
+
+def cycle_rates(left, came, hazard, edges, first, until, move, period):
+    """Return the rate at each arrival after the departures have been moved round the window.
+
+    hazard: rate by lag bin, whose edges are given; no lag is before the departure.
+    """
+    turn = (until - first) // period * period
+    rates = []
+    for t in came:
+        rate = 0.0
+        for departure in left:
+            lag = t - (first + (departure - first + move) % turn)
+            if departure - first < turn and t - first < turn and lag > 0:
+                k = np.flatnonzero((edges[:-1] <= lag) & (lag < edges[1:]))
+                rate += hazard[k].sum()
+        rates.append(rate)
+    return np.array(rates)

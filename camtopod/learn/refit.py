@@ -52,9 +52,9 @@ from camtopod.learn.links import (
     LinkTable,
     concatenate_transitions,
     cross_evidence,
+    evidence_of_fit,
     exposed_departures,
     missed_transitions,
-    repeated_evidence,
     select_weak_links,
     shortfall_of,
     significant,
@@ -64,6 +64,7 @@ from camtopod.learn.links import (
     with_monte_carlo_variance,
     with_second_opinion,
     with_usual_dwell_times,
+    without_cycle,
     without_missed_detections,
 )
 from camtopod.learn.long_paths import long_ranges
@@ -285,6 +286,7 @@ def associate(
     # 5. Evidence: each part of the window is judged by a fit of other parts.
     on_step("evidence")
     first = float(min(problem.departures.t[0], problem.arrivals.t[0]))
+    fit = without_cycle(problem, fit)
     evidence = cross_evidence(problem, fit, first)
     between = tabulate(
         transitions_of(fit),
@@ -297,10 +299,7 @@ def associate(
     posterior = with_doubt(posterior, problem, between.with_evidence(evidence, tests))
     # The geometric mean of two e-values is one: of that of the whole fit, each candidate left out
     # of its own prediction, and that of the halves held out.
-    at = (problem.arrivals.t[fit.candidates.arrival] - first) / max(problem.until - first, 1.0)
-    c = fit.candidates
-    repeated = repeated_evidence(c.pair, fit.responsibility, fit.flat, at, len(c.source))
-    between = between.with_evidence(0.5 * (repeated + evidence), tests)
+    between = between.with_evidence(0.5 * (evidence_of_fit(problem, fit, first) + evidence), tests)
 
     # 6. Links that have opened or closed; departures during a camera's silence do not count.
     on_step("changes")

@@ -42,6 +42,15 @@ class Candidates(NamedTuple):
     target: Ints
     """(P,) zone of arrival of each pair."""
 
+    def rows(self, kept: NDArray[np.bool_]) -> Candidates:
+        """Return the candidates of the mask ``kept``; pairs of zones keep their numbers."""
+        return self._replace(
+            departure=self.departure[kept],
+            arrival=self.arrival[kept],
+            pair=self.pair[kept],
+            lag=self.lag[kept],
+        )
+
     def take(self, kept: NDArray[np.bool_]) -> Candidates:
         """Return the candidates of the mask ``kept``, and only the pairs of zones that have any."""
         rows = np.flatnonzero(kept)

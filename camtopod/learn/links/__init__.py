@@ -7,12 +7,17 @@ Reading order: `link_table` computes a table with the figures of every pair of z
 uses `transit_time` (mode, mean and quantiles of the transit times), `significance` (evidence and
 false discovery rate), and the thesis's `monte_carlo` observations and `mahalanobis` test.
 `visible_links` finds the passages through one view, which make links as well. `cross_validation`
-estimates the evidence for each link from held-out events. `missed_detections` removes links that
+estimates the evidence for each link from held-out events, `common_cycle` that where lights, trains
+or lifts make platoons. `missed_detections` removes links that
 exist only because a camera misses passages. `shortfall` estimates how many passages a link that is
 not published still lacks.
 """
 
 from camtopod.learn.links import mahalanobis as mahalanobis, monte_carlo as monte_carlo
+from camtopod.learn.links.common_cycle import (
+    evidence_of_fit as evidence_of_fit,
+    without_cycle as without_cycle,
+)
 from camtopod.learn.links.cross_validation import (
     OUTSIDE_LEAST as OUTSIDE_LEAST,
     cross_evidence as cross_evidence,

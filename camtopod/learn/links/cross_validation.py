@@ -27,6 +27,11 @@ from camtopod.learn.association import (
     candidates_of_pairs,
     flatness,
 )
+from camtopod.learn.links.common_cycle import (
+    common_periods,
+    evidence_against_cycle,
+    off_cycle,
+)
 from camtopod.learn.links.link_table import TRANSITIONS_MIN
 from camtopod.learn.links.significance import evidence_against_untimed
 
@@ -47,7 +52,8 @@ def cross_evidence(problem: Problem, fit: Fit, first: float) -> Floats:
 
     The evidence is a log likelihood ratio against two null models, of which the stronger one counts
     (the smaller ratio): the zones are unrelated; or arrivals at one zone follow departures from the
-    other at no particular lag, as when both zones follow a rhythm.
+    other at no particular lag, as when both zones follow a rhythm. Where the zones have a common
+    cycle, this takes the place of the first model (`common_cycle`).
 
     fit: the joint fit of the whole window, for its pairs of zones; its hazards are not used. Of the
         pairs that may be links, all candidates count, as the likely ones alone are biased.
@@ -55,17 +61,21 @@ def cross_evidence(problem: Problem, fit: Fit, first: float) -> Floats:
     """
     pairs = np.flatnonzero(fit.counts.sum(axis=1) >= TRANSITIONS_MIN)
     every = candidates_of_pairs(problem, fit.candidates, pairs)
+    period = common_periods(problem, fit)
+    every = every.rows(off_cycle(problem, every, period))
     halves = Halves(problem, fit._replace(candidates=every), first)
-    mean: Floats = np.logaddexp(_bet(halves, 0), _bet(halves, 1)) - np.log(2.0)
+    mean: Floats = np.logaddexp(_bet(halves, 0, period), _bet(halves, 1, period)) - np.log(2.0)
     return mean
 
 
-def _bet(halves: Halves, fitted: int) -> Floats:
+def _bet(halves: Halves, fitted: int, period: Floats) -> Floats:
     """Return the log (P, nats) of what a bet of half of the stake makes of the stake.
 
     A bet that loses everything then costs ln 2 nats, not hundreds.
 
     fitted: the half that the hazards are fitted on; they bet on the other one.
+
+    period (P, seconds): common period of each pair of zones, nan without one.
 
     The bet is against the stronger of the two null models.
     """
@@ -74,7 +84,7 @@ def _bet(halves: Halves, fitted: int) -> Floats:
     # What is left when a pair is taken away must be as good as knowing nothing. On noise, the pairs
     # explain nearly all arrivals, and each would look needed beside so small a rest.
     outside = np.maximum(fitter.outside, OUTSIDE_LEAST)
-    ratio = np.minimum(*_evidence(halves.take(1 - fitted), hazard, outside))
+    ratio = np.minimum(*_evidence(halves.take(1 - fitted), hazard, outside, period))
     stake: Floats = np.logaddexp(ratio, 0.0) - np.log(2.0)
     return stake
 
@@ -165,15 +175,18 @@ def _fitted(fitter: Em) -> Singles:
     return result
 
 
-def _evidence(fitter: Em, hazard: Singles, outside: Floats) -> tuple[Floats, Floats]:
+def _evidence(
+    fitter: Em, hazard: Singles, outside: Floats, period: Floats
+) -> tuple[Floats, Floats]:
     """Return the log likelihood ratio of each pair of zones against both null models, (P, nats).
 
-    The first is against no link, the second against a link without a transit time.
+    The first is against no link (or a common cycle), the second against one without a transit time.
 
     fitter: the held-out arrivals and their candidates.
     hazard (P, bins): hazards fitted on the other half.
     outside (zones,): share of the local rate of arrivals that no departure explains, from the same
         fit.
+    period (P, seconds): as for `_bet`.
     """
     # Responsibilities of the held-out candidates under the given hazards.
     share = fitter.responsibilities_under(hazard, outside, SWEEPS)
@@ -184,6 +197,9 @@ def _evidence(fitter: Em, hazard: Singles, outside: Floats) -> tuple[Floats, Flo
     exposed = fitter.exposure[fitter.range_of] * fitter.problem.bins.widths
     expected: Floats = (hazard * exposed).sum(axis=1)
     unrelated: Floats = np.bincount(c.pair, -np.log1p(-share), minlength=fitter.pairs) - expected
+
+    cycle = evidence_against_cycle(fitter.problem, c, hazard, share, outside, period)
+    unrelated = np.where(period > 0.0, cycle.sum(axis=1), unrelated)
 
     # Likelihood ratio against the same number of transitions spread evenly over all lags.
     flat = flatness(fitter, hazard)

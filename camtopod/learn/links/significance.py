@@ -68,17 +68,25 @@ def repeated_evidence(
     at (M,): when each candidate arrives, as a share of the window, 0 to 1.
 
     A group of people that walks together makes as many transitions of one lag as it has members,
-    once. So the eighth of the window that speaks most for a pair counts no more than all the rest.
-    Other arguments are as for `log_likelihood_ratio`.
+    once (`repeated`). Other arguments are as for `log_likelihood_ratio`.
     """
     cell = pair * PARTS + np.clip((at * PARTS).astype(np.int64), 0, PARTS - 1)
     unrelated = evidence_against_unrelated(cell, responsibility, pairs * PARTS)
     untimed = evidence_against_untimed(cell, responsibility, flat, pairs * PARTS)
     nats = np.stack((unrelated, untimed)).reshape(2, pairs, PARTS)
-    total = nats.sum(axis=2)
-    rest = total - np.maximum((nats[..., :-1] + nats[..., 1:]).max(axis=2), 0.0)
-    repeated: Floats = np.minimum(total, 2.0 * rest).min(axis=0)
-    return repeated
+    evidence: Floats = repeated(nats).min(axis=0)
+    return evidence
+
+
+def repeated(nats: Floats) -> Floats:
+    """Return the total (P,) of evidence by parts of the window (P, PARTS), less what is told once.
+
+    The eighth of the window that speaks most for a pair counts no more than all the rest.
+    """
+    total = nats.sum(axis=-1)
+    rest = total - np.maximum((nats[..., :-1] + nats[..., 1:]).max(axis=-1), 0.0)
+    evidence: Floats = np.minimum(total, 2.0 * rest)
+    return evidence
 
 
 def q_values(ratio: Floats, tests: int) -> Floats:

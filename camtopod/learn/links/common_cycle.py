@@ -1,0 +1,247 @@
+"""Evidence that a lag is a way, not the difference of two phases of a common cycle (METHOD 7).
+
+Where zones follow one cycle (the lights of a street, bells, trains, lifts), departures of one zone
+and arrivals of another come in platoons that are always the same lag apart, and however well the
+rhythm of each zone is known, that lag looks like a way. What tells them apart is chance within a
+cycle: on a way, a cycle with more departures, or earlier ones, has more arrivals, or earlier ones.
+So the departures are moved by whole periods, earlier and later. If the zones have only the cycle in
+common, these *copies* tell the arrivals as well as the true departures do.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from scipy.fft import next_fast_len, rfft
+from scipy.special import gammaincc, gammaincinv
+
+from camtopod.arrays import Bools, Floats, Ints, Singles
+from camtopod.learn.association import (
+    Candidates,
+    Em,
+    Fit,
+    Problem,
+    adjust,
+    find_candidates,
+    fit_sparsely,
+)
+from camtopod.learn.links.link_table import TRANSITIONS_MIN
+from camtopod.learn.links.significance import PARTS, repeated, repeated_evidence
+from camtopod.learn.traffic import Departures
+from camtopod.topology import lag_smoothing_matrix
+
+PERIOD_SECONDS = (20.0, 240.0)
+"""Shortest and longest period: of lifts and bells, and of the slowest lights."""
+HARMONICS = 3
+"""Harmonics of a cycle that count: platoons fill about a third of it."""
+STEP_SECONDS = 2.0
+"""Width of the time bins of a spectrum: three for the fastest harmonic."""
+BLOCK_SECONDS = 7200.0
+"""Length of a block of time, within which a cycle has to keep its phase."""
+PEAK_NATS = 5.0
+"""Least significance of a period at each of two zones, as the negative log of a p-value, beside the
+number of periods that are looked at.
+"""
+GAIN_NATS = 8.0
+"""Least evidence that a period could make of no way at all: with less, none would be published."""
+COPIES = (-3, -2, -1, 1, 2, 3)
+"""The copies of the departures: whole periods by which they are moved."""
+WAY_SD = 3.0
+EDGE_SD = 1.0
+"""Least excess of candidates over the copies at the lags of a way, in standard deviations: in the
+middle of the way, and at its edges.
+"""
+WAY_SD_BINS = 1.5
+"""Standard deviation, in lag bins, with which the excess is smoothed."""
+
+
+def common_periods(problem: Problem, fit: Fit) -> Floats:
+    """Return the common period (P, seconds) of the zones of each pair of a fit; nan without one.
+
+    Pairs with too few transitions for a link have none.
+    """
+    # Powers of the frequencies and their harmonics at each zone, in units of the noise, summed over
+    # blocks of time. A multiple of the cycle has fewer harmonics, a part of it less power.
+    departures, arrivals, bins, *_ = problem
+    first = min(departures.t[0], arrivals.t[0])
+    seconds = problem.until - first
+    blocks = max(round(seconds / BLOCK_SECONDS), 1)
+    steps = int(seconds / blocks / STEP_SECONDS) + 1
+    size = next_fast_len(4 * steps, real=True)
+    span = size * STEP_SECONDS
+    shortest, longest = PERIOD_SECONDS
+    period = span / np.arange(int(span / longest) + 1, int(span / shortest) + 1)
+    harmonics = np.outer(np.arange(1, HARMONICS + 1), np.round(span / period).astype(np.intp))
+    noise = blocks * HARMONICS
+
+    def powers(t: Floats, zone: Ints, zones: Ints) -> Floats:
+        """Return the powers (P, F) in the events at times ``t`` of each of ``zones`` (P,)."""
+        some, row = np.unique(zones, return_inverse=True)
+        table = np.zeros((len(some), len(period)))
+        for power, each in zip(table, some.tolist(), strict=True):
+            step = ((t[zone == each] - first) / STEP_SECONDS).astype(np.int64)
+            counts = np.bincount(step, minlength=blocks * steps).reshape(blocks, steps)
+            waves = np.abs(rfft(counts - counts.mean(axis=1, keepdims=True), size)) ** 2
+            power += waves.sum(axis=0)[harmonics].sum(axis=0)
+            power *= gammaincinv(noise, 0.5) / max(float(np.median(power)), 1e-9)
+        return table[row]
+
+    pairs = np.flatnonzero(fit.counts.sum(axis=1) >= TRANSITIONS_MIN)
+    result = np.full(len(fit.counts), np.nan)
+    if len(period) == 0 or len(pairs) == 0:
+        return result
+    c = fit.candidates
+    left = powers(departures.t, departures.zone, c.source[pairs])
+    come = powers(arrivals.t, arrivals.zone, c.target[pairs])
+    best = np.arange(len(pairs)), np.minimum(left, come).argmax(axis=1)
+    left, come = left[best], come[best]
+    nats = -np.log(np.maximum(gammaincc(noise, np.minimum(left, come)), 1e-300))
+
+    # n departures and m arrivals in T seconds, of relative amplitudes a and b, and a kernel in step
+    # with them over all lags gain n m lags / T (a b)^2 / 16 nats; power beyond noise is n a^2 / 4.
+    gain = np.maximum(left - noise, 0.0) * np.maximum(come - noise, 0.0)
+    gain *= (bins.lag_max - bins.lag_min) / seconds
+    clear = (nats >= PEAK_NATS + np.log(len(period))) & (gain >= GAIN_NATS)
+    result[pairs] = np.where(clear, period[best[1]], np.nan)
+    return result
+
+
+def moved(problem: Problem, source: int, target: int, seconds: float, period: float) -> Candidates:
+    """Return the candidates of one pair of zones after its departures are moved by ``seconds``.
+
+    What is left of the window after its last whole ``period`` (seconds) does not count, and
+    departures that leave the rest come back at its other end, in phase. Rows of arrivals count
+    those of the zone alone.
+    """
+    d, arrivals = problem.departures, problem.arrivals.take(problem.arrivals.zone == target)
+    first = d.t[0]
+    turn = (problem.until - first) // period * period
+    rows = np.flatnonzero((d.zone == source) & (d.t < first + turn))
+    t = first + (d.t[rows] - first + seconds) % turn
+    order = np.argsort(t, kind="stable")
+    t, rows = t[order], rows[order]
+    since = t - (d.t[rows] - d.since[rows])
+    departures = Departures.without_arrivals(t, d.zone[rows], d.camera[rows], since, d.slow[rows])
+    within = arrivals.take(arrivals.t < first + turn)
+    return find_candidates(problem._replace(departures=departures, arrivals=within))
+
+
+def off_cycle(problem: Problem, candidates: Candidates, period: Floats) -> Bools:
+    """Return a mask (M,) of the candidates at lags that a common cycle alone would not make.
+
+    period (P, seconds): common period of each pair of zones, nan without one.
+    """
+    c, bins = candidates, problem.bins
+    delay = problem.delays(c.source, c.target)
+    mask = np.ones((len(c.source), bins.size), np.bool_)
+    for pair in np.flatnonzero(period > 0.0).tolist():
+        zones = int(c.source[pair]), int(c.target[pair])
+        counts = np.zeros((1 + len(COPIES), bins.size))
+        for histogram, k in zip(counts, (0, *COPIES), strict=True):
+            lag = moved(problem, *zones, k * period[pair], period[pair]).lag - delay[pair]
+            at = bins.index(np.clip(lag.astype(float), bins.lag_min, bins.lag_max))
+            histogram += np.bincount(at, minlength=bins.size)
+        mask[pair] = way_lags(counts[0], counts[1:])
+
+    lag = c.lag.astype(float) - delay[c.pair]
+    at = bins.index(np.clip(lag, bins.lag_min, bins.lag_max))
+    able: Bools = mask[c.pair, at]
+    return able
+
+
+def way_lags(counts: Floats, copies: Floats) -> Bools:
+    """Return a mask (bins,) of the lags at which a lag histogram clearly exceeds its copies.
+
+    counts (bins,), copies (n, bins): candidates by lag.
+    """
+    # Noise is what the copies differ by: saturated platoons hardly differ from cycle to cycle.
+    spread = lag_smoothing_matrix(len(counts), WAY_SD_BINS)
+    smoothed = copies @ spread.T
+    wider = lag_smoothing_matrix(len(counts), 2.0 * WAY_SD_BINS)
+    noise = wider @ smoothed.var(axis=0, ddof=1) * (1.0 + 1.0 / len(copies))
+    noise += (spread**2).sum(axis=1)  # that of one candidate a bin, where there are few
+    excess = (spread @ counts - smoothed.mean(axis=0)) / np.sqrt(noise)
+
+    # The stretches of bins above the cycle that are clearly above it somewhere.
+    above = excess > EDGE_SD
+    stretch = np.cumsum(np.diff(above, prepend=False))
+    clear = np.bincount(stretch, excess >= max(WAY_SD, float(excess.max()) / 3.0)) > 0.0
+    mask: Bools = above & clear[stretch]
+    return mask
+
+
+def without_cycle(problem: Problem, fit: Fit) -> Fit:
+    """Return a joint fit without the candidates at lags that a common cycle alone would make.
+
+    They would have arrivals of true ways.
+    """
+    able = off_cycle(problem, fit.candidates, common_periods(problem, fit))
+    if able.all():
+        return fit
+    em = Em(problem, fit.candidates, adjusted=adjust(problem, fit.candidates, fit.persistence))
+    em.keep(able)
+    em.run(em.start())
+    return fit_sparsely(em)
+
+
+def evidence_against_cycle(
+    problem: Problem,
+    candidates: Candidates,
+    hazard: Singles,
+    share: Floats,
+    outside: Floats,
+    period: Floats,
+) -> Floats:
+    """Return the evidence (P, PARTS) of pairs of zones against a common cycle, by part of the time.
+
+    With ``s_k`` the rate that the hazard of a pair gives at an arrival after departures moved by k
+    periods, and b the rate of all else, it is the log (nats) of
+
+        product over arrivals of  (b + s_0) / (mean over k, 0 included, of (b + s_k)),
+
+    which has a mean of 1 if the true departures could be any of the copies, whatever hazard and
+    rates are: an e-value, if the hazard is fitted on other events. It is 0 without a period.
+
+    candidates: M candidates of the arrivals of the problem, of P pairs of zones.
+    hazard (P, bins): hazards. share (M,): responsibilities under these.
+    outside (zones,): share of the local rate of arrivals that no departure explains.
+    period (P, seconds): common period of each pair of zones, nan without one.
+    """
+    c, arrivals, bins = candidates, problem.arrivals, problem.bins
+    explained = np.bincount(c.arrival, share, minlength=len(arrivals.t))
+    every = outside[arrivals.zone] * arrivals.rate / np.maximum(1.0 - explained, 1e-3)
+    delay = problem.delays(c.source, c.target)
+    evidence = np.zeros((len(period), PARTS))
+    part = (arrivals.t - arrivals.t[:1]) / max(float(np.ptp(arrivals.t)), 1.0) * PARTS
+    for pair in np.flatnonzero(period > 0.0).tolist():
+        zones = int(c.source[pair]), int(c.target[pair])
+        rows = np.flatnonzero(arrivals.zone == zones[1])
+        own = np.flatnonzero(c.pair == pair)
+        by_pair = np.bincount(c.arrival[own], share[own], minlength=len(arrivals.t))
+        beside = (every * np.maximum(1.0 - by_pair, 1e-3))[rows]
+
+        rates = np.zeros((1 + len(COPIES), len(rows)))
+        for rate, k in zip(rates, (0, *COPIES), strict=True):
+            some = moved(problem, *zones, k * period[pair], period[pair])
+            lag = some.lag.astype(float) - delay[pair]
+            at = bins.index(np.clip(lag, bins.lag_min, bins.lag_max))
+            rate += np.bincount(some.arrival, hazard[pair, at], len(rows))
+        nats = np.log((beside + rates[0]) / (beside + rates.mean(axis=0)))
+        evidence[pair] = np.bincount(
+            np.minimum(part[rows].astype(np.intp), PARTS - 1), nats, minlength=PARTS
+        )
+    return evidence
+
+
+def evidence_of_fit(problem: Problem, fit: Fit, first: float) -> Floats:
+    """Return the evidence (P, nats) of the whole window that the zones of each pair are linked.
+
+    It is that of `repeated_evidence`, or that against a common cycle where the zones have one.
+
+    first (seconds): beginning of the window.
+    """
+    c = fit.candidates
+    at = (problem.arrivals.t[c.arrival] - first) / max(problem.until - first, 1.0)
+    evidence = repeated_evidence(c.pair, fit.responsibility, fit.flat, at, len(c.source))
+    period = common_periods(problem, fit)
+    cycle = evidence_against_cycle(problem, c, fit.hazard, fit.responsibility, fit.outside, period)
+    return np.where(period > 0.0, repeated(cycle), evidence)
