@@ -12,6 +12,7 @@ from __future__ import annotations
 
 import numpy as np
 from scipy.fft import next_fast_len, rfft
+from scipy.ndimage import median_filter
 from scipy.special import gammaincc, gammaincinv
 
 from camtopod.arrays import Bools, Floats, Ints, Singles
@@ -37,6 +38,10 @@ STEP_SECONDS = 2.0
 """Width of the time bins of a spectrum: three for the fastest harmonic."""
 BLOCK_SECONDS = 7200.0
 """Length of a block of time, within which a cycle has to keep its phase."""
+NEIGHBOURS = 65
+"""Frequencies around a period, four for each that the window tells apart, whose median is the noise
+there: batches and trains without a timetable make long waves of all frequencies.
+"""
 PEAK_NATS = 5.0
 """Least significance of a period at each of two zones, as the negative log of a p-value, beside the
 number of periods that are looked at.
@@ -82,7 +87,8 @@ def common_periods(problem: Problem, fit: Fit) -> Floats:
             counts = np.bincount(step, minlength=blocks * steps).reshape(blocks, steps)
             waves = np.abs(rfft(counts - counts.mean(axis=1, keepdims=True), size)) ** 2
             power += waves.sum(axis=0)[harmonics].sum(axis=0)
-            power *= gammaincinv(noise, 0.5) / max(float(np.median(power)), 1e-9)
+            usual = median_filter(power, NEIGHBOURS, mode="nearest")
+            power *= gammaincinv(noise, 0.5) / np.maximum(usual, max(float(np.median(power)), 1e-9))
         return table[row]
 
     pairs = np.flatnonzero(fit.counts.sum(axis=1) >= TRANSITIONS_MIN)
