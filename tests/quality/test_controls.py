@@ -26,8 +26,6 @@ NOTHING_JOINED = {
     "a rhythm in common": (Traffic(4, 4.0, 120.0, rhythm="day"), 2),
     "another rhythm in common": (Traffic(4, 4.0, 120.0, rhythm="day"), SEED),
     "a rhythm in common, and doors": (Traffic(4, 4.0, 120.0, rhythm="day", doors=3), SEED),
-    "bells": (Traffic(4, 10.0, 30.0, rhythm="bells", cycle=30.0), 2),
-    "batches": (Traffic(4, 6.0, 60.0, rhythm="batches", cycle=300.0, doors=3), 0),
 }
 """Controls, and the seed of the recording of each."""
 
