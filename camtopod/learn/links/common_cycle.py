@@ -74,6 +74,8 @@ def common_periods(problem: Problem, fit: Fit) -> Floats:
     size = next_fast_len(4 * steps, real=True)
     span = size * STEP_SECONDS
     shortest, longest = PERIOD_SECONDS
+    # Seven periods at least: the departures and all copies differ.
+    longest = min(longest, max(problem.until - departures.t[0], 1.0) / (1 + len(COPIES)))
     period = span / np.arange(int(span / longest) + 1, int(span / shortest) + 1)
     harmonics = np.outer(np.arange(1, HARMONICS + 1), np.round(span / period).astype(np.intp))
     noise = blocks * HARMONICS

@@ -93,6 +93,22 @@ def test_without_a_cycle_nothing_changes() -> None:
     assert without_cycle(problem, fit) is fit
 
 
+@pytest.mark.parametrize("seconds", [1.0, 100.0, 340.0])
+def test_a_window_of_a_few_periods_has_none(seconds: float) -> None:
+    problem = street(1)
+    c = find_candidates(problem)
+    fit = fit_jointly(problem, c)
+    first = float(problem.departures.t[0])
+    now = problem.departures.t < first + seconds
+    early = problem.arrivals.t < first + seconds
+    short = problem._replace(
+        departures=problem.departures.take(now, early),
+        arrivals=problem.arrivals.take(problem.arrivals.t < first + max(seconds, 60.0)),
+        until=first + seconds,
+    )
+    assert np.isnan(common_periods(short, fit)).all()
+
+
 def test_a_fit_keeps_a_way_at_its_lag() -> None:
     """What the cycle makes at other lags is left out."""
     problem = street(4)
