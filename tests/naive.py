@@ -216,6 +216,16 @@ def own_past(t, zone, seconds):
     ]
 
 
+def around(t, group, seconds):
+    """Compute `camtopod.learn.traffic.rhythm._around`, comparing all arrivals."""
+    n = len(t)
+    others = [[j for j in range(n) if j != k and group[j] == group[k]] for k in range(n)]
+    return [
+        sum(np.exp(-abs(t[k] - t[j]) / seconds) / (2 * seconds) for j in others[k])
+        for k in range(n)
+    ]
+
+
 def local_rates(t, zone, half_window, prior):
     """Compute `camtopod.learn.traffic.background_rate.local_rates`, comparing all arrivals."""
     rates = []

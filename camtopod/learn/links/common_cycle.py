@@ -81,17 +81,22 @@ def common_periods(problem: Problem, fit: Fit) -> Floats:
     noise = blocks * HARMONICS
 
     def powers(t: Floats, zone: Ints, zones: Ints) -> Floats:
-        """Return the powers (P, F) in the events at times ``t`` of each of ``zones`` (P,)."""
+        """Return the powers in the events at times ``t`` of each of ``zones`` (P,), (2, P, F).
+
+        The first are relative to the usual power of all frequencies, the others also to that of the
+        frequencies around each.
+        """
         some, row = np.unique(zones, return_inverse=True)
-        table = np.zeros((len(some), len(period)))
-        for power, each in zip(table, some.tolist(), strict=True):
+        table = np.zeros((2, len(some), len(period)))
+        for power, line, each in zip(*table, some.tolist(), strict=True):
             step = ((t[zone == each] - first) / STEP_SECONDS).astype(np.int64)
             counts = np.bincount(step, minlength=blocks * steps).reshape(blocks, steps)
             waves = np.abs(rfft(counts - counts.mean(axis=1, keepdims=True), size)) ** 2
             power += waves.sum(axis=0)[harmonics].sum(axis=0)
-            usual = median_filter(power, NEIGHBOURS, mode="nearest")
-            power *= gammaincinv(noise, 0.5) / np.maximum(usual, max(float(np.median(power)), 1e-9))
-        return table[row]
+            power *= gammaincinv(noise, 0.5) / max(float(np.median(power)), 1e-9)
+            around = median_filter(power, NEIGHBOURS, mode="nearest") / gammaincinv(noise, 0.5)
+            line += power / np.maximum(around, 1.0)
+        return table[:, row]
 
     pairs = np.flatnonzero(fit.counts.sum(axis=1) >= TRANSITIONS_MIN)
     result = np.full(len(fit.counts), np.nan)
@@ -100,8 +105,8 @@ def common_periods(problem: Problem, fit: Fit) -> Floats:
     c = fit.candidates
     left = powers(departures.t, departures.zone, c.source[pairs])
     come = powers(arrivals.t, arrivals.zone, c.target[pairs])
-    best = np.arange(len(pairs)), np.minimum(left, come).argmax(axis=1)
-    left, come = left[best], come[best]
+    best = np.arange(len(pairs)), np.minimum(left, come)[0].argmax(axis=1)
+    left, come = left[1][best], come[1][best]
     nats = -np.log(np.maximum(gammaincc(noise, np.minimum(left, come)), 1e-300))
 
     # n departures and m arrivals in T seconds, of relative amplitudes a and b, and a kernel in step

@@ -34,6 +34,7 @@ from camtopod.learn.links.common_cycle import (
 )
 from camtopod.learn.links.link_table import TRANSITIONS_MIN
 from camtopod.learn.links.significance import evidence_against_untimed
+from camtopod.learn.traffic import activity_rates
 
 STRETCH_LAGS = 16.0
 """Length of a stretch, in multiples of the longest transit time, unless the window is too short."""
@@ -84,7 +85,8 @@ def _bet(halves: Halves, fitted: int, period: Floats) -> Floats:
     # What is left when a pair is taken away must be as good as knowing nothing. On noise, the pairs
     # explain nearly all arrivals, and each would look needed beside so small a rest.
     outside = np.maximum(fitter.outside, OUTSIDE_LEAST)
-    ratio = np.minimum(*_evidence(halves.take(1 - fitted), hazard, outside, period))
+    judged = halves.take(1 - fitted, judging=True)
+    ratio = np.minimum(*_evidence(judged, hazard, outside, period))
     stake: Floats = np.logaddexp(ratio, 0.0) - np.log(2.0)
     return stake
 
@@ -110,14 +112,20 @@ class Halves:
         self._exposure = self._exposures()
         self._adjusted = adjust(problem, fit.candidates, fit.persistence)
 
-    def take(self, half: int) -> Em:
+    def take(self, half: int, judging: bool = False) -> Em:
         """Return a fit in progress of the arrivals in one half; pairs are numbered as in `fit`.
 
         half: its number, 0 or 1.
+        judging: True for the half that is bet on, whose arrivals may also follow the activity of
+            the site (`activity_rates`).
         """
         # Keep the candidates whose arrivals lie in this half.
         departs = self._departure_half == half
         arrives = self._arrival_half == half
+        came = self.problem.arrivals
+        if judging:
+            active = activity_rates(came.t, came.zone, came.camera, came.rate)
+            came = came._replace(rate=active)
         c = self.fit.candidates
         kept = np.flatnonzero(arrives[c.arrival])
         arrival = (np.cumsum(arrives) - 1).astype(np.int32)
@@ -131,7 +139,7 @@ class Halves:
         )
 
         return Em(
-            self.problem._replace(arrivals=self.problem.arrivals.take(arrives)),
+            self.problem._replace(arrivals=came.take(arrives)),
             candidates,
             EmModel(near=departs if departs.any() else slice(None)),
             self._exposure[half],

@@ -134,7 +134,7 @@ class LinkTable(NamedTuple):
         return evidence
 
 
-AGREEMENT_NATS = 1.0
+AGREEMENT_NATS = 2.0
 """Least evidence of its own with which a pair of zones gets that of the second opinion, too."""
 
 

@@ -12,7 +12,7 @@ import numpy as np
 
 from camtopod.arrays import Floats, Longs, Rows, ranges
 from camtopod.learn.limits import PATH_CANDIDATES_MAX, ZONE_PATH_CANDIDATES_MAX
-from camtopod.learn.traffic import Arrivals, Departures, local_rates
+from camtopod.learn.traffic import Arrivals, Departures, activity_rates, local_rates
 
 LAG_SECONDS_MAX, ZONE_LAG_SECONDS_MAX = 900.0, 200.0
 """Longest lag between cameras, and between zones."""
@@ -34,6 +34,8 @@ class CameraLags(NamedTuple):
     """(m,) camera of each arrival."""
     rate: Floats
     """(m,) rate of arrivals at this camera around its time, 1/s."""
+    active: Floats
+    """(m,) that rate if arrivals also follow the activity of the site (`activity_rates`), 1/s."""
     departure: Rows
     """(M,) row of the departure of each candidate."""
     arrival: Rows
@@ -129,6 +131,8 @@ def camera_lags(
         possible |= lag > 0
     possible &= departures.own[departure] != arrival
 
+    rate = np.maximum(arrivals.rate if by_zone else local_rates(arrivals.t, came, cameras), 1e-7)
+
     # In order of pair and lag.
     pair = source[departure] * cameras + target[arrival]
     key = keys(pair, lag, lag_min, lag_max)
@@ -139,7 +143,8 @@ def camera_lags(
         departures.t - departures.since,
         source,
         target,
-        np.maximum(arrivals.rate if by_zone else local_rates(arrivals.t, came, cameras), 1e-7),
+        rate,
+        activity_rates(arrivals.t, came, arrivals.camera, rate),
         departure[order],
         arrival[order],
         lag[order],

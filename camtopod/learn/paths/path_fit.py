@@ -99,6 +99,7 @@ class PathFit:
             for _ in range(SPARSE_ITERATIONS):
                 self._iterate()
         self.outside = np.maximum(self.outside, OUTSIDE_LEAST)
+        self.lags = self.lags._replace(rate=self.lags.active)
         step = self._expect()
         pair, _, place, width = self.paths
         came = self.lags.came(step.rows[step.row])

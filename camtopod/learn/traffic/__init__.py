@@ -24,6 +24,7 @@ from camtopod.learn.traffic.labelled_events import (
     ZoneRef as ZoneRef,
     label_events as label_events,
 )
+from camtopod.learn.traffic.rhythm import activity_rates as activity_rates
 from camtopod.learn.traffic.speed import (
     NO_PERSISTENCE as NO_PERSISTENCE,
     SURE_RESPONSIBILITY as SURE_RESPONSIBILITY,

@@ -6,6 +6,9 @@ the null model of a zone is a sum of three parts: the even rate, the even rate i
 strongest cycle, and the zone's own past arrivals, each of which raises the rate for a while (a
 self-exciting process). Their shares are fitted to the arrivals by expectation maximisation. A
 platoon then explains itself, but for its beginning.
+
+`activity_rates` adds what other cameras tell of the site's activity. It judges links only: in the
+fit, the activity would take what true ways explain.
 """
 
 from __future__ import annotations
@@ -15,6 +18,7 @@ from scipy.fft import next_fast_len, rfft
 from scipy.special import gammaincinv
 
 from camtopod.arrays import Floats, Ints, rows_by_group
+from camtopod.learn.traffic.background_rate import local_rates
 
 CYCLE_SECONDS = (40.0, 150.0)
 """Shortest and longest cycle, those of traffic signals."""
@@ -25,7 +29,11 @@ PAST_SECONDS = CYCLE_SECONDS[0]
 GAIN_NATS = 8.0
 """Least gain in log likelihood for which a zone has a rhythm, or a cycle among all frequencies."""
 ITERATIONS = 50
-"""Iterations of EM for the shares of the three parts."""
+"""Iterations of EM for the shares of the parts."""
+ACTIVITY_SECONDS = 20.0
+"""Time constant of the activity at other cameras around an arrival."""
+ACTIVITY_PRIOR_EVENTS = 0.1
+"""Weight of the usual activity, in events: few cameras tell little."""
 
 
 def rhythm_rates(t: Floats, zone: Ints, even: Floats, zones: int) -> Floats:
@@ -38,16 +46,56 @@ def rhythm_rates(t: Floats, zone: Ints, even: Floats, zones: int) -> Floats:
     Where a rhythm gains little, the rate is the even one.
     """
     parts = np.stack((even, even * _cycles(t, zone, zones), _own_past(t, zone, zones)))
+    rate = _mixed(parts, zone, zones)
+    gain = np.bincount(zone, np.log(rate / even), zones)
+    return np.where((gain > GAIN_NATS)[zone], rate, even)
+
+
+def activity_rates(t: Floats, zone: Ints, camera: Ints, rate: Floats) -> Floats:
+    """Return the rate (n, 1/s) at each arrival if arrivals also follow the activity of the site.
+
+    t (n,): times of arrivals in seconds, ascending.
+    zone, camera (n,): their zones and cameras.
+    rate (n, 1/s): rate at each arrival without the activity of other cameras (`rhythm_rates`).
+
+    When a lecture ends, many arrive at all cameras, though none comes from another camera. The
+    activity is the rate of arrivals at other cameras around an arrival, relative to the usual rate
+    there, and its share at each zone is the likeliest one.
+    """
+    zones = int(zone.max(initial=-1)) + 1
+    cameras = int(camera.max(initial=-1)) + 1
+    every = np.zeros(len(t), np.int32)
+    around = _around(t, every, 1) - _around(t, camera, cameras)
+    usual = local_rates(t, every, 1) - local_rates(t, camera, cameras)
+    prior = ACTIVITY_PRIOR_EVENTS / ACTIVITY_SECONDS
+    relative = (np.maximum(around, 0.0) + prior) / (np.maximum(usual, 0.0) + prior)
+    parts = np.stack((rate, rate * relative))
+    return np.maximum(rate, _mixed(parts, zone, zones))
+
+
+def _around(t: Floats, group: Ints, groups: int) -> Floats:
+    """Return the rate (n, 1/s) of other arrivals of the group of each around its time."""
+    rate = np.zeros(len(t))
+    since = (t - t.min(initial=np.inf)) / ACTIVITY_SECONDS
+    for rows in rows_by_group(group, groups):
+        at = since[rows]
+        before = np.logaddexp.accumulate(at)
+        after = np.logaddexp.accumulate(-at[::-1])[::-1]
+        rate[rows[1:]] += np.exp(before[:-1] - at[1:])
+        rate[rows[:-1]] += np.exp(after[1:] + at[:-1])
+    return rate / (2.0 * ACTIVITY_SECONDS)
+
+
+def _mixed(parts: Floats, zone: Ints, zones: int) -> Floats:
+    """Return the sum of parts of the rate (parts, n) with the likeliest shares at each zone."""
     number = np.maximum(np.bincount(zone, minlength=zones), 1.0)
     share = np.full((len(parts), zones), 1.0 / len(parts))
     for _ in range(ITERATIONS):
         made = share.take(zone, axis=1) * parts
         made /= made.sum(axis=0)
         share = np.stack([np.bincount(zone, part, zones) for part in made]) / number
-
     rate: Floats = (share[:, zone] * parts).sum(axis=0)
-    gain = np.bincount(zone, np.log(rate / even), zones)
-    return np.where((gain > GAIN_NATS)[zone], rate, even)
+    return rate
 
 
 def _cycles(t: Floats, zone: Ints, zones: int) -> Floats:

@@ -15,7 +15,7 @@ from camtopod.client import Gate
 from camtopod.learn import refit
 from camtopod.learn.learner import Learner
 from camtopod.learn.links import tabulate, with_second_opinion
-from camtopod.learn.links.link_table import Transitions
+from camtopod.learn.links.link_table import AGREEMENT_NATS, Transitions
 from camtopod.learn.paths import second_opinion
 from camtopod.learn.paths.camera_lags import camera_lags
 from camtopod.learn.traffic import Scene
@@ -208,4 +208,4 @@ def test_it_counts_where_the_zones_agree() -> None:
     nats[0, 2], nats[1, 2] = 7.0, 8.0
     both = with_second_opinion(table, nats.ravel(), camera, 4)
     assert both.ratio - table.ratio == pytest.approx([7.0, 0.0, 0.0])
-    assert table.ratio[0] > 1.0 > table.ratio[2]
+    assert table.ratio[0] > AGREEMENT_NATS > table.ratio[2]

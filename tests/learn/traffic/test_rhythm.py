@@ -9,7 +9,14 @@ from hypothesis import given, settings, strategies as st
 
 from camtopod.arrays import Floats
 from camtopod.learn.traffic import local_rates
-from camtopod.learn.traffic.rhythm import PAST_SECONDS, _own_past, rhythm_rates
+from camtopod.learn.traffic.rhythm import (
+    ACTIVITY_SECONDS,
+    PAST_SECONDS,
+    _around,
+    _own_past,
+    activity_rates,
+    rhythm_rates,
+)
 
 RNG = np.random.default_rng(5)
 
@@ -25,11 +32,14 @@ def rates(*zones: Floats) -> tuple[Floats, Floats, Floats]:
 
 @settings(max_examples=30)
 @given(st.integers(0, 10**6), st.integers(0, 40))
-def test_own_past_equals_its_slow_twin(seed: int, n: int) -> None:
+def test_past_and_surroundings_equal_their_slow_twins(seed: int, n: int) -> None:
     rng = np.random.default_rng(seed)
     t = np.sort(rng.uniform(0.0, 300.0, n).round())
     zone = rng.integers(0, 3, n).astype(np.int32)
-    assert _own_past(t, zone, int(zone.max(initial=0)) + 1) == pytest.approx(
+    zones = int(zone.max(initial=0)) + 1
+    around = naive.around(t, zone, ACTIVITY_SECONDS)
+    assert _around(t, zone, zones) == pytest.approx(around, abs=1e-12)
+    assert _own_past(t, zone, zones) == pytest.approx(
         naive.own_past(t, zone, PAST_SECONDS), abs=1e-12
     )
 
@@ -57,3 +67,19 @@ def test_a_platoon_explains_all_but_its_beginning() -> None:
     first = np.diff(platoon, prepend=-np.inf) > 100.0
     assert (rate[first] < even[first]).mean() > 0.9
     assert np.median(rate[~first] / even[~first]) > 3.0
+
+
+def test_a_batch_at_all_cameras_explains_itself_and_other_arrivals_do_not() -> None:
+    """Batches fill the first three cameras; the fourth has arrivals at any time."""
+    batches = np.cumsum(RNG.exponential(300.0, 30))
+    t = [(batches[:, None] + RNG.uniform(0.0, 60.0, (30, 8))).ravel() for _ in range(3)]
+    t.append(RNG.uniform(0.0, batches[-1], 240))
+    zone = np.repeat(np.arange(4), 240).astype(np.int32)
+    order = np.argsort(np.concatenate(t), kind="stable")
+    came, zone = np.concatenate(t)[order], zone[order]
+    even = local_rates(came, zone, 4)
+    ratio = activity_rates(came, zone, zone, even) / even
+    assert ratio.min() == 1.0
+    assert np.median(ratio[zone < 3]) > 2.0
+    assert np.median(ratio[zone == 3]) < 1.1
+    assert len(activity_rates(came[:0], zone[:0], zone[:0], even[:0])) == 0
