@@ -21,6 +21,7 @@ from camtopod.config.settings import (
     WebSettings,
 )
 from camtopod.config.toml_tables import Keys, Problem, TableReader, did_you_mean, key_lines, syntax
+from camtopod.learn.settings import TopologySettings
 from camtopod.records import NAME_PATTERN, RESERVED
 from camtopod.vision.detector.coco import LABELS
 from camtopod.vision.settings import DetectorSettings
@@ -114,6 +115,7 @@ def detector_line(text: str, camera: str, key: str) -> tuple[int, str]:
 def _mistakes(config: Config) -> Iterator[tuple[Keys, str]]:
     """Yield the errors of settings that are each valid but contradict each other."""
     yield from _mistakes_of_bus(config.bus)
+    yield from _mistakes_of_topology(config.topology)
     if config.web.token_file and not config.web.password_file:
         yield ("web", "token_file"), "password_file is missing: people cannot give a token"
 
@@ -142,6 +144,18 @@ def _mistakes(config: Config) -> Iterator[tuple[Keys, str]]:
             if isinstance(label, str) and label not in LABELS:
                 hint = did_you_mean(label, list(LABELS))
                 yield (*path, "labels"), f"COCO has no {label!r}{hint}"
+
+
+def _mistakes_of_topology(topology: TopologySettings) -> Iterator[tuple[Keys, str]]:
+    """Yield the errors of pairs of cameras: of one camera, or in both lists."""
+    for key in ("neighbours", "not_neighbours"):
+        for a, b in getattr(topology, key):
+            if a == b:
+                yield ("topology", key), f"{a} cannot be paired with itself"
+    joined = {frozenset(pair) for pair in topology.neighbours}
+    for a, b in topology.not_neighbours:
+        if {a, b} in joined:
+            yield ("topology", "not_neighbours"), f"{a} and {b} are among the neighbours, too"
 
 
 def _mistakes_of_bus(bus: BusSettings) -> Iterator[tuple[Keys, str]]:

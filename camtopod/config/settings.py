@@ -21,7 +21,7 @@ from msgspec.structs import replace
 from camtopod import redact
 from camtopod.config import secret_files
 from camtopod.config.toml_tables import Problem
-from camtopod.learn.settings import Settings
+from camtopod.learn.settings import LearnSettings, Settings, TopologySettings
 from camtopod.records import NAME_PATTERN
 from camtopod.vision.settings import DetectorSettings, VisionSettings
 
@@ -245,7 +245,8 @@ class Config(Struct, frozen=True, forbid_unknown_fields=True):
     bus: BusSettings = BusSettings()
     state: StateSettings = StateSettings()
     cameras: dict[Name, CameraSettings] = {}
-    learn: Settings = Settings()
+    learn: LearnSettings = LearnSettings()
+    topology: TopologySettings = TopologySettings()
     vision: VisionSettings = VisionSettings()
     detector: DetectorSettings = DetectorSettings()
     keep: KeepSettings = KeepSettings()
@@ -253,6 +254,12 @@ class Config(Struct, frozen=True, forbid_unknown_fields=True):
     health: HealthSettings = HealthSettings()
     web: WebSettings = WebSettings()
     map: MapSettings = MapSettings()
+
+    @property
+    def learner(self) -> Settings:
+        """The settings of the learner: those of [learn], and what is known of the site."""
+        settings = {key: getattr(self.learn, key) for key in LearnSettings.__struct_fields__}
+        return Settings(**settings, topology=self.topology)
 
     @property
     def state_directory(self) -> Path:

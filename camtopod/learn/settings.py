@@ -1,4 +1,6 @@
-"""Settings of the learner, with their units: the ``[learn]`` table of the configuration."""
+"""Settings of the learner, with their units: the tables ``[learn]`` and ``[topology]`` of the
+configuration.
+"""
 
 from __future__ import annotations
 
@@ -6,9 +8,35 @@ from typing import Annotated
 
 from msgspec import Meta, Struct
 
+from camtopod.records import CameraId
 
-class Settings(Struct, frozen=True, forbid_unknown_fields=True):
-    """Settings of the learner (the ``[learn]`` table of the configuration)."""
+PAIRS_MAX = 100_000
+"""Most pairs of a list: more than a user writes."""
+
+Pairs = Annotated[
+    tuple[tuple[CameraId, CameraId], ...],
+    Meta(max_length=PAIRS_MAX, description='pairs of cameras, like [["lobby", "hall"]]'),
+]
+"""Pairs of cameras, the two of each in either order."""
+
+
+class TopologySettings(Struct, frozen=True, forbid_unknown_fields=True):
+    """What is known of the site beforehand (the ``[topology]`` table of the configuration)."""
+
+    neighbours: Pairs = ()
+    """Pairs of cameras between which objects go without passing another camera, such as [["lobby",
+    "hall"], ["hall", "stairs"]]. They need less evidence for a link, and predictions prefer them.
+    """
+    not_neighbours: Pairs = ()
+    """Pairs of cameras between which nobody goes without passing another camera. They need more
+    evidence; a link that is found nevertheless is marked as contradicted.
+    """
+    nobody_leaves: bool = False
+    """Whether the site is closed: all objects appear again in some camera."""
+
+
+class LearnSettings(Struct, frozen=True, forbid_unknown_fields=True):
+    """The ``[learn]`` table of the configuration."""
 
     lateness_seconds: Annotated[float, Meta(ge=0)] = 5.0
     """Seconds of event time by which events may arrive out of order. Later events are counted but
@@ -71,3 +99,13 @@ class Settings(Struct, frozen=True, forbid_unknown_fields=True):
     """Cameras that are learned from. Events of further cameras are refused, unless a camera that
     has been silent for an hour can give up its place.
     """
+
+
+class Settings(LearnSettings, frozen=True, forbid_unknown_fields=True):
+    """All settings of the learner: those of ``[learn]``, and what is known of the site.
+
+    >>> known = TopologySettings(neighbours=(("lobby", "hall"),))
+    >>> settings = Settings(topology=known)
+    """
+
+    topology: TopologySettings = TopologySettings()

@@ -119,6 +119,22 @@ def test_every_mistake_at_once_with_its_line() -> None:
             [(3, "cameras.a.source: give source or source_file, not both")],
         ),
         ("[cameras.daemon]\n", [(1, "cameras.daemon: this name is taken on the bus")]),
+        (
+            '[topology]\nneighbours = [["a", "b"], ["c", "c"]]\nnot_neighbours = [["b", "a"]]\n',
+            [
+                (2, "topology.neighbours: c cannot be paired with itself"),
+                (3, "topology.not_neighbours: b and a are among the neighbours, too"),
+            ],
+        ),
+        (
+            '[topology]\nneighbours = [["a", ""]]\nnot_neighbours = ["a", "b"]\nnobody_leaves = 1\n',
+            [
+                (2, 'topology.neighbours: expected pairs of cameras, like [["lobby", "hall"]]'),
+                (3, 'topology.not_neighbours: expected pairs of cameras, like [["lobby", "hall"]]'),
+                (4, "topology.nobody_leaves: expected true or false, got a whole number"),
+            ],
+        ),
+        ("[learn]\ntopology = 1\n", [(2, "learn.topology: no such key")]),
         ("[learn]\nx = '''\n[a]\n'''\n'b' . c = 1", [(2, "learn.x: no such"), (5, "learn.b: no")]),
     ],
 )

@@ -30,7 +30,7 @@ from camtopod.cli.common import open_output, say, writing
 from camtopod.cli.terminal import Progress
 from camtopod.codec import to_json
 from camtopod.config import BusSettings, Config, Limits, SiteSettings, StateSettings
-from camtopod.learn.settings import Settings
+from camtopod.learn.settings import LearnSettings
 from camtopod.records import Topology
 from camtopod.serve.daemon import Daemon
 from camtopod.serve.runtime import clock as clocks
@@ -160,7 +160,7 @@ def _watch(videos: dict[str, Path], seconds: float, work: Path) -> Topology:
         site=SiteSettings(SITE),
         bus=BusSettings(listen=("tcp/127.0.0.1:0",)),
         state=StateSettings(str(work / "state")),
-        learn=Settings(lateness_seconds=seconds, refit_share=0.03),
+        learn=LearnSettings(lateness_seconds=seconds, refit_share=0.03),
         limits=Limits(settle_seconds=AFTERWARDS_SECONDS),
     )
 

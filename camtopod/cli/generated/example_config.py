@@ -35,7 +35,7 @@ def example() -> str:
     parts = [_HEAD, table("site", TABLES["site"], {"name": "hq"})]
     parts += [table(name, TABLES[name]) for name in ("bus", "bus.tls", "state", "keep")]
     parts += [_CAMERAS, table("cameras.hall", CameraSettings, _HALL)]
-    rest = ("vision", "detector", "learn", "limits", "health", "web", "map")
+    rest = ("vision", "detector", "learn", "topology", "limits", "health", "web", "map")
     parts += [table(name, TABLES[name]) for name in rest]
     return "\n".join(part.rstrip("\n") + "\n" for part in parts)
 
