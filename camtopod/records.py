@@ -185,6 +185,7 @@ class Link(Struct, frozen=True, omit_defaults=True, rename={"from_": "from"}):
     histogram: transit times on the lag bins of the topology's model.
     lacks: evidence that a weak link still needs; None if waiting does not help.
     provisional: why the link is not to be relied on, in words; "" if it is.
+    contradicted: the user has declared that its cameras are not neighbours.
     """
 
     from_: str
@@ -198,6 +199,7 @@ class Link(Struct, frozen=True, omit_defaults=True, rename={"from_": "from"}):
     histogram: Histogram | None = None
     lacks: Lacks | None = None
     provisional: str = ""
+    contradicted: bool = False
 
 
 class Pair(Struct, frozen=True, omit_defaults=True):
@@ -361,6 +363,20 @@ class CameraPath(Struct, frozen=True, rename={"from_": "from"}):
     width: Duration
 
 
+class Declared(Struct, frozen=True, omit_defaults=True):
+    """What the user has declared of the site, by the present names of its cameras.
+
+    neighbours: pairs of cameras between which objects go without passing another one; each pair is
+        sorted.
+    not_neighbours: pairs between which nobody does.
+    nobody_leaves: all objects appear again in some camera.
+    """
+
+    neighbours: list[tuple[CameraId, CameraId]] = []
+    not_neighbours: list[tuple[CameraId, CameraId]] = []
+    nobody_leaves: bool = False
+
+
 class Model(Struct, frozen=True):
     """Parameters that `camtopod.predict` needs beyond the links.
 
@@ -372,6 +388,7 @@ class Model(Struct, frozen=True):
     overlaps: views that overlap; None if they were not searched for.
     paths: a second opinion, which has half of the weight; None if the posterior needs none. What
         the paths of a camera leave of 1 is the share that leaves the site.
+    declared: what the user has declared; None for nothing.
     """
 
     lag_scale: Annotated[float, Meta(ge=1e-3, le=1e6)]
@@ -387,6 +404,7 @@ class Model(Struct, frozen=True):
     pace: Pace | None = None
     overlaps: list[Overlap] | None = None
     paths: list[CameraPath] | None = None
+    declared: Declared | None = None
 
 
 class ChainEdge(Struct, frozen=True, rename={"from_": "from"}):
@@ -826,6 +844,7 @@ class DaemonStatus(Status, frozen=True):
     rejects, reject_samples: rejected input by reason.
     dropped: publications dropped for lack of room, by camera.
     catching_up: None if the learner is up to date.
+    warnings: what somebody should look at, though it works: a sentence each.
     """
 
     site: str = ""
@@ -850,3 +869,4 @@ class DaemonStatus(Status, frozen=True):
     names: NamesStatus = NamesStatus()
     journal: JournalStatus = JournalStatus()
     cameras: dict[str, CameraFigures] = {}
+    warnings: list[str] = []

@@ -17,6 +17,7 @@ from camtopod.learn.window import Window
 from camtopod.records import (
     TOPOLOGY_SCHEMA,
     Camera,
+    Declared,
     Lacks,
     Link,
     Model,
@@ -152,6 +153,16 @@ def with_provisional(links: list[Link], repeats: dict[str, tuple[float, str]]) -
     return result
 
 
+def with_contradictions(links: list[Link], declared: Declared | None) -> list[Link]:
+    """Return links of which those between cameras declared not to be neighbours are marked."""
+    apart = set(declared.not_neighbours if declared else [])
+    result = []
+    for link in links:
+        source, target = sorted((camera_of(link.from_), camera_of(link.to)))
+        result.append(replace(link, contradicted=True) if (source, target) in apart else link)
+    return result
+
+
 def empty_topology(settings: Settings, bins: LagBins) -> Topology:
     """Return the topology of a site without cameras; the learner adds the remaining fields."""
     corrected = settings.correct_clocks
@@ -182,7 +193,7 @@ def assemble(
         of_camera[zone.camera].append(zone.id)
 
     # Clock offsets, and those by which transit times are converted (none in corrected time).
-    links = sorted(links, key=link_key)
+    links = sorted(with_contradictions(links, model.declared), key=link_key)
     ahead = {
         name: round_significant(float(clocks.offset[k])) for k, name in enumerate(window.cameras)
     }

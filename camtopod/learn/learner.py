@@ -32,6 +32,7 @@ from camtopod.learn.assemble import (
 )
 from camtopod.learn.camera_zones import find_moved_cameras, refresh_camera_zones
 from camtopod.learn.changes import BEFORE_MIN, AlarmLog, News
+from camtopod.learn.declarations import declared_by
 from camtopod.learn.doubled_cameras import doubled_news, find_doubled_cameras
 from camtopod.learn.limits import ZONES_PER_CAMERA_MAX
 from camtopod.learn.links import zone_pairs_of
@@ -356,9 +357,9 @@ class Learner:
             scene = label_events(self._window, maps, clocks.offset)
 
         # Fit, and score earlier predictions by the fit.
-        known = Known(
-            self.state.followed, self.state.learned, self.only_last, self.state.scorer.waiting
-        )
+        state = self.state
+        declared = declared_by(self.settings.topology, state.names or {}, self._window.cameras)
+        known = Known(state.followed, state.learned, self.only_last, state.scorer.waiting, declared)
         found = refit(scene, self._window, clocks, known, self.settings, self.on_step)
         self.state.followed = found.followed
         self._scorer.mark(found.happened)

@@ -27,6 +27,7 @@ from collections.abc import Callable, Mapping, Sequence
 from typing import NamedTuple
 
 import numpy as np
+from msgspec.structs import replace
 
 from camtopod.arrays import Floats
 from camtopod.event_time import MICROSECONDS
@@ -46,6 +47,7 @@ from camtopod.learn.changes import (
     silent_odds,
 )
 from camtopod.learn.clocks import Clocks
+from camtopod.learn.declarations import zone_weights
 from camtopod.learn.links import (
     WEAK_TRANSITIONS_MIN,
     LinkShortfall,
@@ -82,8 +84,8 @@ from camtopod.learn.prediction_model import build_model
 from camtopod.learn.settings import Settings
 from camtopod.learn.traffic import Scene
 from camtopod.learn.window import Window
-from camtopod.records import CameraPath, Model
-from camtopod.topology import LagBins, offset_bins
+from camtopod.records import CameraPath, Declared, Model
+from camtopod.topology import LagBins, declared_odds, offset_bins
 
 STEPS = ("candidates", "joint fit", "evidence", "changes", "prediction", "topology")
 """Names of steps 3 to 8, in order; `refit` reports each as it begins. Steps 1 and 2 have no names:
@@ -99,12 +101,14 @@ class Known(NamedTuple):
     learned: number of events learned so far.
     everywhere: True to screen all zones of arrival now, because there is no later refit.
     exits: predictions of exits whose outcome is to be estimated, oldest first.
+    declared: what the user has declared of the cameras.
     """
 
     followed: Mapping[int, FollowedSources]
     learned: int
     everywhere: bool
     exits: Sequence[ScoredPrediction]
+    declared: Declared = Declared()
 
 
 class Refit(NamedTuple):
@@ -148,6 +152,7 @@ class Associated(NamedTuple):
     problem: departures and arrivals, with the ranges of their lags.
     posterior: where objects appear next, all weak evidence included.
     followed: `Known.followed` for the next refit.
+    weights (zones, zones): weight of each pair of zones by what was declared; None for 1.
     """
 
     between: LinkTable
@@ -155,6 +160,7 @@ class Associated(NamedTuple):
     problem: Problem
     posterior: Posterior
     followed: dict[int, FollowedSources]
+    weights: Floats | None
 
 
 def lag_bins(settings: Settings) -> LagBins:
@@ -203,7 +209,9 @@ def refit(
         on_step("prediction")
         paths = None
         if is_wanted(scene, len(window.cameras)):
-            paths, evidence = second_opinion(scene, window.cameras, bins.lag_min)
+            paths, evidence = second_opinion(
+                scene, window.cameras, bins.lag_min, associated.problem.odds
+            )
             if evidence is not None:
                 view = np.array([zone.camera for zone in scene.zones])
                 both = with_second_opinion(associated.between, evidence, view, zones)
@@ -240,7 +248,7 @@ def refit(
         changes=changes,
         silences=silences,
         repeats=repeats,
-        model=model,
+        model=replace(model, declared=known.declared if known.declared != Declared() else None),
         followed=followed,
         happened=happened,
     )
@@ -262,10 +270,12 @@ def associate(
     """
     bins = lag_bins(settings)
     problem = Problem(scene.departures, scene.arrivals, bins, len(scene.zones), scene.last)
+    problem = problem._replace(odds=declared_odds(known.declared, window.cameras))
 
     # 3. Candidates: departures and arrivals within the range of the lags, delayed on long paths.
     on_step("candidates")
     view = np.array([zone.camera for zone in scene.zones], np.int32)
+    weights = zone_weights(known.declared, window.cameras, view)
     problem = problem._replace(ranges=long_ranges(problem, view, settings.candidates_max))
     places = [place(zone.camera, zone.number) for zone in scene.zones]
     screen = CandidateScreen(known.followed)
@@ -294,7 +304,7 @@ def associate(
         problem.bins,
         problem.zones,
         ranges=problem.ranges,
-    )
+    ).with_weights(weights)
     tests = problem.zones**2
     posterior = with_doubt(posterior, problem, between.with_evidence(evidence, tests))
     # The geometric mean of two e-values is one: of that of the whole fit, each candidate left out
@@ -304,7 +314,7 @@ def associate(
     # 6. Links that have opened or closed; departures during a camera's silence do not count.
     on_step("changes")
     changes = find_changes(problem, fit, [silence.intervals for silence in silences])
-    return Associated(between, changes, problem, posterior, screen.followed)
+    return Associated(between, changes, problem, posterior, screen.followed, weights)
 
 
 def to_publish(
@@ -348,6 +358,7 @@ def predict_next(
     transitions = transitions_of(posterior.fit, WEAK_TRANSITIONS_MIN)
     exposed = exposed_departures(problem)
     likely_pairs = tabulate(transitions, exposed, bins, problem.zones, ranges=problem.ranges)
+    likely_pairs = likely_pairs.with_weights(associated.weights)
     # Counts take most of the memory.
     likely_pairs = likely_pairs._replace(counts=np.zeros((len(likely_pairs.source), 0)))
     likely_pairs = likely_pairs.with_evidence(likely_pairs.ratio, len(posterior.share))

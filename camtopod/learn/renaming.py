@@ -74,4 +74,8 @@ def rename(state: LearnerState, old: str, new: str) -> LearnerState:
         publishers=keys(state.publishers),
         doubled=[name(camera) for camera in state.doubled],
         retired=keys(state.retired),
+        names={
+            **{before: name(now) for before, now in (state.names or {}).items() if before != new},
+            old: new,
+        },
     )

@@ -94,6 +94,10 @@ class LearnerState(Struct):
     """Cameras found to have two publishers since the last version."""
     retired: dict[str, RetiredCamera] = {}
     """Retired cameras, the one retired last at the end."""
+    names: dict[str, str] | None = None
+    """Old names of renamed cameras -> present ones, and forgotten names -> "", by which
+    declarations are read; None: an older program, which had none.
+    """
 
 
 class _Snapshot(Struct):

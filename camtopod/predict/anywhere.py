@@ -13,7 +13,8 @@ is twofold:
   paths only, so what it does not find tells nothing.
 
 Those that may appear again are shared among the other cameras by the arrivals there that no
-departure explains, at any lag (`Anywhere`).
+departure explains, at any lag (`Anywhere`), and by what was declared of neighbours. On a site that
+nobody leaves, all who are not found are shared out, most to cameras to which published links lead.
 """
 
 from __future__ import annotations
@@ -27,6 +28,7 @@ from camtopod.predict.hazards import model_of
 from camtopod.predict.odds import Site
 from camtopod.predict.time_windows import WINDOW
 from camtopod.records import NextCamera, Topology
+from camtopod.topology import LEAVE_FLOOR, NEIGHBOURS_ODDS, declared_odds
 
 LEAVING_CAMERAS = 4.0
 """Number of cameras of a site at which half of all departures leave it."""
@@ -42,14 +44,19 @@ class Anywhere:
     """What may appear anywhere, by a topology version.
 
     unknown (zones,): share of the objects said to leave from each zone that may appear again.
+    nobody_leaves: True if all of them do.
     """
 
     def __init__(self, topology: Topology, site: Site) -> None:
         self._site = site
         entering = {row.zone: row.arrival_rate for row in model_of(topology).zones}
-        rate = np.array([entering.get(zone.id, 0.0) for zone in site.zones])
+        self._rate = rate = np.array([entering.get(zone.id, 0.0) for zone in site.zones])
         self._entering = np.bincount(site.camera_of, rate, minlength=len(site.cameras))
         """(cameras, 1/s) rate of arrivals that no departure explains."""
+        declared = model_of(topology).declared
+        self.nobody_leaves = declared is not None and declared.nobody_leaves
+        self._declared = declared_odds(declared, site.cameras)
+        self._linked = _linked_cameras(topology, site)
         by_rate = np.argsort(rate, kind="stable")
         self._busiest = np.zeros(len(site.cameras), np.intp)
         """(cameras,) index of the zone of each camera with the most such arrivals."""
@@ -68,6 +75,37 @@ class Anywhere:
         )
         leave, by_paths = (1.0 - weight) * leave, weight * by_paths
         self.unknown = (leave * first * missed + by_paths * second) / (leave + by_paths)
+        if self.nobody_leaves:
+            self.unknown[:] = 1.0 - LEAVE_FLOOR
+
+    def shares(self, zone: int) -> Floats | None:
+        """Return the shares (zones,) of the objects not found that appear next at each zone.
+
+        zone: index of the zone that they have left.
+
+        None unless nobody leaves.
+        """
+        if not self.nobody_leaves:
+            return None
+        likely = self._rate * self._odds_from(int(self._site.camera_of[zone]))[self._site.camera_of]
+        shares: Floats = self.unknown[zone] * likely / max(float(likely.sum()), 1e-300)
+        return shares
+
+    def _odds_from(self, camera: int) -> Floats:
+        """Return the odds (cameras,) of what has left the view of a camera, by number of camera.
+
+        They are those of declared pairs. On a site that nobody leaves, published links count as
+        neighbours, and objects return unseen to the view that they have left; where objects leave,
+        those that take a link have been found.
+        """
+        odds = np.ones(len(self._entering)) if self._declared is None else self._declared[camera]
+        odds = odds.copy()
+        if self.nobody_leaves:
+            linked = self._linked.get(camera, [])
+            odds[linked] = np.maximum(odds[linked], NEIGHBOURS_ODDS)
+        else:
+            odds[camera] = 0.0
+        return odds
 
     def shared_out(
         self, zone: int, leave: float, next_: list[NextCamera], t: float, now: float | None
@@ -81,22 +119,24 @@ class Anywhere:
         now: moment of the question; None for the moment of the exit.
         """
         site = self._site
-        entering = self._entering.copy()
-        entering[site.camera_of[zone]] = 0.0
+        entering = self._entering * self._odds_from(int(site.camera_of[zone]))
         if not self.unknown[zone] or not entering.any():
             return leave, next_
 
-        # The part that may appear later than now, shared out.
-        lag_max = site.hazards.bins.lag_max
-        elapsed = min(max((now or t) - t, 0.0), lag_max)
-        odds = self.unknown[zone] * (1.0 - elapsed / lag_max)
+        # The part that may appear later than now, shared out. Where nobody leaves, all of it does.
+        latest = site.hazards.bins.lag_max
+        elapsed = max((now or t) - t, 0.0)
+        if self.nobody_leaves:
+            latest += elapsed
+        elapsed = min(elapsed, latest)
+        odds = self.unknown[zone] * (1.0 if self.nobody_leaves else 1.0 - elapsed / latest)
         share = leave * odds * entering / entering.sum()
         share[share < NEXT_PROBABILITY_MIN] = 0.0
 
         # One more row for each camera, the likeliest first.
         cameras = np.flatnonzero(share)
         busiest = self._busiest[cameras]
-        lags = np.tile(elapsed + np.array(WINDOW) * (lag_max - elapsed), (len(busiest), 1))
+        lags = np.tile(elapsed + np.array(WINDOW) * (latest - elapsed), (len(busiest), 1))
         if not site.is_corrected:
             lags += (site.offset_of[busiest] - site.offset_of[zone])[:, None]
         rows = [
@@ -110,6 +150,16 @@ class Anywhere:
         ]
         likeliest = sorted([*next_, *rows], key=lambda row: -row.probability)
         return leave - float(share.sum()), likeliest
+
+
+def _linked_cameras(topology: Topology, site: Site) -> dict[int, list[int]]:
+    """Return the cameras to which published links lead from each, by number of camera."""
+    camera = dict(zip((zone.id for zone in site.zones), site.camera_of.tolist(), strict=True))
+    linked: dict[int, list[int]] = {}
+    for link in topology.links:
+        if link.relation != "visible" and {link.from_, link.to} <= camera.keys():
+            linked.setdefault(camera[link.from_], []).append(camera[link.to])
+    return linked
 
 
 def surplus(departures: Floats, leave: Floats, cameras: int) -> float:

@@ -35,6 +35,7 @@ class Onward(NamedTuple):
     scale (rows,): factor on `Hazards.rates` that makes densities of them, by the context.
     gone: probability of not being seen again.
     early (rows,): factor of the rates before the exit that follow from the entry.
+    lost (zones,): probability of appearing at each zone after no particular lag; None for 0.
     """
 
     table: ExitTable | None
@@ -43,6 +44,7 @@ class Onward(NamedTuple):
     gone: float
     early: Floats
     began: Began | None
+    lost: Floats | None = None
 
 
 class Transitions:
@@ -64,7 +66,8 @@ class Transitions:
         table = self._predictor.site.table(zone)
         if table is None:
             none = np.zeros(0)
-            return Onward(None, np.zeros((0, 0)), none, 1.0, none, None)
+            lost, gone = self._lost(zone, 1.0)
+            return Onward(None, np.zeros((0, 0)), none, gone, none, None, lost)
 
         # Exposure, and arrivals before the exit; a known entry says more about both.
         outcomes = table.outcomes
@@ -88,29 +91,49 @@ class Transitions:
         every = odds.sum(axis=1) + early * likelier
         leave += float(outcomes.doubt @ every)
         chance, gone = outcomes.probabilities(sure * every, leave)
+        lost, gone = self._lost(zone, gone)
         scale = chance / np.maximum(every, 1e-300)
         chance_by_lag = odds * scale[:, None]
         weight = np.maximum(outcomes.weight, 1e-300)
         return Onward(
-            table, chance_by_lag, likelier * scale / weight, gone, likelier * scale, began
+            table, chance_by_lag, likelier * scale / weight, gone, likelier * scale, began, lost
         )
+
+    def lost_rates(self, onward: Onward) -> Floats | None:
+        """Return the rates (zones, 1/s) of appearing after no particular lag; None for 0.
+
+        They hold up to the longest lag.
+        """
+        return None if onward.lost is None else onward.lost / self._hazards.bins.lag_max
+
+    def _lost(self, zone: int, gone: float) -> tuple[Floats | None, float]:
+        """Return `Onward.lost`, and what it leaves of ``gone``, after an exit at a zone."""
+        shares = self._predictor.anywhere.shares(zone)
+        if shares is None:
+            return None, gone
+        return gone * shares, gone * (1.0 - float(shares.sum()))
 
     def gone(self, onward: Onward, seconds: float) -> float:
         """Return the probability of not having been seen ``seconds`` after the exit."""
-        if onward.table is None:
-            return onward.gone
         bins = self._hazards.bins
+        gone = onward.gone
+        if onward.lost is not None:
+            gone += float(onward.lost.sum()) * min(max(1.0 - seconds / bins.lag_max, 0.0), 1.0)
+        if onward.table is None:
+            return gone
         still = bins.edges[1:] + onward.table.outcomes.delay[:, None] - seconds
-        return onward.gone + float((onward.chance * np.clip(still / bins.widths, 0.0, 1.0)).sum())
+        return gone + float((onward.chance * np.clip(still / bins.widths, 0.0, 1.0)).sum())
 
     def unseen(self, onward: Onward) -> list[float]:
         """Return the probability of not having been seen again by each edge of the lag bins."""
         bins = self._hazards.bins
         seen = np.zeros(bins.size + 1)
+        if onward.lost is not None:
+            seen += float(onward.lost.sum()) * np.clip(bins.edges / bins.lag_max, 0.0, 1.0)
         if onward.table is not None:
             delay = onward.table.outcomes.delay
             by_bin = onward.chance[delay == 0.0].sum(axis=0)
-            seen[1:] = by_bin.cumsum()
+            seen[1:] += by_bin.cumsum()
             for row in np.flatnonzero(delay):
                 reached = np.concatenate(([0.0], onward.chance[row].cumsum()))
                 seen += np.interp(bins.edges - delay[row], bins.edges, reached)
@@ -139,6 +162,8 @@ class Transitions:
                     onward.began.stay + lag[before],
                 )
                 density[before] += onward.early[row] * entered
+        if (rates := self.lost_rates(onward)) is not None:
+            density += rates[zones] * ((lag > 0) & (lag <= self._hazards.bins.lag_max))
         with np.errstate(divide="ignore"):
             return np.log(density)
 
@@ -171,9 +196,9 @@ class Transitions:
         surely = np.zeros(len(rate))
         for zone, outcomes in self._hazards.outcomes.items():
             departures = self._hazards.departures[zone]
-            chance = self.after(zone).chance.sum(axis=1)
+            onward = self.after(zone)
             np.add.at(explained, outcomes.targets, departures * outcomes.weight * outcomes.share)
-            np.add.at(surely, outcomes.targets, departures * chance)
+            np.add.at(surely, outcomes.targets, departures * onward.chance.sum(axis=1))
 
         # Duration of the window learned from, by zones with enough entries from outside.
         some = entries - explained > OUTSIDE_SHARE_MIN * entries

@@ -61,10 +61,12 @@ class Expected(NamedTuple):
 
     scale (rows,): factor on the hazards of the zone of exit, by the context.
     unseen (bins + 1): probability of not having been seen again by each edge of the lag bins.
+    lost (zones, 1/s): rates of appearing after no particular lag; None for 0.
     """
 
     scale: list[float]
     unseen: list[float]
+    lost: list[float] | None
 
 
 class Claims:

@@ -57,6 +57,7 @@ class Walks:
         self._predictor = predictor
         self._hazards: Hazards = predictor.site.hazards
         self._transitions = Transitions(predictor)
+        self._nobody_leaves = predictor.anywhere.nobody_leaves
         self._dwell = self._dwell_densities(topology)
         self.forget()
 
@@ -209,7 +210,12 @@ class Walks:
             if step.entry is not None and step.left > step.began:
                 began = Began(step.entry, step.left - step.began)
             onward = self._transitions.after(step.zone, step.block, began)
-            step.expected = Expected(onward.scale.tolist(), self._transitions.unseen(onward))
+            lost = self._transitions.lost_rates(onward)
+            step.expected = Expected(
+                onward.scale.tolist(),
+                self._transitions.unseen(onward),
+                None if lost is None else lost.tolist(),
+            )
         return step.expected
 
     def _through(self, in_view: dict[str, Step], zone: int | None, t: float) -> str:
@@ -266,7 +272,7 @@ class Walks:
         longest = self._hazards.lag_max
         left = [
             one
-            for source in self._hazards.sources(zone)
+            for source in (self._left if self._nobody_leaves else self._hazards.sources(zone))
             for one in self._left.get(source, ())
             if 0.0 <= t - one.left <= longest
         ]
@@ -279,6 +285,10 @@ class Walks:
         ):
             if rate:
                 weights[which] += rate * self._expected(left[which]).scale[row]
+        if self._nobody_leaves:
+            for k in np.flatnonzero((lag > 0.0) & (lag <= self._hazards.bins.lag_max)).tolist():
+                lost = self._expected(left[k]).lost
+                weights[k] += 0.0 if lost is None else lost[zone]
         least = PROBABILITY_MIN * step.outside * LEAVE_FLOOR  # else unlikely without rivals, too
         edges = [
             Edge(one, step, "", weight)

@@ -3,9 +3,9 @@
 The records of a topology are in `camtopod.records`. Reading order: `lag_bins` (bins for transit
 times), `histograms` (transit-time histograms as a version stores them), `grid` (image positions as
 integers, and blocks of the image), `student_t` (lags of a path) and `shared_constants`.
-`camera_pairs` (overlapped views or unseen paths) and `markov_chain` (the chain over cameras) are
-computed from links. `site_names` has cameras' names within ids. `versions` has digests of versions
-and the deltas between them.
+`declared_pairs` has what a user has declared. `camera_pairs` (overlapped views or unseen paths) and
+`markov_chain` (the chain over cameras) are computed from links. `site_names` has cameras' names
+within ids. `versions` has digests of versions and the deltas between them.
 `first_links` says what a site without links waits for.
 """
 
@@ -13,6 +13,11 @@ from camtopod.topology.camera_pairs import (
     RELATIONS as RELATIONS,
     find_camera_pairs as find_camera_pairs,
     relation_of as relation_of,
+)
+from camtopod.topology.declared_pairs import (
+    NEIGHBOURS_ODDS as NEIGHBOURS_ODDS,
+    declared_odds as declared_odds,
+    favours as favours,
 )
 from camtopod.topology.first_links import (
     evidence_for_links as evidence_for_links,

@@ -198,6 +198,12 @@ def why(link: Link, weak: bool, source: ZoneModel | None, background: float | No
         f"{mahalanobis.LINKED_VARIANCE_MAX:g})."
     )
 
+    if link.contradicted:
+        said.append(
+            "It contradicts not_neighbours in [topology] of the configuration, by which nobody "
+            "goes between these cameras without passing another one."
+        )
+
     # Unmet rules of a weak link.
     if weak:
         lacks = f" It lacks {lacks_in_words(link.lacks)}." if link.lacks else ""

@@ -65,6 +65,9 @@ def test_the_words_follow_the_figures() -> None:
     assert "It lacks about 12 more passages, about half an hour at this traffic." in " ".join(
         why(lacking, True, None, None)
     )
+    assert "not_neighbours" not in said
+    contradicted = msgspec.structs.replace(LINK, contradicted=True)
+    assert "It contradicts not_neighbours" in why(contradicted, False, None, None)[-1]
 
 
 # --- a camera, a pair

@@ -73,7 +73,7 @@ def run(args: argparse.Namespace) -> None:
     with ExitStack() as stack:
         written = stack.enter_context(open_output(out)) if out else None
         learner = Learner(
-            config.learn, site=config.site.name, epoch=EPOCH, only_last=args.updates is None
+            config.learner, site=config.site.name, epoch=EPOCH, only_last=args.updates is None
         )
         updates = stack.enter_context(open_output(args.updates)) if args.updates else None
         _feed(learner, reader, args.events, updates)
@@ -138,6 +138,7 @@ def link_table(topology: Topology) -> list[str]:
         evidence = (
             f"lacks {lacks_in_words(link.lacks)}" if link.lacks else f"q = {link.q_value:.1g}"
         )
+        evidence += ", contradicts not_neighbours" * link.contradicted
         rows.append([link.from_, link.to, link.relation, *figures, evidence])
 
     widths = [max(map(len, column)) for column in zip(*rows, strict=True)]

@@ -30,7 +30,7 @@ from camtopod.learn.traffic import (
     NullRates,
     estimate_persistence,
 )
-from camtopod.topology import LEAVE_FLOOR, smooth
+from camtopod.topology import LEAVE_FLOOR, favours, smooth
 
 OUTSIDE_FLOOR = 0.01
 """Lower bound on the share of the local rate of arrivals that comes from outside."""
@@ -127,6 +127,9 @@ class Em:
         self._departure = candidates.departure.astype(np.intp)
         self.range_of = self.problem.range_of(candidates.source, candidates.target)
         """(P,) range of the lags of each pair of zones."""
+        odds = self.problem.odds_of(candidates.source, candidates.target)
+        self._favour = None if odds is None else favours(odds).take(candidates.pair)
+        """(M,) factor on each candidate's rate by what was declared of its cameras; None for 1."""
 
     @property
     def pairs(self) -> int:
@@ -327,6 +330,8 @@ class Em:
 
         if self.model.multiplier is not None:
             weight *= self.model.multiplier
+        if self._favour is not None:
+            weight *= self._favour
         return weight
 
     def _leaving(self, hazard: Singles) -> Floats:

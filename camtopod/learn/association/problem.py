@@ -40,6 +40,10 @@ class Problem(NamedTuple):
     """End of the window, seconds: later arrivals could not be seen."""
     ranges: LagRanges | None = None
     """Ranges of lags; None without long paths, where range z is that of zone z."""
+    odds: Floats | None = None
+    """(cameras, cameras) odds of a path by what was declared (`camtopod.topology.declared_odds`);
+    None for 1.
+    """
 
     def cameras(self) -> Ints:
         """Return the camera of each zone, (zones,); 0 for a zone without any event."""
@@ -57,6 +61,14 @@ class Problem(NamedTuple):
         if self.ranges is None:
             return np.zeros(len(source))
         return self.ranges.delay[self.ranges.of[source, target]]
+
+    def odds_of(self, source: Ints, target: Ints) -> Floats | None:
+        """Return the odds (n,) of paths from zones ``source`` to zones ``target``; None for 1."""
+        if self.odds is None:
+            return None
+        camera = self.cameras()
+        odds: Floats = self.odds[camera[source], camera[target]]
+        return odds
 
     @property
     def range_count(self) -> int:

@@ -88,7 +88,7 @@ def find_changes(problem: Problem, fit: Fit, silences: list[list[Silence]]) -> l
     silences: intervals in which each camera reported nothing. Departures in an interval do not
         count for pairs that lead to the camera, as their arrivals could not be recorded.
     """
-    departures, arrivals, bins, _, until, _ = problem
+    departures, arrivals, bins, _, until, *_ = problem
 
     # Pairs to test, and the departures of each zone.
     delays = problem.delays(fit.candidates.source, fit.candidates.target)

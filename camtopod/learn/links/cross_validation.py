@@ -116,8 +116,9 @@ class Halves:
         """Return a fit in progress of the arrivals in one half; pairs are numbered as in `fit`.
 
         half: its number, 0 or 1.
-        judging: True for the half that is bet on, whose arrivals may also follow the activity of
-            the site (`activity_rates`).
+        judging: True for the half that is bet on. Its arrivals may also follow the activity of the
+            site (`activity_rates`), and what was declared of the cameras (`Problem.odds`) does not
+            count: it may shape a bet, but does not judge it.
         """
         # Keep the candidates whose arrivals lie in this half.
         departs = self._departure_half == half
@@ -138,8 +139,11 @@ class Halves:
             c.target,
         )
 
+        problem = self.problem._replace(
+            arrivals=came.take(arrives), odds=None if judging else self.problem.odds
+        )
         return Em(
-            self.problem._replace(arrivals=came.take(arrives)),
+            problem,
             candidates,
             EmModel(near=departs if departs.any() else slice(None)),
             self._exposure[half],

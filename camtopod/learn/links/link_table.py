@@ -103,6 +103,8 @@ class LinkTable(NamedTuple):
     delay: Floats
     """Seconds to add to the lags of ``counts``; not 0 on long paths (`camtopod.learn.long_paths`).
     """
+    weight: Floats
+    """Weight of the pair among all that are tested (`camtopod.learn.declarations`)."""
 
     def rows(self, keep: NDArray[np.intp]) -> LinkTable:
         """Return the table with the rows ``keep`` only, in that order."""
@@ -116,6 +118,7 @@ class LinkTable(NamedTuple):
             self.variance[keep],
             self.counts[keep],
             self.delay[keep],
+            self.weight[keep],
         )
 
     def with_evidence(self, ratio: Floats, tests: int) -> LinkTable:
@@ -124,7 +127,16 @@ class LinkTable(NamedTuple):
         ratio (P,): the new evidence, nats.
         tests: number of pairs of zones that were tested.
         """
-        return self._replace(ratio=ratio, q=q_values(ratio, tests))
+        return self._replace(ratio=ratio, q=q_values(ratio, tests, self.weight))
+
+    def with_weights(self, weights: Floats | None) -> LinkTable:
+        """Return the table with the weight of each pair of zones; its evidence is still to be set.
+
+        weights (zones, zones): with a mean of 1; None for 1.
+        """
+        if weights is None:
+            return self
+        return self._replace(weight=weights[self.source, self.target])
 
     def evidence_of(self, source: Ints, target: Ints) -> Floats:
         """Return the evidence (n, nats) of pairs of zones; 0 of those that are not in the table."""
@@ -211,6 +223,7 @@ def tabulate(
         variance,
         counts,
         later,
+        np.ones(pairs),
     )
 
 

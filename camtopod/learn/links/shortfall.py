@@ -46,7 +46,8 @@ def shortfall_of(
     seconds: duration of the window.
     """
     # Evidence needed for the next link, and held-out evidence so far.
-    needed = ratio_needed(published + 1, zones * zones, settings.publish_q_max)
+    usual = ratio_needed(published + 1, zones * zones, settings.publish_q_max)
+    needed = usual - np.log(weak.weight)
     held_out = between.evidence_of(weak.source, weak.target)
 
     # Each further object adds the mean evidence of the transitions so far. A link whose share is
@@ -55,6 +56,6 @@ def shortfall_of(
     each = weak.ratio / np.maximum(transitions, 1e-9)
     helps = (each > 0) & (weak.probability >= settings.publish_probability_min)
     passages = np.full(len(held_out), np.nan)
-    passages[helps] = (needed - held_out[helps]) / each[helps]
+    passages[helps] = (needed - held_out)[helps] / each[helps]
     passages = np.maximum(passages, np.maximum(TRANSITIONS_MIN - transitions, 1.0))
     return LinkShortfall(passages, passages * seconds / np.maximum(transitions, 1e-9))

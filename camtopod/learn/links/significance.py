@@ -89,14 +89,16 @@ def repeated(nats: Floats) -> Floats:
     return evidence
 
 
-def q_values(ratio: Floats, tests: int) -> Floats:
+def q_values(ratio: Floats, tests: int, weight: Floats | float = 1.0) -> Floats:
     """Return the false discovery rate (P,) at which each pair of zones would be published.
 
     ratio (P,): evidence for each pair, nats.
     tests: number of pairs of zones that were tested.
+    weight (P,): weight of each pair; the mean over all that were tested is 1, and it is fixed
+        before the events are seen (Genovese, Roeder, Wasserman, Biometrika 93(3), 2006).
     """
-    # Benjamini-Hochberg: p * tests / rank, made monotone from the largest p down.
-    p = np.exp(-np.maximum(ratio, 0.0))
+    # Benjamini-Hochberg: p / weight * tests / rank, made monotone from the largest down.
+    p = np.exp(-np.maximum(ratio + np.log(weight), 0.0))
     order = np.argsort(p, kind="stable")
     adjusted = p[order] * max(tests, 1) / np.arange(1, len(p) + 1)
     q = np.empty(len(p))
@@ -106,6 +108,8 @@ def q_values(ratio: Floats, tests: int) -> Floats:
 
 def ratio_needed(rank: int, tests: int, q_max: float) -> float:
     """Return the evidence, in nats, that a pair of zones needs for a given false discovery rate.
+
+    It is that of a pair with a weight of 1; others need less by the logarithm of their weight.
 
     rank: rank of the pair by evidence, from 1 for the largest.
     tests: number of pairs of zones that were tested.

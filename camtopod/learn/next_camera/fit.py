@@ -32,7 +32,11 @@ from camtopod.learn.links import LinkTable
 from camtopod.learn.next_camera.contexts import ContextCounts, ContextLevel, Contexts, multipliers
 from camtopod.learn.next_camera.entry_kernels import EntryKernels
 from camtopod.learn.next_camera.prior import Prior
-from camtopod.learn.next_camera.spurious import any_link_probability, spurious_shares
+from camtopod.learn.next_camera.spurious import (
+    CHANCE_PRIOR,
+    any_link_probability,
+    spurious_shares,
+)
 from camtopod.topology import LEAVE_FLOOR
 
 FIRST_NOISE_SD = 3.0
@@ -109,7 +113,9 @@ def with_doubt(posterior: Posterior, problem: Problem, between: LinkTable) -> Po
     evidence = between.evidence_of(c.source, c.target)
     camera = problem.cameras()
     returns = camera[c.source] == camera[c.target]
-    doubt = spurious_shares(c.pair, fit.responsibility, evidence, any_link, returns)
+    odds = problem.odds_of(c.source, c.target)
+    chance = CHANCE_PRIOR / (np.ones(len(c.source)) if odds is None else odds)
+    doubt = spurious_shares(c.pair, fit.responsibility, evidence, any_link, returns, chance)
     return posterior._replace(doubt=doubt)
 
 

@@ -37,7 +37,12 @@ departures are enough with probability ``1 - exp(-n / DEPARTURES_TO_TELL)``.
 
 
 def spurious_shares(
-    pair: Ints, responsibility: Floats, evidence: Floats, any_link: float, returns: Bools
+    pair: Ints,
+    responsibility: Floats,
+    evidence: Floats,
+    any_link: float,
+    returns: Bools,
+    chance: Floats | float = CHANCE_PRIOR,
 ) -> Floats:
     """Return the spurious share of the transitions of each pair of zones, (P,).
 
@@ -45,24 +50,32 @@ def spurious_shares(
     evidence (P, nats): held-out evidence of each pair (`cross_evidence`); 0 if there is none.
     any_link: probability that the site has any link at all (`any_link_probability`).
     returns (P,): True for the pairs that lead back into the same view.
+    chance (P,): prior odds of being spurious.
 
     A pair without a transition gets the probability that the site has no link at all.
     """
     pairs = len(evidence)
     transitions: Floats = np.bincount(pair, responsibility, minlength=pairs).astype(float)
     each = evidence_against_unrelated(pair, responsibility, pairs) / np.maximum(transitions, 1e-300)
-    real = np.where(transitions > 0, real_probability(each, transitions, evidence, returns), 1.0)
+    real = real_probability(each, transitions, evidence, returns, chance)
+    real = np.where(transitions > 0, real, 1.0)
     doubt: Floats = 1.0 - any_link * real
     return doubt
 
 
-def real_probability(each: Floats, transitions: Floats, evidence: Floats, returns: Bools) -> Floats:
+def real_probability(
+    each: Floats,
+    transitions: Floats,
+    evidence: Floats,
+    returns: Bools,
+    chance: Floats | float = CHANCE_PRIOR,
+) -> Floats:
     """Return the probability (P,) that the transitions of each pair of zones are real.
 
     each (P,): evidence per transition of each pair, nats.
     transitions (P,): number of transitions of each pair.
     evidence (P,): held-out evidence of each pair, nats.
-    returns (P,): as for `spurious_shares`.
+    returns (P,), chance (P,): as for `spurious_shares`.
 
     The usual evidence per transition is the median over the site's transitions.
     """
@@ -84,7 +97,7 @@ def real_probability(each: Floats, transitions: Floats, evidence: Floats, return
     likely = np.where(returns, likely * rare, likely)
 
     # Posterior probability, scaled to 1 at the usual value.
-    probability: Floats = (1.0 + CHANCE_PRIOR) * likely / (likely + CHANCE_PRIOR)
+    probability: Floats = (1.0 + chance) * likely / (likely + chance)
     return probability
 
 

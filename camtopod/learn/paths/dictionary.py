@@ -13,7 +13,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from camtopod.arrays import Floats, Longs
+from camtopod.arrays import Floats, Longs, Singles
 from camtopod.learn.paths.camera_lags import CameraLags, keys
 
 RESOLUTION_SECONDS = 1.0
@@ -45,15 +45,19 @@ class _Window(NamedTuple):
     """(windows,) log prior of a path at this place, nats."""
 
 
-def find_peaks(lags: CameraLags) -> tuple[Longs, Floats, Floats]:
+def find_peaks(lags: CameraLags, favour: Singles) -> tuple[Longs, Floats, Floats]:
     """Return the peaks of the lags of all pairs of cameras, ordered by pair.
+
+    favour (cameras, cameras): factor on the prior odds of a path from each camera to each.
 
     They are columns (K,): pair of cameras (`CameraLags`), lag in the middle, and width, seconds.
     """
     grid = np.arange(lags.lag_min, lags.lag_max + RESOLUTION_SECONDS, RESOLUTION_SECONDS)
     windows = [_window(width, grid, lags.cameras) for width in WIDTHS]
     found = [
-        peak for source in range(lags.cameras) for peak in _peaks_from(lags, source, grid, windows)
+        peak
+        for source in range(lags.cameras)
+        for peak in _peaks_from(lags, source, grid, windows, np.log(favour[source]))
     ]
     table = np.array(found).reshape(-1, 3)
     return table[:, 0].astype(np.int64), table[:, 1], table[:, 2]
@@ -87,9 +91,12 @@ def _window(width: float, grid: Floats, cameras: int) -> _Window:
 
 
 def _peaks_from(
-    lags: CameraLags, source: int, grid: Floats, windows: list[_Window]
+    lags: CameraLags, source: int, grid: Floats, windows: list[_Window], prior: Floats
 ) -> list[tuple[int, float, float]]:
-    """Return the peaks of the pairs that lead from one camera: pair, place and width of each."""
+    """Return the peaks of the pairs that lead from one camera: pair, place and width of each.
+
+    prior (targets,): log of the factor on the prior odds of a path to each camera, nats.
+    """
     # Departures exposed to each lag, summed up to each lag of the grid.
     of = lags.source == source
     left, dwell = np.sort(lags.left[of]), np.sort(lags.dwell[of])
@@ -120,7 +127,7 @@ def _peaks_from(
     # The best peak of each width, then those of each pair that are apart, the best first.
     found: list[tuple[float, int, float, float]] = []
     for window in windows:
-        score = window.prior + _gain(window, counted, squared, exposed)
+        score = window.prior + prior[:, None] + _gain(window, counted, squared, exposed)
         best = score.argmax(axis=1)
         for to in np.flatnonzero(score.max(axis=1) > 0.0).tolist():
             at = best[to]

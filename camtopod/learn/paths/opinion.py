@@ -12,7 +12,7 @@ from camtopod.learn.paths.dictionary import find_peaks
 from camtopod.learn.paths.path_fit import PathFit
 from camtopod.learn.traffic import Scene
 from camtopod.records import CameraPath
-from camtopod.topology import round_significant
+from camtopod.topology import favours, round_significant
 
 DEPARTURES_PER_ZONE = 40.0
 """Departures per zone from which the fit by zones needs no second opinion, given positions."""
@@ -49,7 +49,7 @@ def _has_platoons(scene: Scene) -> bool:
 
 
 def second_opinion(
-    scene: Scene, cameras: list[str], lag_min: float
+    scene: Scene, cameras: list[str], lag_min: float, odds: Floats | None = None
 ) -> tuple[list[CameraPath], Floats | None]:
     """Return the paths, sorted by their ends and place, and the evidence for pairs of cameras.
 
@@ -58,12 +58,16 @@ def second_opinion(
 
     cameras: names of all cameras.
     lag_min (seconds): least lag.
+    odds (cameras, cameras): odds of a path by what was declared; None for 1.
     """
     by_zone = not _is_few(scene)
+    favour = favours(np.ones((len(cameras), len(cameras))) if odds is None else odds)
     if by_zone:
+        view = np.array([zone.camera for zone in scene.zones])
+        favour = favour[view[:, None], view]
         cameras = [zone_id(cameras, zone) for zone in scene.zones]
     lags = camera_lags(scene.departures, scene.arrivals, len(cameras), lag_min, scene.last, by_zone)
-    fit = PathFit(lags, *find_peaks(lags))
+    fit = PathFit(lags, favour.ravel(), *find_peaks(lags, favour))
     fit.run()
     if by_zone:
         fit.run()

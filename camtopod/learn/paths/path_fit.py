@@ -14,7 +14,7 @@ from typing import NamedTuple
 import numpy as np
 from scipy.special import digamma
 
-from camtopod.arrays import Floats, Longs, Rows
+from camtopod.arrays import Floats, Longs, Rows, Singles
 from camtopod.learn.links import OUTSIDE_LEAST, evidence_against_unrelated, repeated_evidence
 from camtopod.learn.paths.camera_lags import CameraLags
 from camtopod.learn.paths.dictionary import RESOLUTION_SECONDS, log_density
@@ -63,14 +63,18 @@ class Expected(NamedTuple):
 class PathFit:
     """The fit in progress.
 
+    favour (cameras ** 2): factor on the rates of each pair of cameras.
     pair, place, width (K,): the peaks that it begins with (`find_peaks`).
 
     paths: the present estimate.
     outside (cameras,): share of the arrivals at each camera that come from outside.
     """
 
-    def __init__(self, lags: CameraLags, pair: Longs, place: Floats, width: Floats) -> None:
+    def __init__(
+        self, lags: CameraLags, favour: Singles, pair: Longs, place: Floats, width: Floats
+    ) -> None:
         self.lags = lags
+        self._favour = favour
         self.departures = np.bincount(lags.source, minlength=lags.cameras).astype(float)
         self.arrivals = np.bincount(lags.target, minlength=lags.cameras).astype(float)
 
@@ -132,7 +136,7 @@ class PathFit:
         near = REACH_WIDTHS * width
         path, row, rows = lags.within(pair, place - near, place + near)
         lag = lags.lag[rows][row]
-        rate = share[path] * student_density(lag, place[path], width[path])
+        rate = (share * self._favour[pair])[path] * student_density(lag, place[path], width[path])
         total = np.bincount(row, rate, minlength=len(rows)).astype(float)
         responsibility = self._responsibility(rows, total)
         part = responsibility[row] * rate / np.maximum(total[row], 1e-300)

@@ -38,6 +38,7 @@ def table(*rows: tuple[int, int, float, float, float]) -> LinkTable:
         nothing,
         np.zeros((n, 0)),
         np.zeros(n),
+        np.ones(n),
     )
 
 
