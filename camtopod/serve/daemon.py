@@ -41,6 +41,7 @@ from camtopod.serve.ingest import (
     Names,
     Numbers,
     execute,
+    present_names,
     read_names,
 )
 from camtopod.serve.learner_process import (
@@ -64,6 +65,8 @@ STOP_SECONDS = 4.0
 """Time that `stop` waits for the threads; what they have not done by then is in the journal."""
 RETURN_SECONDS = 10.0
 """Time after a start in which grabbers come back; who has not come by then is said to be away."""
+NAMES_SECONDS = 600.0
+"""Time after a start after which names of [topology] that no camera has are warned of."""
 STATUS_ALARMS = 10
 """Number of newest alarms in ``status/daemon``; the topology lists more."""
 
@@ -134,7 +137,12 @@ class Daemon:
                 self._process = process = LearnerProcess()
                 self._bus = open_daemon_session(config)
                 recovered = recover(
-                    self._journal, process, config.learn, config.site.name, self._new_epoch
+                    self._journal,
+                    process,
+                    config.learner,
+                    config.site.name,
+                    self._new_epoch,
+                    present_names(read_names(self._journal)),
                 )
                 if cancelled.is_set():
                     return False
@@ -255,6 +263,7 @@ class Daemon:
             names=intake.names.status(),
             journal=replace(self._journal.status(), damaged=self._learning.damaged),
             cameras=counted,
+            warnings=self._warnings(),
         )
         if topology is None:
             return status
@@ -265,6 +274,13 @@ class Daemon:
             score=topology.score,
             alarms=(topology.alarms or [])[-STATUS_ALARMS:],
         )
+
+    def _warnings(self) -> list[str]:
+        """Return what somebody should look at, a sentence each."""
+        if self._steady() - self._started_at < NAMES_SECONDS:
+            return []
+        learned = self.topology.cameras if self.topology else []
+        return self._intake.missing(self._config.topology, {camera.id for camera in learned})
 
     def _figures(self) -> dict[str, CameraFigures]:
         """Return the status by camera: of all that are known, once it is known who is there."""
@@ -387,17 +403,9 @@ class Daemon:
         bus.answer_queries("recent", self._live.recent, "recent")
         bus.answer_queries(STATUS, lambda key, parameters: self.status(), "status")
         bus.subscribe("event/*", self._intake.inbox.on_event)
-        bus.watch_alive("grabber", self._on_alive)
+        bus.watch_alive("grabber", self._intake.on_alive)
         bus.answer_requests("store/*", self._intake.inbox.on_request)
         self._rivals.appear()
-
-    def _on_alive(self, camera: str, alive: bool) -> None:
-        """Take note that a grabber has appeared or vanished."""
-        grabbers = self._intake.alive
-        if not alive:
-            grabbers.discard(camera)
-        elif len(grabbers) < self._config.limits.cameras_max:
-            grabbers.add(camera)
 
     def _administer(self, key: str, parameters: dict[str, str]) -> Done:
         """Execute the operator's command of a query. Raises `QueryError`."""

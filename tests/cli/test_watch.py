@@ -145,6 +145,8 @@ def test_a_sender_of_statuses_may_fall_silent() -> None:
     publish(site, "film", state="ended", reason="the file is at its end")
     publish(site, "daemon", state="running", catching_up={"seconds": 2640.0, "share": 0.63})
     assert "daemon running, catching up, 63% (44 minutes behind), 0 events" in site.daemon_line()
+    publish(site, "daemon", state="running", warnings=["no camera is called lobbi"])
+    assert "daemon running (no camera is called lobbi), 0 events" in site.daemon_line()
 
     now += SILENT_SECONDS + 1.0
     publish(site, "cam0001", state="running", reason="")

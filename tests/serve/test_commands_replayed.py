@@ -6,12 +6,15 @@ import contextlib
 from pathlib import Path
 
 import pytest
-from test_recovery import EVENTS, Installation, Start, start
+from msgspec.structs import replace
+from test_recovery import EVENTS, SETTINGS, Installation, Start, start
 
 from camtopod.admin import Command, Forget, Rename, Reset, TakeBack
 from camtopod.codec import read, to_msgpack
-from camtopod.records import Topology
-from camtopod.serve.ingest import Names, Received, read_names
+from camtopod.learn.settings import TopologySettings
+from camtopod.records import Declared, Topology
+from camtopod.serve.ingest import Names, Received, present_names, read_names
+from camtopod.serve.ingest.names import NamesState, carried_out
 from camtopod.serve.storage import Entry
 
 __all__ = ["start"]
@@ -97,3 +100,51 @@ def test_a_reset_of_an_epoch_that_was_not_reproduced_counts_on(start: Start) -> 
     numbers = [version for _, version, _ in again.published]
     assert numbers == list(range(1, len(numbers) + 1))
     assert newest(again).cameras == []
+
+
+KNOWN = replace(SETTINGS, topology=TopologySettings((("a", "b"),), (("a", "c"),)))
+"""The file of settings has the names that it was written with."""
+
+
+def declared_in(one: Installation) -> Declared | None:
+    """Return what the newest version says was declared."""
+    content = one.journal.newest_version()
+    assert content is not None
+    model = read(Topology, content).model
+    assert model is not None
+    return model.declared
+
+
+@pytest.mark.parametrize("learn", [True, False])
+def test_declarations_go_on_under_new_names(start: Start, learn: bool) -> None:
+    """No epoch begins by a new name, whether it was learned before the daemon was killed or not."""
+    one = start(settings=KNOWN)
+    one.learn(EVENTS[:AT])
+    assert declared_in(one) == Declared([("a", "b")], [("a", "c")])
+    give(one, Rename("b", "yard"), learn=learn)
+
+    again = start(settings=KNOWN)
+    again.run()
+    assert again.epoch == "E"
+    assert declared_in(again) == Declared([("a", "yard")], [("a", "c")])
+    give(again, Forget("c"))
+    assert declared_in(again) == Declared([("a", "yard")])
+
+
+def test_other_declarations_begin_an_epoch(start: Start) -> None:
+    start(settings=KNOWN).learn(EVENTS[:AT])
+    again = start()
+    assert again.epoch == "F"
+    again.learn(EVENTS[AT:])
+    assert declared_in(again) is None
+
+
+def test_what_the_old_name_sends_late_takes_no_declaration_away() -> None:
+    """The daemon forgets the old name by itself once the camera sends under the new one."""
+    state = NamesState()
+    state, _ = carried_out(state, Rename("b", "yard"), {"a", "b"}, 1.0)
+    state, _ = carried_out(state, Forget("b", until=1.0), {"b"}, 1.0)
+    state, _ = carried_out(state, Rename("yard", "gate"), {"a", "yard"}, 1.0)
+    assert present_names(state) == {"b": "gate", "yard": "gate"}
+    state, _ = carried_out(state, Forget("gate"), {"a", "gate"}, 2.0)
+    assert set(present_names(state).values()) == {""}

@@ -14,6 +14,7 @@ import msgspec
 import pytest
 import serving
 from fake_bus import OneBus
+from msgspec.structs import replace
 from serving import (
     T0,
     WAIT_SECONDS,
@@ -27,6 +28,7 @@ from serving import (
 
 from camtopod import codec
 from camtopod.learn.learner import Learner
+from camtopod.learn.settings import TopologySettings
 from camtopod.records import CameraFigures, Event, Match, Prediction, Topology
 from camtopod.serve import bus as buses, daemon as daemons
 from camtopod.serve.bus import Bus, BusError, QueryError
@@ -516,3 +518,17 @@ def test_a_view_that_missed_a_version_fetches_it_when_the_status_names_a_newer_v
     assert view.fetched == 2
     told_and_updated()
     assert view.fetched == 2
+
+
+def test_names_that_no_camera_has_are_said_after_ten_minutes(site: Site) -> None:
+    known = TopologySettings(neighbours=(("a", "b"), ("a", "lobbi")))
+    config = replace(small_config(site.directory / "state"), topology=known)
+    daemon = Daemon(config, clock=lambda: site.now)
+    site._open.append(daemon.stop)
+    daemon.start()
+    put(site.client(daemon), *(Event(camera, "entry", NOW) for camera in "ab"))
+    wait_for(lambda: daemon.status().learner.accepted == 2, "the events to be learned")
+
+    assert daemon.status().warnings == []
+    site.now += 600.0
+    assert daemon.status().warnings == ["[topology] names cameras that are not there: lobbi"]

@@ -18,6 +18,7 @@ from camtopod.codec import to_msgpack
 from camtopod.learn.learner import Learner
 from camtopod.learn.settings import Settings
 from camtopod.records import Event
+from camtopod.serve.ingest import present_names, read_names
 from camtopod.serve.learner_process import recovery
 from camtopod.serve.learner_process.feeder import CATCHING_UP_SECONDS, LearnerFeeder
 from camtopod.serve.learner_process.messages import STATE, LearnProgress
@@ -27,7 +28,7 @@ from camtopod.serve.storage import command_entry
 from camtopod.serve.storage.journal import Entry, Journal, Snapshot
 from camtopod.serve.storage.sqlite_file import StateError
 
-SETTINGS = msgspec.structs.replace(small_config(Path()).learn, lateness_seconds=5.0)
+SETTINGS = msgspec.structs.replace(small_config(Path()).learner, lateness_seconds=5.0)
 EVENTS = [*sorted(numbered(walkers(60)), key=lambda event: event.t), closing_event()]
 
 
@@ -46,7 +47,8 @@ class Installation:
         self._epochs = iter("EFGHIJ"[len(self.journal.meta("epochs") or "") :])
         with contextlib.ExitStack() as undo:
             undo.callback(self.close)
-            recovered = recover(self.journal, self.process, settings, "s", self.new_epoch)
+            names = present_names(read_names(self.journal))
+            recovered = recover(self.journal, self.process, settings, "s", self.new_epoch, names)
             undo.pop_all()
         self.started_at = recovered.position
         self.learning = LearnerFeeder(recovered, self.process, self.journal, self.on_progress)

@@ -71,6 +71,8 @@ class SiteState:
             )
         elif daemon.reason:
             words += f" ({daemon.reason})"
+        elif daemon.warnings:
+            words += f" ({'; '.join(daemon.warnings)})"
         if behind := daemon.catching_up:
             minutes = behind.seconds / 60
             words += f", catching up, {behind.share:.0%} ({minutes:.0f} minutes behind)"

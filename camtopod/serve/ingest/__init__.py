@@ -15,6 +15,7 @@ from camtopod.serve.ingest.merge import Merger as Merger
 from camtopod.serve.ingest.names import (
     CommandRefused as CommandRefused,
     Names as Names,
+    present_names as present_names,
     read_names as read_names,
 )
 from camtopod.serve.ingest.numbers import Numbers as Numbers

@@ -24,19 +24,20 @@ from __future__ import annotations
 
 import threading
 from collections import Counter
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Sequence, Set
 
 from msgspec.structs import replace
 
 from camtopod import codec
 from camtopod.admin import Rewind
 from camtopod.config import Limits
+from camtopod.learn.settings import TopologySettings
 from camtopod.serve.ingest.answers import Answers
 from camtopod.serve.ingest.cameras import Cameras, Pending
 from camtopod.serve.ingest.event_clock import EventClock
 from camtopod.serve.ingest.inbox import PUBLISHED_MAX, Inbox, Reply
 from camtopod.serve.ingest.merge import Merger
-from camtopod.serve.ingest.names import Names
+from camtopod.serve.ingest.names import Names, missing_names
 from camtopod.serve.ingest.numbers import Numbers
 from camtopod.serve.ingest.received import (
     Received,
@@ -114,6 +115,21 @@ class Intake:
         """Held by `step`, and by an operator's command between two steps."""
         self.queue = StoreQueue()
         self._answers = Answers(numbers, cameras, self._room, self.alive, steady)
+
+    def on_alive(self, camera: str, alive: bool) -> None:
+        """Take note that a grabber has appeared on the bus, or vanished."""
+        if not alive:
+            self.alive.discard(camera)
+        elif len(self.alive) < self.limits.cameras_max:
+            self.alive.add(camera)
+
+    def missing(self, declared: TopologySettings, learned: Set[str]) -> list[str]:
+        """Return a warning of declared names that no camera has, a sentence; else none.
+
+        learned: cameras of the newest version.
+        """
+        there = learned | {camera.name for camera in self.cameras.all()}
+        return missing_names(declared, self.names.state, there)
 
     def work(self, stopping: threading.Event, beat: Beat = no_beat) -> None:
         """Move what is received on until ``stopping``, and once more at the end."""

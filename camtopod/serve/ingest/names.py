@@ -21,6 +21,7 @@ from msgspec.structs import replace
 
 from camtopod import codec
 from camtopod.admin import Command, Forget, Rename, Reset, Rewind, TakeBack
+from camtopod.learn.settings import TopologySettings
 from camtopod.records import Event, NamesStatus
 from camtopod.serve.ingest.received import Received, command_received
 from camtopod.serve.storage import NAMES_KEY, Journal, read_command
@@ -64,6 +65,28 @@ def read_names(journal: Journal) -> NamesState:
         except (codec.Rejected, CommandRefused) as error:
             log.error("a command in the journal is left out: %s", error)
     return state
+
+
+def present_names(state: NamesState) -> dict[str, str]:
+    """Return the names that are no camera's any more -> the camera's present one, "" for none."""
+    ended = {old: name for old, (name, _) in state.ended.items()}
+    return dict.fromkeys(state.forgotten, "") | ended | state.aliases
+
+
+def missing_names(
+    declared: TopologySettings, state: NamesState, cameras: Iterable[str]
+) -> list[str]:
+    """Return a warning of declared names that no camera has, a sentence; else none.
+
+    cameras: those that are there, by any of their names. Forgotten names are not warned of.
+    """
+    names = present_names(state)
+    there = {names.get(name, name) for name in cameras} | {""}
+    pairs = (*declared.neighbours, *declared.not_neighbours)
+    missing = {name for pair in pairs for name in pair if names.get(name, name) not in there}
+    if not missing:
+        return []
+    return [f"[topology] names cameras that are not there: {listed(missing)}"]
 
 
 def carried_out(

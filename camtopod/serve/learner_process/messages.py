@@ -40,12 +40,15 @@ class Begin(Struct):
     """Question: begin to learn. Answer: `LearnProgress`.
 
     load: use the state that was loaded last.
+    names: old names of renamed cameras -> present ones, and forgotten names -> ""; used unless the
+        state has them.
     """
 
     settings: Settings
     site: str
     epoch: str
     load: bool
+    names: dict[str, str] = {}
 
 
 class LearnBatch(Struct):

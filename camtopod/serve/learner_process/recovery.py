@@ -54,12 +54,14 @@ def recover(
     settings: Settings,
     site: str,
     new_epoch: Callable[[], str],
+    names: dict[str, str],
 ) -> Recovered:
     """Load the learner into ``process`` and return its state.
 
     Raises `StateError`, and `LearnerEnded` for `note_failure`.
 
     new_epoch: begins an epoch and stores its name.
+    names: old names of renamed cameras -> present ones; forgotten names -> "".
     """
     failure = read_failure(journal)
     is_fatal = failure.times >= DEATHS_MAX
@@ -103,7 +105,8 @@ def recover(
             epoch,
         )
 
-    progress = process.ask(Begin(settings, site, epoch, loaded.settings is not None), LearnProgress)
+    begin = Begin(settings, site, epoch, loaded.settings is not None, names)
+    progress = process.ask(begin, LearnProgress)
     return Recovered(position, progress)
 
 

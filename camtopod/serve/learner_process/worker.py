@@ -23,6 +23,7 @@ import msgspec
 
 from camtopod import codec
 from camtopod.admin import Command, Forget, Rename, Reset, Rewind, TakeBack
+from camtopod.learn.declarations import forgotten, taken_back
 from camtopod.learn.learner import Learner
 from camtopod.learn.renaming import rename
 from camtopod.learn.rewinding import rewind
@@ -99,6 +100,8 @@ class Worker:
             self._learner.load(state)
             if state.epoch != given.epoch:
                 self._learner.begin_epoch(given.epoch)
+        if self._learner.state.names is None:
+            self._learner.state.names = dict(given.names)
         self._loaded = None
         self._newest = self._learner.topology
 
@@ -132,6 +135,10 @@ class Worker:
         fresh.begin_empty(command.t, after)
         self._learner = fresh
 
+    @property
+    def _names(self) -> dict[str, str]:
+        return self._learner.state.names or {}
+
     def _apply(self, command: Command) -> None:
         """Apply a command."""
         match command:
@@ -143,11 +150,13 @@ class Worker:
                 self._learner.erase({new})
                 self._change(lambda state: rename(state, old, new))
                 self._learner.make_version()
-            case Forget(camera):
+            case Forget(camera, until):
+                if until is None:
+                    self._learner.state.names = forgotten(self._names, camera)
                 if self._learner.erase({camera}):
                     self._learner.make_version()
-            case TakeBack():
-                pass  # only the daemon refuses events
+            case TakeBack(camera):
+                self._learner.state.names = taken_back(self._names, camera)
 
     def _learn(self, position: int, inputs: list[Input]) -> LearnProgress:
         """Learn entries of the journal, up to one that makes a version."""

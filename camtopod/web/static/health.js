@@ -69,6 +69,7 @@ export class Health {
         ),
       ),
       daemon.reason || live.reason ? h("p", { class: "reason" }, daemon.reason || live.reason) : null,
+      ...(daemon.warnings || []).map((warning) => h("p", { class: "reason" }, warning)),
       h(
         "dl",
         { class: "figures wide" },
