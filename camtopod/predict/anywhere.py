@@ -28,7 +28,7 @@ from camtopod.predict.hazards import model_of
 from camtopod.predict.odds import Site
 from camtopod.predict.time_windows import WINDOW
 from camtopod.records import NextCamera, Topology
-from camtopod.topology import LEAVE_FLOOR, NEIGHBOURS_ODDS, declared_odds
+from camtopod.topology import LEAVE_FLOOR, declared_odds
 
 LEAVING_CAMERAS = 4.0
 """Number of cameras of a site at which half of all departures leave it."""
@@ -36,6 +36,10 @@ SURE_MAX = 0.95
 """Largest share of the departures without explanation that are taken to leave."""
 SPREAD_STEPS = 8
 """Number of spreads of transit times, from a second to the longest lag, that a path may have."""
+LINKED_ODDS = 30.0
+"""How much likelier objects that are not found have gone where a published link leads than
+elsewhere, on a site that nobody leaves. It is more than for what is declared, as links were tested.
+"""
 NEXT_PROBABILITY_MIN = 1e-4
 """Least probability of an outcome that is listed in a prediction."""
 
@@ -94,15 +98,15 @@ class Anywhere:
     def _odds_from(self, camera: int) -> Floats:
         """Return the odds (cameras,) of what has left the view of a camera, by number of camera.
 
-        They are those of declared pairs. On a site that nobody leaves, published links count as
-        neighbours, and objects return unseen to the view that they have left; where objects leave,
-        those that take a link have been found.
+        They are those of declared pairs. On a site that nobody leaves, published links count, and
+        objects return unseen to the view that they have left; where objects leave, those that take
+        a link have been found.
         """
         odds = np.ones(len(self._entering)) if self._declared is None else self._declared[camera]
         odds = odds.copy()
         if self.nobody_leaves:
             linked = self._linked.get(camera, [])
-            odds[linked] = np.maximum(odds[linked], NEIGHBOURS_ODDS)
+            odds[linked] = np.maximum(odds[linked], LINKED_ODDS)
         else:
             odds[camera] = 0.0
         return odds

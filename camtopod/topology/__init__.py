@@ -15,7 +15,6 @@ from camtopod.topology.camera_pairs import (
     relation_of as relation_of,
 )
 from camtopod.topology.declared_pairs import (
-    NEIGHBOURS_ODDS as NEIGHBOURS_ODDS,
     declared_odds as declared_odds,
     favours as favours,
 )

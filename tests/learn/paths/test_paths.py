@@ -164,8 +164,8 @@ def evidence_of(events: list[Event]) -> tuple[list[str], Floats]:
     """Return the cameras of a recording, and the second opinion's evidence for each pair."""
     learner, seen = Learner(only_last=True), dict[str, Any]()
 
-    def asked(scene: Scene, cameras: list[str], lag_min: float) -> Any:
-        paths, nats = second_opinion(scene, cameras, lag_min)
+    def asked(scene: Scene, cameras: list[str], *others: Any) -> Any:
+        paths, nats = second_opinion(scene, cameras, *others)
         seen.update(cameras=cameras, nats=nats)
         return paths, nats
 
