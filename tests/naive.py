@@ -136,8 +136,11 @@ def _valley_ratio(positions, grid, b, c, f, g):
 
 def way_contrast(sums, n, mean, cov, rates, constants):
     """Return the density of a group by that of the densest way through it (`zones/ways`)."""
-    rare, rounder, kernel, denser, directions, turn = constants
+    rare, rounder, kernel, denser, directions, turn, reach = constants
     xx, xy, yy = cov
+    for at, variance in zip(mean, (xx, yy), strict=True):
+        if at - reach * variance**0.5 < 0 or at + reach * variance**0.5 > 1:
+            return np.inf
     more = rounder * (xx + yy)
     root = np.linalg.cholesky([[xx + more, xy], [xy, yy + more]])
 

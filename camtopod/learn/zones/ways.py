@@ -1,7 +1,8 @@
 """Evidence that a group of events is a zone and no piece of a way between zones, for `partition`.
 
 Tracks lost or found between zones are clutter as narrow as a zone, and dense where ways cross. But
-a way goes on: on two sides of such a group, events are about as dense as in the group.
+a way goes on: on two sides of such a group, events are about as dense as in the group. A group that
+reaches the border of the view is no way through it: people cross a long border all along.
 """
 
 from __future__ import annotations
@@ -27,6 +28,8 @@ _KERNEL = 0.7
 """Standard deviation of the kernel that measures density, in those of the group."""
 _DENSER = 2.0
 """A way ends in a place this many times as dense as the group."""
+_REACH = 2.0
+"""Distance from the border of the view, in standard deviations, within which a group reaches it."""
 _DIRECTIONS = 16
 _TURN = 2
 """Most sixteenths of a circle by which a way turns within a group."""
@@ -43,10 +46,12 @@ def way_contrast(cells: Cells, group: Floats, rates: Floats) -> float:
 
     On each ray out of the centre, the way is as dense as the least dense place up to a denser zone,
     or else up to four deviations. It needs two rays that are roughly opposite, and the sparser one
-    counts, less half of the expected clutter.
+    counts, less half of the expected clutter. The ratio is infinite for a group at the border.
     """
     mean, scatter = moments(group)
     xx, xy, yy = covariance(group[0], scatter) + CELL_SPREAD[:, 0]
+    if (np.minimum(mean, 1 - mean) < _REACH * np.sqrt((xx, yy))).any():
+        return np.inf
     more = _ROUNDER * (xx + yy)
     root = np.linalg.cholesky(np.array([[xx + more, xy], [xy, yy + more]]))
     events = np.linalg.solve(root, cells.average[1:3] - mean[:, None]).T

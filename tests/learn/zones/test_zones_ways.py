@@ -103,6 +103,19 @@ def test_two_doors_that_are_still_one_group_are_kept_in_a_row() -> None:
     assert len(find_zones(sums_of(np.concatenate((positions, even)))).zones) == 4
 
 
+def test_a_row_along_the_border_is_no_way() -> None:
+    rng = np.random.default_rng(4)
+    ends = np.array([(0.1, 0.03), (0.9, 0.03)])
+    doors = ends[rng.integers(2, size=1500)] + rng.normal(0, 0.02, (1500, 2))
+    row = rng.uniform((0.15, 0.0), (0.85, 0.06), (600, 2))
+    positions = np.clip(np.concatenate((doors, row)), 0, 1)
+    cells = cells_of_view(positions)
+    inside = cells_of_view(positions + np.array((0, 0.5)))
+    rates = np.full((30, 24), 0.1)
+    assert way_contrast(cells, near(cells, 0.5, 0.03), rates) == np.inf
+    assert way_contrast(inside, near(inside, 0.5, 0.53), rates) < WAY_CONTRAST
+
+
 @pytest.mark.parametrize("seed", range(4))
 def test_contrast_equals_its_slow_twin(seed: int) -> None:
     cells = cells_of_view(view(seed, BORDER, [0.25] * 4, 0.3, 0.3))
@@ -114,6 +127,7 @@ def test_contrast_equals_its_slow_twin(seed: int) -> None:
         ways_module._DENSER,
         ways_module._DIRECTIONS,
         ways_module._TURN,
+        ways_module._REACH,
     )
     for place in (BORDER[seed], (0.5, 0.5), (0.3, 0.4), (0.5, 0.25)):
         group = near(cells, *place)
