@@ -45,7 +45,7 @@ class Kind(NamedTuple):
     shape: distribution of a zone's events.
     rare: share of the first zone, which is narrow then (0: drawn).
     clutter: even, or half of it in blobs of five times a zone's width, or half of it along the
-        paths between zones.
+        straight paths between zones, or all of it along narrow bent ones.
     strip: least and largest thickness of a border that is open along part of an edge.
     least: least number of events in a zone.
     """
@@ -76,6 +76,7 @@ KINDS = (
     Kind("clutter in blobs", 6.0, clutter="blobs"),
     Kind("clutter along paths", 6.0, clutter="ways"),
     Kind("one narrow zone of 1 %", 6.0, rare=0.01, least=12),
+    Kind("clutter along bent paths", 6.0, clutter="bent"),
 )
 """The kinds of cameras."""
 EVENTS = (60, 300, 1000, 3000, 30_000)
@@ -263,7 +264,25 @@ def _clutter(rng: np.random.Generator, kind: Kind, events: int, centres: Floats)
         b = (a + rng.integers(1, len(centres), size=len(some))) % len(centres)
         way = centres[a] + rng.random((len(some), 1)) * (centres[b] - centres[a])
         positions[some] = np.clip(way + 0.04 * rng.standard_normal(way.shape), 0, 1)
+    elif kind.clutter == "bent":
+        positions = _on_bent_ways(rng, events, centres)
     return positions
+
+
+def _on_bent_ways(rng: np.random.Generator, events: int, centres: Floats) -> Floats:
+    """Return positions (n, 2) on ways between zones: one arc or two straight pieces a pair."""
+    count = len(centres)
+    sideways = rng.uniform(-0.5, 0.5, (count, count))
+    sharp = rng.random((count, count)) < 0.5
+    a = rng.integers(count, size=events)
+    b = (a + rng.integers(1, count, size=events)) % count
+    low, high = np.minimum(a, b), np.maximum(a, b)  # a way is the same in both directions
+    start, across = centres[low], centres[high] - centres[low]
+    f = rng.uniform(0.08, 0.92, events)
+    height = np.where(sharp[low, high], 1 - np.abs(2 * f - 1), 4 * f * (1 - f))
+    aside = (sideways[low, high] * height)[:, None] * across[:, ::-1] * (1, -1)
+    way = start + f[:, None] * across + aside + 0.012 * rng.standard_normal((events, 2))
+    return np.asarray(np.clip(way, 0, 1), np.float64)
 
 
 def _zones(rng: np.random.Generator, kind: Kind, zones: int) -> tuple[list[Floats], list[Floats]]:
