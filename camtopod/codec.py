@@ -10,6 +10,7 @@ import math
 import re
 import sys
 import threading
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -17,6 +18,7 @@ import msgspec
 from msgspec.structs import force_setattr
 
 from camtopod import soundness
+from camtopod.labels import plain
 from camtopod.records import CAMERA_PATTERN, Delta, Event, Prediction, Topology
 
 EVENT_BYTES_MAX = 4096
@@ -44,6 +46,8 @@ _UNREADABLE = (msgspec.MsgspecError, ValueError, RecursionError)
 _T = TypeVar("_T")
 _AT_T = " - at `$.t`"
 _NO_TIME = f"t is no number of seconds between 1970 and 3000 (milliseconds, or text?){_AT_T}"
+_AT_LABEL = " - at `$.label"
+"""In the mistake of an event whose label is of the wrong type, or too long."""
 _CUT_OFF = "Input data was truncated"
 """msgspec's message for input that ends too early."""
 
@@ -71,30 +75,41 @@ def require_camera(name: str) -> None:
         raise ValueError(f"camera {name!r}: {allowed}")
 
 
-def event_from_json(line: bytes | str) -> Event:
+OnLabel = Callable[[Rejected], None]
+"""Called with the mistake of an invalid label; the event stays, without it."""
+
+
+def event_from_json(line: bytes | str, on_label: OnLabel | None = None) -> Event:
     """Return the event of one line of JSON; raise `Rejected`."""
     if isinstance(line, str):
         line = line.encode("utf-8", "surrogatepass")
-    return _event(_json_event, line)
+    return _event(_json_event, line, on_label)
 
 
-def event_from_msgpack(payload: bytes) -> Event:
+def event_from_msgpack(payload: bytes, on_label: OnLabel | None = None) -> Event:
     """Return the event of a MessagePack payload; raise `Rejected`."""
-    return _event(_pack_event, payload)
+    return _event(_pack_event, payload, on_label)
 
 
-def event_from_bytes(raw: bytes) -> Event:
+def event_from_bytes(raw: bytes, on_label: OnLabel | None = None) -> Event:
     """Return the event of a payload in MessagePack or JSON; raise `Rejected`."""
     if raw.startswith(_JSON_STARTS):
-        return event_from_json(raw)
-    return event_from_msgpack(raw)
+        return event_from_json(raw, on_label)
+    return event_from_msgpack(raw, on_label)
 
 
-def _event(decoder: Any, raw: bytes) -> Event:
+def _event(decoder: Any, raw: bytes, on_label: OnLabel | None) -> Event:
     if len(raw) > EVENT_BYTES_MAX:
         raise Rejected("too-long", f"more than {EVENT_BYTES_MAX} bytes")
+    bad_label: Rejected | None = None
     try:
-        event: Event = decoder.decode(raw)
+        try:
+            event: Event = decoder.decode(raw)
+        except msgspec.ValidationError as error:
+            if _AT_LABEL not in str(error):
+                raise
+            bad_label = Rejected("bad-label", str(error))
+            event = _without_label(raw)
     except _UNREADABLE as error:
         rejection = _rejection(error)
         if str(rejection).endswith(_AT_T):
@@ -121,11 +136,28 @@ def _event(decoder: Any, raw: bytes) -> Event:
             raise Rejected("bad-value", "track is too long a number - at `$.track`")
         event = msgspec.structs.replace(event, track=text)
 
+    # Labels are plain; one without a letter or a digit is none.
+    if event.label is not None:
+        label = plain(event.label)
+        force_setattr(event, "label", sys.intern(label) if label else None)
+        if not label:
+            bad_label = Rejected("bad-label", "label has no letter or digit - at `$.label`")
+    if bad_label is not None and on_label is not None:
+        on_label(bad_label)
+
     # All events share one string per name, which saves a third of their memory.
     force_setattr(event, "camera", sys.intern(event.camera))
     if event.boot is not None:
         force_setattr(event, "boot", sys.intern(event.boot))
     return event
+
+
+def _without_label(raw: bytes) -> Event:
+    """Return the event of a payload, its label left out."""
+    pack = not raw.startswith(_JSON_STARTS)
+    value = msgspec.msgpack.decode(raw) if pack else msgspec.json.decode(raw)
+    del value["label"]
+    return msgspec.convert(value, Event)
 
 
 def is_json(raw: bytes) -> bool:

@@ -9,7 +9,9 @@ from __future__ import annotations
 
 from typing import Annotated, Literal
 
-from msgspec import Meta, Struct, field
+from msgspec import UNSET, Meta, Struct, UnsetType, field
+
+from camtopod.labels import LABEL_CHARACTERS_MAX, LABELS_MAX
 
 NAME_PATTERN = r"^[A-Za-z0-9_.-]{1,64}\Z"
 """Regular expression of a name; ``\\Z`` refuses the newline that ``$`` would allow."""
@@ -82,6 +84,7 @@ class Event(Struct, frozen=True, omit_defaults=True, gc=False):
         or neither. With them an event that is delivered twice counts once.
     clock_sd (seconds): standard deviation of ``t``.
     spooled: on the bus only, the publisher delivers this event by ``store/{camera}`` as well.
+    label: class of the object, such as ``person`` or ``car``; never what tells one from another.
     """
 
     camera: CameraId
@@ -94,6 +97,7 @@ class Event(Struct, frozen=True, omit_defaults=True, gc=False):
     seq: Annotated[int, Meta(ge=0, le=2**63 - 1)] | None = None
     clock_sd: Annotated[float, Meta(ge=0, le=1e6)] | None = None
     spooled: bool = False
+    label: Annotated[str, Meta(max_length=LABEL_CHARACTERS_MAX)] | None = None
 
 
 class Zone(Struct, frozen=True, omit_defaults=True):
@@ -330,6 +334,20 @@ class Pace(Struct, frozen=True):
     ways: list[Way]
 
 
+class LabelModel(Struct, frozen=True):
+    """Labels of objects, and how far they persist from one view to the next.
+
+    names: the labels that count, sorted.
+    persistence: share of the objects that have the same label in the next view; the label of the
+        others is as that of any arrival.
+    shares: of the arrivals with a label at each zone, the share of each of ``names``.
+    """
+
+    names: Annotated[list[str], Meta(max_length=LABELS_MAX)]
+    persistence: Annotated[float, Meta(ge=0, le=0.9999)]
+    shares: dict[str, Annotated[list[Share], Meta(max_length=LABELS_MAX)]]
+
+
 class Overlap(Struct, frozen=True):
     """Two views that overlap.
 
@@ -389,6 +407,7 @@ class Model(Struct, frozen=True):
     paths: a second opinion, which has half of the weight; None if the posterior needs none. What
         the paths of a camera leave of 1 is the share that leaves the site.
     declared: what the user has declared; None for nothing.
+    labels: only if events have labels, and not all the same.
     """
 
     lag_scale: Annotated[float, Meta(ge=1e-3, le=1e6)]
@@ -405,6 +424,7 @@ class Model(Struct, frozen=True):
     overlaps: list[Overlap] | None = None
     paths: list[CameraPath] | None = None
     declared: Declared | None = None
+    labels: LabelModel | UnsetType = UNSET
 
 
 class ChainEdge(Struct, frozen=True, rename={"from_": "from"}):
@@ -657,6 +677,7 @@ class SeenEvent(Struct, frozen=True, omit_defaults=True):
     """An event of the last hour as a reader may see it: without its track.
 
     zone: None if its camera has no zone yet.
+    label: class of the object, if it is one of those that count.
     """
 
     t: float
@@ -665,6 +686,7 @@ class SeenEvent(Struct, frozen=True, omit_defaults=True):
     zone: str | None = None
     x: float | None = None
     y: float | None = None
+    label: str | None = None
 
 
 class EventHours(Struct, frozen=True):
@@ -776,7 +798,10 @@ class EventCounts(Struct, frozen=True):
 
 
 class LearnerCounts(Struct, frozen=True):
-    """The learner's counts in this epoch, and sizes, as of its last step."""
+    """The learner's counts in this epoch, and sizes, as of its last step.
+
+    labels_left_out: labels beyond the most frequent, which count as none.
+    """
 
     accepted: int = 0
     duplicate: int = 0
@@ -794,6 +819,7 @@ class LearnerCounts(Struct, frozen=True):
         _metric("watermark_timestamp_seconds", "Event time up to which everything is learned"),
     ] = None
     version: int = 0
+    labels_left_out: int = 0
 
 
 class CatchingUp(Struct, frozen=True):

@@ -64,6 +64,7 @@ def _zones_of(model: Model) -> dict[str, Names]:
     """Return the zones that prediction looks up, by their place in the JSON."""
     contexts = model.contexts or []
     ways = model.pace.ways if model.pace is not None else []
+    shares = model.labels.shares if model.labels else {}
     return {
         "model.zones": (row.zone for row in model.zones),
         "model.onward": (
@@ -75,6 +76,7 @@ def _zones_of(model: Model) -> dict[str, Names]:
         "model.contexts": (name for row in contexts for name in (row.zone, *row.to)),
         "model.contexts.entry": (row.entry for row in contexts if row.entry is not None),
         "model.pace.ways": (name for way in ways for name in (way.entry, way.exit)),
+        "model.labels.shares": shares,
     }
 
 
@@ -107,6 +109,9 @@ def _shapes(topology: Topology) -> Iterator[str]:
     for k, pair in enumerate(topology.pairs):
         if pair.cameras[0] >= pair.cameras[1]:
             yield f"the cameras are not two, sorted - at `$.pairs[{k}].cameras`"
+    labels = topology.model.labels if topology.model is not None else None
+    if labels and any(len(row) != len(labels.names) for row in labels.shares.values()):
+        yield "a zone has not as many shares as there are names - at `$.model.labels`"
     for k, row in enumerate(topology.model.zones if topology.model is not None else []):
         if any(a > b for a, b in pairwise(row.stay)):
             yield f"stay is not in ascending order - at `$.model.zones[{k}]`"

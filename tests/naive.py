@@ -752,6 +752,18 @@ def predicted(topology, seen, asked, zone_of, constants, now=None):
     stay = {index[row.zone]: row.stay for row in model.zones}
     outside = {index[row.zone]: row.arrival_rate + 1e-6 for row in model.zones}
 
+    def alike(label, a):
+        """Return the ratio of one object over two, for a passage's label and the arrival ``a``."""
+        if not model.labels or not {label, a.label} <= {*model.labels.names}:
+            return 1.0
+        share = model.labels.shares[zones[zone_of(a)].id][model.labels.names.index(a.label)]
+        return (
+            1.0 - model.labels.persistence + (label == a.label) * model.labels.persistence / share
+        )
+
+    def label_of(event, p):
+        return event.label or (None if p is None else seen[p].label)
+
     def rate(u, v, lag):
         return onward[u].get(v, (0, {}))[1].get(at(lag), 0.0)
 
@@ -811,14 +823,16 @@ def predicted(topology, seen, asked, zone_of, constants, now=None):
                 if lag > 0 or fits:
                     found[seen[x].camera] = found.get(seen[x].camera, 0.0) + rate(
                         zone_of(seen[x]), v, lag
-                    )
+                    ) * alike(label_of(seen[x], p), a)
                 if lag < 0 and fits and p is not None:
-                    found[seen[x].camera] -= rate_ahead(seen[x].camera, v)
+                    ahead = rate_ahead(seen[x].camera, v)
+                    found[seen[x].camera] -= ahead * alike(seen[p].label, a)
         for j in range(n):
             if j not in but and under_way(j, n) and seen[j].camera != a.camera:
                 more = rate_ahead(seen[j].camera, v) + rate_entered(
                     zone_of(seen[j]), v, a.t - seen[j].t
                 )
+                more *= alike(seen[j].label, a)
                 found[seen[j].camera] = found.get(seen[j].camera, 0.0) + more
         return found
 
@@ -874,6 +888,7 @@ def predicted(topology, seen, asked, zone_of, constants, now=None):
                 )
                 entered = rate_entered(zone_of(seen[p]), v, a.t - since) if lag < 0 else 0.0
             here = rate(u, v, usual) * exposed / (pace if lag > 0 else 1.0) + entered
+            here *= alike(label_of(asked, p), a)
             others = sum(causes(n, len(seen), own).values())
             mass[v] += here / max(outside[v] + others, rate_min)
         return mass
@@ -969,3 +984,39 @@ def cycle_rates(left, came, hazard, edges, first, until, move, period):
                 rate += hazard[k].sum()
         rates.append(rate)
     return np.array(rates)
+
+
+def label_shares(zone, label, weight):
+    """Return the share of each arrival's label at its zone, as
+    `camtopod.learn.traffic.labels.label_shares`.
+    """
+    known = [k for k in range(len(zone)) if label[k] >= 0]
+    result = []
+    for k in range(len(zone)):
+        here = [label[j] for j in known if zone[j] == zone[k]]
+        of_site = [label[j] for j in known].count(label[k]) / max(len(known), 1)
+        share = (here.count(label[k]) + weight * of_site) / (len(here) + weight)
+        result.append(share if label[k] >= 0 else 1.0)
+    return result
+
+
+def label_agreement(left, came, share, persistence):
+    """Return the likelihood ratios of one object, as
+    `camtopod.learn.traffic.labels.label_agreement`.
+    """
+    result = []
+    for a, b, p in zip(left, came, share, strict=True):
+        one_object = persistence * (1.0 if a == b else 0.0) + (1.0 - persistence) * p
+        result.append(one_object / p if a >= 0 and b >= 0 else 1.0)
+    return result
+
+
+def label_persistence(like, share, responsibility, prior, weight):
+    """Return the likeliest persistence, of a grid; as
+    `camtopod.learn.traffic.labels.estimate_label_persistence`.
+    """
+    grid = np.linspace(0.0005, 0.9995, 2000)
+    nats = weight * (prior * np.log(grid) + (1 - prior) * np.log(1 - grid))
+    for same, p, r in zip(like, share, responsibility, strict=True):
+        nats = nats + np.log(r * (1 - grid + grid * same / p) + 1 - r)
+    return grid[np.argmax(nats)]

@@ -3,8 +3,8 @@
 Checked against `TrackedObject.to_dict` in Frigate's source as of 0.17.2, which has all fields of
 `_Seen`, and against the page "MQTT" of its documentation.
 
-Only the fields of `_Seen` are read: labels of recognised faces, licence plates and the like never
-enter memory.
+Only the fields of `_Seen` are read: ``sub_label``, recognised faces, licence plates and the like
+never enter memory.
 
 Frigate announces an object as ``new`` once it is sure of it; ``before`` then holds the first
 sighting. Objects that are repeatedly found standing (a parked car) have not entered, and an object
@@ -23,9 +23,10 @@ from msgspec.structs import replace
 from camtopod import codec
 from camtopod.adapt import adapter
 from camtopod.adapt.adapter import Adapter, Sizes, remember, size_of, split_topic
-from camtopod.adapt.kinds import Votes, counts, plain, vote
+from camtopod.adapt.kinds import Votes, counts, is_wanted, plain, vote
 from camtopod.adapt.tracks import in_picture
 from camtopod.codec import Rejected
+from camtopod.labels import count_label, most_frequent
 from camtopod.records import Event, Kind
 
 ENTRY_SECONDS_MAX = 5.0
@@ -68,6 +69,8 @@ class _Object(Struct):
     """State of an object: its ``entry`` until that is told, and whether it has ended."""
 
     entry: Event | None
+    labels: dict[str, int]
+    """Messages by label."""
     votes: Votes = None
     counted: bool = False
     """Most messages had a wanted kind; from then on it goes on counting."""
@@ -112,12 +115,14 @@ class Frigate(Adapter):
         known = self._objects.get(now.id) or self._met(message)
         remember(self._objects, now.id, known)
         known.votes = vote(known.votes, now.label, self._labels)
+        if is_wanted(now.label, self._labels):
+            count_label(known.labels, now.label)
         return self._changed(known, message)
 
     def _met(self, message: _Message) -> _Object:
         """Return the state of an object at its first message; it enters if it is new."""
         if message.type != "new":
-            return _Object(None)
+            return _Object(None, {})
         first = message.before
         now = message.after
         if first.id == now.id and first.false_positive and self._knows_size(now.camera):
@@ -126,7 +131,7 @@ class Frigate(Adapter):
             entry = _at_point("entry", now, now.path_data[0])
         else:
             entry = self._event("entry", now)
-        return _Object(entry)
+        return _Object(entry, {})
 
     def _changed(self, known: _Object, message: _Message) -> list[Event]:
         """Return the events that a message makes certain, and update the object."""
@@ -147,10 +152,11 @@ class Frigate(Adapter):
         known.ended = message.type == "end"
         known.counted |= counts(known.votes, self._labels)
         if known.counted and known.came and known.entry is not None:
-            events.append(known.entry)
+            events.append(replace(known.entry, label=most_frequent(known.labels)))
             known.entry = None
         if known.counted and known.ended and moves:
-            events.append(self._event("exit", now))
+            exit_ = self._event("exit", now)
+            events.append(replace(exit_, label=most_frequent(known.labels)))
         return events
 
     def _knows_size(self, camera: str) -> bool:

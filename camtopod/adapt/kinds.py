@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Collection
 
+from camtopod.labels import plain as plain
+
 PARTS = {"head", "humanhead", "face", "humanface", "plate", "numberplate", "licenseplate"}
 """Kinds that are part of an object, as `plain` writes them.
 
@@ -21,15 +23,15 @@ def vote(votes: Votes, kind: str, labels: Collection[str]) -> Votes:
     name = plain(kind)
     if not name:
         return votes
-    wanted = name in labels or (not labels and name not in PARTS)
-    return (votes or 0) + (1 if wanted else -1)
+    return (votes or 0) + (1 if is_wanted(name, labels) else -1)
+
+
+def is_wanted(kind: str, labels: Collection[str]) -> bool:
+    """Return True for a kind that counts; ``labels`` as for `vote`."""
+    name = plain(kind)
+    return name in labels or (not labels and name not in PARTS)
 
 
 def counts(votes: Votes, labels: Collection[str]) -> bool:
     """Return True if no majority is against it; of unknown kind it counts if all do."""
     return not labels if votes is None else votes >= 0
-
-
-def plain(kind: str) -> str:
-    """Return a kind in lower case without blanks and signs: ``License_Plate`` is a plate, too."""
-    return "".join(filter(str.isalnum, kind.casefold()))

@@ -12,7 +12,8 @@ from msgspec import Struct
 
 from camtopod import codec
 from camtopod.adapt.adapter import remember
-from camtopod.adapt.kinds import Votes, counts, plain, vote
+from camtopod.adapt.kinds import Votes, counts, is_wanted, plain, vote
+from camtopod.labels import count_label, most_frequent
 from camtopod.records import Event, Kind
 
 LIFE_SECONDS = 0.5
@@ -44,6 +45,8 @@ class _Track(Struct):
     last: _Place
     from_start: bool
     votes: Votes
+    labels: dict[str, int]
+    """Sightings by label."""
     counted: bool = False
     left: bool = False
     """Its exit was told while no frames came."""
@@ -61,7 +64,8 @@ class TrackEvents:
 
     With ``kinds`` the majority of a track's sightings decides whether it counts, and once it has
     counted it goes on counting. Its entry waits for a kind, up to `UNCLASSIFIED_SECONDS` if all
-    count. So pass the boxes of all kinds, and let ``wanted`` choose.
+    count. So pass the boxes of all kinds, and let ``wanted`` choose. The most frequent of the kinds
+    that count is the ``label`` of an event.
 
     camera: id of the camera, ``[A-Za-z0-9_.-]{1,64}``.
     size (pixels): width and height of the picture; (1, 1) if boxes are fractions of it.
@@ -118,8 +122,9 @@ class TrackEvents:
         self._outside_max = outside_max
         self._wanted = frozenset(map(plain, wanted))
         self._tracks: dict[str, _Track] = {}  # the one seen last is last
-        self._verdicts: dict[str, Votes] = {}
-        """Kinds of lost tracks, as one vote: a program may send the kind only once."""
+        self._verdicts: dict[str, tuple[Votes, dict[str, int]]] = {}
+        """Kinds and labels of lost tracks, as one sighting: a program may send the kind only once.
+        """
         self._kinds_come = False
         self._waited_in_vain = False
         self._start = self._t = -math.inf
@@ -188,7 +193,9 @@ class TrackEvents:
         events = []
         for ended, track in list(lost):
             if track.votes is not None:
-                remember(self._verdicts, ended, min(max(track.votes, -1), 1))
+                what = most_frequent(track.labels)
+                sightings = {} if what is None else {what: 1}
+                remember(self._verdicts, ended, (min(max(track.votes, -1), 1), sightings))
             events += self._exit(ended, self._tracks.pop(ended))
         named: Sequence[str | None] = [None] * len(labels) if kinds is None else kinds
         for label, corner, what in zip(labels, corners.reshape(-1, 4).tolist(), named, strict=True):
@@ -254,7 +261,7 @@ class TrackEvents:
             return []
         events = self._entry(label, track)
         if track.counted:
-            events.append(self._event("exit", label, track.last))
+            events.append(self._event("exit", label, track, track.last))
         return events
 
     def _entry(self, label: str, track: _Track) -> list[Event]:
@@ -263,7 +270,7 @@ class TrackEvents:
         if track.counted or not lived or not counts(track.votes, self._wanted):
             return []
         track.counted = True
-        return [] if track.from_start else [self._event("entry", label, track.first)]
+        return [] if track.from_start else [self._event("entry", label, track, track.first)]
 
     def _seen(
         self, label: str | None, corners: list[float], kind: str | None, t: float
@@ -290,10 +297,13 @@ class TrackEvents:
                 self.refused += 1
                 return []
             from_start = t - self._start <= 2 * LIFE_SECONDS
-            track = _Track(place, place, from_start, self._verdicts.pop(label, None))
+            votes, sightings = self._verdicts.pop(label, (None, {}))
+            track = _Track(place, place, from_start, votes, sightings)
         track.last = place
         track.left = False
         track.votes = vote(track.votes, kind or "", self._wanted)
+        if is_wanted(kind or "", self._wanted):
+            count_label(track.labels, kind or "")
         self._tracks[label] = track
 
         # The entry is certain once the track has lived long enough, and its kind is known.
@@ -305,7 +315,7 @@ class TrackEvents:
         self._waited_in_vain |= waits
         return self._entry(label, track)
 
-    def _event(self, kind: Kind, label: str, at: _Place) -> Event:
+    def _event(self, kind: Kind, name: str, track: _Track, at: _Place) -> Event:
         if kind == "entry":
             self.entries += 1
         else:
@@ -314,7 +324,8 @@ class TrackEvents:
         if self._boot is not None:
             seq = self._seq
             self._seq += 1
-        return Event(self.camera, kind, at.t, at.x, at.y, label, self._boot, seq)
+        label = most_frequent(track.labels)
+        return Event(self.camera, kind, at.t, at.x, at.y, name, self._boot, seq, label=label)
 
 
 def in_picture(x: float, y: float, outside_max: float) -> tuple[float, float] | None:

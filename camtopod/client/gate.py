@@ -155,39 +155,46 @@ class Gate:
 
         # Row of each exit: the transition against leaving the site and an arrival from outside.
         new = np.log(self._transitions.new)[to]
+        labels = self.predictor.site.labels
+        entry_labels = np.array([labels.number(entries[k].label) for k in known])
         by_track = defaultdict(list)
-        for entry in entries:
-            if entry.track is not None:
-                by_track[entry.camera, str(entry.track)].append(entry)
+        for one in entries:
+            if one.track is not None:
+                by_track[one.camera, str(one.track)].append(one)
         for row, event in enumerate(exits):
             zone = self.predictor.zone_of(event)
             if zone is not None:
-                began = self._began(event, by_track[event.camera, str(event.track)])
+                entry = _entry_of(event, by_track[event.camera, str(event.track)])
+                began = None if entry is None else self._began(event, entry)
                 onward = self._transitions.after(zone, block_of(event.x, event.y), began)
                 gone = math.log(self._transitions.gone(onward, until - left[row]))
                 odds[row, known] = (
                     self._transitions.log_density(onward, to, came - left[row]) - new - gone
                 )
+                label = labels.number(event.label or (entry or event).label)
+                odds[row, known] += np.log(labels.agreement(label, entry_labels, to))
         return odds
 
     def _corrected(self, event: Event) -> float:
         """Return the corrected time of an event; minus infinity for an unknown camera."""
         return event.t - self._ahead.get(event.camera, math.inf)
 
-    def _began(self, event: Event, entries: Sequence[Event]) -> Began | None:
-        """Return how the passage of an exit began: with the latest entry before it, if any.
-
-        entries: those of its track.
-        """
-        before = [entry for entry in entries if entry.t <= event.t]
-        newest = max(before, key=lambda entry: entry.t, default=event)
-        zone = self.predictor.zone_of(newest)
-        if newest is event or zone is None:
-            return None
-        return Began(zone, event.t - newest.t)
+    def _began(self, event: Event, entry: Event) -> Began | None:
+        """Return how the passage of an exit began; None if the zone of its entry is unknown."""
+        zone = self.predictor.zone_of(entry)
+        return None if zone is None else Began(zone, event.t - entry.t)
 
     def _zones(self, camera: str, zone: str | None) -> list[int]:
         """Return the zones (indices) of a camera, or the one zone given."""
         if zone is not None:
             return [zone_at(self.topology, zone, camera)]
         return zones_of(self.topology, camera)
+
+
+def _entry_of(event: Event, entries: Sequence[Event]) -> Event | None:
+    """Return the entry of an exit's passage: the latest before it of its track; None without one.
+
+    entries: those of its track.
+    """
+    before = [entry for entry in entries if entry.t <= event.t]
+    return max(before, key=lambda entry: entry.t, default=None)

@@ -120,6 +120,7 @@ class SiteView:
         zone: str | None = None,
         track: str | None = None,
         now: float | None = None,
+        label: str | None = None,
     ) -> Prediction:
         """Predict where an object that left ``camera`` at ``t`` appears next.
 
@@ -134,6 +135,7 @@ class SiteView:
         now: time of the query, if later than the exit, by the same camera's clock. Arrivals that
             would have been seen by then and were not shift the odds to the remaining ones and to
             ``leave``; an entry passed to `observe` since the exit may have been the object's.
+        label: class of the object (``person``); if omitted, that of the entry of its track.
 
         Where views overlap the object may already be visible elsewhere, which needs its entry there
         passed to `observe`, too.
@@ -144,6 +146,7 @@ class SiteView:
         """
         # Validate the exit as if it had been received.
         asked = {"camera": camera, "kind": "exit", "t": t, "x": x, "y": y, "track": track}
+        asked["label"] = label
         given = {name: _plain(value) for name, value in asked.items() if value is not None}
         event = codec.event_from_msgpack(codec.to_msgpack(given))
         if zone is not None and x is not None:
@@ -156,7 +159,9 @@ class SiteView:
                 zones_of(gate.topology, camera)
                 return gate.predictor.predict(event, now)
             place = zone_at(gate.topology, zone, camera)
-            return gate.predictor.predict_from(place, event.t, track=track, now=now)
+            return gate.predictor.predict_from(
+                place, event.t, track=track, now=now, label=event.label
+            )
 
     def observe(self, event: Event) -> None:
         """Record an event for later predictions; an exit only after it was first predicted.

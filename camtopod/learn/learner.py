@@ -246,6 +246,7 @@ class Learner:
             "cameras": len(self._window.cameras),
             "watermark": watermark and watermark / MICROSECONDS,
             "version": self._next_version - 1,
+            "labels_left_out": self._window.labels_left_out,
         }
 
     def _process_ticks(self) -> None:

@@ -11,6 +11,7 @@ from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
+from msgspec import UNSET, UnsetType
 from msgspec.structs import replace
 
 from camtopod.arrays import Floats, Rows, rows_by_group
@@ -19,13 +20,20 @@ from camtopod.learn.assemble import STAY_DECILES, zone_id
 from camtopod.learn.changes import Change
 from camtopod.learn.links import NEXT_ZONES_MAX, MissedTransitions
 from camtopod.learn.next_camera import LEVELS, OverlappingViews, Posterior
-from camtopod.learn.traffic import EVENT_SD_SECONDS, Persistence, Scene, usual_dwell_times
+from camtopod.learn.traffic import (
+    EVENT_SD_SECONDS,
+    Persistence,
+    Scene,
+    label_table,
+    usual_dwell_times,
+)
 from camtopod.learn.window import Window
 from camtopod.records import (
     CameraModel,
     CameraPath,
     Context,
     EntryKernel,
+    LabelModel,
     Model,
     Onward,
     Outcome,
@@ -97,6 +105,7 @@ def build_model(
         contexts=_contexts(ids, cameras, posterior, now),
         pace=_pace(ids, scene, posterior.fit.persistence),
         paths=paths,
+        labels=_labels(ids, scene, posterior.fit.persistence.label),
     )
 
 
@@ -115,8 +124,26 @@ def _pace(ids: list[str], scene: Scene, persistence: Persistence) -> Pace | None
         for pair, log_seconds in zip(pairs.tolist(), log_dwell.tolist(), strict=True)
         if np.isfinite(log_seconds)
     ]
-    scaling, correlation, sd = (round_significant(value) for value in persistence)
+    scaling, correlation, sd = (round_significant(value) for value in persistence[:3])
     return Pace(scaling, correlation, sd, sorted(routes, key=lambda way: (way.entry, way.exit)))
+
+
+def _labels(ids: list[str], scene: Scene, persistence: float) -> LabelModel | UnsetType:
+    """Return the labels, their persistence and shares; unset if there are none.
+
+    ids: public id of each zone.
+    """
+    label = scene.arrivals.label
+    if label is None or persistence <= 0.0:
+        return UNSET
+    table = label_table(scene.arrivals.zone, label, len(ids), len(scene.labels))
+    shares = {
+        name: [round_significant(float(share)) for share in row]
+        for name, row in zip(ids, table, strict=True)
+    }
+    return LabelModel(
+        list(scene.labels), round_significant(persistence), dict(sorted(shares.items()))
+    )
 
 
 def _zone_models(ids: list[str], scene: Scene, posterior: Posterior | None) -> list[ZoneModel]:

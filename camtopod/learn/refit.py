@@ -209,9 +209,9 @@ def refit(
         on_step("prediction")
         paths = None
         if is_wanted(scene, len(window.cameras)):
-            paths, evidence = second_opinion(
-                scene, window.cameras, bins.lag_min, associated.problem.odds
-            )
+            persistence = associated.posterior.fit.persistence.label
+            odds = associated.problem.odds
+            paths, evidence = second_opinion(scene, window.cameras, bins.lag_min, odds, persistence)
             if evidence is not None:
                 view = np.array([zone.camera for zone in scene.zones])
                 both = with_second_opinion(associated.between, evidence, view, zones)

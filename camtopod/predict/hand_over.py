@@ -16,6 +16,7 @@ from collections.abc import Iterable
 import numpy as np
 
 from camtopod.predict.hazards import model_of
+from camtopod.predict.labels import Labels
 from camtopod.predict.open_passages import OpenPassages, Passage
 from camtopod.records import SEEN_NOW_MIN, InView, Look, NextCamera, Topology
 from camtopod.topology import STEPS, masses_on_bins, offset_bins
@@ -53,7 +54,12 @@ class HandOver:
         return camera in self._from
 
     def in_view(
-        self, passage: Passage, t: float, open_passages: OpenPassages, offsets: dict[str, float]
+        self,
+        passage: Passage,
+        t: float,
+        open_passages: OpenPassages,
+        offsets: dict[str, float],
+        labels: Labels,
     ) -> list[InView]:
         """Return the open passages that may be of the object whose passage ends, likeliest first.
 
@@ -61,6 +67,7 @@ class HandOver:
         t (seconds): corrected time of its exit.
         open_passages: the open passages of all cameras.
         offsets (seconds): clock offset by camera.
+        labels: the labels of the version.
         """
         found: list[InView] = []
         for camera, share, odds in self._from.get(passage.camera, ()):
@@ -69,6 +76,12 @@ class HandOver:
 
             # Odds of each open passage against all others and against none of them.
             weights = [odds[self._bins.bin_of(other.t - passage.t)] for _, other in tracks]
+            if labels and tracks:
+                there, zones = zip(
+                    *((other.label, other.entry) for _, other in tracks), strict=True
+                )
+                agreement = labels.agreement(passage.label, there, zones)
+                weights = [w * a for w, a in zip(weights, agreement.tolist(), strict=True)]
             total = 1.0 - share + sum(weights)
             for (track, other), weight in zip(tracks, weights, strict=True):
                 if weight > PROBABILITY_MIN * total:

@@ -15,6 +15,7 @@ import numpy as np
 
 from camtopod.arrays import Bools, Floats, Ints, Rows
 from camtopod.predict.hazards import Hazards, model_of
+from camtopod.predict.labels import UNKNOWN_LABEL, Labels
 from camtopod.predict.open_passages import UNKNOWN, Passage
 from camtopod.predict.outcomes import Outcomes
 from camtopod.predict.time_windows import scale_lags, unknown_share
@@ -39,6 +40,8 @@ class Query(NamedTuple):
     """Seconds from the exit to the moment of the question; 0 means just before the exit."""
     slowness: float = 1.0
     """Expected transit times of the object over the usual ones; applies to lags after the exit."""
+    label: int = UNKNOWN_LABEL
+    """Number of the object's label."""
 
     @property
     def began(self) -> float:
@@ -62,13 +65,20 @@ class SeenArrivals(NamedTuple):
     """(n,) rate (1/s) of all known causes of the arrival, the object of the query included."""
     before: Bools
     """(n,) True for arrivals before the exit."""
+    label: Ints
+    """(n,) number of the label."""
     remembered: float = -math.inf
     """Time, in seconds after the exit, since which all arrivals are remembered."""
 
     def take(self, rows: Rows) -> SeenArrivals:
         """Return the arrivals given by their rows."""
         return SeenArrivals(
-            self.zone[rows], self.t[rows], self.rate[rows], self.before[rows], self.remembered
+            self.zone[rows],
+            self.t[rows],
+            self.rate[rows],
+            self.before[rows],
+            self.label[rows],
+            self.remembered,
         )
 
 
@@ -127,6 +137,7 @@ class Site:
         model = model_of(topology)
         self.zones: list[Zone] = topology.zones
         self.hazards = hazards
+        self.labels = Labels(topology)
         self._tables: dict[int, ExitTable] = {}
 
         # Clocks.
@@ -204,6 +215,7 @@ def find_odds(
         entered = hazards.rates_entered(query.passage.entry, seen.zone, seen.t - query.passage.t)
     others = seen.rate - own_rate(query, site, seen, entered)
     hazard += entered * seen.before * table.is_first[row]
+    hazard *= site.labels.agreement(query.label, seen.label, seen.zone)
     np.add.at(mass, (row, at), hazard / np.maximum(others, RATE_MIN))
     return Odds(mass, edges)
 
@@ -217,13 +229,18 @@ def own_rate(query: Query, site: Site, seen: SeenArrivals, entered: Floats) -> F
     and as an object in view. When its exit is observed, the hazard of the exit takes the place of
     the latter (`Predictor`). This part is subtracted to get the rate of all other causes.
     """
+    # What follows from the entry, by the label that the entry had.
+    label = (query.passage or UNKNOWN).label
+    entered = entered * site.labels.agreement(label, seen.label, seen.zone)
     if query.is_observed:
         rate = site.hazards.rates_from(query.zone, seen.zone, seen.t - query.t)
+        rate *= site.labels.agreement(query.label, seen.label, seen.zone)
         return rate + entered * seen.before
     if query.passage is None:
         return np.zeros(len(seen.t))
 
     # The passage is still open, also for arrivals after the exit, but in other views only.
     in_view = site.hazards.rates_before_exit(site.zones[query.zone].camera, seen.zone)
+    in_view = in_view * site.labels.agreement(label, seen.label, seen.zone)
     in_other_views = site.camera_of[seen.zone] != site.camera_of[query.zone]
     return np.where(in_other_views, entered + in_view, 0.0)

@@ -35,6 +35,8 @@ class Passage(Struct):
     """Name of the camera where the object most probably was before; None if unknown."""
     sure: float = 0.0
     """Probability that ``previous`` is right."""
+    label: int = -1
+    """Number of the object's label (`camtopod.predict.labels`)."""
 
 
 UNKNOWN = Passage(-math.inf, "", -1)
@@ -135,21 +137,22 @@ class OpenPassages:
         """Return (camera, track, passage) of all open passages, oldest first."""
         return [(camera, track, passage) for (camera, track), passage in self._passages.items()]
 
-    def take_over(self, older: OpenPassages, moved: dict[int, int]) -> None:
+    def take_over(self, older: OpenPassages, moved: dict[int, int], labels: dict[int, int]) -> None:
         """Take over the passages stored for an older version; this must be new.
 
         moved: new index of each zone by its old index, without zones that are gone.
+        labels: new number of each label by its old number.
         """
         # Open passages, except those whose zone of entry is gone.
         for (camera, track), passage in older._passages.items():
             if passage.entry in moved:
-                self.begin(camera, track, _with_moved_entry(passage, moved))
+                self.begin(camera, track, _moved(passage, moved, labels))
 
         # Ended passages.
         self._ended = {
             key: (
                 t,
-                None if one is None or one.entry not in moved else _with_moved_entry(one, moved),
+                None if one is None or one.entry not in moved else _moved(one, moved, labels),
             )
             for key, (t, one) in older._ended.items()
         }
@@ -174,10 +177,12 @@ class OpenPassages:
         return passage
 
 
-def _with_moved_entry(passage: Passage, moved: dict[int, int]) -> Passage:
-    """Return the passage with the new index of its zone of entry.
+def _moved(passage: Passage, moved: dict[int, int], labels: dict[int, int]) -> Passage:
+    """Return the passage with the new index of its zone of entry, and number of its label.
 
-    moved: new index of each zone by its old index.
+    moved, labels: new index of each zone, and number of each label, by the old one.
     """
-    entry = moved[passage.entry]
-    return passage if entry == passage.entry else msgspec.structs.replace(passage, entry=entry)
+    entry, label = moved[passage.entry], labels.get(passage.label, -1)
+    if (entry, label) == (passage.entry, passage.label):
+        return passage
+    return msgspec.structs.replace(passage, entry=entry, label=label)

@@ -105,9 +105,10 @@ class Predictor:
     def take_over(self, older: Predictor) -> None:
         """Take over the observed events from a predictor by an older version; this must be new."""
         moved = moved_zones(older.zones, self.zones)
-        self._arrivals.take_over(older._arrivals, moved)
-        self._exits.take_over(older._exits, moved)
-        self._open_passages.take_over(older._open_passages, moved)
+        labels = self.site.labels.moved(older.site.labels)
+        self._arrivals.take_over(older._arrivals, moved, labels)
+        self._exits.take_over(older._exits, moved, labels)
+        self._open_passages.take_over(older._open_passages, moved, labels)
         self._reporting.load(older._reporting.events, older._reporting.last_events())
 
     def save(self) -> PredictorState:
@@ -170,7 +171,8 @@ class Predictor:
             passage = self._open_passages.get(event.camera, track)
         elif track is not None:
             passage = self._open_passages.left_at(event.camera, track, event.t)
-        return self.predict_from(zone, event.t, passage, track, block_of(event.x, event.y), now)
+        block = block_of(event.x, event.y)
+        return self.predict_from(zone, event.t, passage, track, block, now, event.label)
 
     def predict_from(
         self,
@@ -180,6 +182,7 @@ class Predictor:
         track: str | None = None,
         block: int | None = None,
         now: float | None = None,
+        label: str | None = None,
     ) -> Prediction:
         """Return the prediction for an exit whose zone is known; see `predict`.
 
@@ -190,6 +193,7 @@ class Predictor:
         block: block of the image where the object left (`camtopod.topology.block_of`); None if
             unknown.
         now: as for `predict`.
+        label: class of the object; None for that of its entry.
         """
         _check(t, now)
         here = self.zones[zone]
@@ -201,7 +205,8 @@ class Predictor:
         # Odds at the exit.
         corrected = t - self.site.clock_offset[here.camera]
         same = (self._exits.t == corrected) & (self._exits.zone == zone)
-        query = Query(zone, corrected, passage, now is not None and bool(same.any()))
+        is_observed = now is not None and bool(same.any())
+        query = Query(zone, corrected, passage, is_observed, label=self._label_of(label, passage))
         odds = self._odds(query, table)
 
         # The context multiplies the odds. Odds that may be spurious count as leaving the site, from
@@ -261,7 +266,9 @@ class Predictor:
             return Prediction(here.camera, here.id, t, track, self.version, leave, next_)
         offsets = self.site.clock_offset
         corrected = t - offsets[here.camera]
-        in_view = self._hand_over.in_view(passage, corrected, self._open_passages, offsets)
+        in_view = self._hand_over.in_view(
+            passage, corrected, self._open_passages, offsets, self.site.labels
+        )
         looks = cameras_to_watch(in_view, next_)
         return Prediction(
             here.camera, here.id, t, track, self.version, leave, next_, looks, in_view
@@ -303,7 +310,12 @@ class Predictor:
 
         is_before = np.arange(len(rows)) < before
         return SeenArrivals(
-            arrivals.zone[rows], arrivals.t[rows], arrivals.rate[rows], is_before, remembered
+            arrivals.zone[rows],
+            arrivals.t[rows],
+            arrivals.rate[rows],
+            is_before,
+            arrivals.label[rows],
+            remembered,
         )
 
     def _arrivals_before(self, zone: int, t: float, began: float) -> Rows:
@@ -351,15 +363,16 @@ class Predictor:
 
         zone, t: index of the zone, and corrected time.
         """
-        causes = self._causes(zone, t)
+        label = self.site.labels.number(event.label)
+        causes = self._causes(zone, t, label)
         rate = self._hazards.arrival_rate[zone] + sum(causes.values())
-        self._arrivals.append(t, zone, rate)
+        self._arrivals.append(t, zone, label, rate)
         if event.track is None:
             return
 
         previous = max(causes, key=causes.__getitem__, default=None)
         sure = causes[previous] / rate if previous is not None else 0.0
-        passage = Passage(t, event.camera, zone, previous, sure)
+        passage = Passage(t, event.camera, zone, previous, sure, label)
         self._open_passages.begin(event.camera, str(event.track), passage)
         self._add_simultaneous_cause(passage)
         self._open_passages.forget_stale(t)
@@ -372,15 +385,23 @@ class Predictor:
         passage = None
         if event.track is not None:
             passage = self._open_passages.end(event.camera, str(event.track), event.t)
-        self._exits.append(t, zone)
+        label = self._label_of(event.label, passage)
+        self._exits.append(t, zone, label)
 
         # The hazard of the exit takes the place of the rate of an object in view.
         arrivals = self._arrivals
         rows = self._arrivals_before(zone, t, (passage or UNKNOWN).t)
         targets = arrivals.zone[rows]
-        arrivals.rate[rows] += self._hazards.rates_from(zone, targets, arrivals.t[rows] - t)
+        labels, came = self.site.labels, arrivals.label[rows]
+        rates = self._hazards.rates_from(zone, targets, arrivals.t[rows] - t)
+        arrivals.rate[rows] += rates * labels.agreement(label, came, targets)
         if passage is not None:
-            arrivals.rate[rows] -= self._hazards.rates_before_exit(event.camera, targets)
+            rates = self._hazards.rates_before_exit(event.camera, targets)
+            arrivals.rate[rows] -= rates * labels.agreement(passage.label, came, targets)
+
+    def _label_of(self, label: str | None, passage: Passage | None) -> int:
+        """Return the number of an exit's label; without one it is that of its passage's entry."""
+        return self.site.labels.number(label) if label else (passage or UNKNOWN).label
 
     def _add_simultaneous_cause(self, passage: Passage) -> None:
         """Add a passage that begins to the causes of arrivals in other views at the same time."""
@@ -392,12 +413,14 @@ class Predictor:
             target = int(arrivals.zone[row])
             if self.zones[target].camera != passage.camera:
                 before_exit = hazards.rate_before_exit(passage.camera, target)
-                arrivals.rate[row] += before_exit + hazards.rate_entered(passage.entry, target, 0.0)
+                rate = before_exit + hazards.rate_entered(passage.entry, target, 0.0)
+                came = int(arrivals.label[row])
+                arrivals.rate[row] += rate * self.site.labels.of_two(passage.label, came, target)
 
-    def _causes(self, zone: int, t: float) -> dict[str, float]:
+    def _causes(self, zone: int, t: float, label: int) -> dict[str, float]:
         """Return, by camera, the rate (1/s) at which objects known from it arrive at a zone.
 
-        zone, t: index of the zone, and corrected time of the arrival.
+        zone, t, label: index of the zone, corrected time and label of the arrival.
 
         These objects have left the camera's view, or are still in it. Objects from outside the site
         are not included.
@@ -405,8 +428,9 @@ class Predictor:
         # Objects that have left.
         hazards = self._hazards
         site = self.site
-        exit_times, zones = self._exits.after(t - hazards.lag_max - site.offset_range)
+        exit_times, zones, left = self._exits.after(t - hazards.lag_max - site.offset_range)
         which, _, rates = hazards.rates_by_row(zones, zone, t - exit_times)
+        rates = rates * site.labels.agreement(left[which], label, zone)
         total = np.bincount(site.camera_of[zones[which]], rates, minlength=len(site.cameras))
         causes = {site.cameras[k]: float(total[k]) for k in np.flatnonzero(total)}
 
@@ -418,6 +442,7 @@ class Predictor:
             before_exit = hazards.rate_before_exit(camera, zone)
             for passage in self._open_passages.in_view(camera):
                 rate = before_exit + hazards.rate_entered(passage.entry, zone, t - passage.t)
+                rate *= site.labels.of_two(passage.label, label, zone)
                 if rate:
                     causes[camera] = causes.get(camera, 0.0) + rate
         return causes

@@ -23,6 +23,7 @@ class RecentState(Struct):
     t: Floats
     zone: Ints
     rate: Floats
+    label: Ints
 
 
 class RecentEvents:
@@ -35,6 +36,7 @@ class RecentEvents:
         self._t = np.zeros(2 * RECENT_MAX)
         self._zone = np.zeros(2 * RECENT_MAX, np.int32)
         self._rate = np.zeros(2 * RECENT_MAX)
+        self._label = np.zeros(2 * RECENT_MAX, np.int32)
         self._stop = 0
 
     @property
@@ -52,18 +54,24 @@ class RecentEvents:
         """Rates (n, 1/s) of all known causes of arrivals; 0 for exits."""
         return self._rate[self._first : self._stop]
 
-    def append(self, t: float, zone: int, rate: float = 0.0) -> None:
+    @property
+    def label(self) -> Ints:
+        """Numbers of the labels (n,), as `Labels` has them."""
+        return self._label[self._first : self._stop]
+
+    def append(self, t: float, zone: int, label: int, rate: float = 0.0) -> None:
         """Add an event at corrected time ``t``, with its rate if it is an arrival."""
         if self._stop == len(self._t):
             self.load(self.save())
         self._t[self._stop] = t
         self._zone[self._stop] = zone
         self._rate[self._stop] = rate
+        self._label[self._stop] = label
         self._stop += 1
 
     def save(self) -> RecentState:
         """Return a copy of the columns."""
-        return RecentState(self.t.copy(), self.zone.copy(), self.rate.copy())
+        return RecentState(self.t.copy(), self.zone.copy(), self.rate.copy(), self.label.copy())
 
     def load(self, state: RecentState) -> None:
         """Replace all events by the given ones, oldest first."""
@@ -71,26 +79,30 @@ class RecentEvents:
         self._t[: self._stop] = state.t
         self._zone[: self._stop] = state.zone
         self._rate[: self._stop] = state.rate
+        self._label[: self._stop] = state.label
 
-    def after(self, t: float) -> tuple[Floats, Ints]:
-        """Return times and zones (n,) of the events from ``t`` on.
+    def after(self, t: float) -> tuple[Floats, Ints, Ints]:
+        """Return times, zones and labels (n,) of the events from ``t`` on.
 
         The result is exact if all events were added in order of time.
         """
         first = max(int(self._t[: self._stop].searchsorted(t)), self._first)
-        return self._t[first : self._stop], self._zone[first : self._stop]
+        rows = slice(first, self._stop)
+        return self._t[rows], self._zone[rows], self._label[rows]
 
-    def take_over(self, older: RecentEvents, moved: dict[int, int]) -> None:
+    def take_over(self, older: RecentEvents, moved: dict[int, int], labels: dict[int, int]) -> None:
         """Replace all events by those of an older version, except at zones that are gone.
 
         moved: new index of each zone by its old index (`moved_zones`).
+        labels: new number of each label by its old number.
         """
         # New number of each old zone; -1 if it is gone.
         zones = int(older.zone.max(initial=0)) + 1
         number = np.array([moved.get(zone, -1) for zone in range(zones)], np.int32)
         zone = number[older.zone]
         kept = zone >= 0
-        self.load(RecentState(older.t[kept], zone[kept], older.rate[kept]))
+        label = np.array([*labels.values(), -1], np.int32)[older.label]
+        self.load(RecentState(older.t[kept], zone[kept], older.rate[kept], label[kept]))
 
     @property
     def _first(self) -> int:

@@ -28,6 +28,8 @@ class Step:
     ) -> None:
         self.camera = camera
         self.track = track
+        self.label: str | None = None
+        """Class of the object; None if unknown."""
         self.t = t
         self.name = name
         self.entry = entry

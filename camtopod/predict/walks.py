@@ -56,6 +56,7 @@ class Walks:
         self._version = topology.version
         self._predictor = predictor
         self._hazards: Hazards = predictor.site.hazards
+        self._labels = predictor.site.labels
         self._transitions = Transitions(predictor)
         self._nobody_leaves = predictor.anywhere.nobody_leaves
         self._dwell = self._dwell_densities(topology)
@@ -186,6 +187,7 @@ class Walks:
         name = next(name for name in names if name not in self._names)
         track = None if event.track is None else str(event.track)
         step = Step(event.camera, track, event.t, name, entry, t)
+        step.label = event.label
         self._events.append((event.t, step))
         self._names.add(name)
         return step
@@ -197,6 +199,7 @@ class Walks:
         step = in_view.pop(key, None) or self._step(event, None, t)
         step.ended = event.t
         step.left = t
+        step.label = event.label or step.label
         self._events.append((event.t, step))
         if zone is not None:
             step.zone = zone
@@ -289,6 +292,9 @@ class Walks:
             for k in np.flatnonzero((lag > 0.0) & (lag <= self._hazards.bins.lag_max)).tolist():
                 lost = self._expected(left[k]).lost
                 weights[k] += 0.0 if lost is None else lost[zone]
+        if self._labels:
+            labels = [self._labels.number(one.label) for one in left]
+            weights *= self._labels.agreement(labels, self._labels.number(step.label), zone)
         least = PROBABILITY_MIN * step.outside * LEAVE_FLOOR  # else unlikely without rivals, too
         edges = [
             Edge(one, step, "", weight)
@@ -304,8 +310,9 @@ class Walks:
             for one in list(self._open.get(camera, {}).values())[-CANDIDATES_MAX:]:
                 if one.entry is not None:
                     entered = self._hazards.rate_entered(one.entry, zone, t - one.began)
-                    if before_exit + entered > 0.0:
-                        edges.append(Edge(one, step, step.camera, before_exit + entered))
+                    rate = (before_exit + entered) * self._agreement(one, step, zone)
+                    if rate > 0.0:
+                        edges.append(Edge(one, step, step.camera, rate))
         return self._with_simultaneous(edges, step, zone)
 
     def _with_simultaneous(self, edges: list[Edge], step: Step, zone: int) -> list[Edge]:
@@ -323,12 +330,18 @@ class Walks:
                 continue
             rate = self._hazards.rate_before_exit(step.camera, one.entry)
             rate += self._hazards.rate_entered(zone, one.entry, 0.0)
+            rate *= self._agreement(step, one, one.entry)
             causes = one.outside / max(1.0 - sum(edge.probability for edge in one.edges), 1e-9)
             if rate > 0.0:
                 edge = known.get(id(one)) or Edge(one, step, step.camera, 0.0)
                 edge.weight += rate * step.outside / causes
                 known[id(one)] = edge
         return [edge for edge in edges if not edge.slot] + [*known.values()]
+
+    def _agreement(self, one: Step, step: Step, zone: int) -> float:
+        """Return how far the labels of a passage and of one that begins in a zone agree."""
+        labels = self._labels
+        return labels.of_two(labels.number(one.label), labels.number(step.label), zone)
 
     def _likely(self, step: Step, edges: list[Edge], t: float) -> list[Edge]:
         """Return the edges that are likely enough, given what other entries claim."""

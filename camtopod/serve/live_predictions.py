@@ -170,8 +170,11 @@ class Live:
 
     def _remember(self, event: Event, received: float) -> None:
         """Remember an event for ``recent``."""
-        zone = None if self._reader is None else self._reader.predictor.zone_id_of(event)
-        seen = SeenEvent(event.t, event.camera, event.kind, zone, event.x, event.y)
+        zone = label = None
+        if self._reader is not None:
+            predictor = self._reader.predictor
+            zone, label = predictor.zone_id_of(event), predictor.site.labels.name(event.label)
+        seen = SeenEvent(event.t, event.camera, event.kind, zone, event.x, event.y, label)
         self._recent.append((received, seen))
         self._hours.add(seen)
         while event.t - self._recent[0][1].t > RECENT_SECONDS:
@@ -257,7 +260,7 @@ class Live:
                     return predictor.predict(event, now)
                 for number, zone in enumerate(predictor.zones):
                     if zone.camera == camera and zone.id == parameters["zone"]:
-                        return predictor.predict_from(number, event.t, now=now)
+                        return predictor.predict_from(number, event.t, now=now, label=event.label)
                 raise QueryError(f"camera {camera!r} has no zone {parameters['zone']!r}")
             except ValueError as error:
                 raise QueryError(str(error)) from None
@@ -271,6 +274,7 @@ def asked_exit(camera: str, parameters: dict[str, str], as_of: float) -> tuple[E
     asked: dict[str, object] = {"camera": camera, "kind": "exit", "t": as_of}
     try:
         asked |= {name: float(parameters[name]) for name in ("t", "x", "y") if name in parameters}
+        asked |= {"label": parameters["label"]} if "label" in parameters else {}
         now = float(parameters["now"]) if "now" in parameters else None
         return codec.event_from_msgpack(codec.to_msgpack(asked)), now
     except codec.Rejected as error:

@@ -45,6 +45,8 @@ class SimSettings(Struct, frozen=True, forbid_unknown_fields=True):
     """Number of paths (both directions) that close half-way."""
     doors_opened: Count = 0
     """Number of paths (both directions) that nobody takes before they open half-way."""
+    labels: dict[str, Share] = {}
+    """Share of the walkers with each label; the others have none."""
 
     @property
     def half_way(self) -> float:

@@ -8,13 +8,18 @@ from __future__ import annotations
 
 import msgspec
 import numpy as np
+from msgspec.structs import replace
 
+from camtopod.arrays import Longs
 from camtopod.records import Event
 from camtopod.sim.layout import make_layout, with_doors, without_paths
 from camtopod.sim.reports import report, truth_of
 from camtopod.sim.settings import SimSettings as SimSettings
 from camtopod.sim.truth import Truth
 from camtopod.sim.walkers import walk
+
+ROUNDING = 1e-9
+"""By how much shares that make 1 may exceed it."""
 
 
 def simulate(settings: SimSettings) -> tuple[list[Event], Truth]:
@@ -42,4 +47,24 @@ def simulate(settings: SimSettings) -> tuple[list[Event], Truth]:
     passages = passages.take((passages.t_in >= 0) & (passages.t_out < settings.hours * 3600.0))
     recorded = passages.take(chance.random(len(passages.t_in)) >= settings.missed)
     events, owners = report(recorded, layout, settings, chance)
+    events = _labelled(events, owners[:, 0], settings)
     return events, truth_of(layout, settings, recorded, owners)
+
+
+def _labelled(events: list[Event], walker: Longs, settings: SimSettings) -> list[Event]:
+    """Return the events with the labels of their walkers; clutter has none.
+
+    walker (events,): number of each event's walker, negative for clutter.
+    """
+    if not settings.labels:
+        return events
+    if sum(settings.labels.values()) > 1.0 + ROUNDING:
+        raise ValueError("the shares of the labels are more than 1 together")
+    limits = np.cumsum(list(settings.labels.values()))
+    names = [*settings.labels, None]
+    draws = np.random.default_rng((settings.seed, 3)).random(int(walker.max(initial=-1)) + 1)
+    drawn = np.append(np.searchsorted(limits, draws, side="right"), len(limits))
+    return [
+        replace(event, label=names[k])
+        for event, k in zip(events, drawn[np.maximum(walker, -1)].tolist(), strict=True)
+    ]

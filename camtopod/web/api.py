@@ -21,7 +21,7 @@ from camtopod.serve.bus import JSON, Bus, QueryError
 from camtopod.web.feed import Feed
 from camtopod.web.outbox import PageQueues
 
-ASKED = ("zone", "x", "y", "t", "now")
+ASKED = ("zone", "x", "y", "t", "now", "label")
 """Parameters of a query for a prediction beside ``camera``."""
 LOOPBACK_ONLY = (
     "this API answers programs on its own machine only: set [web] password_file and token_file, "

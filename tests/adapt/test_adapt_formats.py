@@ -525,3 +525,33 @@ def survived(lines: list[bytes]) -> None:
             with contextlib.suppress(Rejected):
                 assert all(isinstance(event, Event) for event in adapter.receive(line))
         adapter.close()
+
+
+# --- Labels ---------------------------------------------------------------------------------------
+
+
+def labels_of(adapter: Adapter, lines: list[bytes]) -> list[tuple[str, str | None]]:
+    return [(event.kind, event.label) for event in read(adapter, lines)]
+
+
+def test_events_have_the_class_as_label_and_nothing_else() -> None:
+    """Not the face that Frigate knows, nor the plate of DeepStream's car."""
+    both = [("entry", "person"), ("exit", "person")]
+    plate = "540|Person|#|sedan|M|CA 444|0.8"
+    passing = [96 * (1 + n) for n in range(9)]
+    deep = [minimal(2 + n / 4, f"957|{x}|150|{x + 192}|{plate}") for n, x in enumerate(passing)]
+    walk = [scene(n / 10, [(41, 8 * (n - 15))] if 15 <= n < 90 else []) for n in range(130)]
+    human = [
+        json.dumps(json.loads(line) | {"detections": seen}).encode()
+        for line in [axis_frame(2 + n / 4, "a", x=0.1 + n / 20) for n in range(9)]
+        for seen in [[one | {"class": {"type": "Human"}} for one in json.loads(line)["detections"]]]
+    ]
+    onvif = [onvif_xml(2 + n / 4, onvif_object(15, 32 + 32 * n)) for n in range(9)]
+
+    assert labels_of(Frigate(SIZES), says.passage(t=T)) == both
+    assert labels_of(deepstream(), [minimal(0), *deep, minimal(9)]) == both
+    assert labels_of(SceneScape({"cam1": (800, 600)}, tracked=False), walk) == both
+    people = [("entry", "human"), ("exit", "human")]
+    assert labels_of(Axis("gate"), [axis_frame(0), *human, axis_frame(9)]) == people
+    assert labels_of(Onvif("gate"), [onvif_xml(0), *onvif, onvif_xml(9)]) == people
+    assert labels_of(Mot("gate", {"": (1920, 1080)}, 10, T), mot_lines())[:1] == [("entry", None)]

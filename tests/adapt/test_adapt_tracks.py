@@ -223,3 +223,33 @@ def test_nonsense_is_said_at_once() -> None:
     with pytest.raises(ValueError, match="finite"):
         events.update([1], [BOX], math.nan)
     assert events.statistics()["tracks"] == 0
+
+
+def test_the_label_is_the_most_frequent_kind_that_counts() -> None:
+    """Equally frequent ones go by name; that of parts, and of what is not wanted, is none."""
+    for wanted, kinds, label in (
+        ((), ["Car", "van", "car", ""], "car"),
+        ((), ["van", "bus"], "bus"),
+        ((), ["person", "face", "person", "face"], "person"),
+        (("person",), ["person", "dog", "person", "dog"], "person"),
+        ((), ["", ""], None),
+    ):
+        one = tracks.TrackEvents("gate", (1, 1), wanted=wanted)
+        events = one.update([], [], 0.0)
+        for k in range(8):
+            kind = [kinds[k % len(kinds)]]
+            events += one.update([1], [[0.1, 0.1, 0.2, 0.2]], 2.0 + 0.25 * k, kind)
+        events += one.update([], [], 9.0)
+
+        assert [event.kind for event in events] == ["entry", "exit"]
+        assert events[-1].label == label
+
+
+def test_a_track_that_is_lost_and_found_keeps_its_label() -> None:
+    """A program may send the kind only once."""
+    one = tracks.TrackEvents("gate", (1, 1))
+    one.update([], [], 0.0)
+    for t, kind in ((2.0, "car"), (2.5, ""), (3.0, ""), (9.0, ""), (9.5, ""), (10.0, "")):
+        one.update([1], [[0.1, 0.1, 0.2, 0.2]], t, [kind])
+
+    assert [event.label for event in one.update([], [], 20.0)] == ["car"]

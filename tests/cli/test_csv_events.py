@@ -96,3 +96,16 @@ def test_lines_of_json_are_no_table() -> None:
     line = '{"camera":"a","kind":"exit","t":1}\n'
     assert len(read(line * 2)[1]) == 2
     assert len(read("nonsense, at first\n" + line)[1]) == 1
+
+
+def test_a_column_of_labels_is_read_and_bad_ones_are_counted(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    rows = ["lobby,exit,1700000000,Person", "hall,entry,1700000008,-", "hall,exit,1700000009,"]
+    reader, events = read("camera,kind,t,label\n" + "\n".join(rows))
+
+    assert [event.label for event in events] == ["person", None, None]
+    assert reader.labels_dropped == 1
+    assert not reader.rejected
+    assert reader.summary() == "1 labels were not valid, their events count"
+    assert "my.csv:3: label has no letter or digit" in capsys.readouterr().err

@@ -21,6 +21,7 @@ from camtopod.records import (
     EntryKernel,
     Event,
     Histogram,
+    LabelModel,
     Link,
     Model,
     Onward,
@@ -255,3 +256,18 @@ def test_association_beats_the_nearest_in_time(site: Site) -> None:
 
     assert found >= nearest + 0.25, (found, nearest)
     assert found >= by_median + 0.02, (found, by_median)
+
+
+def test_labels_that_differ_speak_against_one_object() -> None:
+    """By the rule of the version; an exit without one has its entry's."""
+    assert THREE.model is not None
+    shares = {zone.id: [0.1, 0.9] for zone in THREE.zones}
+    labels = LabelModel(["bus", "car"], 0.9, shares)
+    gate = Gate(replace(THREE, model=replace(THREE.model, labels=labels)))
+    began = replace(LEFT, kind="entry", t=990.0, label="bus")
+    entries = [began, *(replace(came("b", 1008.0), label=label) for label in ("bus", "car", None))]
+
+    odds = gate.affinity([LEFT, replace(LEFT, label="car")], entries)[:, 1:]
+
+    assert odds[0, :2] - odds[0, 2] == pytest.approx(np.log([0.9 / 0.1 + 0.1, 0.1]))
+    assert odds[1, :2] - odds[1, 2] == pytest.approx(np.log([0.1, 0.9 / 0.9 + 0.1]))

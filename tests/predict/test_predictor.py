@@ -27,6 +27,7 @@ from camtopod.records import (
     EntryKernel,
     Event,
     Histogram,
+    LabelModel,
     Link,
     Model,
     Onward,
@@ -319,6 +320,10 @@ def any_pace(rng: np.random.Generator, names: list[str]) -> Pace | None:
     return Pace(1.0, float(rng.random()), 0.3, ways) if rng.random() < 0.7 else None
 
 
+def any_label(rng: np.random.Generator) -> str | None:
+    return [None, "bus", "car", "cat"][int(rng.integers(4))]
+
+
 def any_topology(rng: np.random.Generator) -> Topology:
     """Draw four zones with any links, entry kernels, dwell times and contexts."""
 
@@ -378,6 +383,10 @@ def any_topology(rng: np.random.Generator) -> Topology:
         contexts=contexts,
         pace=any_pace(rng, names),
     )
+    if rng.random() < 0.7:
+        shares = {n: rng.dirichlet(np.ones(2)).tolist() for n in names}
+        labels = LabelModel(["bus", "car"], float(rng.uniform(0, 0.99)), shares)
+        model = replace(model, labels=labels)
     cameras = [Camera(c, [n for n in names if n[0] == c]) for c in "abc"]
     return Topology(
         TOPOLOGY_SCHEMA, "hq", "01J", 1, 0.0, 800, "", cameras, zones, [], [], model=model
@@ -393,6 +402,7 @@ def test_odds_asked_for_later_equal_their_slow_twin(seed: int) -> None:
     exit_ = Event(
         str(rng.choice(list("abc"))), "exit", 20.0, 0.2, 0.55, "its" if rng.random() < 0.8 else None
     )
+    exit_ = replace(exit_, label=any_label(rng))
     seen = [
         Event(
             str(rng.choice(list("abc"))),
@@ -401,6 +411,7 @@ def test_odds_asked_for_later_equal_their_slow_twin(seed: int) -> None:
             float(rng.choice([0.2, 0.8])),
             0.55,
             str(rng.integers(0, 4)) if rng.random() < 0.8 else None,
+            label=any_label(rng),
         )
         for t in rng.uniform(0, 45, int(rng.integers(0, 30)))
     ]
@@ -475,3 +486,41 @@ def test_predictions_on_a_made_up_network() -> None:
         < score_predictions(blind, events, truth, since=events[cut].t).log_loss - 0.3
     )
     assert math.isfinite(scored.log_loss)
+
+
+def test_an_arrival_of_another_label_is_hardly_the_one() -> None:
+    """So the object is still to come; the label of an exit is that of its entry."""
+    shares = {zone.id: [0.1, 0.9] for zone in OVERLAP.zones}
+    labels = LabelModel(["bus", "car"], 0.9999, shares)
+    topology = replace(OVERLAP, model=replace(OVERLAP.model, labels=labels))
+
+    def there(mine: str | None, seen: str | None, exit_: str | None = None) -> float:
+        predictor = Predictor(topology)
+        predictor.observe(replace(ENTERED, label=mine))
+        predictor.observe(replace(THERE, label=seen))
+        return chances(predictor.predict(replace(EXIT, label=exit_))).get("d/1", 0.0)
+
+    unknown = there(None, None)
+    assert there("bus", "bus") > unknown
+    assert there("bus", "car") < 0.5 * unknown
+    assert there("bus", "cat") == there("cat", "bus") == unknown
+    assert there(None, "bus", exit_="bus") == pytest.approx(there("bus", "bus"), rel=0.1)
+
+
+def test_a_newer_version_numbers_labels_anew() -> None:
+    shares = {zone.id: [0.1, 0.9] for zone in OVERLAP.zones}
+    older, newer = (
+        replace(OVERLAP, model=replace(OVERLAP.model, labels=LabelModel(names, 0.9, shares)))
+        for names in (["bus", "car"], ["car", "truck"])
+    )
+    predictor = Predictor(older)
+    for track, label in enumerate(["bus", "car", None]):
+        predictor.observe(replace(ENTERED, label=label, track=str(track)))
+        predictor.observe(replace(EXIT, label=label, track=None))
+    followed = Predictor(newer)
+    followed.take_over(predictor)
+
+    state = followed.save()
+    assert state.arrivals.label.tolist() == [-1, 0, -1]
+    assert state.exits.label.tolist() == [-1, 0, -1]
+    assert [passage.label for _, _, passage in state.under_way] == [-1, 0, -1]

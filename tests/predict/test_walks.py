@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import frigate_messages as says
 import naive
 import numpy as np
@@ -19,7 +21,7 @@ from camtopod.predict.walks import (
     REVISE_SECONDS,
     UNSEEN_IN_VIEW,
 )
-from camtopod.records import Event, Match, Topology
+from camtopod.records import Event, LabelModel, Match, Topology
 
 T = T0 + 1e6
 """A time without other events."""
@@ -225,3 +227,40 @@ def test_tracks_are_the_ids_of_the_events_of_frigate(walks: Walks) -> None:
     assert match.track == f"{T + 17.2}-000002"
     assert match.from_[0].track == f"{T}-000001"
     assert match.from_[0].probability > 0.9
+
+
+def with_labels(topology: Topology, persistence: float = 0.95) -> Topology:
+    """Return the version with labels: nine in ten are cars, the others buses."""
+    assert topology.model is not None
+    shares = {zone.id: [0.1, 0.9] for zone in topology.zones}
+    labels = LabelModel(["bus", "car"], persistence, shares)
+    return replace(topology, model=replace(topology.model, labels=labels))
+
+
+def test_of_two_passages_that_fit_the_one_with_the_same_label_goes_on(learned: Topology) -> None:
+    """The exit has its entry's label, and a new version goes on with it."""
+    link = max(
+        (one for one in learned.links if one.relation == "unseen"), key=lambda one: one.probability
+    )
+    here, there = (name.rpartition("/")[0] for name in (link.from_, link.to))
+    zones = {zone.id: zone for zone in learned.zones}
+
+    def at(zone: str, kind: Any, t: float, track: str, label: str | None) -> Event:
+        one = zones[zone]
+        return Event(one.camera, kind, t, one.x, one.y, track, label=label)
+
+    topology = with_labels(learned)
+    walks = Walks(topology, Predictor(topology))
+    for track, label in (("1", "car"), ("2", "bus")):
+        walks.observe(at(link.from_, "entry", T, track, label))
+        walks.observe(at(link.from_, "exit", T + 2.0, track, None))
+    newer = Walks(topology, Predictor(topology))
+    newer.take_over(walks)
+
+    match = newer.observe(at(link.to, "entry", T + 2.0 + link.transit.q50, "9", "bus"))
+
+    assert match is not None
+    assert here != there
+    chance = {one.track: one.probability for one in match.from_}
+    assert chance["2"] > 0.7
+    assert chance.get("1", 0.0) < 0.1

@@ -10,12 +10,18 @@ from serving import closing_event, numbered, walkers
 
 from camtopod.learn.learner import Learner
 from camtopod.predict import Predictor, Walks
-from camtopod.records import Event, Match, Prediction, Topology
+from camtopod.records import Event, LabelModel, Match, Prediction, Topology
 from camtopod.serve import live_predictions
 from camtopod.serve.bus import QueryError
 from camtopod.serve.hourly_counts import HOURS_MAX
 from camtopod.serve.ingest import Received
-from camtopod.serve.live_predictions import FRESH_SECONDS, RECENT_SECONDS, Live, Reader
+from camtopod.serve.live_predictions import (
+    FRESH_SECONDS,
+    RECENT_SECONDS,
+    Live,
+    Reader,
+    asked_exit,
+)
 from camtopod.serve.storage import Entry
 
 EVENTS = [*numbered(walkers(60)), closing_event()]
@@ -180,3 +186,24 @@ def test_entries_and_exits_are_counted_by_the_hour_for_a_day() -> None:
     assert later is not None
     assert later.first == 100.0 * hour
     assert later.cameras["a"] == [[0, 1], *[[0, 0]] * (HOURS_MAX - 2), [1, 0]]
+
+
+def test_recent_events_have_labels_that_the_version_knows(learned: Topology) -> None:
+    """So what no class is, as a plate sent by mistake, is not told to readers."""
+    assert learned.model is not None
+    shares = {zone.id: [1.0] for zone in learned.zones}
+    known = replace(learned.model, labels=LabelModel(["person"], 0.9, shares))
+    live = Live(lambda answer: None, lambda: EVENTS[-2].t)
+    live.use(Reader(replace(learned, model=known), walks=False))
+    sent = ["Person", "ab123cd", None]
+    live.remember(
+        [replace(event, label=label) for event, label in zip(EVENTS[-5:-2], sent, strict=True)]
+    )
+
+    assert [one.label for one in live.recent("recent", {}).events] == ["person", None, None]
+
+
+def test_a_question_may_give_the_label() -> None:
+    event, now = asked_exit("a", {"label": "Bus", "x": "0.5", "y": "0.5"}, 7.0)
+
+    assert (event.label, event.t, now) == ("bus", 7.0, None)

@@ -190,3 +190,23 @@ def test_command_says_what_is_wrong(tmp_path: Path, capsys: pytest.CaptureFixtur
 
     assert main(["simulate", "--hours", "0.01", "--events", str(tmp_path / "no" / "e")]) == 1
     assert "cannot write" in capsys.readouterr().err
+
+
+def test_walkers_have_labels_by_their_shares() -> None:
+    """The events are those without labels otherwise; clutter has none."""
+    plain = SimSettings(cameras=6, hours=0.5, seed=4)
+    labels = {"person": 0.6, "car": 0.3}
+    events, truth = simulate(msgspec.structs.replace(plain, labels=labels))
+
+    without, _ = simulate(plain)
+    assert [msgspec.structs.replace(event, label=None) for event in events] == without
+    of: dict[int, set[str | None]] = {}
+    for event, walker in zip(events, truth.identity, strict=True):
+        of.setdefault(walker, set()).add(event.label)
+    assert of.pop(-1) == {None}
+    assert {len(some) for some in of.values()} == {1}
+    drawn = [next(iter(some)) for some in of.values()]
+    assert drawn.count("person") / len(drawn) == pytest.approx(0.6, abs=0.08)
+    assert drawn.count(None) / len(drawn) == pytest.approx(0.1, abs=0.05)
+    with pytest.raises(ValueError, match="more than 1"):
+        simulate(msgspec.structs.replace(plain, labels={"person": 0.6, "car": 0.5}))

@@ -213,3 +213,38 @@ def test_a_type_may_be_decoded_first_by_many_threads_at_once() -> None:
     done = subprocess.run([sys.executable, "-c", MANY_THREADS], check=False, timeout=60)
 
     assert done.returncode == 0
+
+
+@pytest.mark.parametrize(
+    ("label", "read_as"),
+    [
+        ("person", "person"),
+        ("License_Plate", "licenseplate"),
+        ("x" * 64, "x" * 64),
+        (None, None),
+        ("x" * 65, None),
+        (" - ", None),
+        (7, None),
+        (["person"], None),
+        ({"a": {"b": 1}}, None),
+    ],
+)
+def test_a_label_is_read_plainly_or_left_out(label: object, read_as: str | None) -> None:
+    """An invalid one is told, and the event stays."""
+    fields = GOOD | {"label": label}
+    told: list[Rejected] = []
+
+    events = [
+        event_from_json(msgspec.json.encode(fields), told.append),
+        event_from_msgpack(msgspec.msgpack.encode(fields), told.append),
+    ]
+
+    good = event_from_json(msgspec.json.encode(GOOD))
+    assert events == [msgspec.structs.replace(good, label=read_as)] * 2
+    is_valid = label is None or read_as is not None
+    assert [one.reason for one in told] == ([] if is_valid else ["bad-label"] * 2)
+
+
+def test_an_event_with_another_mistake_beside_its_label_is_refused() -> None:
+    assert reason(label=7, t="now") == "bad-value"
+    assert reason(label=7, boot="b") == "half-sequence"

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 
 import numpy as np
 from rendered_scenes import FPS, Person, Place, Scene, line
@@ -17,15 +17,21 @@ from camtopod.vision.track import Crossings, IgnoredAreas, Tracker
 WIDTH, HEIGHT = 320, 240
 
 
-def tracked(frames: list[list[Box]]) -> list[Event]:
-    """Return the events of the boxes seen in each frame, and in some empty frames around them."""
+def tracked(frames: list[list[Box]], labels: Sequence[str] = ("",)) -> list[Event]:
+    """Return the events of the boxes seen in each frame, and in some empty frames around them.
+
+    labels: what a detector says that the boxes of the frames are, one frame after another.
+    """
     ignored = IgnoredAreas(np.full((HEIGHT, WIDTH), 255, np.uint8))
     crossings = Crossings("cam", WIDTH, HEIGHT, (), ignored, lambda decision: None)
     tracker = Tracker(VisionSettings(), crossings, iter(range(1, 1000)))
     crossings.began = 0.0
     events: list[Event] = []
     for k, boxes in enumerate([*[[]] * 10, *frames, *[[]] * 20]):
-        blobs = [Blob(*map(float, box), foot_x=(box[0] + box[2]) / 2) for box in boxes]
+        blobs = [
+            Blob(*map(float, box), (box[0] + box[2]) / 2, label=labels[k % len(labels)])
+            for box in boxes
+        ]
         events += tracker.step(k / FPS, blobs)
     return events
 
@@ -136,3 +142,13 @@ def test_no_event_is_told_more_than_four_seconds_after_its_time() -> None:
             lateness += [t - event.t for event in pipeline.process(t, picture)]
     assert 0.0 < max(lateness) <= 4.0
     assert {"entered", "left", "entered late", "left late"} <= reasons
+
+
+def test_the_label_of_a_track_is_the_detectors_most_frequent() -> None:
+    """Motion alone has none."""
+    frames = [[(8 * k, 80, 8 * k + 40, 180)] for k in range(35)]
+    for labels, expected in ((["car", "", "Car", "van"], "car"), ([""], None)):
+        events = tracked(frames, labels)
+
+        assert events
+        assert {event.label for event in events} == {expected}

@@ -16,6 +16,7 @@ from camtopod.cli.events.event_lines import LineReader
 from camtopod.cli.exits import InputError
 from camtopod.cli.terminal import Progress, busiest_links, topology_lines
 from camtopod.codec import to_json
+from camtopod.labels import LABELS_MAX
 from camtopod.learn.learner import STEPS, Learner
 from camtopod.records import Topology
 from camtopod.topology import lacks_in_words, likely_links
@@ -79,6 +80,9 @@ def run(args: argparse.Namespace) -> None:
         _feed(learner, reader, args.events, updates)
         if (summary := reader.summary()) is not None:
             print(f"camtopod: {summary}", file=sys.stderr)
+        if left_out := learner.statistics()["labels_left_out"]:
+            told = f"the {LABELS_MAX} most frequent labels count, {left_out} others as none"
+            print(f"camtopod: {told}", file=sys.stderr)
         topology = learner.topology
         if topology is None:
             raise InputError(f"no event lines in {', '.join(args.events)}: nothing to learn")

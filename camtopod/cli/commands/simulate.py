@@ -52,6 +52,20 @@ def add_parser(add: Any) -> None:
             help=help_ if value is None else f"{help_} (default {value:g})",
         )
 
+    parser.add_argument(
+        "--labels",
+        type=_shares,
+        default={},
+        metavar="LABEL=SHARE,...",
+        help="labels of the walkers, such as person=0.9,bicycle=0.1; the others have none",
+    )
+
+
+def _shares(text: str) -> dict[str, float]:
+    """Return the shares of an option such as ``person=0.9,bicycle=0.1``; raise ValueError."""
+    pairs = [part.partition("=") for part in text.split(",")]
+    return {name.strip(): float(share) for name, _, share in pairs}
+
 
 def run(args: argparse.Namespace) -> None:
     """Simulate and write the files.
@@ -61,7 +75,7 @@ def run(args: argparse.Namespace) -> None:
     # Simulate.
     try:
         given = {name: getattr(args, name) for name, _, _ in _NUMBERS}
-        events, truth = simulate(SimSettings(**given))
+        events, truth = simulate(SimSettings(**given, labels=args.labels))
     except ValueError as error:
         raise exits.CommandError(f"simulate: {error}", exits.USAGE) from None
 

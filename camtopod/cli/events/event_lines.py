@@ -15,6 +15,7 @@ import time
 from collections import Counter
 from collections.abc import Iterable, Iterator
 from contextlib import ExitStack
+from functools import partial
 from typing import BinaryIO, NamedTuple
 
 from camtopod.adapt import LINE_BYTES_MAX, Adapter, frames
@@ -60,6 +61,8 @@ class LineReader:
 
     def __init__(self) -> None:
         self.rejected: Counter[str] = Counter()
+        self.labels_dropped = 0
+        """Events whose label is not valid; they count without it."""
         self.read = 0
         self.events = 0
         self._files: list[BinaryIO] = []
@@ -97,7 +100,7 @@ class LineReader:
         for number, text in lines:
             self.read += 1
             try:
-                event = event_from_json(text)
+                event = event_from_json(text, partial(self._drop_label, f"{path}:{number}"))
             except Rejected as error:
                 self.reject(error.reason, f"{path}:{number}: {error}", text)
                 continue
@@ -125,7 +128,10 @@ class LineReader:
                 try:
                     if len(text) > LINE_BYTES_MAX:
                         raise Rejected("too-long", f"more than {LINE_BYTES_MAX} bytes")
-                    events += [event_from_json(to_json(event)) for event in adapter.receive(text)]
+                    drop = partial(self._drop_label, f"{path}:{number}")
+                    events += [
+                        event_from_json(to_json(event), drop) for event in adapter.receive(text)
+                    ]
                 except Rejected as error:
                     self.reject(error.reason, f"{path}:{number}: {error}")
                 except Exception as error:  # no message of another program may end the reading
@@ -148,12 +154,23 @@ class LineReader:
             message = visible(redact(": ".join(filter(None, [where, quoted]))))
             print(f"camtopod: {message} (further ones are only counted)", file=sys.stderr)
 
+    def _drop_label(self, where: str, error: Rejected) -> None:
+        """Count an invalid label; print the first one's mistake in a message."""
+        self.labels_dropped += 1
+        if self.labels_dropped == 1:
+            what = f"{where}: {error}; the event counts without its label"
+            print(f"camtopod: {what} (further ones are only counted)", file=sys.stderr)
+
     def summary(self) -> str | None:
-        """Return one line about the rejected lines; None if there are none."""
-        if not self.rejected:
-            return None
-        mistakes = ", ".join(f"{mistake} {n}" for mistake, n in sorted(self.rejected.items()))
-        return f"{sum(self.rejected.values())} of {self.read} lines were rejected: {mistakes}"
+        """Return one line about the rejected lines and labels; None if there are none."""
+        parts = []
+        if self.rejected:
+            mistakes = ", ".join(f"{mistake} {n}" for mistake, n in sorted(self.rejected.items()))
+            total = sum(self.rejected.values())
+            parts.append(f"{total} of {self.read} lines were rejected: {mistakes}")
+        if self.labels_dropped:
+            parts.append(f"{self.labels_dropped} labels were not valid, their events count")
+        return "; ".join(parts) or None
 
 
 def pieces(path: str, file: BinaryIO) -> Iterator[bytes]:

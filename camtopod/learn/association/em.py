@@ -28,7 +28,9 @@ from camtopod.learn.traffic import (
     NO_PERSISTENCE,
     SURE_RESPONSIBILITY,
     NullRates,
+    estimate_label_persistence,
     estimate_persistence,
+    first_weights,
 )
 from camtopod.topology import LEAVE_FLOOR, favours, smooth
 
@@ -161,18 +163,32 @@ class Em:
         """
         c = self.candidates
         departures, arrivals, bins, zones, *_ = self.problem
+        self.responsibility[:] = 0.0
+        self._message[:] = 1.0
         if len(c.lag) == 0:
             return np.zeros((self.pairs, bins.size), np.float32)
-        histograms = self._count(arrivals.weights(c.arrival))
+        weight, unrelated = self._first_weights()
+        histograms = self._count(weight)
         near = self.model.near
         null_model = NullRates(
             departures.t[near], departures.zone[near], arrivals.t, arrivals.zone, zones
         )
         rates = null_model.rates_of(c.source, c.target)
+        rates *= unrelated
         first = initial_hazards(
             histograms, rates, self.exposure, self.range_of, bins, noise_sd, START_FLOOR
         )
         return first.astype(np.float32)
+
+    def _first_weights(self) -> tuple[Singles, float]:
+        """Return the weight (M,) of each candidate in `start`, and that of unrelated ones."""
+        arrivals = self.problem.arrivals
+        weight = arrivals.weights(self.candidates.arrival)
+        likeness, share = self.adjusted.likeness, arrivals.label_share
+        if likeness is None or share is None:
+            return weight, 1.0
+        by_label, unrelated = first_weights(likeness, share, self.adjusted.persistence.label)
+        return weight * by_label, unrelated
 
     def run(self, hazard: Singles) -> Singles:
         """Return the hazards (P, bins) after `ITERATIONS` iterations of EM.
@@ -245,9 +261,23 @@ class Em:
             c.pair[sure],
             self.responsibility[sure].astype(float),
         )
+        found = found._replace(label=self._label_persistence(sure))
 
         self.adjusted = adjust(self.problem, c, found)
         return self.hazards(self._count(before))
+
+    def _label_persistence(self, sure: Indices) -> float:
+        """Estimate how far labels persist from the candidates ``sure``; 0 without labels."""
+        d, a, c = self.problem.departures, self.problem.arrivals, self.candidates
+        if d.label is None or a.label is None or a.label_share is None:
+            return 0.0
+        left, came = d.label.take(c.departure[sure]), a.label.take(c.arrival[sure])
+        known = np.flatnonzero((left >= 0) & (came >= 0))
+        return estimate_label_persistence(
+            (left == came)[known],
+            a.label_share.take(c.arrival[sure[known]]),
+            self.responsibility[sure[known]].astype(float),
+        )
 
     def keep(self, kept: Bools) -> Bools:
         """Drop all candidates but those of the mask ``kept`` (M,), and pairs of zones without any.

@@ -15,10 +15,10 @@ from camtopod.arrays import Indices, Rows, Singles
 from camtopod.learn.association.candidates import CANDIDATES_AT_ONCE, Candidates
 from camtopod.learn.association.problem import Problem
 from camtopod.learn.traffic import (
-    NO_PERSISTENCE,
     Persistence,
     adjusted_lag,
     agreement,
+    label_agreement,
     mean_slowness,
 )
 
@@ -29,18 +29,22 @@ class Adjusted(NamedTuple):
     persistence: how far speed persists from view to view.
     cell (M,): flat index of each candidate in a table (P, bins) of pairs of zones by lag bin, with
         its lag at usual speed.
-    agreement (M,): likelihood ratio of one object by the slownesses before and after; None if speed
-        does not persist.
+    agreement (M,): likelihood ratio of one object by the slownesses and labels before and after;
+        None if neither persists.
+    likeness (M,): the part of the labels in it; None if they do not persist.
     """
 
     persistence: Persistence
     cell: Rows
     agreement: Singles | None
+    likeness: Singles | None = None
 
     def take(self, kept: Indices) -> Adjusted:
         """Return the candidates given by their rows ``kept``; pairs of zones keep their numbers."""
-        agreement = None if self.agreement is None else self.agreement[kept]
-        return Adjusted(self.persistence, self.cell[kept], agreement)
+        agreement, likeness = (
+            None if column is None else column[kept] for column in (self.agreement, self.likeness)
+        )
+        return Adjusted(self.persistence, self.cell[kept], agreement, likeness)
 
 
 def adjust(problem: Problem, candidates: Candidates, found: Persistence) -> Adjusted:
@@ -57,7 +61,7 @@ def adjust(problem: Problem, candidates: Candidates, found: Persistence) -> Adju
     for first in range(0, len(c.lag), CANDIDATES_AT_ONCE):
         part = slice(first, first + CANDIDATES_AT_ONCE)
         lag = c.lag[part].astype(float)
-        if found != NO_PERSISTENCE:
+        if found.scaling or found.correlation:
             slow_before = problem.departures.slow.take(c.departure[part])
             slow_after = problem.arrivals.slow.take(c.arrival[part])
             slow = mean_slowness(slow_before, slow_after)
@@ -67,4 +71,30 @@ def adjust(problem: Problem, candidates: Candidates, found: Persistence) -> Adju
         if agreements is not None:
             agreements[part] = agreement(slow_before, slow_after, found)
 
-    return Adjusted(found, cell, agreements)
+    likeness = likeness_of(problem, candidates, found.label)
+    if likeness is not None:
+        agreements = likeness if agreements is None else agreements * likeness
+    return Adjusted(found, cell, agreements, likeness)
+
+
+def likeness_of(problem: Problem, candidates: Candidates, persistence: float) -> Singles | None:
+    """Return the agreement of labels (M,) of each candidate; None if there are no labels.
+
+    persistence: share of the objects whose label persists.
+    """
+    left, came, share = (
+        problem.departures.label,
+        problem.arrivals.label,
+        problem.arrivals.label_share,
+    )
+    if left is None or came is None or share is None or persistence <= 0:
+        return None
+    c = candidates
+    result = np.empty(len(c.lag), np.float32)
+    for first in range(0, len(result), CANDIDATES_AT_ONCE):
+        part = slice(first, first + CANDIDATES_AT_ONCE)
+        arrival = c.arrival[part]
+        result[part] = label_agreement(
+            left.take(c.departure[part]), came.take(arrival), share.take(arrival), persistence
+        )
+    return result

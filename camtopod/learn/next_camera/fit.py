@@ -158,6 +158,9 @@ class PosteriorFitter:
         # First hazards and entry kernels, from the excess over the null model.
         self.entering.start(FIRST_NOISE_SD)
         self.hazard = self.em.start(FIRST_NOISE_SD)
+        if self.problem.arrivals.label is not None:
+            self.em.learn_speed(self.hazard)
+            self.hazard = self.em.start(FIRST_NOISE_SD)
 
         # Rounds without contexts; impossible candidates are left out as soon as they show.
         for first in range(FIRST_ROUNDS):

@@ -10,9 +10,16 @@ from typing import NamedTuple
 
 import numpy as np
 
-from camtopod.arrays import Floats, Longs, Rows, ranges
+from camtopod.arrays import Floats, Longs, Rows, Singles, ranges
 from camtopod.learn.limits import PATH_CANDIDATES_MAX, ZONE_PATH_CANDIDATES_MAX
-from camtopod.learn.traffic import Arrivals, Departures, activity_rates, local_rates
+from camtopod.learn.traffic import (
+    Arrivals,
+    Departures,
+    activity_rates,
+    label_agreement,
+    label_shares,
+    local_rates,
+)
 
 LAG_SECONDS_MAX, ZONE_LAG_SECONDS_MAX = 900.0, 200.0
 """Longest lag between cameras, and between zones."""
@@ -51,6 +58,8 @@ class CameraLags(NamedTuple):
     """Longest lag, seconds."""
     until: float
     """Time up to which arrivals are known, seconds."""
+    likeness: Singles | None = None
+    """(M,) likelihood ratio of one object over two, by the labels; None without labels."""
 
     def came(self, rows: Rows) -> Floats:
         """Return when the arrivals of the candidates ``rows`` came, (n,) seconds."""
@@ -96,6 +105,7 @@ def camera_lags(
     lag_min: float,
     until: float,
     by_zone: bool = False,
+    label_persistence: float = 0.0,
 ) -> CameraLags:
     """Return the candidates of a window, `PATH_CANDIDATES_MAX` at most, of its newest events.
 
@@ -104,6 +114,7 @@ def camera_lags(
     until: time up to which arrivals are known, seconds.
     by_zone: True for paths between zones of different cameras, not between cameras; ``cameras`` is
         the number of zones then.
+    label_persistence: share of the objects whose label persists.
     """
     if by_zone:
         lag_min = 0.0
@@ -138,6 +149,13 @@ def camera_lags(
     key = keys(pair, lag, lag_min, lag_max)
     order = np.flatnonzero(possible)
     order = order[np.argsort(key[order], kind="stable")]
+    departure, arrival = departure[order], arrival[order]
+    likeness = None
+    if departures.label is not None and arrivals.label is not None and label_persistence > 0.0:
+        share = label_shares(came, arrivals.label, cameras)
+        likeness = label_agreement(
+            departures.label[departure], arrivals.label[arrival], share[arrival], label_persistence
+        ).astype(np.float32)
     return CameraLags(
         departures.t,
         departures.t - departures.since,
@@ -145,14 +163,15 @@ def camera_lags(
         target,
         rate,
         activity_rates(arrivals.t, came, arrivals.camera, rate),
-        departure[order],
-        arrival[order],
+        departure,
+        arrival,
         lag[order],
         key[order],
         cameras,
         lag_min,
         lag_max,
         until,
+        likeness,
     )
 
 

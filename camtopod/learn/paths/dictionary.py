@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from camtopod.arrays import Floats, Longs, Singles
 from camtopod.learn.paths.camera_lags import CameraLags, keys
+from camtopod.learn.traffic import RATIO_MAX
 
 RESOLUTION_SECONDS = 1.0
 """Seconds by which lags are told apart, as the times of some cameras are whole seconds; least width
@@ -104,7 +105,7 @@ def _peaks_from(
     before = len(dwell) - np.searchsorted(dwell, -grid)
     exposed = _summed(RESOLUTION_SECONDS * np.where(grid >= 0, after, before)[None, :])[0]
 
-    # Candidates by target and lag, weighed by 1 / rate, and their squared weights.
+    # Candidates by target and lag, weighed by 1 / rate and labels, and their squared weights.
     cameras = lags.cameras
     first, end = np.searchsorted(
         lags.key,
@@ -116,6 +117,8 @@ def _peaks_from(
         ),
     )
     weight = 1.0 / lags.rate[lags.arrival[first:end]]
+    if lags.likeness is not None:
+        weight *= np.minimum(lags.likeness[first:end], RATIO_MAX)
     cell = ((lags.lag[first:end] - grid[0]) / RESOLUTION_SECONDS + 0.5).astype(np.int64)
     target = lags.target[lags.arrival[first:end]]
     cell = target * len(grid) + np.minimum(cell, len(grid) - 1)

@@ -49,7 +49,11 @@ def _has_platoons(scene: Scene) -> bool:
 
 
 def second_opinion(
-    scene: Scene, cameras: list[str], lag_min: float, odds: Floats | None = None
+    scene: Scene,
+    cameras: list[str],
+    lag_min: float,
+    odds: Floats | None = None,
+    label_persistence: float = 0.0,
 ) -> tuple[list[CameraPath], Floats | None]:
     """Return the paths, sorted by their ends and place, and the evidence for pairs of cameras.
 
@@ -59,6 +63,7 @@ def second_opinion(
     cameras: names of all cameras.
     lag_min (seconds): least lag.
     odds (cameras, cameras): odds of a path by what was declared; None for 1.
+    label_persistence: share of the objects whose label persists.
     """
     by_zone = not _is_few(scene)
     favour = favours(np.ones((len(cameras), len(cameras))) if odds is None else odds)
@@ -66,7 +71,15 @@ def second_opinion(
         view = np.array([zone.camera for zone in scene.zones])
         favour = favour[view[:, None], view]
         cameras = [zone_id(cameras, zone) for zone in scene.zones]
-    lags = camera_lags(scene.departures, scene.arrivals, len(cameras), lag_min, scene.last, by_zone)
+    lags = camera_lags(
+        scene.departures,
+        scene.arrivals,
+        len(cameras),
+        lag_min,
+        scene.last,
+        by_zone,
+        label_persistence,
+    )
     fit = PathFit(lags, favour.ravel(), *find_peaks(lags, favour))
     fit.run()
     if by_zone:

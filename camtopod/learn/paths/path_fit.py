@@ -137,6 +137,8 @@ class PathFit:
         path, row, rows = lags.within(pair, place - near, place + near)
         lag = lags.lag[rows][row]
         rate = (share * self._favour[pair])[path] * student_density(lag, place[path], width[path])
+        if lags.likeness is not None:
+            rate *= lags.likeness[rows][row]
         total = np.bincount(row, rate, minlength=len(rows)).astype(float)
         responsibility = self._responsibility(rows, total)
         part = responsibility[row] * rate / np.maximum(total[row], 1e-300)

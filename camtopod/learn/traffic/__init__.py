@@ -5,9 +5,9 @@ zone an *arrival*, and an entry and an exit of one track in one view a *passage*
 
 Reading order: `events` defines the tables of departures and arrivals. `labelled_events` fills them
 from the window and the zone maps (`Scene`). `speed` measures how slow each object is, and estimates
-how far slowness persists from view to view. `background_rate` has the rates of arrivals under the
-null model, in which arrivals have nothing to do with departures; `rhythm` adds the rhythm of each
-zone's own arrivals to it.
+how far slowness persists from view to view; `labels` does so for labels. `background_rate` has the
+rates of arrivals under the null model, in which arrivals have nothing to do with departures;
+`rhythm` adds the rhythm of each zone's own arrivals to it.
 """
 
 from camtopod.learn.traffic.background_rate import (
@@ -23,6 +23,15 @@ from camtopod.learn.traffic.labelled_events import (
     Scene as Scene,
     ZoneRef as ZoneRef,
     label_events as label_events,
+)
+from camtopod.learn.traffic.labels import (
+    RATIO_MAX as RATIO_MAX,
+    UNKNOWN_LABEL as UNKNOWN_LABEL,
+    estimate_label_persistence as estimate_label_persistence,
+    first_weights as first_weights,
+    label_agreement as label_agreement,
+    label_shares as label_shares,
+    label_table as label_table,
 )
 from camtopod.learn.traffic.rhythm import activity_rates as activity_rates
 from camtopod.learn.traffic.speed import (

@@ -27,6 +27,7 @@ class Departures(NamedTuple):
     own: row in the table of arrivals of the entry that began this passage; -1 if unknown.
     block: block of the image where the object left (`camtopod.topology.blocks_of`); -1 if the exit
         has no position.
+    label: number of the object's label (`labels`), negative if unknown; None without labels.
     """
 
     t: Floats
@@ -36,6 +37,7 @@ class Departures(NamedTuple):
     slow: Floats
     own: Ints
     block: Ints
+    label: Ints | None = None
 
     def take(self, kept: NDArray[np.bool_], arrivals: NDArray[np.bool_]) -> Departures:
         """Return the departures of a mask.
@@ -46,12 +48,14 @@ class Departures(NamedTuple):
         """
         # The new row of each arrival; the last element is for -1.
         number = np.append(np.where(arrivals, np.cumsum(arrivals) - 1, -1), -1).astype(np.int32)
-        columns: list[Any] = [column[kept] for column in self._replace(own=number[self.own])]
-        return Departures(*columns)
+        return self._replace(own=number[self.own])._rows(kept)
 
     def passages(self) -> Departures:
         """Return the departures that end a passage whose entry is known and in a zone."""
-        columns: list[Any] = [column[self.own >= 0] for column in self]
+        return self._rows(self.own >= 0)
+
+    def _rows(self, kept: NDArray[np.bool_]) -> Departures:
+        columns: list[Any] = [None if column is None else column[kept] for column in self]
         return Departures(*columns)
 
     @staticmethod
@@ -73,6 +77,8 @@ class Arrivals(NamedTuple):
     slow: slowness of the passage that begins with this arrival (`speed`); nan if unknown.
     weight: rate without rhythm over ``rate``; None if there is no rhythm. A platoon of arrivals
         counts as much as one arrival at any time.
+    label: as that of departures.
+    label_share: share of the label among the arrivals at the zone (`labels`); None without labels.
     """
 
     t: Floats
@@ -81,6 +87,8 @@ class Arrivals(NamedTuple):
     rate: Floats
     slow: Floats
     weight: Floats | None = None
+    label: Ints | None = None
+    label_share: Floats | None = None
 
     def take(self, kept: NDArray[Any]) -> Arrivals:
         """Return the arrivals ``kept``, given as a mask or as rows."""

@@ -7,6 +7,7 @@ departure whose arrival is known (`Departures.own`).
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -16,6 +17,7 @@ from camtopod.arrays import Floats, Indices, Ints
 from camtopod.event_time import MICROSECONDS
 from camtopod.learn.traffic.background_rate import local_rates
 from camtopod.learn.traffic.events import Arrivals, Departures
+from camtopod.learn.traffic.labels import label_shares
 from camtopod.learn.traffic.rhythm import rhythm_rates
 from camtopod.learn.traffic.speed import slowness
 from camtopod.learn.window import Window
@@ -53,6 +55,8 @@ class Scene(NamedTuple):
     """Time of the first event in seconds."""
     last: float
     """Time in seconds up to which the events of all cameras are known."""
+    labels: Sequence[str] = ()
+    """The labels that count, by number."""
 
 
 def number_zones(window: Window, maps: list[ZoneMap]) -> tuple[list[ZoneRef], NDArray[np.int32]]:
@@ -129,6 +133,7 @@ def label_events(window: Window, maps: list[ZoneMap], ahead: Floats | None = Non
     departures = Departures(
         t[exit_rows], zone[exit_rows], camera[exit_rows], since, slow[exit_rows], own_arrival, block
     )
+    labels, label = window.labels()
 
     # Arrivals.
     came = t[entry_rows]
@@ -136,6 +141,11 @@ def label_events(window: Window, maps: list[ZoneMap], ahead: Floats | None = Non
     even = local_rates(came, entered, n)
     rate = rhythm_rates(came, entered, even, n)
     arrivals = Arrivals(came, entered, camera[entry_rows], rate, slow[entry_rows], even / rate)
+    if len(labels) > 1:
+        departures = departures._replace(label=label[exit_rows])
+        arrivals = arrivals._replace(
+            label=label[entry_rows], label_share=label_shares(entered, label[entry_rows], n)
+        )
 
     return Scene(
         zones,
@@ -146,6 +156,7 @@ def label_events(window: Window, maps: list[ZoneMap], ahead: Floats | None = Non
         _tracked(camera[~entry], mate[~entry], len(window.cameras)),
         float(t.min()),
         last,
+        labels,
     )
 
 

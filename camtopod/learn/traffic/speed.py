@@ -40,11 +40,13 @@ class Persistence(NamedTuple):
         exp(scaling * slowness).
     correlation: correlation of the slownesses of one object in two successive views.
     sd: standard deviation of slowness over objects.
+    label: share of the objects whose label persists (`labels`).
     """
 
     scaling: float
     correlation: float
     sd: float
+    label: float = 0.0
 
 
 NO_PERSISTENCE = Persistence(0.0, 0.0, 1.0)

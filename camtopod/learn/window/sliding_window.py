@@ -23,6 +23,7 @@ from msgspec import Struct, field
 from numpy.typing import NDArray
 
 from camtopod.arrays import rows_by_group
+from camtopod.labels import LABELS_MAX, plain
 from camtopod.records import Event
 from camtopod.topology import POSITION_ONE
 
@@ -35,6 +36,10 @@ of a site for which this is checked.
 """
 NO_POSITION = -1
 """Coordinate of events without position."""
+NO_LABEL = -1
+"""Value of ``label`` for events without one."""
+LABELS_REMEMBERED = 4 * LABELS_MAX
+"""Number of labels from which those without events in the window are forgotten."""
 NO_MATE = -1
 """Value of ``mate`` for entries, and for exits of unknown entry."""
 FORGOTTEN = -1
@@ -47,10 +52,11 @@ _COLUMNS = {
     "px": np.int32,
     "py": np.int32,
     "mate": np.int64,
+    "label": np.int32,
 }
 """Columns of the window: time in microseconds; index of the camera; True for an entry, False for an
 exit; position (x, y) in fixed point, `NO_POSITION` if unknown; absolute row of an exit's entry, or
-`NO_MATE`.
+`NO_MATE`; index of the label, or `NO_LABEL`.
 """
 
 
@@ -68,6 +74,8 @@ class WindowState(Struct):
 
     Ascending by row; all rows are in the window.
     """
+    labels: list[str] = []
+    """Labels, in the order in which they came."""
     columns: dict[str, NDArray[Any]] = field(
         default_factory=lambda: {name: np.zeros(0, dtype) for name, dtype in _COLUMNS.items()}
     )
@@ -94,6 +102,7 @@ class Window:
         self._events_max = events_max
         self.state = state or WindowState()
         self._index = {name: camera for camera, name in enumerate(self.state.cameras)}
+        self._label_index = {label: k for k, label in enumerate(self.state.labels)}
         self._memory: dict[str, NDArray[Any]] = {}
         """The columns, with rows removed before them and room behind them."""
         self._end = 0
@@ -145,6 +154,7 @@ class Window:
             "px": [_fixed_point(event.x, event.y) for _, event in batch],
             "py": [_fixed_point(event.y, event.x) for _, event in batch],
             "mate": [self._mate(camera[k], event, first + k) for k, (_, event) in enumerate(batch)],
+            "label": [self._label(event.label) for _, event in batch],
         }
         for row, (index, px) in enumerate(zip(camera, fresh["px"], strict=True), first):
             self.seen[index] += px != NO_POSITION
@@ -168,7 +178,19 @@ class Window:
         self._forget_oldest(old)
         beyond = max(len(self) - self.events_max, 0)
         self._forget_oldest(beyond - self._forget_flood(beyond))
+        if len(self.state.labels) > LABELS_REMEMBERED:
+            self._forget_labels()
         return old + beyond
+
+    def _forget_labels(self) -> None:
+        """Forget the labels without events in the window."""
+        column = self.column("label")
+        used = np.unique(column[column != NO_LABEL])
+        number = np.append(np.zeros(len(self.state.labels), np.int32), NO_LABEL).astype(np.int32)
+        number[used] = np.arange(len(used))
+        self.state.labels = [self.state.labels[k] for k in used.tolist()]
+        self._label_index = {label: k for k, label in enumerate(self.state.labels)}
+        self._hold({**self.state.columns, "label": number[column]})
 
     def _forget_oldest(self, drop: int) -> None:
         """Remove the oldest ``drop`` rows, and open passages that began in them."""
@@ -276,6 +298,38 @@ class Window:
         """Return a mask (n,) of the rows that have a position."""
         known: NDArray[np.bool_] = self.column("px") != NO_POSITION
         return known
+
+    def labels(self) -> tuple[list[str], NDArray[np.int32]]:
+        """Return the `LABELS_MAX` most frequent labels, sorted, and that of each row (n,).
+
+        The second result is an index into the first, or `NO_LABEL`. An exit without a label has its
+        entry's. Of labels as frequent as each other, the first by name count.
+        """
+        label = self.column("label")
+        entry = self.entries_of_exits()
+        label = np.where((label == NO_LABEL) & (entry >= 0), label[np.maximum(entry, 0)], label)
+        names = self.state.labels
+        events = np.bincount(label[label != NO_LABEL], minlength=len(names)).tolist()
+        frequent = sorted((-number, names[k], k) for k, number in enumerate(events) if number)
+        counted = sorted((name, k) for _, name, k in frequent[:LABELS_MAX])
+        number = np.full(len(names) + 1, NO_LABEL, np.int32)
+        number[[k for _, k in counted]] = np.arange(len(counted))
+        return [name for name, _ in counted], number[label]
+
+    @property
+    def labels_left_out(self) -> int:
+        """Number of the labels that do not count, at most `LABELS_REMEMBERED` or so."""
+        return max(len(self.state.labels) - LABELS_MAX, 0)
+
+    def _label(self, label: str | None) -> int:
+        """Return the index of a label, which is added if it is new."""
+        name = plain(label or "")
+        if not name:
+            return NO_LABEL
+        if name not in self._label_index:
+            self._label_index[name] = len(self.state.labels)
+            self.state.labels.append(name)
+        return self._label_index[name]
 
     def _camera(self, name: str) -> int:
         """Return the index of a camera, which is added if it is new."""

@@ -257,7 +257,7 @@ class Intake:
     def _take_published(self, name: str, content: bytes, wall: float, now: float) -> None:
         """Take a publication, unless a spool delivers it as well."""
         try:
-            event = event_of(name, content)
+            event = event_of(name, content, self.rejects)
             if event.spooled:
                 return
             camera = self.cameras.register(name, now)

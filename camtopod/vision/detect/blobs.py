@@ -40,6 +40,8 @@ class Blob:
     """It may begin a track; otherwise it only continues one."""
     whole: bool = True
     """False if another blob may be a part of the same object, whatever heights are expected."""
+    label: str = ""
+    """What a detector says that it is; empty if it is not known."""
 
     @property
     def box(self) -> Box:

@@ -83,5 +83,5 @@ def objects(
             motion = [blob.box for blob in blobs if overlap(blob.box, one.box) >= OVERLAP_MIN]
             reach = BORDER_HEIGHTS * box_height(one.box)
             box = to_border(one.box, motion, (width, height), reach)
-            found.append(Blob(*box, centre(box)[0], begins))
+            found.append(Blob(*box, centre(box)[0], begins, label=one.label))
     return found, float(unexplained.mean())

@@ -10,6 +10,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from math import hypot, inf
 
+from camtopod.labels import most_frequent
 from camtopod.records import Event, Kind
 from camtopod.vision.boxes import TOUCH_PIXELS, Box, border_distances, touches_border
 from camtopod.vision.settings import Polygon
@@ -242,7 +243,8 @@ class Crossings:
             return []
         self.note("entered" if entry else "left", track, at, edge)
         x, y = (round(share, 4) for share in self._place(at))
-        return [Event(self._camera, kind, round(at.t, 6), x, y, str(track.number))]
+        label = most_frequent(track.labels)
+        return [Event(self._camera, kind, round(at.t, 6), x, y, str(track.number), label=label)]
 
     def _at_border(self, track: Track, at: Sighting, edge: Edge | None, sense: float) -> Sighting:
         """Return a sighting moved along the way of the track to where it crosses the border.

@@ -51,6 +51,8 @@ class Track:
     """Largest distance of head or foot from where it began, pixels."""
     measured_at: tuple[float, float] = (0.0, 0.0)
     """Foot point where its height was last measured."""
+    labels: dict[str, int] = field(default_factory=dict)
+    """Sightings by label."""
 
     @property
     def confirmed(self) -> bool:

@@ -18,6 +18,7 @@ from collections.abc import Iterator, Sequence
 from functools import partial
 from math import dist, inf
 
+from camtopod.labels import count_label
 from camtopod.records import Event
 from camtopod.vision.boxes import OBJECTS_MAX, Box, box_height, contains_centre, gap, in_image
 from camtopod.vision.detect import Blob
@@ -164,6 +165,7 @@ class Tracker:
             track.width += _SIZE_RATE * (blob.width - track.width)
 
         self._seen(track, Sighting(t, blob.foot, blob.box))
+        count_label(track.labels, blob.label)
 
         # Measure the height of whole people, once per distance walked.
         walked = dist(blob.foot, track.measured_at) > SIGMAS * MEASUREMENT * track.height
@@ -209,6 +211,7 @@ class Tracker:
             history=deque([sighting], HISTORY_SIGHTINGS),
             unmet=("brief", 0.0, CONFIRM_SECONDS),
         )
+        count_label(track.labels, blob.label)
         self.active.append(track)
 
     def _confirm(self, t: float) -> list[Track]:

@@ -202,3 +202,45 @@ def test_one_camera_forgets_and_the_passages_of_the_others_stay(
     camera = window.column("camera")
     for k, rows in enumerate(window.rows_of_cameras()):
         assert rows.tolist() == np.flatnonzero(camera == k).tolist()
+
+
+def labelled(k: int, label: str | None, kind: str = "entry", track: str | None = None) -> Event:
+    return Event("a", kind, float(k), track=track, label=label)
+
+
+def test_the_most_frequent_labels_count_and_ties_go_by_name(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr(module, "LABELS_MAX", 2)
+    window = Window(100)
+    for k, label in enumerate(["van", "Car", "car", None, "bus", " ", "c-a-r"]):
+        window.append(at(k, [labelled(k, label)]))
+
+    names, label = window.labels()
+
+    assert names == ["bus", "car"]
+    assert label.tolist() == [-1, 1, 1, -1, 0, -1, 1]
+
+
+def test_an_exit_without_a_label_has_its_entrys() -> None:
+    window = Window(100)
+    window.append(at(0, [labelled(0, "car", track="1"), labelled(0, "bus", track="2")]))
+    window.append(at(1, [labelled(1, None, "exit", "1"), labelled(1, "car", "exit", "2")]))
+    window.append(at(2, [labelled(2, None, "exit", "3")]))
+
+    names, label = window.labels()
+
+    assert [names[k] if k >= 0 else None for k in label] == ["car", "bus", "car", "car", None]
+
+
+def test_labels_that_are_gone_are_forgotten(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Plates by mistake, each seen once, take no memory for long."""
+    monkeypatch.setattr(module, "LABELS_REMEMBERED", 3)
+    window = Window(3)
+    for k in range(50):
+        window.append(at(k, [labelled(k, f"kind{k}")]))
+        window.forget_old(0)
+
+    assert window.state.labels == ["kind47", "kind48", "kind49"]
+    assert window.column("label").tolist() == [0, 1, 2]
+    assert window.labels()[0] == ["kind47", "kind48", "kind49"]

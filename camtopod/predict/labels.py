@@ -1,0 +1,79 @@
+"""How far two labels speak for one object, by a version of the topology.
+
+The label of an object mostly persists from view to view (`camtopod.learn.traffic.labels`). So a
+passage that has another label than an arrival is hardly its cause, and the rarer a common label is,
+the likelier it is. Labels are numbers here: of those that the version knows, and -1 for all else.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from camtopod.arrays import Floats, Indices
+from camtopod.labels import plain
+from camtopod.predict.hazards import model_of
+from camtopod.records import Topology
+
+Numbers = Indices | Sequence[int] | int
+UNKNOWN_LABEL = -1
+"""Number of a label that is not known, which fits all."""
+SHARE_MIN = 1e-6
+"""Least share of a label, as shares are rounded."""
+
+
+class Labels:
+    """The labels of a topology version; zones are indices into ``topology.zones``.
+
+    names: the labels, by number.
+    """
+
+    def __init__(self, topology: Topology) -> None:
+        known = model_of(topology).labels
+        self.names = known.names if known else []
+        self._number = {name: k for k, name in enumerate(self.names)}
+        self._persistence = known.persistence if known else 0.0
+        self._share = np.ones((len(topology.zones), len(self.names) + 1))
+        """(zones, labels + 1) share of each label among the arrivals; the last is of unknown."""
+        shares = known.shares if known else {}
+        for k, zone in enumerate(topology.zones):
+            if zone.id in shares:
+                self._share[k, :-1] = np.maximum(shares[zone.id], SHARE_MIN)
+
+    def __bool__(self) -> bool:
+        return bool(self.names)
+
+    def number(self, label: str | None) -> int:
+        """Return the number of a label; `UNKNOWN_LABEL` for None and for one that is not known."""
+        return self._number.get(plain(label), UNKNOWN_LABEL) if label else UNKNOWN_LABEL
+
+    def name(self, label: str | None) -> str | None:
+        """Return a label as the version writes it; None if it does not know it."""
+        number = self.number(label)
+        return None if number == UNKNOWN_LABEL else self.names[number]
+
+    def agreement(self, left: Numbers, came: Numbers, zone: Numbers) -> Floats:
+        """Return the likelihood ratio (n,) of one object over two.
+
+        left, came (n,): labels of a passage and of an arrival.
+        zone (n,): zone of the arrival.
+        """
+        left, came, zone = np.asarray(left), np.asarray(came), np.asarray(zone)
+        if not self:
+            return np.ones(np.broadcast(left, came).shape)
+        ratio = self._persistence * (left == came) / self._share[zone, came] + (
+            1.0 - self._persistence
+        )
+        return np.where((left >= 0) & (came >= 0), ratio, 1.0)
+
+    def of_two(self, left: int, came: int, zone: int) -> float:
+        """Return the `agreement` of one passage and one arrival."""
+        if left < 0 or came < 0:
+            return 1.0
+        ratio = self._persistence * (left == came) / float(self._share[zone, came])
+        return ratio + 1.0 - self._persistence
+
+    def moved(self, older: Labels) -> dict[int, int]:
+        """Return the present number of each label of an older version, by its number there."""
+        return {k: self.number(name) for k, name in enumerate(older.names)}
