@@ -21,7 +21,14 @@ from bench.support.disturbances import (
 from camtopod.learn.association import screening
 from camtopod.learn.learner import Learner
 from camtopod.learn.settings import Settings
-from camtopod.learn.snapshot import LearnerState, NewerSnapshot, SnapshotError, pack, unpack
+from camtopod.learn.snapshot import (
+    FORMAT,
+    LearnerState,
+    NewerSnapshot,
+    SnapshotError,
+    pack,
+    unpack,
+)
 from camtopod.records import Event
 from camtopod.sim.simulation import SimSettings, simulate
 
@@ -29,7 +36,9 @@ SETTINGS = Settings(refit_share=0.4, window_events_max=1200)
 LATE = 0.7
 """Share of the events after which the snapshot of most tests is taken."""
 NETWORKS = {
-    "usual": SimSettings(seed=3, cameras=4, hours=0.5, objects_per_second=0.1),
+    "usual": SimSettings(
+        seed=3, cameras=4, hours=0.5, objects_per_second=0.1, labels={"car": 0.7, "bus": 0.2}
+    ),
     "hard": SimSettings(seed=4, cameras=4, hours=0.6, objects_per_second=0.12),
     "bare": SimSettings(seed=5, cameras=3, hours=0.4, objects_per_second=0.1),
 }
@@ -217,10 +226,10 @@ def test_a_damaged_snapshot_is_refused() -> None:
 
 
 def test_a_newer_snapshot_is_refused_by_its_number(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("camtopod.learn.snapshot.FORMAT", 4)
+    monkeypatch.setattr("camtopod.learn.snapshot.FORMAT", FORMAT + 1)
     blob = pack(Learner(SETTINGS, "s", "e").save())
     monkeypatch.undo()
-    with pytest.raises(NewerSnapshot, match="format is 4, this program's 3"):
+    with pytest.raises(NewerSnapshot, match=f"format is {FORMAT + 1}, this program's {FORMAT}"):
         unpack(blob)
 
 

@@ -127,7 +127,7 @@ class ReorderBuffer:
             self.oldest_held_us = t_us
 
 
-def _sort_key(timed: tuple[int, Event]) -> tuple[int, str, str, float, float, str, str, int]:
+def _sort_key(timed: tuple[int, Event]) -> tuple[int, str, str, float, float, str, str, int, str]:
     """Return the key of (microseconds, event) in the canonical order: its time, then its content.
 
     So the order of events at the same time does not depend on the order in which they are received.
@@ -136,4 +136,5 @@ def _sort_key(timed: tuple[int, Event]) -> tuple[int, str, str, float, float, st
     x, y = (-1.0, -1.0) if event.x is None or event.y is None else (event.x, event.y)
     seq = -1 if event.seq is None else event.seq
     track = "" if event.track is None else f"={event.track}"
-    return t_us, event.camera, event.kind, x, y, track, event.boot or "", seq
+    label = event.label or ""
+    return t_us, event.camera, event.kind, x, y, track, event.boot or "", seq, label

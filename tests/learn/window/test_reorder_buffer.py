@@ -105,6 +105,7 @@ def test_any_order_within_the_lateness_gives_the_same(
 
 
 @example([Event("a", "exit", 0.0, track=track) for track in (None, "", 0)], random.Random(1))
+@example([Event("a", "exit", 0.0, label=label) for label in (None, "bus", "car")], random.Random(1))
 @given(EVENTS, st.randoms(use_true_random=False))
 def test_ties_do_not_depend_on_the_order(events: list[Event], chance: random.Random) -> None:
     first, second = ReorderBuffer(100.0, 9), ReorderBuffer(100.0, 9)
@@ -116,7 +117,7 @@ def test_ties_do_not_depend_on_the_order(events: list[Event], chance: random.Ran
 
     def names(taken: list[Event]) -> list[tuple[object, ...]]:
         return [
-            (e.t, e.camera, e.kind, e.x, e.y, None if e.track is None else str(e.track))
+            (e.t, e.camera, e.kind, e.x, e.y, None if e.track is None else str(e.track), e.label)
             for e in taken
         ]
 

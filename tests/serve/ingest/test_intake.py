@@ -169,6 +169,18 @@ def test_a_malformed_request_is_answered_and_counted(
     assert bench.intake.rejects.counts.total() == 1
 
 
+def test_an_event_with_an_invalid_label_is_stored_and_the_label_counted(
+    bench: IntakeBench,
+) -> None:
+    bench.publish("a", label=["no", "text"], boot="b1", seq=1)
+    bench.publish("a", label="Car", boot="b1", seq=2)
+
+    assert bench.stored == [("event", "a", 1), ("event", "a", 2)]
+    told = [one.event.label for one in bench.predicted if one.event is not None]
+    assert told == [None, "car"]
+    assert bench.intake.rejects.counts == {"bad-label": 1}
+
+
 def test_a_held_batch_is_answered_after_a_minute_and_stored_once(bench: IntakeBench) -> None:
     bench.hello()
     batch = Batch("h1", "b1", 0, [(1, event_bytes("a", bench.wall))])
