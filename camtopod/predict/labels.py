@@ -44,9 +44,12 @@ class Labels:
     def __bool__(self) -> bool:
         return bool(self.names)
 
-    def number(self, label: str | None) -> int:
-        """Return the number of a label; `UNKNOWN_LABEL` for None and for one that is not known."""
-        return self._number.get(plain(label), UNKNOWN_LABEL) if label else UNKNOWN_LABEL
+    def number(self, label: str | None, without: int = UNKNOWN_LABEL) -> int:
+        """Return the number of a label; `UNKNOWN_LABEL` for one that is not known.
+
+        without: result for None, such as the number of the label of an exit's entry.
+        """
+        return self._number.get(plain(label), UNKNOWN_LABEL) if label else without
 
     def name(self, label: str | None) -> str | None:
         """Return a label as the version writes it; None if it does not know it."""

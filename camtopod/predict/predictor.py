@@ -206,7 +206,8 @@ class Predictor:
         corrected = t - self.site.clock_offset[here.camera]
         same = (self._exits.t == corrected) & (self._exits.zone == zone)
         is_observed = now is not None and bool(same.any())
-        query = Query(zone, corrected, passage, is_observed, label=self._label_of(label, passage))
+        number = self.site.labels.number(label, (passage or UNKNOWN).label)
+        query = Query(zone, corrected, passage, is_observed, label=number)
         odds = self._odds(query, table)
 
         # The context multiplies the odds. Odds that may be spurious count as leaving the site, from
@@ -359,9 +360,8 @@ class Predictor:
     # --- Observed events ---
 
     def _observe_entry(self, event: Event, zone: int, t: float) -> None:
-        """Store an arrival with the rate of its possible causes, and the passage that begins.
-
-        zone, t: index of the zone, and corrected time.
+        """Store an arrival (zone and corrected time) with the rate of its possible causes, and the
+        passage that begins.
         """
         label = self.site.labels.number(event.label)
         causes = self._causes(zone, t, label)
@@ -378,14 +378,11 @@ class Predictor:
         self._open_passages.forget_stale(t)
 
     def _observe_exit(self, event: Event, zone: int, t: float) -> None:
-        """Store an exit, and add it to the possible causes of arrivals before it.
-
-        zone, t: index of the zone, and corrected time.
-        """
+        """Store an exit (zone, corrected time); add it to the possible causes of arrivals before."""
         passage = None
         if event.track is not None:
             passage = self._open_passages.end(event.camera, str(event.track), event.t)
-        label = self._label_of(event.label, passage)
+        label = self.site.labels.number(event.label, (passage or UNKNOWN).label)
         self._exits.append(t, zone, label)
 
         # The hazard of the exit takes the place of the rate of an object in view.
@@ -398,10 +395,6 @@ class Predictor:
         if passage is not None:
             rates = self._hazards.rates_before_exit(event.camera, targets)
             arrivals.rate[rows] -= rates * labels.agreement(passage.label, came, targets)
-
-    def _label_of(self, label: str | None, passage: Passage | None) -> int:
-        """Return the number of an exit's label; without one it is that of its passage's entry."""
-        return self.site.labels.number(label) if label else (passage or UNKNOWN).label
 
     def _add_simultaneous_cause(self, passage: Passage) -> None:
         """Add a passage that begins to the causes of arrivals in other views at the same time."""
