@@ -360,9 +360,7 @@ class Predictor:
     # --- Observed events ---
 
     def _observe_entry(self, event: Event, zone: int, t: float) -> None:
-        """Store an arrival (zone and corrected time) with the rate of its possible causes, and the
-        passage that begins.
-        """
+        """Store an arrival with the rate of its possible causes, and the passage that begins."""
         label = self.site.labels.number(event.label)
         causes = self._causes(zone, t, label)
         rate = self._hazards.arrival_rate[zone] + sum(causes.values())
@@ -378,7 +376,10 @@ class Predictor:
         self._open_passages.forget_stale(t)
 
     def _observe_exit(self, event: Event, zone: int, t: float) -> None:
-        """Store an exit (zone, corrected time); add it to the possible causes of arrivals before."""
+        """Store an exit, and add it to the possible causes of arrivals before it.
+
+        zone, t: index of the zone, and corrected time, as of `_observe_entry`.
+        """
         passage = None
         if event.track is not None:
             passage = self._open_passages.end(event.camera, str(event.track), event.t)
