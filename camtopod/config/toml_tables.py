@@ -31,10 +31,15 @@ _GONE_NAMES = """
     pull_events_max pull_seconds query_seconds read_timeout_seconds restart_seconds_max
     restart_seconds_min settle_seconds shards snapshot_events speed spool_batch_events
     spool_kept_events stall_seconds start start_seconds stitch_seconds streams_max tracks_max
-    window_camera_events window_events_max
+    transit_max_seconds window_camera_events window_events_max
 """
 GONE = frozenset(_GONE_NAMES.split())
 """Tables, keys and table.keys of earlier versions that have gone without a replacement."""
+_WHY_GONE = {
+    "overlap_max_seconds": "how long before an exit objects appear in another view is found",
+    "transit_max_seconds": "the longest transit time is found from the events",
+}
+"""Why some of these are no longer needed."""
 Keys = tuple[str, ...]
 """Keys from the root of a document."""
 _T = TypeVar("_T", bound=Struct)
@@ -131,7 +136,9 @@ class TableReader:
         for key, value in data.items():
             place = (*path, key)
             if is_gone(title, key):
-                self.report(place, "no longer needed: delete it")
+                why = _WHY_GONE.get(key)
+                reason = "no longer needed" if why is None else f"no longer needed, as {why}"
+                self.report(place, f"{reason}: delete it")
             elif key not in known:
                 self.report(place, f"no such key{self._hint(key, list(known))}")
             elif isinstance(inner := getattr(defaults, key), Struct):

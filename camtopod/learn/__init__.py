@@ -13,7 +13,8 @@ events give the same versions. In the order in which data flows, which is a good
 * `changes`: links that open or close, cameras that move or fall silent; alarms
 * `next_camera`: the posterior for prediction, weak evidence included; `paths`: a second opinion
 * `declarations`: what the user has declared of neighbours
-* `refit`: `association` to `paths` as one pure function; `long_paths` extends the joint fit
+* `refit`: `association` to `paths` as one pure function; `lag_range` finds how far the joint fit
+  looks, `long_paths` extends it
 * `learner`: decides when to refit and turns the results into versions, within `settings` and
   `limits`; `assemble` and `prediction_model` make the records of a version
 * `outcomes` and `self_score`: scores of past predictions

@@ -34,9 +34,10 @@ from camtopod.learn.camera_zones import find_moved_cameras, refresh_camera_zones
 from camtopod.learn.changes import BEFORE_MIN, AlarmLog, News
 from camtopod.learn.declarations import declared_by
 from camtopod.learn.doubled_cameras import doubled_news, find_doubled_cameras
+from camtopod.learn.lag_range import shortest_bins
 from camtopod.learn.limits import ZONES_PER_CAMERA_MAX
 from camtopod.learn.links import zone_pairs_of
-from camtopod.learn.refit import Known, Refit, dwell_bins, lag_bins, refit
+from camtopod.learn.refit import Known, Refit, dwell_bins, refit
 from camtopod.learn.retired_cameras import camera_to_replace, cameras_to_retire, forget_cameras
 from camtopod.learn.self_score import Scorer
 from camtopod.learn.settings import Settings
@@ -343,7 +344,7 @@ class Learner:
     def _refit(self, tick_us: int) -> None:
         """Make a version as of ``tick_us``: refresh the zones, estimate the clocks, refit."""
         if not len(self._window):  # all cameras were forgotten
-            self._publish(empty_topology(self.settings, lag_bins(self.settings)), tick_us)
+            self._publish(empty_topology(self.settings, shortest_bins()), tick_us)
             return
         self.on_step("zones")
         refresh_camera_zones(self.state, self._window, anew=self.only_last)
@@ -376,9 +377,9 @@ class Learner:
         news = self._alarms.repeats(now, oldest, cameras, found.repeats)
         repeats = self.state.alarms.repeats
         scene = found.scene
-        bins = lag_bins(self.settings)
+        bins = found.bins
         between = link_records(cameras, scene, found.published, bins)
-        visible = link_records(cameras, scene, found.visible, dwell_bins(self.settings), "visible")
+        visible = link_records(cameras, scene, found.visible, dwell_bins(), "visible")
         weak = link_records(cameras, scene, found.weak, bins, histograms=False, lacks=found.lacks)
         topology = assemble(
             self.settings,

@@ -1,11 +1,11 @@
 """Long paths: pairs of cameras whose transit time the lag bins of the joint fit do not resolve.
 
-Lag bins are a tenth of the lag wide and end at three minutes, but a path of five minutes that all
-objects take within ten seconds stands out of the correlogram of its two cameras
+Lag bins are a tenth of the lag wide, too wide where many arrive; but a path of five minutes that
+all objects take within ten seconds stands out of the correlogram of its two cameras
 (`clocks.correlogram`). If its clearest peak is at a long lag (`find_long_paths`), the lags from the
 first camera to the second are *delayed*: counted from the peak on (`long_ranges`), so that the
-joint fit covers it. Whether there is a link is decided by the evidence of the fit, as for any other
-pair.
+joint fit covers it with narrow bins. Whether there is a link is decided by the evidence of the fit,
+as for any other pair.
 """
 
 from __future__ import annotations
@@ -33,8 +33,8 @@ LONG_SHARE_MAX = 0.25
 more than once.
 """
 SHARP_SHARE_MAX = 0.1
-"""Largest half width of a peak, as a share of its lag, at lags that have a lag bin. Two paths count
-as equally long within twice this share, as each is as wide.
+"""Largest half width of a peak, as a share of its lag. Two paths count as equally long within twice
+this share, as each is as wide.
 """
 WIDTHS_BINS = (5, 11, 25, 61)
 """Widths, in bins, of the windows of lags in which arrivals are counted."""
@@ -43,14 +43,13 @@ FALSE_PROBABILITY = 0.01
 
 
 def find_long_paths(
-    departures: Departures, arrivals: Arrivals, cameras: int, lag_max: float
+    departures: Departures, arrivals: Arrivals, cameras: int
 ) -> list[tuple[int, int, float]]:
     """Find the long paths between cameras, as (source, target, seconds), sorted.
 
     The seconds are the lag of the peak, about the transit time.
 
     cameras: number of cameras.
-    lag_max (seconds): longest lag with a lag bin.
     """
     present = np.intersect1d(departures.camera, arrivals.camera)
     pairs = [(a, b) for a in present.tolist() for b in present.tolist() if a != b]
@@ -78,7 +77,7 @@ def find_long_paths(
     for k in range(0, len(order), ROWS_AT_ONCE):
         part = order[k : k + ROWS_AT_ONCE]
         counts = np.stack([half.between(source[part], target[part]) for half in halves])
-        nats[part], seconds[part] = clearest_peaks(counts, lag_max, longest)
+        nats[part], seconds[part] = clearest_peaks(counts, longest)
     false = len(pairs) * max(longest, 1.0) / BIN_SECONDS * np.exp(-nats)
     clear = false < FALSE_PROBABILITY
 
@@ -93,12 +92,11 @@ def find_long_paths(
     ]
 
 
-def clearest_peaks(counts: Counts, lag_max: float, longest: float) -> tuple[Floats, Floats]:
+def clearest_peaks(counts: Counts, longest: float) -> tuple[Floats, Floats]:
     """Return the evidence (nats) for each camera pair's clearest peak, and its lag (seconds), (P,).
 
     counts (halves, P, lags): correlograms of the P pairs in each half of the window; both must have
         the peak, as a single coincidence makes none.
-    lag_max (seconds): longest lag with a lag bin.
     longest (seconds): largest lag at which peaks are looked for.
 
     The null model is a Poisson process with the local rate. The log likelihood ratio is divided by
@@ -124,7 +122,7 @@ def clearest_peaks(counts: Counts, lag_max: float, longest: float) -> tuple[Floa
         nats /= np.maximum(dispersion, 1.0)
 
         # The highest peak, be it at a short lag or at a long one.
-        sharp = (lag > lag_max) | (width * BIN_SECONDS <= 2 * SHARP_SHARE_MAX * lag)
+        sharp = width * BIN_SECONDS <= 2 * SHARP_SHARE_MAX * lag
         far = sharp & (lag > 0) & (lag <= longest)
         peaks = np.where((near | far) & in_both, nats, 0.0)
         at = peaks.argmax(axis=1)
@@ -165,11 +163,11 @@ def long_ranges(problem: Problem, camera: Ints, candidates_max: int) -> LagRange
     camera (zones,): camera of each zone.
     candidates_max: number of candidates beyond which they are screened.
     """
-    departures, arrivals, bins, zones, *_ = problem
+    departures, arrivals, _, zones, *_ = problem
     if CandidateScreen.is_needed(problem, candidates_max):
         return None
     cameras = int(camera.max(initial=0)) + 1
-    paths = find_long_paths(departures, arrivals, cameras, bins.lag_max)
+    paths = find_long_paths(departures, arrivals, cameras)
     if not paths:
         return None
 

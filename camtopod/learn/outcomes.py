@@ -37,6 +37,8 @@ class ScoredPrediction(NamedTuple):
     """Predicted probabilities."""
     baseline: dict[str, float]
     """Probabilities of the baseline, the Markov chain over cameras."""
+    reach: float = 180.0
+    """Longest lag of that version, seconds: who appears later counts as having left the site."""
 
 
 def outcomes_of(
@@ -46,27 +48,32 @@ def outcomes_of(
     arrivals: Arrivals,
     cameras: list[str],
     offsets: Floats,
+    longest: float,
     until: float,
 ) -> list[Happened | None]:
-    """Return the outcome of each of the exits up to ``until``; None if the fit has no such exit.
+    """Return the outcomes of the exits that have one by now; None if the fit has no such exit.
+
+    An exit has an outcome when the longest lag is over, that of its version and that of the fit.
 
     exits: predictions of exits, sorted by time.
     departures, arrivals: those of the fit, in corrected time.
     cameras: names of all cameras.
     offsets (cameras,): clock offset of each camera, seconds.
-    until (Unix seconds): later exits may still have an arrival, so their outcome is not known.
+    longest: longest lag of the fit, seconds.
+    until (Unix seconds): end of the window.
     """
     # The row of each exit among the departures; -1 if it is not there.
-    rows = []
-    for one in takewhile(lambda one: one.t <= until, exits):
+    rows, reach = [], []
+    for one in takewhile(lambda one: one.t + max(one.reach, longest) <= until, exits):
         camera = cameras.index(one.camera)
         t = one.t - offsets[camera]
         low, high = np.searchsorted(departures.t, (t, np.nextafter(t, np.inf)))
         same = low + np.flatnonzero(departures.camera[low:high] == camera)
         rows.append(int(same[0]) if len(same) else -1)
+        reach.append(one.reach)
 
     # The probability of each next camera, by name.
-    shares = _shares(posterior, len(departures.t), arrivals, rows, len(cameras))
+    shares = _shares(posterior, len(departures.t), arrivals, rows, reach, len(cameras))
     return [
         None if row < 0 else {cameras[k]: float(share[k]) for k in np.flatnonzero(share)}
         for row, share in zip(rows, shares, strict=True)
@@ -74,12 +81,18 @@ def outcomes_of(
 
 
 def _shares(
-    posterior: Posterior, departures: int, arrivals: Arrivals, rows: list[int], cameras: int
+    posterior: Posterior,
+    departures: int,
+    arrivals: Arrivals,
+    rows: list[int],
+    reach: list[float],
+    cameras: int,
 ) -> Floats:
     """Return the probability of each camera to see the object of a departure next, (k, cameras).
 
     departures: number of departures.
     rows: k departures; -1 for none.
+    reach: longest lag of each of them that counts, seconds.
     cameras: number of cameras.
 
     The spurious share of each candidate does not count.
@@ -88,7 +101,8 @@ def _shares(
     c = posterior.fit.candidates
     number = np.full(departures + 1, -1)  # the last is for exits without a departure
     number[rows] = np.arange(len(rows))
-    candidate_rows = np.flatnonzero(number[c.departure] >= 0)
+    within = np.append(reach, 0.0)[number[c.departure]]
+    candidate_rows = np.flatnonzero((number[c.departure] >= 0) & (c.lag <= within))
     sure = posterior.fit.responsibility[candidate_rows] * (
         1.0 - posterior.doubt[c.pair[candidate_rows]]
     )

@@ -8,7 +8,8 @@ departure to zone of arrival, with transit times). The steps, with the sections 
 of METHOD.md:
 
 1. visible links and usual dwell times: passages through one view (thesis 4.1; METHOD 3, 8)
-2. silent cameras (METHOD 11), and views that overlap (thesis 4.5; METHOD 9)
+2. silent cameras (METHOD 11), views that overlap (thesis 4.5; METHOD 9), and the range of the lags
+   (METHOD 5)
 3. candidates: departures and arrivals that may be of one object (METHOD 5)
 4. joint fit: which of them are, for prediction (METHOD 10), then for links (thesis 4.4; METHOD 5)
 5. evidence of each pair of zones, by cross-validation (thesis 4.4; METHOD 7), and transit times
@@ -48,6 +49,8 @@ from camtopod.learn.changes import (
 )
 from camtopod.learn.clocks import Clocks
 from camtopod.learn.declarations import zone_weights
+from camtopod.learn.lag_range import find_lag_bins, shortest_bins
+from camtopod.learn.limits import DWELL_SECONDS_MAX
 from camtopod.learn.links import (
     WEAK_TRANSITIONS_MIN,
     LinkShortfall,
@@ -114,6 +117,7 @@ class Known(NamedTuple):
 class Refit(NamedTuple):
     """Result of a refit.
 
+    bins: bins of the lags between views, of the range that was found.
     scene: the labelled events; departures of unknown passages have an estimated time of entry.
     published: links between views that meet the rule for publishing.
     visible: links through one view that meet the rule.
@@ -130,6 +134,7 @@ class Refit(NamedTuple):
         for an exit that is not in the window.
     """
 
+    bins: LagBins
     scene: Scene
     published: LinkTable
     visible: LinkTable
@@ -163,14 +168,9 @@ class Associated(NamedTuple):
     weights: Floats | None
 
 
-def lag_bins(settings: Settings) -> LagBins:
-    """Return the bins of the lags between views."""
-    return LagBins(-settings.overlap_max_seconds, settings.transit_max_seconds)
-
-
-def dwell_bins(settings: Settings) -> LagBins:
+def dwell_bins() -> LagBins:
     """Return the bins of the dwell times in one view."""
-    return LagBins(0.0, settings.transit_max_seconds)
+    return LagBins(0.0, DWELL_SECONDS_MAX)
 
 
 def refit(
@@ -187,7 +187,7 @@ def refit(
     known: results of earlier refits, and exits whose outcome is to be estimated.
     on_step: called with the name of each of `STEPS` as the step begins.
     """
-    bins, lengths = lag_bins(settings), dwell_bins(settings)
+    lengths = dwell_bins()
     zones = len(scene.zones)
 
     # 1. Visible links, and the usual dwell time for passages of unknown dwell time.
@@ -195,17 +195,21 @@ def refit(
     through = tabulate(transitions, scene.entries.astype(float)[:, None], lengths, zones)
     scene = scene._replace(departures=with_usual_dwell_times(scene.departures, through))
 
-    # 2. Silent cameras, recordings in a loop, and views that overlap.
+    # 2. Silent cameras, recordings in a loop, views that overlap, and the range of lags.
     seconds = window.column("t") / MICROSECONDS
     silences = find_silences(seconds, window.column("camera"), len(window.cameras))
     silent = silent_odds(silences, seconds[0], seconds[-1])[[zone.camera for zone in scene.zones]]
     repeats = find_repeats(window)
+    problem = _problem(scene, settings)
+    bins = problem.bins
     offsets = offset_bins(bins.scale, bins.step)
     overlapping = find_overlapping(scene.departures.passages(), len(window.cameras), offsets)
 
     # 3. to 7. Links between views, and the prediction model.
     if len(scene.departures.t) and len(scene.arrivals.t):
-        associated = associate(scene, silences, overlapping, window, known, settings, on_step)
+        associated = associate(
+            scene, problem, silences, overlapping, window, known, settings, on_step
+        )
         on_step("prediction")
         paths = None
         if is_wanted(scene, len(window.cameras)):
@@ -234,11 +238,12 @@ def refit(
         present(pairs, changes, zones, settings.publish_probability_min)
         for pairs in (all_pairs, likely_pairs)
     )
-    published = to_publish(between, through, silent, settings)
+    published = to_publish(between, through, silent, bins, settings)
     visible = through.rows(np.flatnonzero(significant(through, settings)))
     weak = select_weak_links(likely, published, zones)
     observed = scene.last - seconds[0]
     return Refit(
+        bins=bins,
         scene=scene,
         published=published,
         visible=with_monte_carlo_variance(visible, lengths),
@@ -254,8 +259,21 @@ def refit(
     )
 
 
+def _problem(scene: Scene, settings: Settings) -> Problem:
+    """Return the departures and arrivals of a window, with the range of their lags."""
+    zones = len(scene.zones)
+    view = np.array([zone.camera for zone in scene.zones], np.int32)
+    problem = Problem(scene.departures, scene.arrivals, shortest_bins(), zones, scene.last)
+    ranges = long_ranges(problem, view, settings.candidates_max)
+    problem = problem._replace(bins=find_lag_bins(scene, ranges), ranges=ranges)
+    if ranges is not None and CandidateScreen.is_needed(problem, settings.candidates_max):
+        return problem._replace(bins=find_lag_bins(scene), ranges=None)
+    return problem
+
+
 def associate(
     scene: Scene,
+    problem: Problem,
     silences: list[CameraSilences],
     overlapping: list[OverlappingViews],
     window: Window,
@@ -268,15 +286,11 @@ def associate(
     The candidates take most of a refit's memory; all but the likely ones are given up before the
     fits.
     """
-    bins = lag_bins(settings)
-    problem = Problem(scene.departures, scene.arrivals, bins, len(scene.zones), scene.last)
-    problem = problem._replace(odds=declared_odds(known.declared, window.cameras))
-
     # 3. Candidates: departures and arrivals within the range of the lags, delayed on long paths.
     on_step("candidates")
+    problem = problem._replace(odds=declared_odds(known.declared, window.cameras))
     view = np.array([zone.camera for zone in scene.zones], np.int32)
     weights = zone_weights(known.declared, window.cameras, view)
-    problem = problem._replace(ranges=long_ranges(problem, view, settings.candidates_max))
     places = [place(zone.camera, zone.number) for zone in scene.zones]
     screen = CandidateScreen(known.followed)
     candidates = screen.find(
@@ -318,15 +332,15 @@ def associate(
 
 
 def to_publish(
-    between: LinkTable, through: LinkTable, silent: Floats, settings: Settings
+    between: LinkTable, through: LinkTable, silent: Floats, bins: LagBins, settings: Settings
 ) -> LinkTable:
     """Return the links between views to publish: significant, and not by missed detections.
 
-    The arguments are as for `without_missed_detections`.
+    bins: of the lags; all else as for `without_missed_detections`.
     """
     found = significant(between, settings)
     certain = without_missed_detections(between, through, found, silent, settings)
-    return with_monte_carlo_variance(between.rows(np.flatnonzero(certain)), lag_bins(settings))
+    return with_monte_carlo_variance(between.rows(np.flatnonzero(certain)), bins)
 
 
 def predict_next(
@@ -372,7 +386,8 @@ def predict_next(
         scene.arrivals,
         cameras,
         clocks.offset,
-        scene.last - longest,
+        longest,
+        scene.last,
     )
     # The model that is published, with what missed detections make, and the second opinion.
     between = associated.between

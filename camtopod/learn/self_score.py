@@ -107,7 +107,12 @@ class Scorer:
                     version = predictor.version
                     state.waiting.append(
                         ScoredPrediction(
-                            t_us / MICROSECONDS, event.camera, version, predicted, baseline
+                            t_us / MICROSECONDS,
+                            event.camera,
+                            version,
+                            predicted,
+                            baseline,
+                            predictor.longest_lag,
                         )
                     )
                     del state.waiting[:-SCORED_MAX]

@@ -67,14 +67,6 @@ class LearnSettings(Struct, frozen=True, forbid_unknown_fields=True):
     """The window holds this many events per camera if that is more than ``window_events``."""
     window_events_max: Annotated[int, Meta(ge=1)] = 20_000_000
     """Upper limit of the window in events, however many cameras there are."""
-    transit_max_seconds: Annotated[float, Meta(gt=0)] = 180.0
-    """Longest transit time of a link, in seconds. Longer paths, of up to 15 minutes, are found only
-    if nearly all objects take equally long on them.
-    """
-    overlap_max_seconds: Annotated[float, Meta(ge=0)] = 120.0
-    """Longest time by which an object appears in an overlapping view before it leaves the first
-    one, in seconds.
-    """
     overlap_tolerance_seconds: Annotated[float, Meta(ge=0)] = 0.45
     """Tolerance T of the thesis's overlap test (table 4.4), in seconds."""
     candidates_max: Annotated[int, Meta(ge=1)] = 8_000_000

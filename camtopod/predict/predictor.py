@@ -96,6 +96,11 @@ class Predictor:
         # Observed events.
         self.forget()
 
+    @property
+    def longest_lag(self) -> float:
+        """Longest lag of the version, seconds: who is not seen by then has left."""
+        return self._hazards.lag_max
+
     def forget(self) -> None:
         """Forget all observed events; needed when event time has been taken back."""
         self._open_passages = OpenPassages(self._longest_stay)

@@ -14,7 +14,12 @@ from camtopod.serve.bus import Bus, QueryError
 from camtopod.serve.learner_process import LearnProgress, NewVersion, newest_topology
 from camtopod.serve.live_predictions import Live, Reader
 from camtopod.serve.storage import Journal, Learned, Snapshot, StateError
-from camtopod.topology import links_between_views, links_in_words, waiting_for_links
+from camtopod.topology import (
+    links_between_views,
+    links_in_words,
+    range_in_words,
+    waiting_for_links,
+)
 
 log = logging.getLogger(__name__)
 
@@ -88,11 +93,12 @@ class Versions:
                 log.warning("%s %s: %s", alarm.kind, alarm.subject, alarm.detail)
         links = len(links_between_views(topology))
         log.info(
-            "version %d: %d cameras, %d zones, %s",
+            "version %d: %d cameras, %d zones, %s; looked for %s",
             topology.version,
             len(topology.cameras),
             len(topology.zones),
             links_in_words(links),
+            range_in_words(topology),
         )
         if not links:
             log.info("%s", waiting_for_links(topology))

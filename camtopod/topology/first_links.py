@@ -36,6 +36,23 @@ def links_between_views(topology: Topology) -> list[Link]:
     return [link for link in topology.links if _joins_two_views(link)]
 
 
+def longest_lag(topology: Topology) -> float:
+    """Return the longest transit time that a version looked for, seconds; 0 without a model."""
+    model = topology.model
+    if model is None:
+        return 0.0
+    delays = [way.hazard.delay for row in model.onward or [] for way in row.next_]
+    return model.lag_max + max(delays, default=0.0)
+
+
+def range_in_words(topology: Topology) -> str:
+    """Return which transit times a version looked for; "" for one without a prediction model."""
+    if topology.model is None:
+        return ""
+    overlap = -topology.model.lag_min
+    return f"ways of up to {longest_lag(topology):.0f} s, overlaps of up to {overlap:.0f} s"
+
+
 def links_in_words(count: int) -> str:
     """Return a number of links between views, in words."""
     if count == 1:

@@ -7,7 +7,7 @@ from typing import Any
 from msgspec import Struct
 
 from camtopod.records import Topology
-from camtopod.topology import link_key, links_between_views
+from camtopod.topology import link_key, links_between_views, longest_lag
 
 CHANGES_MAX = 100
 """Changes of a version that are listed."""
@@ -31,8 +31,9 @@ class Change(Struct, frozen=True):
 def summary(topology: Topology, before: Topology | None) -> dict[str, Any]:
     """Return the summary of a version; ``before`` is the one before it on the time line, if any.
 
-    ``links``: links between views. ``alarms``: those that this version raised. ``since``: number of
-    the version before. ``changes``: changes since then, the first `CHANGES_MAX` of them.
+    ``links``: links between views. ``longest``: longest lag that was looked for, seconds.
+    ``alarms``: those that this version raised. ``since``: number of the version before.
+    ``changes``: changes since then, the first `CHANGES_MAX` of them.
     """
     since = None
     changes: list[Change] = []
@@ -46,6 +47,7 @@ def summary(topology: Topology, before: Topology | None) -> dict[str, Any]:
         "cameras": len(topology.cameras),
         "links": len(links_between_views(topology)),
         "pairs": len(topology.pairs),
+        "longest": longest_lag(topology) or None,
         "score": topology.score,
         "alarms": [one for one in topology.alarms or [] if one.version == topology.version],
         "since": since,

@@ -67,7 +67,7 @@ realtime = "yes"
 lateness_seconds = "five"
 window_hours = -3
 spool_bytes_max = 3
-transit_max_seconds = inf
+refit_hours = inf
 [limts]
 a = 1
 [limits]
@@ -91,7 +91,7 @@ def test_every_mistake_at_once_with_its_line() -> None:
         (14, "learn.lateness_seconds: expected a number, got a string"),
         (15, "learn.window_hours: expected a number > 0.0"),
         (16, "learn.spool_bytes_max: no such key; it belongs in [limits]"),
-        (17, "learn.transit_max_seconds: expected a number of at most 9e+09"),
+        (17, "learn.refit_hours: expected a number of at most 9e+09"),
         (18, "limts: no such key; did you mean 'limits'?"),
         (21, "limits.spool_events_max: expected a whole number >= 1"),
         (22, "limits.commit_seconds: expected a number >= 0.0"),
@@ -112,6 +112,16 @@ def test_every_mistake_at_once_with_its_line() -> None:
         ("[bus]\nconnect = [\n'tcp/a:1'\n", [(3, "unclosed array")]),
         ("site = 5\n", [(1, "site: expected a table [site]")]),
         ("[shards]\ndistricts = 4\n", [(1, "shards: no longer needed: delete it")]),
+        (
+            "[learn]\ntransit_max_seconds = 300\n",
+            [
+                (
+                    2,
+                    "learn.transit_max_seconds: no longer needed, as the longest transit time is "
+                    "found from the events: delete it",
+                )
+            ],
+        ),
         ("cameras = 5\n", [(1, "cameras: expected tables [cameras.ID]")]),
         ("[cameras]\nlobby = 'x'\n", [(2, "cameras.lobby: expected a table [cameras.lobby]")]),
         (

@@ -90,11 +90,11 @@ def test_it_is_foretold_in_its_window_and_gone_when_that_is_over(far_and_near: T
     assert (likeliest.camera, likeliest.q50) == ("b", pytest.approx(300.0, abs=3.0))
     assert likeliest.probability == pytest.approx(0.5, abs=0.08)
     assert 285.0 < likeliest.q10 < 297.0
-    assert 303.0 < likeliest.q90 < 315.0
+    assert 303.0 < likeliest.q90 < 345.0, "the range is wider than this way"
     still = predictor.predict(exit_, now=exit_at + 250.0)
     assert still.candidates[0].camera == "b"
     assert still.candidates[0].probability > 0.4
-    assert predictor.predict(exit_, now=exit_at + 400.0).leave > 0.95
+    assert predictor.predict(exit_, now=exit_at + 400.0).leave > 0.9
 
 
 def test_who_arrives_in_time_is_probably_the_one_who_left(far_and_near: Topology) -> None:
@@ -152,19 +152,19 @@ def ends(events: list[Event], cameras: str = "abc") -> tuple[Departures, Arrival
 
 @pytest.mark.parametrize("seed", range(4))
 def test_cameras_that_have_nothing_to_do_with_each_other_have_no_long_way(seed: int) -> None:
-    assert find_long_paths(*ends(site(seed, {}, "abc" * 2)), 3, LAG_MAX) == []
+    assert find_long_paths(*ends(site(seed, {}, "abc" * 2)), 3) == []
 
 
 @pytest.mark.parametrize("seconds", [75.0, 150.0, 300.0, 600.0])
 def test_a_sharp_peak_is_found_wherever_it_is(seconds: float) -> None:
-    [way] = find_long_paths(*ends(site(3, {("a", "b"): (seconds, 3.0)})), 3, LAG_MAX)
+    [way] = find_long_paths(*ends(site(3, {("a", "b"): (seconds, 3.0)})), 3)
     assert way[:2] == (0, 1)
     assert way[2] == pytest.approx(seconds, abs=4.0)
 
 
 def test_a_near_or_a_broad_way_is_left_to_the_lag_bins() -> None:
-    assert find_long_paths(*ends(site(4, {("a", "b"): (30.0, 3.0)})), 3, LAG_MAX) == []
-    assert find_long_paths(*ends(site(4, {("a", "b"): (100.0, 30.0)})), 3, LAG_MAX) == []
+    assert find_long_paths(*ends(site(4, {("a", "b"): (30.0, 3.0)})), 3) == []
+    assert find_long_paths(*ends(site(4, {("a", "b"): (100.0, 30.0)})), 3) == []
 
 
 def test_a_way_over_a_camera_between_is_none_of_its_own() -> None:
@@ -177,7 +177,7 @@ def test_a_way_over_a_camera_between_is_none_of_its_own() -> None:
             t += STAY_SECONDS
             events.append(Event(camera, "exit", t, track=f"{camera}{k}"))
     events.sort(key=lambda event: event.t)
-    assert [way[:2] for way in find_long_paths(*ends(events), 3, LAG_MAX)] == [(0, 1), (1, 2)]
+    assert [way[:2] for way in find_long_paths(*ends(events), 3)] == [(0, 1), (1, 2)]
     assert set(between(learned_from(events))) == {("a/1", "b/1"), ("b/1", "c/1")}
 
 

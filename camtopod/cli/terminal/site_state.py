@@ -10,7 +10,12 @@ from collections.abc import Callable
 from camtopod import codec
 from camtopod.publishers import ELSEWHERE, is_gone
 from camtopod.records import CameraFigures, DaemonStatus, Link, Prediction, Status, Topology
-from camtopod.topology import links_between_views, links_in_words, waiting_for_links
+from camtopod.topology import (
+    links_between_views,
+    links_in_words,
+    range_in_words,
+    waiting_for_links,
+)
 
 ALARMS_SHOWN = 5
 """Newest alarms that are shown."""
@@ -148,6 +153,8 @@ def topology_lines(topology: Topology | None) -> list[str]:
         f"{len(topology.cameras)} cameras, {len(topology.zones)} zones, "
         f"{links_in_words(links)}, {topology.digest[:19]}"
     ]
+    if looked_for := range_in_words(topology):
+        lines.append(f"looked for: {looked_for}")
     if waiting := waiting_for_links(topology):
         lines.append(waiting)
     if (s := topology.score) is not None:

@@ -38,6 +38,7 @@ from camtopod.learn.association.problem import (
     exposures as exposures,
 )
 from camtopod.learn.association.screening import (
+    PAIRS_FEW as PAIRS_FEW,
     CandidateScreen as CandidateScreen,
     FollowedSources as FollowedSources,
     candidates_of_pairs as candidates_of_pairs,

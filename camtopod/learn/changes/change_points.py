@@ -29,6 +29,7 @@ from camtopod.arrays import Floats, rows_by_group
 from camtopod.learn.association import Fit, Problem
 from camtopod.learn.links import TRANSITIONS_MIN, WEIGHT_MIN, LinkTable, log_likelihood_ratio
 from camtopod.learn.traffic import Departures
+from camtopod.topology import LagBins
 
 FALSE_ALARM = 5e-3
 """Theoretical probability of any false change in one window. The measured probability is far
@@ -40,6 +41,10 @@ SPLIT_DEPARTURES_MIN = 4
 """Least number of departures before a change, and after it."""
 BLOCKS = 16
 """Number of blocks on either side of a change from whose counts the overdispersion is estimated."""
+COME_SHARE = 0.99
+"""Share of a pair's transitions that have arrived when a departure counts: the newest departures
+may still arrive, but on a way of seconds that takes no longer because there is one of half an hour.
+"""
 RESPONSIBILITY_MAX = 0.99
 """Upper bound on the responsibility of an arrival, so that a single arrival does not prove that a
 path is open.
@@ -89,6 +94,7 @@ def find_changes(problem: Problem, fit: Fit, silences: list[list[Silence]]) -> l
         count for pairs that lead to the camera, as their arrivals could not be recorded.
     """
     departures, arrivals, bins, _, until, *_ = problem
+    longest = _usual_longest(fit.counts, bins)
 
     # Pairs to test, and the departures of each zone.
     delays = problem.delays(fit.candidates.source, fit.candidates.target)
@@ -102,7 +108,7 @@ def find_changes(problem: Problem, fit: Fit, silences: list[list[Silence]]) -> l
         # Departures and transitions of the pair; later ones may still have an arrival.
         source = int(fit.candidates.source[pair])
         target = int(fit.candidates.target[pair])
-        over = until - bins.lag_max - delays[pair]
+        over = until - longest[pair] - delays[pair]
         t = departures.t[departures_of[source]]
         t = t[t <= over]
         weight = np.ones(len(t))
@@ -121,6 +127,17 @@ def find_changes(problem: Problem, fit: Fit, silences: list[list[Silence]]) -> l
         if after < before or linked >= threshold:
             found.append(Change(source, target, *change, linked=linked))
     return found
+
+
+def _usual_longest(counts: Floats, bins: LagBins) -> Floats:
+    """Return the lag (P, seconds), at least 0, by which nearly all transitions of a pair have come.
+
+    counts (P, bins): expected transitions by lag.
+    """
+    come = np.cumsum(counts, axis=1)
+    last = (come < COME_SHARE * come[:, -1:]).sum(axis=1)
+    longest: Floats = np.maximum(np.array(bins.limits)[last + 1], 0.0)
+    return longest
 
 
 def _linked(fit: Fit, departures: Departures, pair: int, since: float, factor: float) -> float:

@@ -50,6 +50,7 @@ from camtopod.learn.links.shortfall import (
 from camtopod.learn.links.significance import (
     evidence_against_unrelated as evidence_against_unrelated,
     log_likelihood_ratio as log_likelihood_ratio,
+    q_values as q_values,
     repeated_evidence as repeated_evidence,
 )
 from camtopod.learn.links.transit_time import WEIGHT_MIN as WEIGHT_MIN

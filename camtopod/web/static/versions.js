@@ -78,6 +78,13 @@ export class Versions {
         fact("As of", clock(newest.as_of)),
         fact("Events learned", count(newest.events)),
         fact("Related pairs", count(newest.pairs)),
+        newest.longest
+          ? fact(
+              "Longest way looked for",
+              `${newest.longest.toFixed(0)} s`,
+              "Found from the events. Who is not seen again within this time is said to leave",
+            )
+          : null,
         score
           ? fact(
               "Next camera correct",

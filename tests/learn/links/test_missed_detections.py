@@ -24,7 +24,7 @@ from camtopod.learn.settings import Settings
 from camtopod.topology.lag_bins import LagBins
 
 SETTINGS = Settings(publish_probability_min=0.03, missed_share_max=0.25)
-BINS = LagBins(-SETTINGS.overlap_max_seconds, SETTINGS.transit_max_seconds)
+BINS = LagBins(-120.0, 180.0)
 LEAVING = 400.0
 WATCHED = np.zeros(9)
 """No camera was ever silent."""

@@ -1,0 +1,181 @@
+"""The range of lags between views: how long before and after an exit objects appear elsewhere.
+
+It is found in the newest stretch of the window (`find_lag_bins`): a joint fit over a far wider
+range than is needed, and the lags of the transitions along its links. A site whose ways take
+seconds gets a short range, as a long one costs time and lets chance in.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from camtopod.arrays import Bools, Floats, Singles
+from camtopod.learn.association import (
+    PAIRS_FEW,
+    Fit,
+    LagRanges,
+    Problem,
+    find_candidates,
+    fit_jointly,
+    newest_within_limit,
+)
+from camtopod.learn.limits import (
+    LAG_SECONDS_MAX,
+    LEAD_SECONDS_MAX,
+    RANGE_ARRIVALS_MAX,
+    RANGE_CANDIDATES_MAX,
+)
+from camtopod.learn.links import TRANSITIONS_MIN, q_values, repeated_evidence
+from camtopod.learn.long_paths import SHARP_SHARE_MAX
+from camtopod.learn.traffic import Scene
+from camtopod.topology import LagBins
+
+LAG_SECONDS_MIN = 60.0
+LEAD_SECONDS_MIN = 5.0
+"""Least range of lags after the exit, and before it."""
+LAG_SECONDS_UNSEARCHED = 180.0
+LEAD_SECONDS_UNSEARCHED = 120.0
+"""Range of a site with too many pairs of zones for one fit (`PAIRS_FEW`), where none is looked for.
+"""
+REACH_SHARE_MAX = 0.25
+"""Longest lag that is looked at, as a share of the stretch, so that a path is observed more than
+once.
+"""
+REACH_STEP = 0.7
+"""Factor on the longest lag while too few of the newest events are within the limits."""
+LEAD_SHARE = 1.0 / 3.0
+"""Lags before the exit that are looked at, as a share of those after it."""
+Q_MAX = 0.01
+"""False discovery rate of the links that count."""
+CONTRAST_MIN = 2.0
+"""Least hazard at a lag that counts, over the median of the pair."""
+COVERED = 0.95
+STRAYS = 5.0
+"""Share of the links' transitions up to the longest lag that counts; so many may be beyond anyway.
+"""
+SPARE = 3.0
+"""The range over that lag. Where transit times vary most, evenly per second (an exponential
+distribution), 0.01 % are beyond three times their 95 % quantile; and a way may grow longer.
+"""
+MILLISECONDS = 1000.0
+"""Milliseconds in a second."""
+NEWEST_SHARE = 0.25
+"""Share of the stretch that must be covered as well as the whole: a way may just have changed."""
+
+
+def find_lag_bins(scene: Scene, ranges: LagRanges | None = None) -> LagBins:
+    """Return the bins of the lags between views, of a range that covers the links of a window.
+
+    ranges: delays of long paths, from which their lags count; None without.
+    """
+    zones = len(scene.zones)
+    if zones**2 > PAIRS_FEW:
+        return _bins(LEAD_SECONDS_UNSEARCHED, LAG_SECONDS_UNSEARCHED)
+    if not (len(scene.departures.t) and len(scene.arrivals.t)):
+        return shortest_bins()
+    problem = newest_stretch(scene, ranges)
+    ahead, after = extremes(problem, fit_jointly(problem, find_candidates(problem)))
+    least = LEAD_SECONDS_MIN
+    if ranges is not None:  # a peak at lag 0 has two sides
+        least = max(least, SHARP_SHARE_MAX * float(ranges.delay.max()))
+    return _bins(
+        min(max(SPARE * ahead, least), LEAD_SECONDS_MAX),
+        min(max(SPARE * after, LAG_SECONDS_MIN), LAG_SECONDS_MAX),
+    )
+
+
+def shortest_bins() -> LagBins:
+    """Return the bins of a site where nothing shows a longer range."""
+    return _bins(LEAD_SECONDS_MIN, LAG_SECONDS_MIN)
+
+
+def newest_stretch(scene: Scene, ranges: LagRanges | None = None) -> Problem:
+    """Return the newest events within the limits of a search, with the widest range they allow.
+
+    ranges: as for `find_lag_bins`.
+    """
+    departures, arrivals = scene.departures, scene.arrivals
+    cut = arrivals.t[-RANGE_ARRIVALS_MAX:][0]
+    if len(arrivals.t) > RANGE_ARRIVALS_MAX:
+        late = arrivals.t >= cut
+        departures = departures.take(departures.t >= cut, late)
+        arrivals = arrivals.take(late)
+    longest = LAG_SECONDS_MAX
+    while True:
+        bins = LagBins(-min(LEAD_SECONDS_MAX, LEAD_SHARE * longest), longest)
+        problem = Problem(departures, arrivals, bins, len(scene.zones), scene.last, ranges)
+        problem = newest_within_limit(problem, RANGE_CANDIDATES_MAX)
+        begin = problem.arrivals.t[:1]
+        stretch = float(scene.last - begin[0]) if len(begin) else 0.0
+        if longest <= LAG_SECONDS_MIN or longest <= REACH_SHARE_MAX * stretch:
+            return problem
+        longest = max(REACH_STEP * longest, LAG_SECONDS_MIN)
+
+
+def extremes(problem: Problem, fit: Fit) -> tuple[float, float]:
+    """Return how long before and after the exit the transitions of a fit's links come, seconds.
+
+    Only lags count at which a link's hazard is well above its median over the range: what is spread
+    over all lags, as chance is, tells nothing about how long the range has to be.
+    """
+    c = fit.candidates
+    lag = c.lag - problem.delays(c.source, c.target)[c.pair]
+    at = np.maximum(problem.bins.index(lag), 0)
+    stands_out = fit.hazard[c.pair, at] > CONTRAST_MIN * _usual_hazards(problem, fit)[c.pair]
+    linked = _linked(problem, fit)[c.pair] & stands_out
+    begin = problem.arrivals.t[0]
+    newest = problem.until - NEWEST_SHARE * (problem.until - begin)
+    ahead = after = 0.0
+    for rows in (linked, linked & (problem.arrivals.t[c.arrival] >= newest)):
+        if rows.any():
+            low, high = _quantiles(lag[rows], fit.responsibility[rows])
+            ahead, after = max(ahead, -low), max(after, high)
+    return ahead, after
+
+
+def _usual_hazards(problem: Problem, fit: Fit) -> Singles:
+    """Return the median hazard (P,) of each pair of zones over the seconds after the exit."""
+    after = problem.bins.edges[:-1] >= 0
+    hazard = fit.hazard[:, after]
+    order = np.argsort(hazard, axis=1, kind="stable")
+    seconds = np.cumsum(problem.bins.widths[after][order], axis=1)
+    middle = (seconds < 0.5 * seconds[:, -1:]).sum(axis=1)
+    rows = np.arange(len(hazard))
+    usual: Singles = hazard[rows, order[rows, middle]]
+    return usual
+
+
+def _linked(problem: Problem, fit: Fit) -> Bools:
+    """Return a mask (P,) of the pairs of zones that are links of a fit, more than once."""
+    c = fit.candidates
+    begin = problem.arrivals.t[0]
+    at = (problem.arrivals.t[c.arrival] - begin) / max(problem.until - begin, 1.0)
+    nats = repeated_evidence(c.pair, fit.responsibility, fit.flat, at, len(c.source))
+    q = q_values(nats, problem.zones**2)
+    linked: Bools = (q <= Q_MAX) & (fit.counts.sum(axis=1) >= TRANSITIONS_MIN)
+    return linked
+
+
+def _quantiles(lag: Floats, weight: Floats) -> tuple[float, float]:
+    """Return the least and the largest lag (seconds) but for strays: (1 - `COVERED`) of the weight.
+
+    lag, weight (n,): lags in seconds and their weights; not empty.
+    """
+    order = np.argsort(lag, kind="stable")
+    below = np.cumsum(weight[order], dtype=float)
+    strays = min(max((1.0 - COVERED) * below[-1], STRAYS), 0.5 * below[-1])
+    at = np.searchsorted(below, (strays, below[-1] - strays))
+    low, high = lag[order[np.minimum(at, len(lag) - 1)]]
+    return float(low), float(high)
+
+
+def _bins(before: float, after: float) -> LagBins:
+    """Return bins that cover lags up to ``before`` and ``after`` the exit, in seconds.
+
+    The range ends a millisecond within the outermost bins' edges, so that these are whole.
+    """
+    edges = LagBins(-before, after).edges
+    low, high = math.ceil(edges[0] * MILLISECONDS), math.floor(edges[-1] * MILLISECONDS)
+    return LagBins((low + 1) / MILLISECONDS, (high - 1) / MILLISECONDS)

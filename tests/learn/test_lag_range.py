@@ -1,0 +1,106 @@
+"""The range of lags: found from the events, short on fast sites and long on slow ones."""
+
+from __future__ import annotations
+
+from itertools import pairwise
+
+import numpy as np
+import pytest
+from synthetic_events import learned_from, passage
+
+from camtopod.learn import lag_range
+from camtopod.learn.learner import Learner
+from camtopod.learn.limits import LAG_SECONDS_MAX
+from camtopod.records import Event, Topology
+from camtopod.topology import LagBins, longest_lag, masses_on_bins
+
+T0 = 1e6
+HOUR = 3600.0
+WALKS = 80  # an hour
+CAMERAS = "abcdef"
+STAY_SECONDS = 5.0
+
+
+def site(
+    seconds: float, hours: float, seed: int = 1, begin: float = T0, detour: float | None = None
+) -> list[Event]:
+    """Return walks along cameras, ``seconds`` from one to the next; most pass all of them.
+
+    detour: seconds of the way from c to d, if it is another.
+    """
+    chance, events = np.random.default_rng(seed), list[Event]()
+    starts = np.sort(chance.uniform(begin, begin + hours * HOUR, int(WALKS * hours)))
+    for k, start in enumerate(starts.tolist()):
+        t, first, last = start, 0, len(CAMERAS)
+        if chance.random() < 0.3:
+            first, last = sorted(chance.choice(last + 1, 2, replace=False).tolist())
+        for camera in CAMERAS[first:last]:
+            events += passage(camera, t, STAY_SECONDS, f"{seed}-{k}")
+            mean = detour if camera == "c" and detour else seconds
+            t += STAY_SECONDS + mean * chance.lognormal(0.0, 0.1)
+    return sorted(events, key=lambda event: event.t)
+
+
+def reach(topology: Topology) -> float:
+    return longest_lag(topology)
+
+
+@pytest.mark.parametrize(("seconds", "least", "most"), [(12.0, 60.0, 67.0), (150.0, 200.0, 500.0)])
+def test_the_range_is_that_of_the_ways(seconds: float, least: float, most: float) -> None:
+    topology = learned_from(site(seconds, 4.0))
+    assert least <= reach(topology) <= most
+    ways = {(link.from_[0], link.to[0]) for link in topology.links if link.relation != "visible"}
+    assert ways == set(pairwise(CAMERAS))
+
+
+@pytest.mark.parametrize("hours", [1.0, 2.0])
+def test_a_way_that_becomes_a_detour_of_ten_minutes_is_found_within_an_hour(hours: float) -> None:
+    before = site(12.0, hours)
+    after = site(12.0, 1.0, 2, T0 + hours * HOUR, detour=600.0)
+    events = sorted([*before, *after], key=lambda event: event.t)
+    learner = Learner()
+    for event in events:
+        if event.t < T0 + (hours + 1.0) * HOUR:
+            learner.receive(event)
+    learner.flush()
+
+    versions = learner.updates()
+    first = [one for one in versions if T0 + 1800.0 < one.as_of <= T0 + hours * HOUR]
+    assert first
+    assert max(map(reach, first)) < 70.0, "a short range until then"
+    newest = versions[-1]
+    assert reach(newest) > 700.0
+    [way] = [link for link in newest.links if (link.from_, link.to) == ("c/1", "d/1")]
+    assert way.histogram is not None
+    model = newest.model
+    assert model is not None
+    bins = LagBins(model.lag_min, model.lag_max)
+    mass = masses_on_bins(way.histogram, bins)
+    assert mass[bins.edges[:-1] > 300.0].sum() > 8.0, "of some forty who have arrived by then"
+
+
+def test_an_overlap_is_within_the_range_before_the_exit() -> None:
+    chance, events = np.random.default_rng(3), list[Event]()
+    for k, t in enumerate(np.sort(chance.uniform(T0, T0 + 2.0 * HOUR, 300)).tolist()):
+        events += passage("a", t, 40.0, str(k))
+        events += passage("b", t + 40.0 - chance.normal(20.0, 3.0), 30.0, f"b{k}")
+    model = learned_from(sorted(events, key=lambda event: event.t)).model
+    assert model is not None
+    assert -90.0 < model.lag_min < -40.0
+
+
+def test_a_range_ends_at_the_edges_of_bins() -> None:
+    for after in (61.3, 180.0, 777.7, LAG_SECONDS_MAX):
+        bins = lag_range._bins(5.0, after)
+        assert bins.edges[0] == pytest.approx(bins.lag_min, abs=0.003)
+        assert bins.edges[-1] == pytest.approx(bins.lag_max, abs=0.003)
+        assert bins.lag_max >= after
+        assert bins.size == len(LagBins(-5.0, after).widths)
+
+
+def test_what_is_spread_over_all_lags_does_not_widen_the_range() -> None:
+    """Busy unrelated cameras beside a way of seconds."""
+    chance, events = np.random.default_rng(4), site(12.0, 3.0)
+    for k, t in enumerate(np.sort(chance.uniform(T0, T0 + 3.0 * HOUR, 1500)).tolist()):
+        events += passage("xy"[k % 2], t, STAY_SECONDS, f"x{k}")
+    assert reach(learned_from(sorted(events, key=lambda event: event.t))) < 70.0
