@@ -141,7 +141,7 @@ def test_restored_with_screening_the_versions_are_the_same(monkeypatch: pytest.M
     """Candidates depend on when each zone was last screened; only a few zones are in each fit."""
     monkeypatch.setattr(screening, "LOOK_SHARE", 0.05)
     monkeypatch.setattr(screening, "SOURCES_PER_ZONE_MAX", 3)
-    rules = msgspec.structs.replace(SETTINGS, candidates_max=10_000, refit_share=0.3)
+    rules = msgspec.structs.replace(SETTINGS, candidates_max=2_000, refit_share=0.3)
     events = events_of("usual")
 
     def from_half(forgetful: bool = False) -> list[tuple[int, str]]:

@@ -224,7 +224,8 @@ def evidence_against_cycle(
     every = outside[arrivals.zone] * arrivals.rate / np.maximum(1.0 - explained, 1e-3)
     delay = problem.delays(c.source, c.target)
     evidence = np.zeros((len(period), PARTS))
-    part = (arrivals.t - arrivals.t[:1]) / max(float(np.ptp(arrivals.t)), 1.0) * PARTS
+    seconds = float((arrivals.t[-1:] - arrivals.t[:1]).sum())  # 0 without arrivals
+    part = (arrivals.t - arrivals.t[:1]) / max(seconds, 1.0) * PARTS
     for pair in np.flatnonzero(period > 0.0).tolist():
         zones = int(c.source[pair]), int(c.target[pair])
         rows = np.flatnonzero(arrivals.zone == zones[1])
