@@ -27,7 +27,11 @@ from camtopod.learn.limits import (
     RANGE_ARRIVALS_MAX,
     RANGE_CANDIDATES_MAX,
 )
-from camtopod.learn.links import TRANSITIONS_MIN, q_values, repeated_evidence
+from camtopod.learn.links import (
+    TRANSITIONS_MIN,
+    q_values,
+    repeated_evidence,
+)
 from camtopod.learn.long_paths import SHARP_SHARE_MAX
 from camtopod.learn.traffic import Scene
 from camtopod.topology import LagBins

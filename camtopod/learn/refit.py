@@ -56,9 +56,8 @@ from camtopod.learn.links import (
     LinkShortfall,
     LinkTable,
     concatenate_transitions,
-    cross_evidence,
-    evidence_of_fit,
     exposed_departures,
+    link_evidence,
     missed_transitions,
     select_weak_links,
     shortfall_of,
@@ -311,7 +310,7 @@ def associate(
     on_step("evidence")
     first = float(min(problem.departures.t[0], problem.arrivals.t[0]))
     fit = without_cycle(problem, fit)
-    evidence = cross_evidence(problem, fit, first)
+    evidence = link_evidence(problem, fit, first)
     between = tabulate(
         transitions_of(fit),
         exposed_departures(problem),
@@ -320,10 +319,9 @@ def associate(
         ranges=problem.ranges,
     ).with_weights(weights)
     tests = problem.zones**2
-    posterior = with_doubt(posterior, problem, between.with_evidence(evidence, tests))
-    # The geometric mean of two e-values is one: of that of the whole fit, each candidate left out
-    # of its own prediction, and that of the halves held out.
-    between = between.with_evidence(0.5 * (evidence_of_fit(problem, fit, first) + evidence), tests)
+    held_out = between.with_evidence(evidence.held_out, tests)
+    posterior = with_doubt(posterior, problem, held_out)
+    between = between.with_evidence(evidence.both, tests)
 
     # 6. Links that have opened or closed; departures during a camera's silence do not count.
     on_step("changes")

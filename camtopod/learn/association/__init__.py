@@ -26,6 +26,7 @@ from camtopod.learn.association.em import (
 )
 from camtopod.learn.association.em_model import EmModel as EmModel
 from camtopod.learn.association.joint_fit import (
+    SPARSITY as SPARSITY,
     Fit as Fit,
     fit_jointly as fit_jointly,
     fit_sparsely as fit_sparsely,

@@ -14,13 +14,10 @@ not published still lacks.
 """
 
 from camtopod.learn.links import mahalanobis as mahalanobis, monte_carlo as monte_carlo
-from camtopod.learn.links.common_cycle import (
-    evidence_of_fit as evidence_of_fit,
-    without_cycle as without_cycle,
-)
+from camtopod.learn.links.common_cycle import without_cycle as without_cycle
 from camtopod.learn.links.cross_validation import (
     OUTSIDE_LEAST as OUTSIDE_LEAST,
-    cross_evidence as cross_evidence,
+    link_evidence as link_evidence,
 )
 from camtopod.learn.links.link_table import (
     MONTE_CARLO_SEED as MONTE_CARLO_SEED,
@@ -49,6 +46,7 @@ from camtopod.learn.links.shortfall import (
 )
 from camtopod.learn.links.significance import (
     evidence_against_unrelated as evidence_against_unrelated,
+    expected_by_part as expected_by_part,
     log_likelihood_ratio as log_likelihood_ratio,
     q_values as q_values,
     repeated_evidence as repeated_evidence,

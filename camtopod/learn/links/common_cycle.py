@@ -26,7 +26,7 @@ from camtopod.learn.association import (
     fit_sparsely,
 )
 from camtopod.learn.links.link_table import TRANSITIONS_MIN
-from camtopod.learn.links.significance import PARTS, repeated, repeated_evidence
+from camtopod.learn.links.significance import PARTS
 from camtopod.learn.traffic import Departures
 from camtopod.topology import lag_smoothing_matrix
 
@@ -244,18 +244,3 @@ def evidence_against_cycle(
             np.minimum(part[rows].astype(np.intp), PARTS - 1), nats, minlength=PARTS
         )
     return evidence
-
-
-def evidence_of_fit(problem: Problem, fit: Fit, first: float) -> Floats:
-    """Return the evidence (P, nats) of the whole window that the zones of each pair are linked.
-
-    It is that of `repeated_evidence`, or that against a common cycle where the zones have one.
-
-    first (seconds): beginning of the window.
-    """
-    c = fit.candidates
-    at = (problem.arrivals.t[c.arrival] - first) / max(problem.until - first, 1.0)
-    evidence = repeated_evidence(c.pair, fit.responsibility, fit.flat, at, len(c.source))
-    period = common_periods(problem, fit)
-    cycle = evidence_against_cycle(problem, c, fit.hazard, fit.responsibility, fit.outside, period)
-    return np.where(period > 0.0, repeated(cycle), evidence)

@@ -13,11 +13,14 @@ the null model.
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
 
 from camtopod.arrays import Floats, Longs, Singles
 from camtopod.learn.association import (
     RESPONSIBILITY_MAX,
+    SPARSITY,
     Candidates,
     Em,
     EmModel,
@@ -33,7 +36,11 @@ from camtopod.learn.links.common_cycle import (
     off_cycle,
 )
 from camtopod.learn.links.link_table import TRANSITIONS_MIN
-from camtopod.learn.links.significance import evidence_against_untimed
+from camtopod.learn.links.significance import (
+    evidence_against_untimed,
+    repeated,
+    repeated_evidence,
+)
 from camtopod.learn.traffic import activity_rates
 
 STRETCH_LAGS = 16.0
@@ -48,21 +55,80 @@ SWEEPS = 3
 """Number of E steps under given hazards."""
 
 
-def cross_evidence(problem: Problem, fit: Fit, first: float) -> Floats:
-    """Return the held-out evidence (P, nats) that the zones of each pair of a fit are linked.
+class LinkEvidence(NamedTuple):
+    """Evidence (P, nats) that the zones of each pair of a fit are linked.
 
-    The evidence is a log likelihood ratio against two null models, of which the stronger one counts
-    (the smaller ratio): the zones are unrelated; or arrivals at one zone follow departures from the
+    It is a log likelihood ratio against two null models, of which the stronger one counts (the
+    smaller ratio): the zones are unrelated; or arrivals at one zone follow departures from the
     other at no particular lag, as when both zones follow a rhythm. Where the zones have a common
     cycle, this takes the place of the first model (`common_cycle`).
+    """
+
+    held_out: Floats
+    """(P,) each half of the window by a fit of the other."""
+    whole: Floats
+    """(P,) the whole window, each candidate left out of its own prediction."""
+
+    @property
+    def both(self) -> Floats:
+        """(P,) the geometric mean of the two as e-values, which is one."""
+        mean: Floats = 0.5 * (self.held_out + self.whole)
+        return mean
+
+
+def link_evidence(problem: Problem, fit: Fit, first: float) -> LinkEvidence:
+    """Return the evidence that the zones of each pair of a fit are linked.
+
+    first (seconds): beginning of the window.
+    """
+    period = common_periods(problem, fit)
+    held_out = _held_out(problem, fit, first, period)
+    return LinkEvidence(held_out, _whole(judging(problem), fit, first, period))
+
+
+def judging(problem: Problem) -> Problem:
+    """Return a problem under the null model that judges links.
+
+    Arrivals may also follow the activity of the site (`activity_rates`), and what was declared of
+    the cameras (`Problem.odds`) does not count: it may shape a fit, but does not judge it.
+    """
+    came = problem.arrivals
+    active = activity_rates(came.t, came.zone, came.camera, came.rate)
+    return problem._replace(arrivals=came._replace(rate=active), odds=None)
+
+
+def _whole(problem: Problem, fit: Fit, first: float, period: Floats) -> Floats:
+    """Return the evidence (P, nats) of the whole window under the null model of a problem.
+
+    fit: the joint fit, whose hazards are judged.
+    period (P, seconds): common period of each pair of zones, nan without one.
+    """
+    c = fit.candidates
+    em = Em(problem, c, EmModel(sparsity=SPARSITY), None, adjust(problem, c, fit.persistence))
+    em.responsibility = fit.responsibility.astype(np.float32)
+    hazard = em.hazards(em.transitions())
+    em.outside = np.maximum(fit.outside, OUTSIDE_LEAST)
+    for _ in range(SWEEPS):
+        em.responsibility[:] = fit.responsibility
+        em.expect(hazard)
+
+    share = em.responsibility.astype(float)
+    at = (problem.arrivals.t[c.arrival] - first) / max(problem.until - first, 1.0)
+    evidence = repeated_evidence(c.pair, share, flatness(em, hazard), at, em.pairs)
+    cycle = evidence_against_cycle(problem, c, hazard, share, em.outside, period)
+    return np.where(period > 0.0, repeated(cycle), evidence)
+
+
+def _held_out(problem: Problem, fit: Fit, first: float, period: Floats) -> Floats:
+    """Return the held-out evidence (P, nats) that the zones of each pair of a fit are linked.
 
     fit: the joint fit of the whole window, for its pairs of zones; its hazards are not used. Of the
         pairs that may be links, all candidates count, as the likely ones alone are biased.
     first (seconds): beginning of the window.
+    period (P, seconds): common period of each pair of zones, nan without one.
     """
     pairs = np.flatnonzero(fit.counts.sum(axis=1) >= TRANSITIONS_MIN)
     every = candidates_of_pairs(problem, fit.candidates, pairs)
-    period = common_periods(problem, fit)
     every = every.rows(off_cycle(problem, every, period))
     halves = Halves(problem, fit._replace(candidates=every), first)
     mean: Floats = np.logaddexp(_bet(halves, 0, period), _bet(halves, 1, period)) - np.log(2.0)
@@ -85,7 +151,7 @@ def _bet(halves: Halves, fitted: int, period: Floats) -> Floats:
     # What is left when a pair is taken away must be as good as knowing nothing. On noise, the pairs
     # explain nearly all arrivals, and each would look needed beside so small a rest.
     outside = np.maximum(fitter.outside, OUTSIDE_LEAST)
-    judged = halves.take(1 - fitted, judging=True)
+    judged = halves.take(1 - fitted, judged=True)
     ratio = np.minimum(*_evidence(judged, hazard, outside, period))
     stake: Floats = np.logaddexp(ratio, 0.0) - np.log(2.0)
     return stake
@@ -94,11 +160,12 @@ def _bet(halves: Halves, fitted: int, period: Floats) -> Floats:
 class Halves:
     """The two halves of a window, each with its exposure.
 
-    Arguments are as for `cross_evidence`.
+    Arguments are as for `link_evidence`.
     """
 
     def __init__(self, problem: Problem, fit: Fit, first: float) -> None:
         self.problem = problem
+        self._judging = judging(problem)
         self.fit = fit
         self.first = first
 
@@ -112,21 +179,15 @@ class Halves:
         self._exposure = self._exposures()
         self._adjusted = adjust(problem, fit.candidates, fit.persistence)
 
-    def take(self, half: int, judging: bool = False) -> Em:
+    def take(self, half: int, judged: bool = False) -> Em:
         """Return a fit in progress of the arrivals in one half; pairs are numbered as in `fit`.
 
         half: its number, 0 or 1.
-        judging: True for the half that is bet on. Its arrivals may also follow the activity of the
-            site (`activity_rates`), and what was declared of the cameras (`Problem.odds`) does not
-            count: it may shape a bet, but does not judge it.
+        judged: True for the half that is bet on (`judging`).
         """
         # Keep the candidates whose arrivals lie in this half.
         departs = self._departure_half == half
         arrives = self._arrival_half == half
-        came = self.problem.arrivals
-        if judging:
-            active = activity_rates(came.t, came.zone, came.camera, came.rate)
-            came = came._replace(rate=active)
         c = self.fit.candidates
         kept = np.flatnonzero(arrives[c.arrival])
         arrival = (np.cumsum(arrives) - 1).astype(np.int32)
@@ -139,11 +200,9 @@ class Halves:
             c.target,
         )
 
-        problem = self.problem._replace(
-            arrivals=came.take(arrives), odds=None if judging else self.problem.odds
-        )
+        problem = self._judging if judged else self.problem
         return Em(
-            problem,
+            problem._replace(arrivals=problem.arrivals.take(arrives)),
             candidates,
             EmModel(near=departs if departs.any() else slice(None)),
             self._exposure[half],

@@ -11,11 +11,13 @@ from __future__ import annotations
 
 import numpy as np
 
-from camtopod.arrays import Floats, Ints, Rows
+from camtopod.arrays import Floats, Ints, Longs, Rows
 from camtopod.learn.association import RESPONSIBILITY_MAX
 
 PARTS = 16
 """Parts of the window; two in a row are taken for one occasion."""
+OCCASION_SHARE_MAX = 1.0 / 3.0
+"""Evidence of one occasion that counts, as a share of that of all others."""
 
 
 def log_likelihood_ratio(
@@ -61,31 +63,64 @@ def evidence_against_unrelated(pair: Ints | Rows, responsibility: Floats, pairs:
 
 
 def repeated_evidence(
-    pair: Ints | Rows, responsibility: Floats, flat: Floats, at: Floats, pairs: int
+    pair: Ints | Rows,
+    responsibility: Floats,
+    flat: Floats,
+    at: Floats,
+    pairs: int,
+    expected: Floats | None = None,
 ) -> Floats:
     """Return the evidence (P, nats) of each pair of zones that does not rest on one occasion.
 
     at (M,): when each candidate arrives, as a share of the window, 0 to 1.
+    expected (P, PARTS): transitions of each pair that the departures in each part of the window
+        make expect (`expected_by_part`); None for those that come, as where the hazards have been
+        learned without the candidate itself.
 
     A group of people that walks together makes as many transitions of one lag as it has members,
-    once (`repeated`). Other arguments are as for `log_likelihood_ratio`.
+    once (`repeated`): at all other times, fewer come than are expected. Other arguments are as for
+    `log_likelihood_ratio`.
     """
-    cell = pair * PARTS + np.clip((at * PARTS).astype(np.int64), 0, PARTS - 1)
-    unrelated = evidence_against_unrelated(cell, responsibility, pairs * PARTS)
+    cell = pair * PARTS + _part(at)
+    share = np.minimum(responsibility, RESPONSIBILITY_MAX)
+    explained, came = (
+        np.bincount(cell, each, pairs * PARTS).astype(float).reshape(pairs, PARTS)
+        for each in (-np.log1p(-share), share)
+    )
     untimed = evidence_against_untimed(cell, responsibility, flat, pairs * PARTS)
-    nats = np.stack((unrelated, untimed)).reshape(2, pairs, PARTS)
+    unrelated = explained - (came if expected is None else expected)
+    nats = np.stack((unrelated, untimed.reshape(pairs, PARTS)))
     evidence: Floats = repeated(nats).min(axis=0)
     return evidence
+
+
+def expected_by_part(transitions: Floats, source: Ints | Rows, zone: Ints, at: Floats) -> Floats:
+    """Return the expected transitions of each pair of zones by part of the window, (P, PARTS).
+
+    transitions (P,): expected transitions of each pair. source (P,): its zone of departure.
+    zone (n,), at (n,): zone of each departure, and when it is, as a share of the window.
+    """
+    zones = int(max(zone.max(initial=0), source.max(initial=0))) + 1
+    cell = zone.astype(np.int64) * PARTS + _part(at)
+    departures = np.bincount(cell, minlength=zones * PARTS).reshape(zones, PARTS)
+    share = departures / np.maximum(departures.sum(axis=1, keepdims=True), 1)
+    expected: Floats = transitions[:, None] * share[source]
+    return expected
+
+
+def _part(at: Floats) -> Longs:
+    """Return the number of the part of the window of each time (n,), a share of the window."""
+    return np.clip((at * PARTS).astype(np.int64), 0, PARTS - 1)
 
 
 def repeated(nats: Floats) -> Floats:
     """Return the total (P,) of evidence by parts of the window (P, PARTS), less what is told once.
 
-    The eighth of the window that speaks most for a pair counts no more than all the rest.
+    The eighth of the window that speaks most for a pair counts no more than a third of the rest.
     """
     total = nats.sum(axis=-1)
     rest = total - np.maximum((nats[..., :-1] + nats[..., 1:]).max(axis=-1), 0.0)
-    evidence: Floats = np.minimum(total, 2.0 * rest)
+    evidence: Floats = np.minimum(total, (1.0 + OCCASION_SHARE_MAX) * rest)
     return evidence
 
 

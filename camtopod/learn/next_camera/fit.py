@@ -104,7 +104,7 @@ def fit_window(
 def with_doubt(posterior: Posterior, problem: Problem, between: LinkTable) -> Posterior:
     """Return a posterior with the spurious share of each pair of zones.
 
-    between: pairs of zones with their held-out evidence (`cross_evidence`).
+    between: pairs of zones with their held-out evidence (`link_evidence`).
     """
     departures = np.bincount(problem.departures.zone, minlength=problem.zones).astype(float)
     any_link = any_link_probability(between.ratio, departures)

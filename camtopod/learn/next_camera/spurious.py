@@ -47,7 +47,7 @@ def spurious_shares(
     """Return the spurious share of the transitions of each pair of zones, (P,).
 
     pair, responsibility (M,): pair of zones and responsibility of each candidate.
-    evidence (P, nats): held-out evidence of each pair (`cross_evidence`); 0 if there is none.
+    evidence (P, nats): held-out evidence of each pair (`link_evidence`); 0 if there is none.
     any_link: probability that the site has any link at all (`any_link_probability`).
     returns (P,): True for the pairs that lead back into the same view.
     chance (P,): prior odds of being spurious.

@@ -15,7 +15,12 @@ import numpy as np
 from scipy.special import digamma
 
 from camtopod.arrays import Floats, Longs, Rows, Singles
-from camtopod.learn.links import OUTSIDE_LEAST, evidence_against_unrelated, repeated_evidence
+from camtopod.learn.links import (
+    OUTSIDE_LEAST,
+    evidence_against_unrelated,
+    expected_by_part,
+    repeated_evidence,
+)
 from camtopod.learn.paths.camera_lags import CameraLags
 from camtopod.learn.paths.dictionary import RESOLUTION_SECONDS, log_density
 from camtopod.topology import DEGREES, LEAVE_FLOOR, REACH_WIDTHS, student_density
@@ -106,10 +111,17 @@ class PathFit:
         self.lags = self.lags._replace(rate=self.lags.active)
         step = self._expect()
         pair, _, place, width = self.paths
-        came = self.lags.came(step.rows[step.row])
-        first = float(self.lags.left.min(initial=self.lags.until))
-        at = (came - first) / max(self.lags.until - first, 1.0)
-        nats = repeated_evidence(step.path, step.part, np.zeros(len(at)), at, len(pair))
+        lags, source = self.lags, self.paths.pair // self.lags.cameras
+        first = float(lags.left.min(initial=lags.until))
+        left, came = (
+            (t - first) / max(lags.until - first, 1.0)
+            for t in (lags.left, lags.came(step.rows[step.row]))
+        )
+        taken = np.bincount(step.path, step.part, minlength=len(pair)).astype(float)
+        expected = expected_by_part(taken, source, lags.source.astype(np.int32), left)
+        nats = repeated_evidence(
+            step.path, step.part, np.zeros(len(came)), came, len(pair), expected
+        )
 
         # A path has been looked for at all places.
         nats = np.maximum(nats + log_density(place, width, self.lags.lag_max), 0.0)

@@ -12,12 +12,11 @@ from camtopod.learn.links.common_cycle import (
     COPIES,
     common_periods,
     evidence_against_cycle,
-    evidence_of_fit,
     moved,
     way_lags,
     without_cycle,
 )
-from camtopod.learn.links.cross_validation import cross_evidence
+from camtopod.learn.links.cross_validation import link_evidence
 from camtopod.learn.links.significance import log_likelihood_ratio
 from camtopod.learn.traffic.events import Arrivals, Departures
 from camtopod.topology.lag_bins import LagBins
@@ -79,8 +78,8 @@ def test_a_phase_is_no_way_and_a_way_is_one(seed: int) -> None:
     fit = without_cycle(problem, before)
 
     period = by_pair(fit, common_periods(problem, fit))
-    whole = by_pair(fit, evidence_of_fit(problem, fit, 0.0))
-    held_out = by_pair(fit, cross_evidence(problem, fit, 0.0))
+    evidence = link_evidence(problem, fit, 0.0)
+    whole, held_out = by_pair(fit, evidence.whole), by_pair(fit, evidence.held_out)
     assert period[WAY] == pytest.approx(PERIOD, rel=0.01)
     assert (whole[WAY] + held_out[WAY]) / 2 > 15.0
     assert (whole[PHASE] + held_out[PHASE]) / 2 < 4.0

@@ -8,7 +8,7 @@ import pytest
 from camtopod.learn.association.candidates import find_candidates
 from camtopod.learn.association.joint_fit import fit_jointly
 from camtopod.learn.association.problem import Problem, exposures
-from camtopod.learn.links.cross_validation import Halves, cross_evidence
+from camtopod.learn.links.cross_validation import Halves, link_evidence
 from camtopod.learn.traffic.events import Arrivals, Departures
 from camtopod.topology.lag_bins import LagBins
 
@@ -53,7 +53,7 @@ def test_chance_rarely_wins_where_it_is_dense_and_short() -> None:
         crowded = crowd(seed, 8, 60, 600.0)
         problem = Problem(*crowded, BINS, 8, 600.0)
         fit = fit_jointly(problem, find_candidates(problem))
-        ratio = cross_evidence(problem, fit, 0.0)
+        ratio = link_evidence(problem, fit, 0.0).held_out
         won, pairs = won + int((ratio > 4.0).sum()), pairs + 64
         assert ratio.max(initial=0.0) < 7.0
     assert won <= pairs * np.exp(-4.0)

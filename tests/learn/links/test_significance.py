@@ -7,7 +7,12 @@ import numpy as np
 import pytest
 from hypothesis import given, strategies as st
 
-from camtopod.learn.links.significance import log_likelihood_ratio, q_values, repeated_evidence
+from camtopod.learn.links.significance import (
+    expected_by_part,
+    log_likelihood_ratio,
+    q_values,
+    repeated_evidence,
+)
 
 RATIOS = st.lists(st.one_of(st.floats(-5, 40), st.sampled_from([0.0, 3.0])), max_size=25)
 
@@ -37,12 +42,19 @@ def test_ratio_by_loops(seed: int, n: int) -> None:
         assert found[p] == pytest.approx(min(unrelated, untimed))
 
 
-def test_one_occasion_tells_no_more_than_all_others() -> None:
-    """Twelve transitions at once count as none; twelve over the window count in full."""
+def test_one_occasion_tells_no_more_than_a_third_of_all_others() -> None:
+    """Twelve transitions at once count as none, or against it; twelve over the window count in full."""
     share, flat = np.full(12, 0.9), np.full(12, 0.01)
     pair = np.zeros(12, np.int32)
+    zone, left = np.zeros(64, np.int32), np.linspace(0.0, 1.0, 64)
+    expected = expected_by_part(np.array([12 * 0.9]), pair[:1], zone, left)
+    assert expected.sum() == pytest.approx(12 * 0.9)
     all_of_it = log_likelihood_ratio(pair, share, flat, 1)
-    together = repeated_evidence(pair, share, flat, np.full(12, 0.3), 1)
-    spread = repeated_evidence(pair, share, flat, np.linspace(0.0, 1.0, 12), 1)
-    assert together == pytest.approx(0.0)
-    assert spread == pytest.approx(all_of_it)
+    together, spread = (
+        [repeated_evidence(pair, share, flat, at, 1, rate) for rate in (None, expected)]
+        for at in (np.full(12, 0.3), np.linspace(0.0, 1.0, 12))
+    )
+    assert together[0] == pytest.approx(0.0)
+    assert together[1] < -5.0
+    assert spread[0] == pytest.approx(all_of_it)
+    assert spread[1] == pytest.approx(all_of_it)
