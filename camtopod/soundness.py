@@ -131,8 +131,10 @@ def _histograms(topology: Topology, model: Model) -> Iterator[str]:
     if not (model.lag_min < model.lag_max and end - first <= LAG_BINS_MAX):
         yield f"there are no lag bins, or more than {LAG_BINS_MAX} - at `$.model`"
 
+    # Dwell times, of visible links, have bins of their own.
+    between = (link for link in topology.links if link.relation != "visible")
     histograms: dict[str, Iterable[Histogram | None]] = {
-        "links": (link.histogram for link in topology.links),
+        "links": (link.histogram for link in between),
         "weak_links": (link.histogram for link in topology.weak_links or []),
         "model.onward": (one.hazard for row in model.onward or [] for one in row.next_),
         "model.entered": (kernel.hazard for kernel in model.entered or []),

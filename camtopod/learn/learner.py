@@ -37,7 +37,7 @@ from camtopod.learn.doubled_cameras import doubled_news, find_doubled_cameras
 from camtopod.learn.lag_range import shortest_bins
 from camtopod.learn.limits import ZONES_PER_CAMERA_MAX
 from camtopod.learn.links import zone_pairs_of
-from camtopod.learn.refit import Known, Refit, dwell_bins, refit
+from camtopod.learn.refit import Known, Refit, refit
 from camtopod.learn.retired_cameras import camera_to_replace, cameras_to_retire, forget_cameras
 from camtopod.learn.self_score import Scorer
 from camtopod.learn.settings import Settings
@@ -46,7 +46,7 @@ from camtopod.learn.traffic import label_events
 from camtopod.learn.window import ReorderBuffer, Window
 from camtopod.predict import Predictor
 from camtopod.records import Event, Topology
-from camtopod.topology import evidence_for_links, with_digest
+from camtopod.topology import dwell_bins, evidence_for_links, with_digest
 
 REFIT_EVENTS_MIN = 10
 """Least new events for a new version, unless the last version is older than ``refit_hours``."""

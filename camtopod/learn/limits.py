@@ -19,8 +19,6 @@ LEAD_SECONDS_MAX = 120.0
 more than half an hour has rarely been on one way all the time; and the longer the lag, the wider
 its bin and the more chance is in it, so that only a very busy way could be told.
 """
-DWELL_SECONDS_MAX = 180.0
-"""Longest stay in one view that has a bin: who stays longer has not just passed through."""
 RANGE_CANDIDATES_MAX = 2_000_000
 RANGE_ARRIVALS_MAX = 4_000
 """Event pairs and arrivals, of the newest events, in which the range of lags is looked for."""

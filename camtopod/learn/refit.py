@@ -50,7 +50,6 @@ from camtopod.learn.changes import (
 from camtopod.learn.clocks import Clocks
 from camtopod.learn.declarations import zone_weights
 from camtopod.learn.lag_range import find_lag_bins, shortest_bins
-from camtopod.learn.limits import DWELL_SECONDS_MAX
 from camtopod.learn.links import (
     WEAK_TRANSITIONS_MIN,
     LinkShortfall,
@@ -87,7 +86,7 @@ from camtopod.learn.settings import Settings
 from camtopod.learn.traffic import Scene
 from camtopod.learn.window import Window
 from camtopod.records import CameraPath, Declared, Model
-from camtopod.topology import LagBins, declared_odds, offset_bins
+from camtopod.topology import LagBins, declared_odds, dwell_bins, offset_bins
 
 STEPS = ("candidates", "joint fit", "evidence", "changes", "prediction", "topology")
 """Names of steps 3 to 8, in order; `refit` reports each as it begins. Steps 1 and 2 have no names:
@@ -165,11 +164,6 @@ class Associated(NamedTuple):
     posterior: Posterior
     followed: dict[int, FollowedSources]
     weights: Floats | None
-
-
-def dwell_bins() -> LagBins:
-    """Return the bins of the dwell times in one view."""
-    return LagBins(0.0, DWELL_SECONDS_MAX)
 
 
 def refit(

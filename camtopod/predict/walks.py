@@ -27,7 +27,7 @@ from camtopod.predict.recent_events import moved_zones
 from camtopod.predict.transitions import Began, Transitions
 from camtopod.predict.walk_graph import Edge, Expected, Step, pass_messages
 from camtopod.records import Event, Match, MatchedPassage, Topology
-from camtopod.topology import LEAVE_FLOOR, block_of, masses_on_bins
+from camtopod.topology import LEAVE_FLOOR, block_of, dwell_bins, masses_on_bins
 
 PROBABILITY_MIN = 0.01
 """Least probability of a passage that competes for an entry, and is listed."""
@@ -59,6 +59,7 @@ class Walks:
         self._labels = predictor.site.labels
         self._transitions = Transitions(predictor)
         self._nobody_leaves = predictor.anywhere.nobody_leaves
+        self._dwell_bins = dwell_bins()
         self._dwell = self._dwell_densities(topology)
         self.forget()
 
@@ -226,7 +227,7 @@ class Walks:
         weights = {}
         for key, step in in_view.items():
             density = self._dwell.get((-1 if step.entry is None else step.entry, zone))
-            at = self._hazards.bins.bin_of(t - step.began)
+            at = self._dwell_bins.bin_of(t - step.began)
             if step.track is None and density is not None and at >= 0:
                 weights[key] = density[at]
         best = max(weights, key=weights.__getitem__, default="")
@@ -235,7 +236,7 @@ class Walks:
     def _dwell_densities(self, topology: Topology) -> dict[tuple[int, int | None], list[float]]:
         """Return the density (bins, 1/s) of the dwell times from zone of entry to zone of exit."""
         number = {zone.id: k for k, zone in enumerate(topology.zones)}
-        bins = self._hazards.bins
+        bins = self._dwell_bins
         return {
             (number[link.from_], number[link.to]): (
                 link.probability

@@ -44,10 +44,12 @@ from camtopod.topology.histograms import (
     step_histogram as step_histogram,
 )
 from camtopod.topology.lag_bins import (
+    DWELL_SECONDS_MAX as DWELL_SECONDS_MAX,
     LAG_SCALE_SECONDS as LAG_SCALE_SECONDS,
     LAG_STEP as LAG_STEP,
     SMOOTHING_SD_BINS as SMOOTHING_SD_BINS,
     LagBins as LagBins,
+    dwell_bins as dwell_bins,
     lag_smoothing_matrix as lag_smoothing_matrix,
     offset_bins as offset_bins,
     smooth as smooth,

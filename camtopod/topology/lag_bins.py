@@ -27,6 +27,10 @@ OFFSET_SECONDS_MAX = 600.0
 """Largest offset between the beginnings of two passages that has a bin, seconds."""
 
 
+DWELL_SECONDS_MAX = 180.0
+"""Longest stay in one view that has a bin: who stays longer has not just passed through."""
+
+
 class LagBins:
     """Bins that cover lags from ``lag_min`` to ``lag_max`` seconds, both included.
 
@@ -97,6 +101,11 @@ class LagBins:
             at[(part < self.lag_min) | (part > self.lag_max)] = -1
             result[first : first + LAGS_AT_ONCE] = at
         return result.reshape(lag.shape)
+
+
+def dwell_bins() -> LagBins:
+    """Return the bins of the dwell times in one view."""
+    return LagBins(0.0, DWELL_SECONDS_MAX)
 
 
 def offset_bins(scale: float, step: float) -> LagBins:

@@ -12,7 +12,15 @@ from camtopod.export import seconds
 from camtopod.learn.links import MONTE_CARLO_SEED, mahalanobis, monte_carlo
 from camtopod.learn.settings import Settings
 from camtopod.records import CameraModel, Link, Model, Pair, Topology, ZoneModel
-from camtopod.topology import LagBins, lacks_in_words, link_key, mentions, smooth
+from camtopod.topology import (
+    DWELL_SECONDS_MAX,
+    LagBins,
+    lacks_in_words,
+    link_key,
+    masses_on_bins,
+    mentions,
+    smooth,
+)
 from camtopod.web.map_data import nearness, why_provisional
 
 
@@ -137,10 +145,13 @@ def _chart(model: Model | None, link: Link) -> dict[str, Any] | None:
         return None
 
     # Counts and smoothed curve on the lag bins.
-    bins = LagBins(model.lag_min, model.lag_max, model.lag_scale, model.lag_step)
-    counts = np.zeros((1, bins.size))
-    start = link.histogram.first - bins.first
-    counts[0, start : start + len(link.histogram.mass)] = link.histogram.mass
+    low, high = model.lag_min, model.lag_max
+    if link.relation == "visible":
+        low, high = 0.0, max(high, DWELL_SECONDS_MAX)
+    bins = LagBins(low, high, model.lag_scale, model.lag_step)
+    counts = masses_on_bins(link.histogram, bins)[None]
+    if not counts.any():
+        return None
     curve = smooth(counts)[0]
     density = curve / bins.widths
 

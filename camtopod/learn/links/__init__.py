@@ -25,6 +25,7 @@ from camtopod.learn.links.link_table import (
     TRANSITIONS_MIN as TRANSITIONS_MIN,
     WEAK_TRANSITIONS_MIN as WEAK_TRANSITIONS_MIN,
     LinkTable as LinkTable,
+    PathEvidence as PathEvidence,
     concatenate_transitions as concatenate_transitions,
     exposed_departures as exposed_departures,
     select_weak_links as select_weak_links,

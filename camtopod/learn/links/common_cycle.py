@@ -90,6 +90,7 @@ def common_periods(problem: Problem, fit: Fit) -> Floats:
         table = np.zeros((2, len(some), len(period)))
         for power, line, each in zip(*table, some.tolist(), strict=True):
             step = ((t[zone == each] - first) / STEP_SECONDS).astype(np.int64)
+            step = step[step < blocks * steps]  # by a wrong clock, some are after the window
             counts = np.bincount(step, minlength=blocks * steps).reshape(blocks, steps)
             waves = np.abs(rfft(counts - counts.mean(axis=1, keepdims=True), size)) ** 2
             power += waves.sum(axis=0)[harmonics].sum(axis=0)

@@ -13,7 +13,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from camtopod.arrays import Floats, Ints, find_pairs, row_slices
+from camtopod.arrays import Floats, Ints, Longs, find_pairs, find_rows, row_slices
 from camtopod.learn.association import Fit, LagRanges, Problem, exposures, number_pairs
 from camtopod.learn.links import mahalanobis, monte_carlo
 from camtopod.learn.links.significance import log_likelihood_ratio, q_values
@@ -150,20 +150,42 @@ AGREEMENT_NATS = 2.0
 """Least evidence of its own with which a pair of zones gets that of the second opinion, too."""
 
 
-def with_second_opinion(table: LinkTable, evidence: Floats, camera: Ints, zones: int) -> LinkTable:
+class PathEvidence(NamedTuple):
+    """Evidence for K paths between cameras, the second opinion (`camtopod.learn.paths`)."""
+
+    source: Longs
+    """(K,) camera of departure."""
+    target: Longs
+    """(K,) camera of arrival."""
+    place: Floats
+    """(K,) median lag, seconds."""
+    width: Floats
+    """(K,) scale of the lags, seconds."""
+    nats: Floats
+    """(K,) evidence for the path, nats."""
+
+
+def with_second_opinion(
+    table: LinkTable, paths: PathEvidence, camera: Ints, zones: int
+) -> LinkTable:
     """Return the table with the evidence of the second opinion added where both opinions agree.
 
-    evidence (cameras ** 2, nats): by pair of cameras (`camtopod.learn.paths`).
     camera (zones,): camera of each zone.
 
-    Of each pair of cameras, the pair of zones with the most transitions gets it.
+    Of each pair of cameras, the pair of zones with the most transitions gets it, of the paths whose
+    lag is one of its transit times.
     """
-    pair = camera[table.source] * round(len(evidence) ** 0.5) + camera[table.target]
+    cameras = int(camera.max(initial=0)) + 1
+    pair = camera[table.source].astype(np.int64) * cameras + camera[table.target]
     order = np.lexsort((-table.transit.total, pair))
     most = order[np.diff(pair[order], prepend=-1) != 0]
     agreed = most[table.ratio[most] >= AGREEMENT_NATS]
-    ratio = table.ratio.copy()
-    ratio[agreed] += evidence[pair[agreed]]
+
+    row, exists = find_rows(pair[agreed], paths.source * cameras + paths.target)
+    row, place, width, nats = agreed[row[exists]], *(column[exists] for column in paths[2:])
+    early, _, late = table.transit.quantiles[row].T
+    same = (place >= early - width) & (place <= late + width)
+    ratio = table.ratio + np.bincount(row[same], nats[same], len(table.ratio))
     return table.with_evidence(ratio, zones**2)
 
 

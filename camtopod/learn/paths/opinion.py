@@ -7,6 +7,7 @@ import numpy as np
 from camtopod.arrays import Floats
 from camtopod.learn.assemble import zone_id
 from camtopod.learn.limits import PATH_CAMERAS_MAX
+from camtopod.learn.links import PathEvidence
 from camtopod.learn.paths.camera_lags import camera_lags
 from camtopod.learn.paths.dictionary import find_peaks
 from camtopod.learn.paths.path_fit import PathFit
@@ -54,11 +55,10 @@ def second_opinion(
     lag_min: float,
     odds: Floats | None = None,
     label_persistence: float = 0.0,
-) -> tuple[list[CameraPath], Floats | None]:
-    """Return the paths, sorted by their ends and place, and the evidence for pairs of cameras.
+) -> tuple[list[CameraPath], PathEvidence | None]:
+    """Return the paths, sorted by their ends and place, and the evidence for links.
 
-    The evidence (cameras ** 2, nats) is by pair of cameras, as numbered by `CameraLags`; None where
-    paths lead between zones.
+    There is no evidence (None) where paths lead between zones.
 
     cameras: names of all cameras.
     lag_min (seconds): least lag.

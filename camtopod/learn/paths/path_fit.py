@@ -17,6 +17,7 @@ from scipy.special import digamma
 from camtopod.arrays import Floats, Longs, Rows, Singles
 from camtopod.learn.links import (
     OUTSIDE_LEAST,
+    PathEvidence,
     evidence_against_unrelated,
     expected_by_part,
     repeated_evidence,
@@ -95,8 +96,8 @@ class PathFit:
         for _ in range(ITERATIONS):
             self._iterate()
 
-    def evidence(self) -> Floats:
-        """Go on with fewer and fewer paths, and return the evidence (cameras ** 2, nats) of pairs.
+    def evidence(self) -> PathEvidence:
+        """Go on with fewer and fewer paths, and return the evidence for those that are left.
 
         Most peaks of the dictionary are no paths. Together, they take the arrivals of true ones.
         """
@@ -125,7 +126,7 @@ class PathFit:
 
         # A path has been looked for at all places.
         nats = np.maximum(nats + log_density(place, width, self.lags.lag_max), 0.0)
-        return np.bincount(pair, nats, minlength=self.lags.cameras**2).astype(float)
+        return PathEvidence(source, pair % lags.cameras, place, width, nats)
 
     def _iterate(self) -> None:
         """Do one E step and one M step."""

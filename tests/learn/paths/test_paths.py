@@ -14,7 +14,7 @@ from camtopod.arrays import Floats
 from camtopod.client import Gate
 from camtopod.learn import refit
 from camtopod.learn.learner import Learner
-from camtopod.learn.links import tabulate, with_second_opinion
+from camtopod.learn.links import PathEvidence, tabulate, with_second_opinion
 from camtopod.learn.links.link_table import AGREEMENT_NATS, Transitions
 from camtopod.learn.paths import second_opinion
 from camtopod.learn.paths.camera_lags import camera_lags
@@ -174,8 +174,10 @@ def evidence_of(events: list[Event]) -> tuple[list[str], Floats]:
         for event in events:
             learner.receive(event)
         learner.flush()
-    size = len(seen["cameras"])
-    return seen["cameras"], seen["nats"].reshape(size, size)
+    size, paths = len(seen["cameras"]), seen["nats"]
+    table = np.zeros((size, size))
+    np.add.at(table, (paths.source, paths.target), paths.nats)
+    return seen["cameras"], table
 
 
 def test_its_evidence_is_large_for_ways_and_small_for_chance() -> None:
@@ -195,7 +197,6 @@ def test_its_evidence_is_large_for_ways_and_small_for_chance() -> None:
 
 def test_it_counts_where_the_zones_agree() -> None:
     """Of each pair of cameras, for the pair of zones with the most transitions."""
-    n = 3
     lag = np.full(300, 10.0)
     source, target = np.repeat([0, 1, 2], 100).astype(np.int32), np.full(300, 3, np.int32)
     weight = np.repeat([0.9, 0.5, 0.9], 100)
@@ -204,8 +205,13 @@ def test_it_counts_where_the_zones_agree() -> None:
         Transitions(source, target, lag, weight, flat), np.full((4, 1), 200.0), BINS, 4
     )
     camera = np.array([0, 0, 1, 2], np.int32)
-    nats = np.zeros((n, n))
-    nats[0, 2], nats[1, 2] = 7.0, 8.0
-    both = with_second_opinion(table, nats.ravel(), camera, 4)
-    assert both.ratio - table.ratio == pytest.approx([7.0, 0.0, 0.0])
+    paths = PathEvidence(
+        np.array([0, 0, 1]),
+        np.array([2, 2, 2]),
+        np.array([10.5, 40.0, 10.0]),
+        np.ones(3),
+        np.array([7.0, 9.0, 8.0]),
+    )
+    both = with_second_opinion(table, paths, camera, 4)
+    assert both.ratio - table.ratio == pytest.approx([7.0, 0.0, 0.0]), "not what is at another lag"
     assert table.ratio[0] > AGREEMENT_NATS > table.ratio[2]
