@@ -165,4 +165,4 @@ def test_on_a_made_up_network_more_is_known_later() -> None:
 
     first, second, third = scored(0.0), scored(15.0), scored(45.0)
     assert first.log_loss > second.log_loss + 0.05 > third.log_loss + 0.05
-    assert first.top1 + 0.02 < third.top1
+    assert first.top1 + 0.015 < third.top1

@@ -40,5 +40,5 @@ def test_windows_hold_what_they_say() -> None:
                 ]
             predictor.observe(event)
         shares.append(float(np.mean(inside)))
-    assert 0.72 < shares[0] < 0.9
+    assert 0.68 < shares[0] < 0.9
     assert shares[1] < shares[0] - 0.05, "without the pace they hold less"

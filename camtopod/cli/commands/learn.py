@@ -19,7 +19,7 @@ from camtopod.codec import to_json
 from camtopod.labels import LABELS_MAX
 from camtopod.learn.learner import STEPS, Learner
 from camtopod.records import Topology
-from camtopod.topology import lacks_in_words, likely_links, range_in_words
+from camtopod.topology import lacks_in_words, likely_links
 
 EPOCH = "recording"
 """Epoch of a topology learned from files, constant so that the same files give the same bytes."""
@@ -147,5 +147,4 @@ def link_table(topology: Topology) -> list[str]:
 
     widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
     form = "  ".join(f"{{:{side}{width}}}" for side, width in zip("<<<>>>><", widths, strict=True))
-    lines = [form.format(*row).rstrip() for row in rows]
-    return [*lines, f"Looked for {range_in_words(topology)}."]
+    return [form.format(*row).rstrip() for row in rows]
