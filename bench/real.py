@@ -36,6 +36,7 @@ from bench.support.beside import (
     mined_figures,
 )
 from bench.support.jobs import map_tasks
+from bench.support.match_figures import who_figures
 from bench.support.real_figures import (
     SEARCH_RECALLS,
     TELLABLE_NATS,
@@ -46,7 +47,6 @@ from bench.support.real_figures import (
     link_figures,
     look_figures,
     prediction_figures,
-    who_figures,
 )
 from bench.support.recordings import SPURIOUS_TRANSITIONS_MAX, CameraPair, Recording, load, tellable
 from camtopod.learn.learner import Learner

@@ -30,7 +30,8 @@ from scipy.optimize import linear_sum_assignment
 
 from bench.real import networks_parser
 from bench.support.jobs import map_tasks
-from bench.support.real_figures import calibration_error, oracle_odds
+from bench.support.match_figures import oracle_odds
+from bench.support.real_figures import calibration_error
 from bench.support.recordings import Recording, load
 from camtopod.learn.learner import Learner
 from camtopod.predict import Predictor, Walks
