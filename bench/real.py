@@ -1,6 +1,7 @@
 """Measure links and predictions on real networks with known identities.
 
-    python -m bench real [--data FOLDER] [--networks a,b] [--stretch F] [--jobs 2] [--json FILE]
+    python -m bench real [--data FOLDER] [--networks a,b] [--jobs 2] [--json FILE] [--stretch F]
+        [--labels car:.80,van:.12,bus:.08 [--seed N]] [--neighbours] [--nobody-leaves]
 
 Each folder in ``--data`` (default: CAMTOPOD_REAL_DATA) with events.jsonl and identities.csv is a
 network; without data the part is skipped. The first 70 % of the events are learned in one fit, as
@@ -13,7 +14,10 @@ with every pair of cameras and told the true neighbours. Links are pooled over t
 saving of a search is a geometric mean, all else are plain means.
 
 With ``--stretch`` all times and stays grow by a factor, and with them the window in which an exit
-is scored and the time in which it is searched.
+is scored and the time in which it is searched. With ``--labels`` each identity draws a label, which
+all its events have. With ``--neighbours`` the learner is told the true neighbours and that no other
+cameras are, with ``--nobody-leaves`` that the site is closed. The oracle and what the events can
+tell are as without labels and declarations.
 """
 
 from __future__ import annotations
@@ -48,6 +52,7 @@ from bench.support.real_figures import (
     look_figures,
     prediction_figures,
 )
+from bench.support.real_options import Options, add_options, options_of, settings_of, with_labels
 from bench.support.recordings import SPURIOUS_TRANSITIONS_MAX, CameraPair, Recording, load, tellable
 from camtopod.learn.learner import Learner
 from camtopod.predict.predictor import Predictor
@@ -59,13 +64,13 @@ LAGS_SECONDS = (-60.0, 180.0)
 
 
 class Task(Struct, frozen=True):
-    """A network to measure: its folder, and the factor by which its times grow.
+    """A network to measure: its folder and the options.
 
     beside: whether others (`bench.support.beside`) are measured beside us.
     """
 
     folder: Path
-    stretch: float = 1.0
+    options: Options = Options()
     beside: bool = True
 
 
@@ -73,6 +78,7 @@ class Result(Struct):
     """Figures of one network."""
 
     name: str
+    options: Options
     links: LinkFigures
     ours: PredictionFigures | None
     told: PredictionFigures | None
@@ -114,9 +120,11 @@ def main(argv: Sequence[str]) -> int:
     )  # inherited by the workers: two of them share two cores
 
     # Measure and report.
-    tasks = [Task(folder, arguments.stretch) for folder in folders]
+    options = options_of(arguments)
+    tasks = [Task(folder, options) for folder in folders]
     results = map_tasks(measure, tasks, arguments.jobs)
-    print("\n".join([*_links(results), "", *_predictions(results), "", *_beside(results)]))
+    tables = [*_links(results), "", *_predictions(results), "", *_beside(results)]
+    print("\n".join([f"options: {options.line()}", "", *tables]))
     if arguments.json is not None:
         arguments.json.write_text(json.dumps(to_builtins(results, str_keys=True), indent=1) + "\n")
     return 0
@@ -124,8 +132,9 @@ def main(argv: Sequence[str]) -> int:
 
 def measure(task: Task) -> Result:
     """Learn one network, predict its exits and score both."""
-    recording = load(task.folder, task.stretch)
-    learner = Learner(only_last=True)
+    options = task.options
+    recording = with_labels(load(task.folder, options.stretch), options.labels, options.seed)
+    learner = Learner(settings_of(options, recording), only_last=True)
     started = time.process_time()
     for event in recording.events:
         if event.t < recording.cut:
@@ -147,6 +156,7 @@ def measure(task: Task) -> Result:
     look, told_look = look_figures(predictions, recording)
     return Result(
         recording.name,
+        options,
         link_figures(learner.topology, recording, tellable(recording)),
         ours,
         told,
@@ -266,7 +276,8 @@ def _predictions(results: Sequence[Result]) -> list[str]:
         "coverage",
         "look",
     )
-    lines = [_row("ours / oracle", "exits", *titles, "hand-over (ours)", "saved at .9", "who")]
+    last = ("hand-over (ours)", "saved at .9", "who", "leaving said", "leaving true")
+    lines = [_row("ours / oracle", "exits", *titles, *last)]
     judged = [
         (one, one.ours, one.told)
         for one in results
@@ -285,10 +296,20 @@ def _predictions(results: Sequence[Result]) -> list[str]:
                 f"{one.hand_over:.2f}",
                 saved,
                 f"{one.who:.2f}/{one.told_who:.2f}",
+                f"{ours.leaving:.2f}/{told.leaving:.2f}",
+                f"{ours.left:.2f}",
             )
         )
+    return lines + _prediction_means(results, judged)
 
-    # Means over the networks.
+
+def _prediction_means(
+    results: Sequence[Result], judged: Sequence[tuple[Result, PredictionFigures, PredictionFigures]]
+) -> list[str]:
+    """Return the figures of predictions of all networks together.
+
+    judged: networks with exits to score, with our figures and the oracle's.
+    """
     above, leave = (
         np.mean([getattr(ours, name) - getattr(told, name) for _, ours, told in judged])
         for name in ("log_loss", "leave_loss")
@@ -313,8 +334,11 @@ def _predictions(results: Sequence[Result]) -> list[str]:
     seconds = [
         sum(getattr(one, name) for one in results) for name in ("learn_seconds", "predict_seconds")
     ]
-    lines += [
+    off = [abs(ours.leaving - ours.left) for _, ours, _ in judged]
+    return [
         f"log loss above the oracle's {above:.3f}, of it leaving {leave:.3f}",
+        f"probability of leaving, mean of a network: off by {np.mean(off):.2f}, at most "
+        f"{max(off, default=float('nan')):.2f}",
         f"top-1 and top-3, share of the oracle's: {top1:.2f}, {top3:.2f}",
         "calibration error of the first guess, all exits together: {:.3f}, oracle {:.3f}".format(
             *calibration
@@ -325,7 +349,6 @@ def _predictions(results: Sequence[Result]) -> list[str]:
         f"{np.mean(who) if who else float('nan'):.2f}",
         "processor time: learning {:.1f} s, predicting {:.1f} s".format(*seconds),
     ]
-    return lines
 
 
 def _beside(results: Sequence[Result]) -> list[str]:
@@ -335,11 +358,21 @@ def _beside(results: Sequence[Result]) -> list[str]:
     lines += [_row(name, f.true, f.right, f.false, f"{f.transit_error:.1f} s") for name, f in mined]
     if not mined:
         lines.append("skipped: the miner is pm4py's (AGPL), pip install -e '.[bench]'")
-    lines += ["", _row("next camera, if any", "exits", *(f"{who}: loss/top-1" for who in WHO))]
-    for one in results:
-        if one.following:
-            figures = [f"{f.log_loss:.2f}/{f.top1:.2f}" for f in one.following]
-            lines.append(_row(one.name, one.following[0].exits, *figures))
+
+    # The next camera.
+    ours, *others = WHO
+    ours += ", told" * any(one.options.neighbours for one in results)
+    lines += ["", _row("next camera: loss/top-1", "exits", ours, *others)]
+    asked = [one for one in results if one.following]
+    for one in asked:
+        figures = [f"{f.log_loss:.2f}/{f.top1:.2f}" for f in one.following]
+        lines.append(_row(one.name, one.following[0].exits, *figures))
+    lower = [
+        sum(one.following[k].log_loss < one.following[0].log_loss for one in asked)
+        for k in range(1, len(WHO))
+    ]
+    said = "; ".join(f"{who} {n} of {len(asked)}" for who, n in zip(others, lower, strict=True))
+    lines.append(f"networks on which the log loss is lower than that of {ours}: {said}")
     return lines
 
 
@@ -368,7 +401,5 @@ def networks_parser(part: str, what: str) -> argparse.ArgumentParser:
 def _parse(argv: Sequence[str]) -> argparse.Namespace:
     parser = networks_parser("real", "links and predictions")
     parser.add_argument("--json", type=Path, metavar="FILE")
-    parser.add_argument(
-        "--stretch", type=float, default=1.0, help="factor of all times and stays (default 1)"
-    )
+    add_options(parser)
     return parser.parse_args(argv)

@@ -75,6 +75,10 @@ class PredictionFigures(Struct):
     """Share of the lags of objects seen again within q10 to q90; nan if there is none."""
     saved: dict[float, float]
     """By recall, all camera-seconds over those searched; empty without objects to find."""
+    leaving: float
+    """Mean probability of leaving."""
+    left: float
+    """Share of the exits whose object was not seen again."""
 
     @property
     def calibration_error(self) -> float:
@@ -281,6 +285,8 @@ def _judged(
         right,
         float(np.mean(covered)) if covered else float("nan"),
         saved,
+        float(np.mean([guess.outcomes.get(LEAVE, 0.0) for guess in guesses])),
+        float(np.mean([passage.next_ is None for passage in happened])),
     )
 
 
