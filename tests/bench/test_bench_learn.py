@@ -87,6 +87,7 @@ def test_others_are_measured_beside_us(
     [row] = [line for line in tables.splitlines() if line.startswith("walks") and "/" in line]
     ours, rule, told = (float(cell.partition("/")[0]) for cell in row.split()[2:])
     assert max(ours, told) < rule
+    assert "lower than that of ours: rule 0 of 1; rule, told " in tables
 
 
 def test_a_slow_site_tells_as_much_as_the_same_at_speed(recordings: Path) -> None:
