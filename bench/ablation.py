@@ -37,6 +37,7 @@ from bench.support.jobs import map_tasks
 from bench.support.measure import measure as measure_regime
 from bench.support.real_figures import calibration_error
 from bench.support.regimes import REGIMES
+from camtopod.learn.prediction_model import missed_shares
 from camtopod.learn.traffic.speed import NO_PERSISTENCE
 
 REAL = "real"
@@ -130,11 +131,16 @@ MECHANISMS = [
         },
     ),
     Mechanism(
-        "missed detections, prediction", {"learn.refit:missed_transitions": lambda *arguments: None}
+        "missed detections, prediction",
+        {
+            "learn.prediction_model:missed_shares": lambda posterior, scene, bins, missed: (
+                missed_shares(posterior, scene, bins, None)
+            ),
+        },
     ),
     Mechanism(
         "missed detections, links",
-        {"learn.refit:without_missed_detections": lambda between, through, found, *rest: found},
+        {"learn.links.publishing:own_transitions": lambda table, missed: table.transit.total},
     ),
     Mechanism("changes", {"learn.refit:find_changes": lambda *arguments: []}),
     Mechanism("over-relaxed EM", {"learn.association.em:STRIDE": 1.0}),

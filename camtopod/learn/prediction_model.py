@@ -100,7 +100,7 @@ def build_model(
     now = _presently(posterior, changes)
     return replace(
         model,
-        onward=_onward(ids, posterior, now, bins, _missed_shares(posterior, scene, bins, missed)),
+        onward=_onward(ids, posterior, now, bins, missed_shares(posterior, scene, bins, missed)),
         entered=_entered(ids, posterior, bins),
         contexts=_contexts(ids, cameras, posterior, now),
         pace=_pace(ids, scene, posterior.fit.persistence),
@@ -206,7 +206,7 @@ class _Missed(NamedTuple):
     """(W, bins) the share by lag."""
 
 
-def _missed_shares(
+def missed_shares(
     posterior: Posterior, scene: Scene, bins: LagBins, missed: MissedTransitions | None
 ) -> _Missed:
     """Return what missed detections add to the shares that the fit has found, the largest first.

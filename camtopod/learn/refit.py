@@ -54,13 +54,13 @@ from camtopod.learn.links import (
     WEAK_TRANSITIONS_MIN,
     LinkShortfall,
     LinkTable,
+    MissedTransitions,
+    PublishingRule,
+    Views,
     concatenate_transitions,
     exposed_departures,
     link_evidence,
-    missed_transitions,
     select_weak_links,
-    shortfall_of,
-    significant,
     tabulate,
     transitions_of,
     visible_transitions,
@@ -68,7 +68,6 @@ from camtopod.learn.links import (
     with_second_opinion,
     with_usual_dwell_times,
     without_cycle,
-    without_missed_detections,
 )
 from camtopod.learn.long_paths import long_ranges
 from camtopod.learn.next_camera import (
@@ -182,6 +181,7 @@ def refit(
     """
     lengths = dwell_bins()
     zones = len(scene.zones)
+    rule = PublishingRule(settings)
 
     # 1. Visible links, and the usual dwell time for passages of unknown dwell time.
     transitions = visible_transitions(scene, lengths, settings.candidates_max)
@@ -192,6 +192,7 @@ def refit(
     seconds = window.column("t") / MICROSECONDS
     silences = find_silences(seconds, window.column("camera"), len(window.cameras))
     silent = silent_odds(silences, seconds[0], seconds[-1])[[zone.camera for zone in scene.zones]]
+    views = Views(through, silent)
     repeats = find_repeats(window)
     problem = _problem(scene, settings)
     bins = problem.bins
@@ -213,36 +214,44 @@ def refit(
                 view = np.array([zone.camera for zone in scene.zones])
                 both = with_second_opinion(associated.between, evidence, view, zones)
                 associated = associated._replace(between=both)
-        likely_pairs, model, happened = predict_next(
-            scene, window, clocks, associated, through, silent, overlapping, paths, known, settings
-        )
         all_pairs, changes = associated.between, associated.changes
+        verdict = rule.judge(all_pairs, views)
+        likely_pairs, model, happened = predict_next(
+            scene,
+            window,
+            clocks,
+            associated,
+            verdict.missed,
+            overlapping,
+            paths,
+            known,
+            settings.correct_clocks,
+        )
         followed = associated.followed
     else:
         none = concatenate_transitions([])
         all_pairs = likely_pairs = tabulate(none, np.zeros((zones, 1)), bins, zones)
+        verdict = rule.judge(all_pairs, views)
         happened, changes, followed = [], [], dict(known.followed)
         corrected = settings.correct_clocks
         model = build_model(window.cameras, scene, None, bins, window, [], corrected, overlapping)
 
     # 8. The links to publish, as they are at present.
     on_step("topology")
-    between, likely = (
-        present(pairs, changes, zones, settings.publish_probability_min)
-        for pairs in (all_pairs, likely_pairs)
-    )
-    published = to_publish(between, through, silent, bins, settings)
-    visible = through.rows(np.flatnonzero(significant(through, settings)))
+    between, likely = (present(pairs, changes, zones, rule) for pairs in (all_pairs, likely_pairs))
+    now = rule.judge(between, views) if changes else verdict
+    published = between.rows(np.flatnonzero(now.published))
+    visible = through.rows(np.flatnonzero(rule.judge(through).significant))
     weak = select_weak_links(likely, published, zones)
     observed = scene.last - seconds[0]
     return Refit(
         bins=bins,
         scene=scene,
-        published=published,
+        published=with_monte_carlo_variance(published, bins),
         visible=with_monte_carlo_variance(visible, lengths),
         weak=weak,
-        lacks=shortfall_of(weak, between, len(published.source), zones, observed, settings),
-        significant_links=all_pairs.rows(np.flatnonzero(significant(all_pairs, settings))),
+        lacks=rule.shortfall(weak, between, len(published.source), zones, observed),
+        significant_links=all_pairs.rows(np.flatnonzero(verdict.significant)),
         changes=changes,
         silences=silences,
         repeats=repeats,
@@ -323,37 +332,23 @@ def associate(
     return Associated(between, changes, problem, posterior, screen.followed, weights)
 
 
-def to_publish(
-    between: LinkTable, through: LinkTable, silent: Floats, bins: LagBins, settings: Settings
-) -> LinkTable:
-    """Return the links between views to publish: significant, and not by missed detections.
-
-    bins: of the lags; all else as for `without_missed_detections`.
-    """
-    found = significant(between, settings)
-    certain = without_missed_detections(between, through, found, silent, settings)
-    return with_monte_carlo_variance(between.rows(np.flatnonzero(certain)), bins)
-
-
 def predict_next(
     scene: Scene,
     window: Window,
     clocks: Clocks,
     associated: Associated,
-    through: LinkTable,
-    silent: Floats,
+    missed: MissedTransitions | None,
     overlapping: list[OverlappingViews],
     paths: list[CameraPath] | None,
     known: Known,
-    settings: Settings,
+    clocks_corrected: bool,
 ) -> tuple[LinkTable, Model, list[Happened | None]]:
     """Do step 7: fit where objects appear next, make the model, estimate outcomes of exits.
 
     Return every pair of zones with expected transitions in this fit, the model and the outcomes.
 
     associated: result of steps 3 to 6.
-    through, silent: as for `missed_transitions`.
-    paths: the second opinion (`camtopod.learn.paths`); None without one.
+    missed, overlapping, paths, clocks_corrected: as for `build_model`.
     """
     # The posterior, and its table of pairs of zones.
     problem = associated.problem
@@ -382,8 +377,6 @@ def predict_next(
         scene.last,
     )
     # The model that is published, with what missed detections make, and the second opinion.
-    between = associated.between
-    missed = missed_transitions(between, through, significant(between, settings), silent, settings)
     model = build_model(
         cameras,
         scene,
@@ -391,7 +384,7 @@ def predict_next(
         bins,
         window,
         associated.changes,
-        settings.correct_clocks,
+        clocks_corrected,
         overlapping,
         paths,
         missed,

@@ -10,7 +10,6 @@ from numpy.typing import NDArray
 
 from camtopod.export import seconds
 from camtopod.learn.links import MONTE_CARLO_SEED, mahalanobis, monte_carlo
-from camtopod.learn.settings import Settings
 from camtopod.records import CameraModel, Link, Model, Pair, Topology, ZoneModel
 from camtopod.topology import (
     DWELL_SECONDS_MAX,
@@ -219,10 +218,9 @@ def why(link: Link, weak: bool, source: ZoneModel | None, background: float | No
     if weak:
         lacks = f" It lacks {lacks_in_words(link.lacks)}." if link.lacks else ""
         said.append(
-            f"It is not published: not all rules for that are met yet (among them q ≤ "
-            f"{Settings().publish_q_max:g} and "
-            f"{_share(Settings().publish_probability_min)} of the departures).{lacks} "
-            "It is used in predictions only."
+            "It is not published: it does not meet all of the rule for that yet (among others "
+            "publish_q_max and publish_probability_min in [learn] of the configuration)."
+            f"{lacks} It is used in predictions only."
         )
     return said
 

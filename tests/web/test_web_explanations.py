@@ -56,10 +56,7 @@ def test_the_words_follow_the_figures() -> None:
     said = " ".join(why(unsure, True, None, None))
     assert "about one in 25 would be spurious" in said
     assert "50 % of that of unrelated events" in said
-    assert (
-        "It is not published: not all rules for that are met yet (among them q ≤ 0.01 and 3.0 %"
-        in said
-    )
+    assert "It is not published: it does not meet all of the rule for that yet" in said
     assert "lacks" not in said
     lacking = msgspec.structs.replace(unsure, lacks=Lacks(12.0, 1800.0))
     assert "It lacks about 12 more passages, about half an hour at this traffic." in " ".join(

@@ -27,7 +27,13 @@ from scipy.special import chdtri
 
 from camtopod.arrays import Floats, rows_by_group
 from camtopod.learn.association import Fit, Problem
-from camtopod.learn.links import TRANSITIONS_MIN, WEIGHT_MIN, LinkTable, log_likelihood_ratio
+from camtopod.learn.links import (
+    TRANSITIONS_MIN,
+    WEIGHT_MIN,
+    LinkTable,
+    PublishingRule,
+    log_likelihood_ratio,
+)
 from camtopod.learn.traffic import Departures
 from camtopod.topology import LagBins
 
@@ -304,13 +310,13 @@ def _scaled(share: Floats, factor: float) -> Floats:
     return factor * share / (1.0 - share + factor * share)
 
 
-def present(table: LinkTable, changes: list[Change], zones: int, share_min: float) -> LinkTable:
+def present(table: LinkTable, changes: list[Change], zones: int, rule: PublishingRule) -> LinkTable:
     """Return a link table with present shares, without pairs that have closed.
 
     table: pairs of zones with their shares over the whole window, as probability.
     changes: the latest change of each pair that has one.
     zones: number of zones.
-    share_min: least present share of a changed pair; with less it is left out.
+    rule: a changed pair that is not taken often enough for it any more is left out.
 
     The evidence for a pair that opened is at least that for the change and for the link since then
     (the smaller of the two). Other shares of the same zone of departure are scaled down where all
@@ -323,17 +329,16 @@ def present(table: LinkTable, changes: list[Change], zones: int, share_min: floa
     # Shares and evidence of the pairs that changed.
     probability = table.probability.copy()
     ratio = table.ratio.copy()
-    kept = np.ones(len(table.source), bool)
     new = np.zeros(len(table.source), bool)
     for k, pair in enumerate(zip(table.source.tolist(), table.target.tolist(), strict=True)):
         change = latest.get(pair)
         if change is None:
             continue
         new[k] = True
-        kept[k] = change.after >= share_min
         probability[k] = change.after
         if change.after > change.before:
             ratio[k] = max(ratio[k], min(change.nats, change.linked))
+    kept = ~new | rule.is_often_taken(probability)
 
     # Scale the other pairs of the same zones of departure to the remaining share.
     taken, others = (

@@ -8,9 +8,9 @@ uses `transit_time` (mode, mean and quantiles of the transit times), `significan
 false discovery rate), and the thesis's `monte_carlo` observations and `mahalanobis` test.
 `visible_links` finds the passages through one view, which make links as well. `cross_validation`
 estimates the evidence for each link from held-out events, `common_cycle` that where lights, trains
-or lifts make platoons. `missed_detections` removes links that
-exist only because a camera misses passages. `shortfall` estimates how many passages a link that is
-not published still lacks.
+or lifts make platoons. `missed_detections` finds those that
+exist only because a camera misses passages. `publishing` is the rule that says which pairs are
+published, and estimates how many passages another one still lacks.
 """
 
 from camtopod.learn.links import mahalanobis as mahalanobis, monte_carlo as monte_carlo
@@ -29,7 +29,6 @@ from camtopod.learn.links.link_table import (
     concatenate_transitions as concatenate_transitions,
     exposed_departures as exposed_departures,
     select_weak_links as select_weak_links,
-    significant as significant,
     tabulate as tabulate,
     transitions_of as transitions_of,
     with_monte_carlo_variance as with_monte_carlo_variance,
@@ -38,12 +37,11 @@ from camtopod.learn.links.link_table import (
 )
 from camtopod.learn.links.missed_detections import (
     MissedTransitions as MissedTransitions,
-    missed_transitions as missed_transitions,
-    without_missed_detections as without_missed_detections,
+    Views as Views,
 )
-from camtopod.learn.links.shortfall import (
+from camtopod.learn.links.publishing import (
     LinkShortfall as LinkShortfall,
-    shortfall_of as shortfall_of,
+    PublishingRule as PublishingRule,
 )
 from camtopod.learn.links.significance import (
     evidence_against_unrelated as evidence_against_unrelated,

@@ -1,9 +1,9 @@
-"""Table of links: the figures of every pair of zones, and the rule for publishing a link.
+"""Table of links: the figures of every pair of zones.
 
 The joint fit gives the responsibility of each candidate. `tabulate` turns these (`Transitions`)
 into a `LinkTable`: probability, evidence, transit times and the thesis's Var(d) of each pair of
-zones. `significant` is the rule for publishing; `select_weak_links` picks the likeliest of the
-other pairs.
+zones. `publishing` has the rule by which they are published; `select_weak_links` picks the
+likeliest of the other pairs.
 """
 
 from __future__ import annotations
@@ -18,7 +18,6 @@ from camtopod.learn.association import Fit, LagRanges, Problem, exposures, numbe
 from camtopod.learn.links import mahalanobis, monte_carlo
 from camtopod.learn.links.significance import log_likelihood_ratio, q_values
 from camtopod.learn.links.transit_time import TransitFigures, transit_figures
-from camtopod.learn.settings import Settings
 from camtopod.topology import LagBins, smooth
 
 TRANSITIONS_MIN = 2.0
@@ -258,16 +257,6 @@ def with_monte_carlo_variance(table: LinkTable, bins: LagBins) -> LinkTable:
     samples = monte_carlo.observe(density, np.nan_to_num(table.transit.sd), bins, MONTE_CARLO_SEED)
     chance = mahalanobis.null_variance(bins.lag_min, bins.lag_max)
     return table._replace(variance=mahalanobis.distance_variance(samples, chance))
-
-
-def significant(table: LinkTable, settings: Settings) -> NDArray[np.bool_]:
-    """Return a mask (P,) of the pairs of zones that meet the rule for publishing as links."""
-    return (
-        (table.q <= settings.publish_q_max)
-        & (table.probability >= settings.publish_probability_min)
-        & (table.transit.total >= TRANSITIONS_MIN)
-        & (table.variance <= mahalanobis.LINKED_VARIANCE_MAX)
-    )
 
 
 def zone_pairs_of(table: LinkTable) -> set[tuple[int, int]]:

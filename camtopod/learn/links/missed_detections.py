@@ -20,7 +20,6 @@ from scipy.sparse import csr_array
 
 from camtopod.arrays import Bools, Floats, Ints, Rows, find_pairs
 from camtopod.learn.links.link_table import TRANSITIONS_MIN, LinkTable
-from camtopod.learn.settings import Settings
 
 ODDS_QUANTILE = 0.75
 """Weighted quantile of the odds of pairs that is used as the odds. It is above the median, as the
@@ -53,77 +52,77 @@ class MissedTransitions(NamedTuple):
         return find_pairs((source, target), (self.source, self.target))
 
 
-def without_missed_detections(
-    between: LinkTable, through: LinkTable, found: Bools, silent: Floats, settings: Settings
-) -> Bools:
-    """Return a mask (P,) of the links that missed detections do not explain.
+class Views(NamedTuple):
+    """The views, whose cameras may have missed passages."""
 
-    between: P pairs of zones by transitions between views.
-    through: pairs of zones by passages through a view.
-    found (P,): mask of the pairs of ``between`` that are links.
-    silent (zones,): time that the camera of each zone was silent, over the time that it was not.
-    """
-    missed = missed_transitions(between, through, found, silent, settings)
+    through: LinkTable
+    """Pairs of zones by passages through a view."""
+    silent: Floats
+    """(zones,) time that the camera of each zone was silent, over the time that it was not."""
+
+
+def own_transitions(between: LinkTable, missed: MissedTransitions) -> Floats:
+    """Return the transitions (P,) of pairs of zones that missed detections do not explain."""
     row, known = missed.rows_in(between.source, between.target)
     own = between.transit.total.astype(float)
     explained = UNCERTAINTY * missed.transitions[known]
     own[row[known]] -= np.minimum(explained, own[row[known]])
-    share = between.probability * own / np.maximum(between.transit.total, 1e-9)
-    certain: Bools = found & (own >= TRANSITIONS_MIN) & (share >= settings.publish_probability_min)
-    return certain
+    return own
 
 
 def missed_transitions(
-    between: LinkTable, through: LinkTable, found: Bools, silent: Floats, settings: Settings
+    between: LinkTable, views: Views, linked: Bools, missed_share_max: float
 ) -> MissedTransitions:
     """Return the transitions that missed detections make, by pair of zones.
 
-    The arguments are as for `without_missed_detections`.
+    between: P pairs of zones by transitions between views.
+    linked (P,): mask of the pairs that are links.
+    missed_share_max: largest share of its passages that a camera is taken to miss.
     """
-    paths, by_silence = skipped_paths(between, through, found, silent)
+    paths, by_silence = skipped_paths(between, views, linked)
     row, known = paths.rows_in(between.source, between.target)
     seen = np.maximum(np.where(known, between.transit.total[row], 0.0) - by_silence, 0.0)
-    limits = np.minimum((MISSED_SHARE_LEAST, 1.0), settings.missed_share_max)
+    limits = np.minimum((MISSED_SHARE_LEAST, 1.0), missed_share_max)
     odds = np.clip(odds_of_others(seen, paths.transitions), *(limits / (1.0 - limits)))
     return paths._replace(transitions=odds * paths.transitions + by_silence)
 
 
 def skipped_paths(
-    between: LinkTable, through: LinkTable, found: Bools, silent: Floats
+    between: LinkTable, views: Views, linked: Bools
 ) -> tuple[MissedTransitions, Floats]:
     """Return the transitions at odds of 1, and those that silent cameras have missed, (W,).
 
-    The arguments are as for `without_missed_detections`. At odds of 1, cameras miss every second
-    passage.
+    The arguments are as for `missed_transitions`. At odds of 1, cameras miss every second passage.
     """
     # Links by transitions; passages as a share of those that enter and those that leave.
-    links = between.rows(np.flatnonzero(found))
-    views = through.rows(np.flatnonzero(through.transit.total >= TRANSITIONS_MIN))
-    ends = (links.source, links.target, views.source, views.target)
+    links = between.rows(np.flatnonzero(linked))
+    through, silent = views
+    passages = through.rows(np.flatnonzero(through.transit.total >= TRANSITIONS_MIN))
+    ends = (links.source, links.target, passages.source, passages.target)
     zones = max(int(end.max(initial=0)) for end in ends) + 1
-    entered, exited = (np.bincount(end, views.transit.total, zones) for end in ends[2:])
+    entered, exited = (np.bincount(end, passages.transit.total, zones) for end in ends[2:])
     total = links.transit.total
-    share = views.transit.total / entered[views.source] / exited[views.target]
+    share = passages.transit.total / entered[passages.source] / exited[passages.target]
 
     def table(value: Floats, of: LinkTable) -> csr_array:
         return csr_array((value, (of.source, of.target)), shape=(zones, zones))
 
-    link, view = table(total, links), table(share, views)
+    link, view = table(total, links), table(share, passages)
 
     def of_pairs(sums: csr_array) -> Floats:
         """Return the sums over the paths of each pair, (W,)."""
         return sums[source, target] if len(source) else np.zeros(0)
 
-    def along(of_links: Floats, of_views: Floats) -> Floats:
+    def along(of_links: Floats, of_passages: Floats) -> Floats:
         """Return the sums, over the paths of each pair, of a figure of their three parts, (W,)."""
-        leg, stay = table(total * of_links, links), table(share * of_views, views)
+        leg, stay = table(total * of_links, links), table(share * of_passages, passages)
         return of_pairs(leg @ view @ link + link @ stay @ link + link @ view @ leg)
 
     over = (link @ view @ link).tocoo()
     source, target = (end.astype(np.intp) for end in over.coords)
-    place = along(links.transit.mean, views.transit.mean) / over.data
-    variance = along(links.transit.sd**2, views.transit.sd**2) / over.data
-    by_silence = of_pairs(link @ table(share * silent[views.source], views) @ link)
+    place = along(links.transit.mean, passages.transit.mean) / over.data
+    variance = along(links.transit.sd**2, passages.transit.sd**2) / over.data
+    by_silence = of_pairs(link @ table(share * silent[passages.source], passages) @ link)
     return MissedTransitions(source, target, over.data, place, np.sqrt(variance)), by_silence
 
 

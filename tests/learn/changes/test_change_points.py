@@ -16,9 +16,12 @@ from camtopod.learn.changes.change_points import (
     threshold_nats,
 )
 from camtopod.learn.links.link_table import LinkTable, Transitions, tabulate
+from camtopod.learn.links.publishing import PublishingRule
+from camtopod.learn.settings import Settings
 from camtopod.topology.lag_bins import LagBins
 
 SURE = 0.95
+RULE = PublishingRule(Settings(publish_probability_min=0.03))
 THRESHOLD = threshold_nats(100, 10_000)
 """As for a network of a hundred pairs of zones and ten thousand departures."""
 
@@ -147,14 +150,14 @@ def table(rows: list[tuple[int, int, int]], leaving: float = 100.0) -> LinkTable
 
 
 def test_a_closed_link_is_left_out_and_others_stay() -> None:
-    links = present(table([(0, 1, 50), (0, 2, 20)]), [Change(0, 1, 5.0, 0.8, 0.0, 30.0)], 4, 0.03)
+    links = present(table([(0, 1, 50), (0, 2, 20)]), [Change(0, 1, 5.0, 0.8, 0.0, 30.0)], 4, RULE)
     assert links.target.tolist() == [2]
     assert links.probability.tolist() == [0.2]
 
 
 def test_an_opened_link_has_its_present_share_and_its_own_evidence() -> None:
     links = table([(0, 1, 5), (2, 3, 60)]).with_evidence(np.array([3.0, 50.0]), 16)
-    links = present(links, [Change(0, 1, 5.0, 0.0, 0.5, 20.0, linked=18.0)], 4, 0.03)
+    links = present(links, [Change(0, 1, 5.0, 0.0, 0.5, 20.0, linked=18.0)], 4, RULE)
     assert links.probability.tolist() == [0.5, 0.6]
     assert links.ratio.tolist() == [18.0, 50.0]
     assert links.q[0] < 1e-6
@@ -162,6 +165,6 @@ def test_an_opened_link_has_its_present_share_and_its_own_evidence() -> None:
 
 def test_shares_beside_a_new_one_make_no_more_than_one() -> None:
     links = present(
-        table([(0, 1, 10), (0, 2, 90), (3, 2, 95)]), [Change(0, 1, 5.0, 0.0, 0.6, 20.0)], 4, 0.03
+        table([(0, 1, 10), (0, 2, 90), (3, 2, 95)]), [Change(0, 1, 5.0, 0.0, 0.6, 20.0)], 4, RULE
     )
     assert links.probability.tolist() == pytest.approx([0.6, 0.4, 0.95])

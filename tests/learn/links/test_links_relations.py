@@ -16,9 +16,9 @@ from camtopod.learn.links.link_table import (
     Transitions,
     exposed_departures,
     select_weak_links,
-    significant,
     tabulate,
 )
+from camtopod.learn.links.publishing import PublishingRule
 from camtopod.learn.settings import Settings
 from camtopod.records import Link, Transit, Zone
 from camtopod.topology.camera_pairs import find_camera_pairs, sum_rule
@@ -26,7 +26,7 @@ from camtopod.topology.lag_bins import LagBins
 from camtopod.topology.markov_chain import estimate_markov_chain
 
 BINS = LagBins(-20.0, 120.0)
-SETTINGS = Settings(publish_q_max=0.01, publish_probability_min=0.03)
+RULE = PublishingRule(Settings(publish_q_max=0.01, publish_probability_min=0.03))
 
 
 def transitions(*rows: tuple[int, int, float, float]) -> Transitions:
@@ -100,7 +100,7 @@ def published(*rows: tuple[int, int, float, float], left: float = 100.0) -> list
     table = tabulate(transitions(*rows), np.full((5, 1), left), BINS, 5)
     return [
         (int(table.source[k]), int(table.target[k]))
-        for k in np.flatnonzero(significant(table, SETTINGS))
+        for k in np.flatnonzero(RULE.judge(table).published)
     ]
 
 
@@ -121,7 +121,10 @@ def test_the_thesiss_variance_counts_too() -> None:
         2,
     )
     assert table.variance[0] > 1
-    assert not significant(table, SETTINGS).any()
+    verdict = RULE.judge(table)
+    assert (verdict.q & verdict.probability & verdict.transitions).all()
+    assert not verdict.variance.any()
+    assert not verdict.published.any()
 
 
 # --- weak links ---

@@ -15,11 +15,12 @@ from camtopod.learn.links.link_table import (
 )
 from camtopod.learn.links.missed_detections import (
     ODDS_QUANTILE,
+    Views,
     missed_transitions,
     odds_of_others,
     skipped_paths,
-    without_missed_detections,
 )
+from camtopod.learn.links.publishing import PublishingRule
 from camtopod.learn.settings import Settings
 from camtopod.topology.lag_bins import LagBins
 
@@ -64,9 +65,7 @@ def kept(
 ) -> set[tuple[int, int]]:
     """Return the pairs that remain of these rows."""
     between = table(*rows)
-    found = np.ones(len(between.source), bool)
-    stays = without_missed_detections(between, through, found, silent, settings)
-    assert found.all()
+    stays = PublishingRule(settings).judge(between, Views(through, silent)).published
     return {
         (int(u), int(v))
         for u, v, stay in zip(between.source, between.target, stays, strict=True)
@@ -110,7 +109,7 @@ def test_transitions_past_a_camera_that_misses_a_quarter() -> None:
     """300 recorded passages of two cameras imply 100 past the first one, 25 s later."""
     between = table(*CHAIN, (2, 5, 25.0, 100), (4, 7, 25.0, 100))
     found = np.isin(between.source * 9 + between.target, [u * 9 + v for u, v in LINKS])
-    missed = missed_transitions(between, THROUGH, found, WATCHED, SETTINGS)
+    missed = missed_transitions(between, Views(THROUGH, WATCHED), found, SETTINGS.missed_share_max)
     assert [*zip(missed.source, missed.target, strict=True)] == [(0, 3), (2, 5), (4, 7)]
     assert missed.transitions == pytest.approx([100.0] * 3, rel=0.01)
     assert missed.place == pytest.approx([25.0] * 3, abs=0.5)
@@ -167,7 +166,7 @@ def test_ways_equal_three_loops(seed: int, links: int, passages: int) -> None:
                     expected[pair] += total[k] * share * total[m]
                     by_silent[pair] += total[k] * share * total[m] * silent[through.source[j]]
     paths, by_silence = skipped_paths(
-        between, through, np.isin(np.arange(len(between.source)), found), silent
+        between, Views(through, silent), np.isin(np.arange(len(between.source)), found)
     )
     for transitions, total in ((paths.transitions, expected), (by_silence, by_silent)):
         ways = np.zeros((9, 9))

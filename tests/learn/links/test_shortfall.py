@@ -7,7 +7,7 @@ import pytest
 
 from camtopod.learn.learner import Learner
 from camtopod.learn.links.link_table import LinkTable
-from camtopod.learn.links.shortfall import LinkShortfall, shortfall_of
+from camtopod.learn.links.publishing import LinkShortfall, PublishingRule
 from camtopod.learn.links.significance import q_values, ratio_needed
 from camtopod.learn.links.transit_time import TransitFigures
 from camtopod.learn.settings import Settings
@@ -48,7 +48,7 @@ def of(
     between = table(
         (7, 7, 1.0, 0.0, 1.0), *[] if held_out is None else [(*rows[0][:3], held_out, 0.5)]
     )
-    return shortfall_of(table(*rows), between, published, 10, HOUR, SETTINGS)
+    return PublishingRule(SETTINGS).shortfall(table(*rows), between, published, 10, HOUR)
 
 
 @pytest.mark.parametrize("rank", [1, 2, 5])

@@ -1,0 +1,124 @@
+"""The rule by which pairs of zones are published as links, clause by clause (METHOD 7).
+
+`PublishingRule.judge` says which clauses each pair of a table meets. A *weak* link is likely but
+not published; `PublishingRule.shortfall` estimates how many more objects must take it until it is.
+The rule asks for a certain evidence (`significance`), and each further object is taken to add as
+much as the earlier ones did on average. The evidence that counts is held-out (`cross_validation`).
+It starts late, as a link has to be learned before it can predict anything, so the evidence per
+object is estimated from the fit instead.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from camtopod.arrays import Bools, Floats
+from camtopod.learn.links.link_table import TRANSITIONS_MIN, LinkTable
+from camtopod.learn.links.mahalanobis import LINKED_VARIANCE_MAX
+from camtopod.learn.links.missed_detections import (
+    MissedTransitions,
+    Views,
+    missed_transitions,
+    own_transitions,
+)
+from camtopod.learn.links.significance import ratio_needed
+from camtopod.learn.settings import Settings
+
+
+class Verdict(NamedTuple):
+    """Clauses of the rule that P pairs of zones meet; columns are (P,)."""
+
+    q: Bools
+    """The false discovery rate is small."""
+    probability: Bools
+    """Of the objects that leave the first zone, enough take it."""
+    transitions: Bools
+    """There are enough transitions."""
+    variance: Bools
+    """The thesis's Var(d) is that of linked zones."""
+    own: Bools
+    """It is enough without the transitions that missed detections make."""
+    missed: MissedTransitions | None
+    """These transitions; None if none were looked for."""
+
+    @property
+    def significant(self) -> Bools:
+        """Mask (P,) of the links, those that exist only because of missed detections included."""
+        return self.q & self.probability & self.transitions & self.variance
+
+    @property
+    def published(self) -> Bools:
+        """Mask (P,) of the links to publish."""
+        return self.significant & self.own
+
+
+class LinkShortfall(NamedTuple):
+    """Shortfall of L weak links, (L,) each; nan for links that more traffic does not publish."""
+
+    passages: Floats
+    """Number of further objects that must take the link."""
+    seconds: Floats
+    """Seconds until these objects have taken the link, at the traffic of the window."""
+
+
+class PublishingRule:
+    """The rule for publishing, with the limits of the settings."""
+
+    def __init__(self, settings: Settings) -> None:
+        self._settings = settings
+
+    def is_often_taken(self, probability: Floats) -> Bools:
+        """Return a mask (n,): enough of the departures at a zone take a link, by their share."""
+        often: Bools = probability >= self._settings.publish_probability_min
+        return often
+
+    def judge(self, table: LinkTable, views: Views | None = None) -> Verdict:
+        """Return which clauses the P pairs of zones of a table meet.
+
+        views: views whose cameras may have missed passages; None if this makes no transitions of
+            the table.
+        """
+        total, share = table.transit.total, table.probability
+        verdict = Verdict(
+            q=table.q <= self._settings.publish_q_max,
+            probability=self.is_often_taken(share),
+            transitions=total >= TRANSITIONS_MIN,
+            variance=table.variance <= LINKED_VARIANCE_MAX,
+            own=np.ones(len(total), np.bool_),
+            missed=None,
+        )
+        if views is None:
+            return verdict
+        missed_max = self._settings.missed_share_max
+        missed = missed_transitions(table, views, verdict.significant, missed_max)
+        own = own_transitions(table, missed)
+        often = self.is_often_taken(share * own / np.maximum(total, 1e-9))
+        return verdict._replace(own=often & (own >= TRANSITIONS_MIN), missed=missed)
+
+    def shortfall(
+        self, weak: LinkTable, between: LinkTable, published: int, zones: int, seconds: float
+    ) -> LinkShortfall:
+        """Return the shortfall of each weak link.
+
+        weak: the L weak links, with the evidence of the fit.
+        between: pairs of zones with held-out evidence; a weak link that is not among them has none.
+        published: number of links that meet the rule already.
+        zones: number of zones.
+        seconds: duration of the window.
+        """
+        # Evidence needed for the next link, and held-out evidence so far.
+        usual = ratio_needed(published + 1, zones * zones, self._settings.publish_q_max)
+        needed = usual - np.log(weak.weight)
+        held_out = between.evidence_of(weak.source, weak.target)
+
+        # Each further object adds the mean evidence of the transitions so far. A link that too few
+        # take is not published with any number of objects.
+        transitions = weak.transit.total
+        each = weak.ratio / np.maximum(transitions, 1e-9)
+        helps = (each > 0) & self.is_often_taken(weak.probability)
+        passages = np.full(len(held_out), np.nan)
+        passages[helps] = (needed - held_out)[helps] / each[helps]
+        passages = np.maximum(passages, np.maximum(TRANSITIONS_MIN - transitions, 1.0))
+        return LinkShortfall(passages, passages * seconds / np.maximum(transitions, 1e-9))
