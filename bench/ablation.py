@@ -118,8 +118,7 @@ MECHANISMS = [
     Mechanism(
         "entry kernels",
         {
-            "learn.next_camera.entry_kernels:ENTRY_PAIRS_MAX": 0,
-            "learn.next_camera.entry_kernels:ENTRY_PAIRS_PER_CAMERA_MAX": 0,
+            "learn.next_camera.entry_kernels:ENTRY_PAIRS_MAX": (0, 0),
         },
     ),
     Mechanism(

@@ -1011,12 +1011,12 @@ def label_agreement(left, came, share, persistence):
     return result
 
 
-def label_persistence(like, share, responsibility, prior, weight):
+def label_persistence(like, share, responsibility, same, other):
     """Return the likeliest persistence, of a grid; as
     `camtopod.learn.traffic.labels.estimate_label_persistence`.
     """
     grid = np.linspace(0.0005, 0.9995, 2000)
-    nats = weight * (prior * np.log(grid) + (1 - prior) * np.log(1 - grid))
-    for same, p, r in zip(like, share, responsibility, strict=True):
-        nats = nats + np.log(r * (1 - grid + grid * same / p) + 1 - r)
+    nats = same * np.log(grid) + other * np.log(1 - grid)
+    for alike, p, r in zip(like, share, responsibility, strict=True):
+        nats = nats + np.log(r * (1 - grid + grid * alike / p) + 1 - r)
     return grid[np.argmax(nats)]

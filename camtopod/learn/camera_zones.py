@@ -9,7 +9,7 @@ from camtopod.event_time import MICROSECONDS
 from camtopod.learn.changes import find_moves
 from camtopod.learn.limits import ZONES_PER_CAMERA_MAX
 from camtopod.learn.snapshot import CameraState, LearnerState, RetiredCamera
-from camtopod.learn.window import NO_POSITION, Window
+from camtopod.learn.window import NONE, Window
 from camtopod.learn.zones import (
     ZoneMap,
     ZoneShape,
@@ -90,7 +90,7 @@ def _placed(window: Window, camera: int) -> tuple[Longs, Longs, Longs]:
     """Return row and position (x, y) of each of a camera's events that have one, oldest first."""
     rows = window.rows_of_camera(camera)
     px, py = (window.column(name)[rows].astype(np.int64) for name in ("px", "py"))
-    placed = px != NO_POSITION
+    placed = px != NONE
     return rows[placed], px[placed], py[placed]
 
 

@@ -22,8 +22,7 @@ from camtopod.learn.association import (
     newest_within_limit,
 )
 from camtopod.learn.limits import (
-    LAG_SECONDS_MAX,
-    LEAD_SECONDS_MAX,
+    LONGEST_SECONDS,
     RANGE_ARRIVALS_MAX,
     RANGE_CANDIDATES_MAX,
 )
@@ -32,20 +31,15 @@ from camtopod.learn.links import (
     q_values,
     repeated_evidence,
 )
-from camtopod.learn.long_paths import SHARP_SHARE_MAX
+from camtopod.learn.long_paths import LONG_SHARE_MAX, SHARP_SHARE_MAX
 from camtopod.learn.traffic import Scene
 from camtopod.topology import LagBins
 
-LAG_SECONDS_MIN = 60.0
-LEAD_SECONDS_MIN = 5.0
-"""Least range of lags after the exit, and before it."""
-LAG_SECONDS_UNSEARCHED = 180.0
-LEAD_SECONDS_UNSEARCHED = 120.0
-"""Range of a site with too many pairs of zones for one fit (`PAIRS_FEW`), where none is looked for.
-"""
-REACH_SHARE_MAX = 0.25
-"""Longest lag that is looked at, as a share of the stretch, so that a path is observed more than
-once.
+SHORTEST_SECONDS = (5.0, 60.0)
+"""Least range of lags before the exit, and after it."""
+UNSEARCHED_SECONDS = (120.0, 180.0)
+"""Range of a site with too many pairs of zones for one fit (`PAIRS_FEW`), where none is looked for:
+before the exit, and after it.
 """
 REACH_STEP = 0.7
 """Factor on the longest lag while too few of the newest events are within the limits."""
@@ -63,8 +57,6 @@ SPARE = 3.0
 """The range over that lag. Where transit times vary most, evenly per second (an exponential
 distribution), 0.01 % are beyond three times their 95 % quantile; and a way may grow longer.
 """
-MILLISECONDS = 1000.0
-"""Milliseconds in a second."""
 NEWEST_SHARE = 0.25
 """Share of the stretch that must be covered as well as the whole: a way may just have changed."""
 
@@ -76,23 +68,20 @@ def find_lag_bins(scene: Scene, ranges: LagRanges | None = None) -> LagBins:
     """
     zones = len(scene.zones)
     if zones**2 > PAIRS_FEW:
-        return _bins(LEAD_SECONDS_UNSEARCHED, LAG_SECONDS_UNSEARCHED)
+        return _bins(*UNSEARCHED_SECONDS)
     if not (len(scene.departures.t) and len(scene.arrivals.t)):
         return shortest_bins()
     problem = newest_stretch(scene, ranges)
-    ahead, after = extremes(problem, fit_jointly(problem, find_candidates(problem)))
-    least = LEAD_SECONDS_MIN
+    seconds = np.array(extremes(problem, fit_jointly(problem, find_candidates(problem))))
+    shortest = np.array(SHORTEST_SECONDS)
     if ranges is not None:  # a peak at lag 0 has two sides
-        least = max(least, SHARP_SHARE_MAX * float(ranges.delay.max()))
-    return _bins(
-        min(max(SPARE * ahead, least), LEAD_SECONDS_MAX),
-        min(max(SPARE * after, LAG_SECONDS_MIN), LAG_SECONDS_MAX),
-    )
+        shortest[0] = max(shortest[0], SHARP_SHARE_MAX * float(ranges.delay.max()))
+    return _bins(*np.clip(SPARE * seconds, shortest, LONGEST_SECONDS).tolist())
 
 
 def shortest_bins() -> LagBins:
     """Return the bins of a site where nothing shows a longer range."""
-    return _bins(LEAD_SECONDS_MIN, LAG_SECONDS_MIN)
+    return _bins(*SHORTEST_SECONDS)
 
 
 def newest_stretch(scene: Scene, ranges: LagRanges | None = None) -> Problem:
@@ -106,16 +95,17 @@ def newest_stretch(scene: Scene, ranges: LagRanges | None = None) -> Problem:
         late = arrivals.t >= cut
         departures = departures.take(departures.t >= cut, late)
         arrivals = arrivals.take(late)
-    longest = LAG_SECONDS_MAX
+    ahead, longest = LONGEST_SECONDS
+    shortest = SHORTEST_SECONDS[1]
     while True:
-        bins = LagBins(-min(LEAD_SECONDS_MAX, LEAD_SHARE * longest), longest)
+        bins = LagBins(-min(ahead, LEAD_SHARE * longest), longest)
         problem = Problem(departures, arrivals, bins, len(scene.zones), scene.last, ranges)
         problem = newest_within_limit(problem, RANGE_CANDIDATES_MAX)
         begin = problem.arrivals.t[:1]
         stretch = float(scene.last - begin[0]) if len(begin) else 0.0
-        if longest <= LAG_SECONDS_MIN or longest <= REACH_SHARE_MAX * stretch:
+        if longest <= max(shortest, LONG_SHARE_MAX * stretch):
             return problem
-        longest = max(REACH_STEP * longest, LAG_SECONDS_MIN)
+        longest = max(REACH_STEP * longest, shortest)
 
 
 def extremes(problem: Problem, fit: Fit) -> tuple[float, float]:
@@ -181,5 +171,5 @@ def _bins(before: float, after: float) -> LagBins:
     The range ends a millisecond within the outermost bins' edges, so that these are whole.
     """
     edges = LagBins(-before, after).edges
-    low, high = math.ceil(edges[0] * MILLISECONDS), math.floor(edges[-1] * MILLISECONDS)
-    return LagBins((low + 1) / MILLISECONDS, (high - 1) / MILLISECONDS)
+    low, high = math.ceil(edges[0] * 1e3) + 1, math.floor(edges[-1] * 1e3) - 1
+    return LagBins(low / 1e3, high / 1e3)

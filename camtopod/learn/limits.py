@@ -13,9 +13,8 @@ import numpy as np
 
 from camtopod.arrays import Bools, Rows
 
-LAG_SECONDS_MAX = 2160.0
-LEAD_SECONDS_MAX = 120.0
-"""Longest lag between two views that is looked for, after the exit and before it. Who is gone for
+LONGEST_SECONDS = (120.0, 2160.0)
+"""Longest lag between two views that is looked for, before the exit and after it. Who is gone for
 more than half an hour has rarely been on one way all the time; and the longer the lag, the wider
 its bin and the more chance is in it, so that only a very busy way could be told.
 """
@@ -39,17 +38,19 @@ PATH_CAMERAS_MAX = 128
 """Cameras of a site for which paths are learned: the search grows with the pairs of cameras."""
 ZONES_PER_CAMERA_MAX = 32
 """Zones of one camera; of more, those with the most events count."""
-ENTRY_PAIRS_MAX = 20_000
-ENTRY_PAIRS_PER_CAMERA_MAX = 600
-"""Entry kernels of a site (`next_camera.entry_kernels`): in all, or for each camera if that is
-more. An entry kernel belongs to a pair of a zone of entry and a zone of the next appearance.
+ENTRY_PAIRS_MAX = (20_000, 600)
+"""Entry kernels (`next_camera.entry_kernels`; see `of_site`). An entry kernel belongs to a pair of
+a zone of entry and a zone of the next appearance.
 """
-CONTEXT_CELLS_MAX = 8_000_000
-CONTEXT_CELLS_PER_CAMERA_MAX = 40_000
-"""Cells of a table of transitions by context (`next_camera.contexts`): in all, or for each camera
-of the site if that is more. The table has a row for each context of a departure and a column for
-each next zone.
+CONTEXT_CELLS_MAX = (8_000_000, 40_000)
+"""Cells of a table of transitions by context (`next_camera.contexts`; see `of_site`). The table has
+a row for each context of a departure and a column for each next zone.
 """
+
+
+def of_site(limit: tuple[int, int], cameras: int) -> int:
+    """Return a limit of a site: the first number in all, or the second a camera if that is more."""
+    return max(limit[0], limit[1] * cameras)
 
 
 def arrivals_within(reach: Rows, most: int) -> Bools:

@@ -17,7 +17,7 @@ from camtopod.arrays import Longs
 from camtopod.event_time import MICROSECONDS
 from camtopod.learn.association import FollowedSources, place
 from camtopod.learn.snapshot import LearnerState
-from camtopod.learn.window import FORGOTTEN, ReorderBuffer, Window
+from camtopod.learn.window import NONE, ReorderBuffer, Window
 
 REPLACEABLE_AFTER_SECONDS = 3600.0
 """Time, in seconds of event time, without events after which a new camera may replace a camera."""
@@ -66,9 +66,9 @@ def camera_to_replace(reorder_buffer: ReorderBuffer, window: Window) -> str | No
 def forget_cameras(state: LearnerState, names: Set[str], number: Longs) -> None:
     """Forget cameras in what the state numbers or names beside window, intake and scorer.
 
-    number (cameras,): new index of each camera, `FORGOTTEN` for these.
+    number (cameras,): new index of each camera, `NONE` for these.
     """
-    kept = number != FORGOTTEN
+    kept = number != NONE
     state.clocks.keep_cameras(kept)
     others = np.flatnonzero(kept[: len(state.cameras)])
     state.cameras = [state.cameras[k] for k in others]
@@ -89,7 +89,7 @@ def _renumber_followed(
 
     followed: zones of departure that are followed for each zone of arrival; zones are given by
         their keys (`place`), which contain the index of the camera.
-    number (cameras,): new index of each camera, `FORGOTTEN` for retired ones.
+    number (cameras,): new index of each camera, `NONE` for retired ones.
     """
     result = {}
     for target, known in followed.items():
@@ -104,5 +104,5 @@ def _moved(keys: Longs, number: Longs) -> Longs:
     number (cameras,): new index of each camera.
     """
     camera, zone = np.divmod(keys, place(1, 0))
-    kept = number[camera] != FORGOTTEN
+    kept = number[camera] != NONE
     return place(number[camera[kept]], zone[kept])

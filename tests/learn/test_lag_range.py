@@ -10,7 +10,7 @@ from synthetic_events import learned_from, passage
 
 from camtopod.learn import lag_range
 from camtopod.learn.learner import Learner
-from camtopod.learn.limits import LAG_SECONDS_MAX
+from camtopod.learn.limits import LONGEST_SECONDS
 from camtopod.records import Event, Topology
 from camtopod.topology import LagBins, longest_lag, masses_on_bins
 
@@ -90,7 +90,7 @@ def test_an_overlap_is_within_the_range_before_the_exit() -> None:
 
 
 def test_a_range_ends_at_the_edges_of_bins() -> None:
-    for after in (61.3, 180.0, 777.7, LAG_SECONDS_MAX):
+    for after in (61.3, 180.0, 777.7, LONGEST_SECONDS[1]):
         bins = lag_range._bins(5.0, after)
         assert bins.edges[0] == pytest.approx(bins.lag_min, abs=0.003)
         assert bins.edges[-1] == pytest.approx(bins.lag_max, abs=0.003)

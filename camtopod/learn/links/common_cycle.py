@@ -50,10 +50,9 @@ GAIN_NATS = 8.0
 """Least evidence that a period could make of no way at all: with less, none would be published."""
 COPIES = (-3, -2, -1, 1, 2, 3)
 """The copies of the departures: whole periods by which they are moved."""
-WAY_SD = 3.0
-EDGE_SD = 1.0
-"""Least excess of candidates over the copies at the lags of a way, in standard deviations: in the
-middle of the way, and at its edges.
+EXCESS_SD = (1.0, 3.0)
+"""Least excess of candidates over the copies at the lags of a way, in standard deviations: at its
+edges, and in the middle.
 """
 WAY_SD_BINS = 1.5
 """Standard deviation, in lag bins, with which the excess is smoothed."""
@@ -176,9 +175,10 @@ def way_lags(counts: Floats, copies: Floats) -> Bools:
     excess = (spread @ counts - smoothed.mean(axis=0)) / np.sqrt(noise)
 
     # The stretches of bins above the cycle that are clearly above it somewhere.
-    above = excess > EDGE_SD
+    edge, middle = EXCESS_SD
+    above = excess > edge
     stretch = np.cumsum(np.diff(above, prepend=False))
-    clear = np.bincount(stretch, excess >= max(WAY_SD, float(excess.max()) / 3.0)) > 0.0
+    clear = np.bincount(stretch, excess >= max(middle, float(excess.max()) / 3.0)) > 0.0
     mask: Bools = above & clear[stretch]
     return mask
 

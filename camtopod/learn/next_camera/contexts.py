@@ -22,7 +22,7 @@ from scipy.sparse import csr_array
 
 from camtopod.arrays import Floats, Longs, Singles
 from camtopod.learn.association import NOTHING, Candidates, Problem
-from camtopod.learn.limits import CONTEXT_CELLS_MAX, CONTEXT_CELLS_PER_CAMERA_MAX
+from camtopod.learn.limits import CONTEXT_CELLS_MAX, of_site
 from camtopod.topology import BACK_OFF_DEPARTURES, MULTIPLIER_MAX
 
 LEVELS = ("entry+block", "previous")
@@ -150,7 +150,7 @@ class Contexts:
         sure = self._sureness(c, responsibility)[self._zone]
         column, width = self._columns(c)
         levels = []
-        cells = max(CONTEXT_CELLS_MAX, CONTEXT_CELLS_PER_CAMERA_MAX * self.cameras)
+        cells = of_site(CONTEXT_CELLS_MAX, self.cameras)
         most = max(cells // width, 1)
 
         # Departures of each context, and leaving the site as one of their outcomes.

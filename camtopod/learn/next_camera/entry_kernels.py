@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 
 from camtopod.arrays import Floats, Indices, Singles, row_slices
 from camtopod.learn.association import START_FLOOR, Candidates, Problem, initial_hazards
-from camtopod.learn.limits import ENTRY_PAIRS_MAX, ENTRY_PAIRS_PER_CAMERA_MAX
+from camtopod.learn.limits import ENTRY_PAIRS_MAX, of_site
 from camtopod.learn.links import passages_lasting
 from camtopod.learn.traffic import NullRates
 from camtopod.topology import smooth
@@ -61,7 +61,7 @@ class EntryKernels:
         key = entry[c.departure[early]] * zones + a.zone[c.arrival[early]]
         present, number, often = np.unique(key, return_inverse=True, return_counts=True)
         cameras = int(a.camera.max(initial=0)) + 1
-        most = max(ENTRY_PAIRS_MAX, ENTRY_PAIRS_PER_CAMERA_MAX * cameras)
+        most = of_site(ENTRY_PAIRS_MAX, cameras)
         if len(present) > most:
             usual = np.sort(np.argsort(-often, kind="stable")[:most])
             kept = np.isin(number, usual)

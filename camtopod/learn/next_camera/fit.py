@@ -42,9 +42,8 @@ from camtopod.topology import LEAVE_FLOOR
 FIRST_NOISE_SD = 3.0
 """Standard deviations of the null model that are subtracted from lag histograms for first hazards.
 """
-FIRST_ROUNDS = 3
-FIRST_ITERATIONS = 5
-"""Rounds without contexts, and EM iterations of each; after each, unlikely candidates are left out
+FIRST_ITERATIONS = (5, 5, 5)
+"""EM iterations of each round without contexts; after each round, unlikely candidates are left out
 and speed is estimated.
 """
 ITERATIONS = 8
@@ -163,8 +162,8 @@ class PosteriorFitter:
             self.hazard = self.em.start(FIRST_NOISE_SD)
 
         # Rounds without contexts; impossible candidates are left out as soon as they show.
-        for first in range(FIRST_ROUNDS):
-            self._iterate(FIRST_ITERATIONS, contexts=False)
+        for first, iterations in enumerate(FIRST_ITERATIONS):
+            self._iterate(iterations, contexts=False)
             self._keep(self.em.live() if first else self._possible(overlapping))
             self.hazard = self.em.learn_speed(self.hazard)
         self._iterate(ITERATIONS, contexts=True)

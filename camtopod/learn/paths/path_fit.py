@@ -33,9 +33,8 @@ ITERATIONS = 15
 SPARSE_NATS = (0.3, 0.6, 1.0, 1.5, 2.0, 2.5, 3.0)
 SPARSE_ITERATIONS = 4
 """Least evidence of a path in the rounds of the fit for links, and EM iterations of each."""
-WIDTH_PRIOR_SECONDS = 4.0
-WIDTH_PRIOR_TRANSITIONS = 3.0
-"""The usual width, and its weight in that of a path, in transitions."""
+WIDTH_PRIOR = (4.0, 3.0)
+"""The usual width in seconds, and its weight in that of a path, in transitions."""
 
 
 class Paths(NamedTuple):
@@ -196,8 +195,8 @@ class PathFit:
         weight = part * (DEGREES + 1) / (DEGREES + ((lag - place[path]) / width[path]) ** 2)
         moved = (summed(weight * lag) + 1e-3 * place) / (summed(weight) + 1e-3)
         squares = summed(weight * (lag - moved[path]) ** 2)
-        prior = WIDTH_PRIOR_TRANSITIONS
-        spread = np.sqrt((squares + prior * WIDTH_PRIOR_SECONDS**2) / (transitions + prior))
+        usual, prior = WIDTH_PRIOR
+        spread = np.sqrt((squares + prior * usual**2) / (transitions + prior))
         return moved, np.maximum(spread, RESOLUTION_SECONDS)
 
     def _shares(self, transitions: Floats) -> Floats:

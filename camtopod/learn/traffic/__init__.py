@@ -26,7 +26,6 @@ from camtopod.learn.traffic.labelled_events import (
 )
 from camtopod.learn.traffic.labels import (
     RATIO_MAX as RATIO_MAX,
-    UNKNOWN_LABEL as UNKNOWN_LABEL,
     estimate_label_persistence as estimate_label_persistence,
     first_weights as first_weights,
     label_agreement as label_agreement,

@@ -16,14 +16,11 @@ import numpy as np
 
 from camtopod.arrays import Bools, Floats, Ints, Singles
 
-UNKNOWN_LABEL = -1
-"""Number of the label of an event without one."""
 ZONE_ARRIVALS = 10.0
 """Weight of the shares of labels at the whole site in those at a zone, in arrivals."""
-PRIOR_TRANSITIONS = 10.0
-PRIOR_PERSISTENCE = 0.9
-"""Persistence of labels before any is seen, and its weight in transitions: a detector that calls
-one object in ten otherwise is a poor one.
+PRIOR_TRANSITIONS = (9.0, 1.0)
+"""Transitions that keep their label, and that do not, before any is seen: a detector that calls one
+object in ten otherwise is a poor one.
 """
 PERSISTENCE_MAX = 0.999
 """Largest persistence: any detector errs at times."""
@@ -38,7 +35,7 @@ def label_shares(zone: Ints, label: Ints, zones: int) -> Floats:
     """Return the share (n,) of each arrival's label among the arrivals at its zone.
 
     zone (n,): zone of each arrival.
-    label (n,): number of its label; `UNKNOWN_LABEL` without one, and the result is 1.
+    label (n,): number of its label; -1 without one, and the result is 1.
     """
     share = label_table(zone, label, zones, int(label.max(initial=0)) + 1)
     return np.where(label >= 0, share[zone, np.maximum(label, 0)], 1.0)
@@ -77,12 +74,12 @@ def estimate_label_persistence(like: Bools, share: Floats, responsibility: Float
     """
     # The log likelihood is concave: halve the range in which its slope is 0.
     slope = responsibility * (like / share - 1.0)
+    same, other = PRIOR_TRANSITIONS
     low, high = 0.0, 1.0
     for _ in range(HALVINGS):
         middle = 0.5 * (low + high)
         total = float((slope / (1.0 + middle * slope)).sum())
-        total += PRIOR_TRANSITIONS * PRIOR_PERSISTENCE / middle
-        total -= PRIOR_TRANSITIONS * (1.0 - PRIOR_PERSISTENCE) / (1.0 - middle)
+        total += same / middle - other / (1.0 - middle)
         low, high = (middle, high) if total > 0.0 else (low, middle)
     return min(high, PERSISTENCE_MAX)
 

@@ -11,8 +11,7 @@ from camtopod.learn.window.reorder_buffer import (
     ReorderBufferState as ReorderBufferState,
 )
 from camtopod.learn.window.sliding_window import (
-    FORGOTTEN as FORGOTTEN,
-    NO_POSITION as NO_POSITION,
+    NONE as NONE,
     Window as Window,
     WindowState as WindowState,
 )

@@ -34,16 +34,12 @@ FLOOD_CAMERAS_MIN = 3
 """Share of a full window above which one camera's events flood it, and the least number of cameras
 of a site for which this is checked.
 """
-NO_POSITION = -1
-"""Coordinate of events without position."""
-NO_LABEL = -1
-"""Value of ``label`` for events without one."""
+NONE = -1
+"""Value in a column of events that have none: no position, no label, as ``mate`` no entry that is
+known; and new index of a forgotten camera.
+"""
 LABELS_REMEMBERED = 4 * LABELS_MAX
 """Number of labels from which those without events in the window are forgotten."""
-NO_MATE = -1
-"""Value of ``mate`` for entries, and for exits of unknown entry."""
-FORGOTTEN = -1
-"""New index of a forgotten camera in the result of `Window.forget_cameras`."""
 
 _COLUMNS = {
     "t": np.int64,
@@ -55,8 +51,8 @@ _COLUMNS = {
     "label": np.int32,
 }
 """Columns of the window: time in microseconds; index of the camera; True for an entry, False for an
-exit; position (x, y) in fixed point, `NO_POSITION` if unknown; absolute row of an exit's entry, or
-`NO_MATE`; index of the label, or `NO_LABEL`.
+exit; position (x, y) in fixed point, `NONE` if unknown; absolute row of an exit's entry, or
+`NONE`; index of the label, or `NONE`.
 """
 
 
@@ -157,7 +153,7 @@ class Window:
             "label": [self._label(event.label) for _, event in batch],
         }
         for row, (index, px) in enumerate(zip(camera, fresh["px"], strict=True), first):
-            self.seen[index] += px != NO_POSITION
+            self.seen[index] += px != NONE
             self._rows[index].append(row)
 
         # Store them in the memory behind the other rows.
@@ -185,8 +181,8 @@ class Window:
     def _forget_labels(self) -> None:
         """Forget the labels without events in the window."""
         column = self.column("label")
-        used = np.unique(column[column != NO_LABEL])
-        number = np.append(np.zeros(len(self.state.labels), np.int32), NO_LABEL).astype(np.int32)
+        used = np.unique(column[column != NONE])
+        number = np.append(np.zeros(len(self.state.labels), np.int32), NONE).astype(np.int32)
         number[used] = np.arange(len(used))
         self.state.labels = [self.state.labels[k] for k in used.tolist()]
         self._label_index = {label: k for k, label in enumerate(self.state.labels)}
@@ -226,12 +222,12 @@ class Window:
     def forget_cameras(self, names: Set[str]) -> NDArray[np.int64]:
         """Forget cameras and their events, and renumber the other cameras.
 
-        Return the new index of each camera, by old index; `FORGOTTEN` for the forgotten ones.
+        Return the new index of each camera, by old index; `NONE` for the forgotten ones.
         """
         # Remove the events.
         state = self.state
         kept = np.array([name not in names for name in self.cameras], np.bool_)
-        number = np.where(kept, np.cumsum(kept) - 1, FORGOTTEN)
+        number = np.where(kept, np.cumsum(kept) - 1, NONE)
         self._drop(~kept[self.column("camera")])
 
         # Renumber the cameras of the other events.
@@ -256,7 +252,7 @@ class Window:
         base = state.base + int(gone.sum())
 
         # Renumber passages: absolute row of each remaining row after the removal.
-        number = np.where(gone, NO_MATE, base + np.cumsum(~gone) - 1)
+        number = np.where(gone, NONE, base + np.cumsum(~gone) - 1)
         row = self.entries_of_exits()
         mate = np.where(row >= 0, number[np.maximum(row, 0)], self.column("mate"))
         state.open = {
@@ -296,23 +292,23 @@ class Window:
 
     def has_position(self) -> NDArray[np.bool_]:
         """Return a mask (n,) of the rows that have a position."""
-        known: NDArray[np.bool_] = self.column("px") != NO_POSITION
+        known: NDArray[np.bool_] = self.column("px") != NONE
         return known
 
     def labels(self) -> tuple[list[str], NDArray[np.int32]]:
         """Return the `LABELS_MAX` most frequent labels, sorted, and that of each row (n,).
 
-        The second result is an index into the first, or `NO_LABEL`. An exit without a label has its
+        The second result is an index into the first, or `NONE`. An exit without a label has its
         entry's. Of labels as frequent as each other, the first by name count.
         """
         label = self.column("label")
         entry = self.entries_of_exits()
-        label = np.where((label == NO_LABEL) & (entry >= 0), label[np.maximum(entry, 0)], label)
+        label = np.where((label == NONE) & (entry >= 0), label[np.maximum(entry, 0)], label)
         names = self.state.labels
-        events = np.bincount(label[label != NO_LABEL], minlength=len(names)).tolist()
+        events = np.bincount(label[label != NONE], minlength=len(names)).tolist()
         frequent = sorted((-number, names[k], k) for k, number in enumerate(events) if number)
         counted = sorted((name, k) for _, name, k in frequent[:LABELS_MAX])
-        number = np.full(len(names) + 1, NO_LABEL, np.int32)
+        number = np.full(len(names) + 1, NONE, np.int32)
         number[[k for _, k in counted]] = np.arange(len(counted))
         return [name for name, _ in counted], number[label]
 
@@ -325,7 +321,7 @@ class Window:
         """Return the index of a label, which is added if it is new."""
         name = plain(label or "")
         if not name:
-            return NO_LABEL
+            return NONE
         if name not in self._label_index:
             self._label_index[name] = len(self.state.labels)
             self.state.labels.append(name)
@@ -346,18 +342,18 @@ class Window:
         row: absolute number of the event's row.
         """
         if event.track is None:
-            return NO_MATE
+            return NONE
         open_passages = self.state.open
         key = (camera, str(event.track))
-        mate = open_passages.pop(key, NO_MATE)
+        mate = open_passages.pop(key, NONE)
         if event.kind == "exit":
             return mate
         open_passages[key] = row
         if len(open_passages) > OPEN_PASSAGES_MAX:
             del open_passages[next(iter(open_passages))]
-        return NO_MATE
+        return NONE
 
 
 def _fixed_point(value: float | None, other: float | None) -> int:
-    """Return ``value`` in fixed point; `NO_POSITION` if it or the other is missing."""
-    return NO_POSITION if value is None or other is None else round(value * POSITION_ONE)
+    """Return ``value`` in fixed point; `NONE` if it or the other is missing."""
+    return NONE if value is None or other is None else round(value * POSITION_ONE)

@@ -24,7 +24,6 @@ from camtopod.learn.traffic import (
 )
 from camtopod.learn.traffic.labels import (
     PERSISTENCE_MAX,
-    PRIOR_PERSISTENCE,
     PRIOR_TRANSITIONS,
     ZONE_ARRIVALS,
     first_weights,
@@ -61,7 +60,7 @@ def test_persistence_is_the_likeliest(errs: float) -> None:
 
     found = estimate_label_persistence(*given)
 
-    twin = naive.label_persistence(*given, PRIOR_PERSISTENCE, PRIOR_TRANSITIONS)
+    twin = naive.label_persistence(*given, *PRIOR_TRANSITIONS)
     assert found == pytest.approx(min(twin, PERSISTENCE_MAX), abs=0.003)
     assert found == pytest.approx(1.0 - errs, abs=0.05)
 

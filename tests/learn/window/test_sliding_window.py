@@ -12,7 +12,7 @@ from camtopod.learn.window import sliding_window as module
 from camtopod.learn.window.sliding_window import (
     FLOOD_CAMERAS_MIN,
     FLOOD_SHARE,
-    NO_MATE,
+    NONE,
     Window,
 )
 from camtopod.learn.zones.cells import cells_of
@@ -100,9 +100,9 @@ def test_mates(steps: list[tuple[list[Event], int, bool]]) -> None:
     assert window.state.base == base
     found = window.column("mate").tolist()
     for row, mate in enumerate(naive.mates(events)[base:]):
-        assert found[row] == NO_MATE or found[row] == mate
+        assert found[row] == NONE or found[row] == mate
         if mate is None:
-            assert found[row] == NO_MATE
+            assert found[row] == NONE
         elif mate >= base:
             assert found[row] == mate
 
