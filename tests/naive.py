@@ -136,7 +136,7 @@ def _valley_ratio(positions, grid, b, c, f, g):
 
 def way_contrast(sums, n, mean, cov, rates, constants):
     """Return the density of a group by that of the densest way through it (`zones/ways`)."""
-    rare, rounder, kernel, denser, directions, turn, reach = constants
+    rare, rounder, kernel, denser, directions, back, reach = constants
     xx, xy, yy = cov
     for at, variance in zip(mean, (xx, yy), strict=True):
         if at - reach * variance**0.5 < 0 or at + reach * variance**0.5 > 1:
@@ -166,7 +166,7 @@ def way_contrast(sums, n, mean, cov, rates, constants):
         min(way[a], way[b])
         for a in range(directions)
         for b in range(directions)
-        if abs((a - b) % directions - directions // 2) <= turn
+        if (a - b) % directions in back
     )
     rows, columns = rates.shape
     area = 2 * np.pi * kernel**2 * np.sqrt(np.linalg.det(root @ root.T)) * rates.size

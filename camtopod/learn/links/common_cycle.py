@@ -10,6 +10,8 @@ common, these *copies* tell the arrivals as well as the true departures do.
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+
 import numpy as np
 from scipy.fft import next_fast_len, rfft
 from scipy.ndimage import median_filter
@@ -138,24 +140,36 @@ def moved(problem: Problem, source: int, target: int, seconds: float, period: fl
     return find_candidates(problem._replace(departures=departures, arrivals=within))
 
 
+def _with_copies(
+    problem: Problem, candidates: Candidates, pair: int, period: float
+) -> Iterator[tuple[Candidates, Ints]]:
+    """Yield the candidates of one pair of zones and their lag bins: the true ones, then each copy.
+
+    candidates: those of all pairs; only their pairs of zones count.
+    pair: number of the pair. period (seconds): its common period.
+    """
+    bins = problem.bins
+    source, target = candidates.source[[pair]], candidates.target[[pair]]
+    delay = problem.delays(source, target)
+    for k in (0, *COPIES):
+        copy = moved(problem, int(source[0]), int(target[0]), k * period, period)
+        lag = np.clip(copy.lag.astype(float) - delay, bins.lag_min, bins.lag_max)
+        yield copy, bins.index(lag)
+
+
 def off_cycle(problem: Problem, candidates: Candidates, period: Floats) -> Bools:
     """Return a mask (M,) of the candidates at lags that a common cycle alone would not make.
 
     period (P, seconds): common period of each pair of zones, nan without one.
     """
     c, bins = candidates, problem.bins
-    delay = problem.delays(c.source, c.target)
     mask = np.ones((len(c.source), bins.size), np.bool_)
     for pair in np.flatnonzero(period > 0.0).tolist():
-        zones = int(c.source[pair]), int(c.target[pair])
-        counts = np.zeros((1 + len(COPIES), bins.size))
-        for histogram, k in zip(counts, (0, *COPIES), strict=True):
-            lag = moved(problem, *zones, k * period[pair], period[pair]).lag - delay[pair]
-            at = bins.index(np.clip(lag.astype(float), bins.lag_min, bins.lag_max))
-            histogram += np.bincount(at, minlength=bins.size)
+        copies = _with_copies(problem, c, pair, period[pair])
+        counts = np.array([np.bincount(at, minlength=bins.size) for _, at in copies], float)
         mask[pair] = way_lags(counts[0], counts[1:])
 
-    lag = c.lag.astype(float) - delay[c.pair]
+    lag = c.lag.astype(float) - problem.delays(c.source, c.target)[c.pair]
     at = bins.index(np.clip(lag, bins.lag_min, bins.lag_max))
     able: Bools = mask[c.pair, at]
     return able
@@ -220,26 +234,20 @@ def evidence_against_cycle(
     outside (zones,): share of the local rate of arrivals that no departure explains.
     period (P, seconds): common period of each pair of zones, nan without one.
     """
-    c, arrivals, bins = candidates, problem.arrivals, problem.bins
+    c, arrivals = candidates, problem.arrivals
     explained = np.bincount(c.arrival, share, minlength=len(arrivals.t))
     every = outside[arrivals.zone] * arrivals.rate / np.maximum(1.0 - explained, 1e-3)
-    delay = problem.delays(c.source, c.target)
     evidence = np.zeros((len(period), PARTS))
     seconds = float((arrivals.t[-1:] - arrivals.t[:1]).sum())  # 0 without arrivals
     part = (arrivals.t - arrivals.t[:1]) / max(seconds, 1.0) * PARTS
     for pair in np.flatnonzero(period > 0.0).tolist():
-        zones = int(c.source[pair]), int(c.target[pair])
-        rows = np.flatnonzero(arrivals.zone == zones[1])
+        rows = np.flatnonzero(arrivals.zone == c.target[pair])
         own = np.flatnonzero(c.pair == pair)
         by_pair = np.bincount(c.arrival[own], share[own], minlength=len(arrivals.t))
         beside = (every * np.maximum(1.0 - by_pair, 1e-3))[rows]
 
-        rates = np.zeros((1 + len(COPIES), len(rows)))
-        for rate, k in zip(rates, (0, *COPIES), strict=True):
-            some = moved(problem, *zones, k * period[pair], period[pair])
-            lag = some.lag.astype(float) - delay[pair]
-            at = bins.index(np.clip(lag, bins.lag_min, bins.lag_max))
-            rate += np.bincount(some.arrival, hazard[pair, at], len(rows))
+        copies = _with_copies(problem, c, pair, period[pair])
+        rates = np.array([np.bincount(x.arrival, hazard[pair, at], len(rows)) for x, at in copies])
         nats = np.log((beside + rates[0]) / (beside + rates.mean(axis=0)))
         evidence[pair] = np.bincount(
             np.minimum(part[rows].astype(np.intp), PARTS - 1), nats, minlength=PARTS

@@ -31,10 +31,12 @@ _DENSER = 2.0
 _REACH = 2.0
 """Distance from the border of the view, in standard deviations, within which a group reaches it."""
 _DIRECTIONS = 16
-_TURN = 2
-"""Most sixteenths of a circle by which a way turns within a group."""
-_ANGLE = 2 * np.pi / _DIRECTIONS * np.arange(_DIRECTIONS)
-_RAYS = np.arange(0.5, 4.5, 0.5)[:, None, None] * np.array((np.cos(_ANGLE), np.sin(_ANGLE))).T
+_BACK = (6, 7, 8, 9, 10)
+"""Sixteenths of a circle from a ray to the opposite one and to those beside it: a way may turn
+within a group.
+"""
+_ANGLE = np.linspace(0.0, 2 * np.pi, _DIRECTIONS, endpoint=False)
+_RAYS = np.multiply.outer(np.arange(0.5, 4.5, 0.5), np.array((np.cos(_ANGLE), np.sin(_ANGLE))).T)
 _PLACES = np.concatenate((np.zeros((1, 2)), _RAYS.reshape(-1, 2)))
 """Centre of a group and places on rays out of it, (places, 2), in the group's deviations."""
 
@@ -61,7 +63,7 @@ def way_contrast(cells: Cells, group: Floats, rates: Floats) -> float:
     here, rays = float(density[0]), density[1:].reshape(-1, _DIRECTIONS)
     least = np.minimum.accumulate(rays)
     way = np.maximum(least[-1], np.where(rays > _DENSER * here, least, 0.0).max(axis=0))
-    back = [np.roll(way, _DIRECTIONS // 2 + turn) for turn in range(-_TURN, _TURN + 1)]
+    back = [np.roll(way, turn) for turn in _BACK]
     through = float(np.minimum(way, np.max(back, axis=0)).max())
 
     # The expected clutter under the kernel, whose area is in cells.

@@ -126,7 +126,7 @@ def test_contrast_equals_its_slow_twin(seed: int) -> None:
         ways_module._KERNEL,
         ways_module._DENSER,
         ways_module._DIRECTIONS,
-        ways_module._TURN,
+        ways_module._BACK,
         ways_module._REACH,
     )
     for place in (BORDER[seed], (0.5, 0.5), (0.3, 0.4), (0.5, 0.25)):
