@@ -144,8 +144,7 @@ def _usual_hazards(problem: Problem, fit: Fit) -> Singles:
 def _linked(problem: Problem, fit: Fit) -> Bools:
     """Return a mask (P,) of the pairs of zones that are links of a fit, more than once."""
     c = fit.candidates
-    begin = problem.arrivals.t[0]
-    at = (problem.arrivals.t[c.arrival] - begin) / max(problem.until - begin, 1.0)
+    at = c.arrival / max(len(problem.arrivals.t), 1)
     nats = repeated_evidence(c.pair, fit.responsibility, fit.flat, at, len(c.source))
     q = q_values(nats, problem.zones**2)
     linked: Bools = (q <= Q_MAX) & (fit.counts.sum(axis=1) >= TRANSITIONS_MIN)

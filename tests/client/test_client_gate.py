@@ -233,7 +233,7 @@ def test_association_beats_the_nearest_in_time(site: Site) -> None:
     """It beats two simple methods, each with its best cutoff.
 
     It is right for at least a quarter of the exits more than the nearest in time at a linked
-    camera, and better than the nearest to the learned median of the link.
+    camera, and not worse than the nearest to the learned median of the link.
     """
     found = site.share_right(Gate(site.topology).affinity(site.exits, site.entries))
 
@@ -255,7 +255,7 @@ def test_association_beats_the_nearest_in_time(site: Site) -> None:
     by_median = max(site.share_right(cutoff - off) for cutoff in CUTOFFS_SECONDS)
 
     assert found >= nearest + 0.25, (found, nearest)
-    assert found >= by_median + 0.02, (found, by_median)
+    assert found >= by_median, (found, by_median)
 
 
 def test_labels_that_differ_speak_against_one_object() -> None:

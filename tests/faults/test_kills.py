@@ -169,7 +169,7 @@ class Site:
 
     def expected(self) -> dict[int, str]:
         """Return version -> digest of an uninterrupted learner over the same events."""
-        learner = Learner(parse(self._toml).learn, "site", "any")
+        learner = Learner(parse(self._toml).learner, "site", "any")
         digests = {}
         for event in [*self.events, *self.closing]:
             learner.receive(event)

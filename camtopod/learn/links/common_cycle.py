@@ -238,8 +238,7 @@ def evidence_against_cycle(
     explained = np.bincount(c.arrival, share, minlength=len(arrivals.t))
     every = outside[arrivals.zone] * arrivals.rate / np.maximum(1.0 - explained, 1e-3)
     evidence = np.zeros((len(period), PARTS))
-    seconds = float((arrivals.t[-1:] - arrivals.t[:1]).sum())  # 0 without arrivals
-    part = (arrivals.t - arrivals.t[:1]) / max(seconds, 1.0) * PARTS
+    part = np.arange(len(arrivals.t)) / max(len(arrivals.t), 1) * PARTS
     for pair in np.flatnonzero(period > 0.0).tolist():
         rows = np.flatnonzero(arrivals.zone == c.target[pair])
         own = np.flatnonzero(c.pair == pair)

@@ -83,7 +83,7 @@ def link_evidence(problem: Problem, fit: Fit, first: float) -> LinkEvidence:
     """
     period = common_periods(problem, fit)
     held_out = _held_out(problem, fit, first, period)
-    return LinkEvidence(held_out, _whole(judging(problem), fit, first, period))
+    return LinkEvidence(held_out, _whole(judging(problem), fit, period))
 
 
 def judging(problem: Problem) -> Problem:
@@ -97,7 +97,7 @@ def judging(problem: Problem) -> Problem:
     return problem._replace(arrivals=came._replace(rate=active), odds=None)
 
 
-def _whole(problem: Problem, fit: Fit, first: float, period: Floats) -> Floats:
+def _whole(problem: Problem, fit: Fit, period: Floats) -> Floats:
     """Return the evidence (P, nats) of the whole window under the null model of a problem.
 
     fit: the joint fit, whose hazards are judged.
@@ -113,7 +113,7 @@ def _whole(problem: Problem, fit: Fit, first: float, period: Floats) -> Floats:
         em.expect(hazard)
 
     share = em.responsibility.astype(float)
-    at = (problem.arrivals.t[c.arrival] - first) / max(problem.until - first, 1.0)
+    at = c.arrival / max(len(problem.arrivals.t), 1)
     evidence = repeated_evidence(c.pair, share, flatness(em, hazard), at, em.pairs)
     cycle = evidence_against_cycle(problem, c, hazard, share, em.outside, period)
     return np.where(period > 0.0, repeated(cycle), evidence)

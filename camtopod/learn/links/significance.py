@@ -15,7 +15,7 @@ from camtopod.arrays import Floats, Ints, Longs, Rows
 from camtopod.learn.association import RESPONSIBILITY_MAX
 
 PARTS = 16
-"""Parts of the window; two in a row are taken for one occasion."""
+"""Parts of the window with as many events each; two in a row are taken for one occasion."""
 OCCASION_SHARE_MAX = 1.0 / 3.0
 """Evidence of one occasion that counts, as a share of that of all others."""
 
@@ -72,7 +72,7 @@ def repeated_evidence(
 ) -> Floats:
     """Return the evidence (P, nats) of each pair of zones that does not rest on one occasion.
 
-    at (M,): when each candidate arrives, as a share of the window, 0 to 1.
+    at (M,): the share of the window's arrivals that came before each candidate, 0 to 1.
     expected (P, PARTS): transitions of each pair that the departures in each part of the window
         make expect (`expected_by_part`); None for those that come, as where the hazards have been
         learned without the candidate itself.
@@ -98,7 +98,7 @@ def expected_by_part(transitions: Floats, source: Ints | Rows, zone: Ints, at: F
     """Return the expected transitions of each pair of zones by part of the window, (P, PARTS).
 
     transitions (P,): expected transitions of each pair. source (P,): its zone of departure.
-    zone (n,), at (n,): zone of each departure, and when it is, as a share of the window.
+    zone (n,), at (n,): zone of each departure, and the share of the departures before it.
     """
     zones = int(max(zone.max(initial=0), source.max(initial=0))) + 1
     cell = zone.astype(np.int64) * PARTS + _part(at)
@@ -109,14 +109,14 @@ def expected_by_part(transitions: Floats, source: Ints | Rows, zone: Ints, at: F
 
 
 def _part(at: Floats) -> Longs:
-    """Return the number of the part of the window of each time (n,), a share of the window."""
+    """Return the number of the part of the window of each place (n,), a share of the events."""
     return np.clip((at * PARTS).astype(np.int64), 0, PARTS - 1)
 
 
 def repeated(nats: Floats) -> Floats:
     """Return the total (P,) of evidence by parts of the window (P, PARTS), less what is told once.
 
-    The eighth of the window that speaks most for a pair counts no more than a third of the rest.
+    The eighth of the events that speaks most for a pair counts no more than a third of the rest.
     """
     total = nats.sum(axis=-1)
     rest = total - np.maximum((nats[..., :-1] + nats[..., 1:]).max(axis=-1), 0.0)

@@ -61,10 +61,6 @@ class CameraLags(NamedTuple):
     likeness: Singles | None = None
     """(M,) likelihood ratio of one object over two, by the labels; None without labels."""
 
-    def came(self, rows: Rows) -> Floats:
-        """Return when the arrivals of the candidates ``rows`` came, (n,) seconds."""
-        return self.left[self.departure[rows]] + self.lag[rows]
-
     def within(self, pair: Longs, low: Floats, high: Floats) -> tuple[Rows, Rows, Rows]:
         """Return the candidates within some ranges of lags.
 

@@ -112,11 +112,8 @@ class PathFit:
         step = self._expect()
         pair, _, place, width = self.paths
         lags, source = self.lags, self.paths.pair // self.lags.cameras
-        first = float(lags.left.min(initial=lags.until))
-        left, came = (
-            (t - first) / max(lags.until - first, 1.0)
-            for t in (lags.left, lags.came(step.rows[step.row]))
-        )
+        left = np.arange(len(lags.left)) / max(len(lags.left), 1)
+        came = lags.arrival[step.rows[step.row]] / max(len(lags.target), 1)
         taken = np.bincount(step.path, step.part, minlength=len(pair)).astype(float)
         expected = expected_by_part(taken, source, lags.source.astype(np.int32), left)
         nats = repeated_evidence(
