@@ -9,12 +9,14 @@ from __future__ import annotations
 from functools import cache
 from typing import NamedTuple
 
+import numpy as np
 import pytest
 from msgspec.structs import replace
 from support.judged_sites import JudgedSite, judged
-from support.synthetic_events import learned_from
+from support.synthetic_events import learned_from, passage
 
 from bench.support.disturbances import without_positions
+from camtopod.records import Event
 from camtopod.sim.settings import SimSettings
 from camtopod.sim.simulation import simulate
 
@@ -89,3 +91,16 @@ def test_transit_times_are_those_of_the_walkers(name: str) -> None:
 @pytest.mark.parametrize("name", KINDS)
 def test_shares_are_those_of_the_walkers(name: str) -> None:
     assert site(name).share_error() <= KINDS[name].share
+
+
+def test_what_a_busy_hour_tells_is_told_a_quiet_day_later() -> None:
+    """An occasion is a part of the events: all of a day's may be those of one hour."""
+    chance, events = np.random.default_rng(SEED), list[Event]()
+    times = [*chance.uniform(0.0, 3600.0, 10), 86_400.0, 90_000.0]
+    for walk, t in enumerate(times):
+        events += passage("a", t, 4.0, f"{walk}")
+        events += passage("b", t + 14.0 + chance.normal(0.0, 1.0), 4.0, f"{walk}")
+    topology = learned_from(sorted(events, key=lambda event: event.t))
+    [link] = [link for link in topology.links if link.relation != "visible"]
+    assert (link.from_, link.to) == ("a/1", "b/1")
+    assert link.q_value < 1e-20, "1e-11 where the busy hour is one occasion"
