@@ -359,9 +359,8 @@ def predict_next(
     transitions = transitions_of(posterior.fit, WEAK_TRANSITIONS_MIN)
     exposed = exposed_departures(problem)
     likely_pairs = tabulate(transitions, exposed, bins, problem.zones, ranges=problem.ranges)
-    likely_pairs = likely_pairs.with_weights(associated.weights)
-    # Counts take most of the memory.
-    likely_pairs = likely_pairs._replace(counts=np.zeros((len(likely_pairs.source), 0)))
+    no_counts = np.zeros((len(likely_pairs.source), 0))  # they take most of the memory
+    likely_pairs = likely_pairs._replace(counts=no_counts).with_weights(associated.weights)
     likely_pairs = likely_pairs.with_evidence(likely_pairs.ratio, len(posterior.share))
 
     # Outcomes of the exits of which no further arrival is possible.

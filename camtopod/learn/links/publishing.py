@@ -63,15 +63,15 @@ class LinkShortfall(NamedTuple):
     """Seconds until these objects have taken the link, at the traffic of the window."""
 
 
-class PublishingRule:
-    """The rule for publishing, with the limits of the settings."""
+class PublishingRule(NamedTuple):
+    """The rule for publishing."""
 
-    def __init__(self, settings: Settings) -> None:
-        self._settings = settings
+    settings: Settings
+    """Its limits."""
 
     def is_often_taken(self, probability: Floats) -> Bools:
         """Return a mask (n,): enough of the departures at a zone take a link, by their share."""
-        often: Bools = probability >= self._settings.publish_probability_min
+        often: Bools = probability >= self.settings.publish_probability_min
         return often
 
     def judge(self, table: LinkTable, views: Views | None = None) -> Verdict:
@@ -82,7 +82,7 @@ class PublishingRule:
         """
         total, share = table.transit.total, table.probability
         verdict = Verdict(
-            q=table.q <= self._settings.publish_q_max,
+            q=table.q <= self.settings.publish_q_max,
             probability=self.is_often_taken(share),
             transitions=total >= TRANSITIONS_MIN,
             variance=table.variance <= LINKED_VARIANCE_MAX,
@@ -91,7 +91,7 @@ class PublishingRule:
         )
         if views is None:
             return verdict
-        missed_max = self._settings.missed_share_max
+        missed_max = self.settings.missed_share_max
         missed = missed_transitions(table, views, verdict.significant, missed_max)
         own = own_transitions(table, missed)
         often = self.is_often_taken(share * own / np.maximum(total, 1e-9))
@@ -109,7 +109,7 @@ class PublishingRule:
         seconds: duration of the window.
         """
         # Evidence needed for the next link, and held-out evidence so far.
-        usual = ratio_needed(published + 1, zones * zones, self._settings.publish_q_max)
+        usual = ratio_needed(published + 1, zones * zones, self.settings.publish_q_max)
         needed = usual - np.log(weak.weight)
         held_out = between.evidence_of(weak.source, weak.target)
 
