@@ -190,7 +190,9 @@ def test_the_rule_takes_the_area_before_into_account() -> None:
     assert after_b["e"] > 0.95
 
 
+@pytest.mark.campaign
 def test_the_correlation_miner_finds_a_corridor() -> None:
+    """It needs the extra ``[bench]``, which the other tests do without."""
     pytest.importorskip("pm4py")
     rng = np.random.default_rng(1)
     passages = []
