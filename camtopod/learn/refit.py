@@ -205,15 +205,7 @@ def refit(
             scene, problem, silences, overlapping, window, known, settings, on_step
         )
         on_step("prediction")
-        paths = None
-        if is_wanted(scene, len(window.cameras)):
-            persistence = associated.posterior.fit.persistence.label
-            odds = associated.problem.odds
-            paths, evidence = second_opinion(scene, window.cameras, bins.lag_min, odds, persistence)
-            if evidence is not None:
-                view = np.array([zone.camera for zone in scene.zones])
-                both = with_second_opinion(associated.between, evidence, view, zones)
-                associated = associated._replace(between=both)
+        associated, paths = with_paths(associated, scene, window.cameras)
         all_pairs, changes = associated.between, associated.changes
         verdict = rule.judge(all_pairs, views)
         likely_pairs, model, happened = predict_next(
@@ -271,6 +263,27 @@ def _problem(scene: Scene, settings: Settings) -> Problem:
     if ranges is not None and CandidateScreen.is_needed(problem, settings.candidates_max):
         return problem._replace(bins=find_lag_bins(scene), ranges=None)
     return problem
+
+
+def with_paths(
+    associated: Associated, scene: Scene, cameras: list[str]
+) -> tuple[Associated, list[CameraPath] | None]:
+    """Return the result of steps 3 to 6 with the second opinion's evidence, and its paths.
+
+    The paths are None where the fit by zones needs no second opinion.
+    """
+    if not is_wanted(scene, len(cameras)):
+        return associated, None
+    problem = associated.problem
+    persistence = associated.posterior.fit.persistence.label
+    paths, evidence = second_opinion(
+        scene, cameras, problem.bins.lag_min, problem.odds, persistence
+    )
+    if evidence is not None:
+        view = np.array([zone.camera for zone in scene.zones])
+        both = with_second_opinion(associated.between, evidence, view, problem.zones)
+        associated = associated._replace(between=both)
+    return associated, paths
 
 
 def associate(
