@@ -10,7 +10,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from camtopod.arrays import Floats, Longs, Rows, Singles, ranges
+from camtopod.arrays import Floats, Ints, Longs, Rows, Singles, ranges
 from camtopod.learn.limits import PATH_CANDIDATES_MAX, ZONE_PATH_CANDIDATES_MAX
 from camtopod.learn.traffic import (
     Arrivals,
@@ -146,12 +146,6 @@ def camera_lags(
     order = np.flatnonzero(possible)
     order = order[np.argsort(key[order], kind="stable")]
     departure, arrival = departure[order], arrival[order]
-    likeness = None
-    if departures.label is not None and arrivals.label is not None and label_persistence > 0.0:
-        share = label_shares(came, arrivals.label, cameras)
-        likeness = label_agreement(
-            departures.label[departure], arrivals.label[arrival], share[arrival], label_persistence
-        ).astype(np.float32)
     return CameraLags(
         departures.t,
         departures.t - departures.since,
@@ -167,8 +161,30 @@ def camera_lags(
         lag_min,
         lag_max,
         until,
-        likeness,
+        _likeness(departures, arrivals, came, (departure, arrival), label_persistence),
     )
+
+
+def _likeness(
+    departures: Departures,
+    arrivals: Arrivals,
+    places: Ints,
+    candidates: tuple[Rows, Rows],
+    persistence: float,
+) -> Singles | None:
+    """Return the agreement of labels (M,) of each candidate; None without labels.
+
+    places (m,): camera or zone of each arrival.
+    candidates (M,): rows of their departures and arrivals.
+    persistence: share of the objects whose label persists.
+    """
+    if departures.label is None or arrivals.label is None or persistence <= 0.0:
+        return None
+    departure, arrival = candidates
+    share = label_shares(places, arrivals.label, int(places.max(initial=0)) + 1)
+    return label_agreement(
+        departures.label[departure], arrivals.label[arrival], share[arrival], persistence
+    ).astype(np.float32)
 
 
 def _reach(
