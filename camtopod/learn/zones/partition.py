@@ -149,12 +149,14 @@ class _Partition:
         if not is_held:
             self._find()
         for _ in range(ROUNDS_MAX):
+            before = self.labels
             self._merge()
             self._shrink()
             self._drop()
             if self._assign():
                 self._assign()
-            if not self._split() and not (is_held and self._find()):
+            changed = self._split() or not np.array_equal(before, self.labels)
+            if not changed and not (is_held and self._find()):
                 return self.labels
         self._merge()
         self._drop()
