@@ -149,17 +149,15 @@ class _Partition:
         if not is_held:
             self._find()
         for _ in range(ROUNDS_MAX):
-            before = self.labels
             self._merge()
-            self._shrink()
             self._drop()
             if self._assign():
                 self._assign()
-            changed = self._split() or not np.array_equal(before, self.labels)
-            if not changed and not (is_held and self._find()):
+            if not self._split() and not self._drop_ways() and not (is_held and self._find()):
                 return self.labels
         self._merge()
         self._drop()
+        self._drop_ways()
         return self.labels
 
     def _find(self) -> bool:
@@ -182,8 +180,12 @@ class _Partition:
         groups = daspec_groups(dense)[self.cells.index]
         self._set(np.where(groups >= 0, groups + known, self.labels))
         for k in range(len(self.zones) - 1, known - 1, -1) if known else ():
-            enough = self.zones[k, 0] >= ZONE_EVENTS_MIN
-            if not enough or self._drop_gain(np.array([k]), self.hold)[0] >= 0 or self._is_tail(k):
+            if (
+                self.zones[k, 0] < ZONE_EVENTS_MIN
+                or self._drop_gain(np.array([k]), self.hold)[0] >= 0
+                or self._contrast(k) < WAY_CONTRAST * self.hold
+                or self._is_tail(k)
+            ):
                 self._remove(k)
         return len(self.zones) > known
 
@@ -259,10 +261,10 @@ class _Partition:
         """Return the gain (z,) of log posterior if a group became clutter, for each of some groups.
 
         which (z,): the groups.
-        hold: factor on `EXCESS_MIN` and `WAY_CONTRAST`.
+        hold: factor on `EXCESS_MIN`.
 
         The gain is negative if the group stands out from the clutter around it by more than
-        ``hold`` times `EXCESS_MIN`. It is infinite if the group is a piece of a way.
+        ``hold`` times `EXCESS_MIN`.
         """
         # The marginal likelihoods.
         n = self.zones[which, 0]
@@ -278,47 +280,37 @@ class _Partition:
         # The log likelihood ratio that the Poisson mean of the events there is beyond the expected.
         n, expected = self._inside(which)
         surplus = (n * np.log(n / expected) - n + expected) * np.sign(n - expected)
-        gain = np.where(gain > 0, np.minimum(gain, EXCESS_MIN * hold - surplus), gain)
+        return np.where(gain > 0, np.minimum(gain, EXCESS_MIN * hold - surplus), gain)
 
-        # Pieces of ways.
-        for i in np.flatnonzero(gain <= 0):
-            if self._contrast(int(which[i])) < WAY_CONTRAST * hold:
-                gain[i] = np.inf
-        return gain
+    def _drop_ways(self) -> bool:
+        """Turn groups that are pieces of ways into clutter; return True if there is any.
 
-    def _shrink(self) -> None:
-        """Shrink groups that are pieces of ways to their densest place if that is a zone.
-
-        A rare door and its ways may have become one group. As the place was chosen for its density,
-        it needs twice the contrast.
+        A rare door and its ways may have become one group. So a group shrinks to its densest place
+        if that is a zone: as the place was chosen for its density, it needs twice the contrast. Of
+        several groups, the one with the most contrast stays.
         """
+        contrast = np.array([self._contrast(k) for k in range(len(self.zones))])
         labels = self.labels.copy()
-        for k in range(len(self.zones)):
-            if self._contrast(k) < WAY_CONTRAST / self.hold:
-                inside = np.flatnonzero(self.labels == k)
-                places = self.cells.average[1:3, inside] * [[GRID_COLUMNS], [GRID_ROWS]]
-                dense = places[:, [self.cells.sums[0, inside].argmax()]]
-                core = np.hypot(*(places - dense)) < _CORE
-                sums = self.cells.sums[:, inside[core]].sum(axis=1)
-                if way_contrast(self.cells, sums, self.rates) >= 2 * WAY_CONTRAST:
-                    labels[inside[~core]] = -1
-        self._set(labels)
+        for k in np.flatnonzero(
+            (contrast < WAY_CONTRAST / self.hold) & (contrast < contrast.max(initial=0.0))
+        ):
+            inside = np.flatnonzero(labels == k)
+            places = self.cells.average[1:3, inside] * [[GRID_COLUMNS], [GRID_ROWS]]
+            dense = places[:, [self.cells.sums[0, inside].argmax()]]
+            core = np.hypot(*(places - dense)) < _CORE
+            sums = self.cells.sums[:, inside[core]].sum(axis=1)
+            rest = way_contrast(self.cells, sums, self.rates) < 2 * WAY_CONTRAST
+            labels[inside[rest | ~core]] = -1
+        changed = bool((labels != self.labels).any())
+        if changed:
+            self._set(labels)
+        return changed
 
     def _contrast(self, k: int) -> float:
-        """Return the `way_contrast` of zone ``k``, or of one of two parts of it, if that is more.
-
-        Two zones that are still one group have no contrast together.
-        """
-        zone = self.zones[k]
-        key = zone.tobytes()
+        """Return the `way_contrast` of zone ``k``; results are cached."""
+        key = self.zones[k].tobytes()
         if key not in self.contrasts:
-            contrast = way_contrast(self.cells, zone, self.rates)
-            part = self._cut(k) if contrast < WAY_CONTRAST * HOLD else None
-            if part is not None:
-                one = self.cells.sums[:, part].sum(axis=1)
-                parts = [way_contrast(self.cells, sums, self.rates) for sums in (one, zone - one)]
-                contrast = max(contrast, *parts)
-            self.contrasts[key] = contrast
+            self.contrasts[key] = way_contrast(self.cells, self.zones[k], self.rates)
         return self.contrasts[key]
 
     def _inside(self, which: Labels) -> tuple[Floats, Floats]:

@@ -1,8 +1,9 @@
 """Evidence that a group of events is a zone and no piece of a way between zones, for `partition`.
 
 Tracks lost or found between zones are clutter as narrow as a zone, and dense where ways cross. But
-a way goes on: on two sides of such a group, events are about as dense as in the group. A group that
-reaches the border of the view is no way through it: people cross a long border all along.
+a way goes on, straight or bent: on two sides of such a group, events are about as dense as in the
+group. A group that reaches the border of the view is no way through it: people cross a long border
+all along.
 """
 
 from __future__ import annotations
@@ -17,9 +18,6 @@ from camtopod.topology import GRID_COLUMNS, GRID_ROWS
 
 WAY_CONTRAST = 4.0
 """Least ratio of a zone's density to the density of the ways through it."""
-RARE = 0.03
-"""Share of a camera's events below which a group needs twice the contrast: ways make many of them.
-"""
 CELL_SPREAD = np.array([[1 / (12 * GRID_COLUMNS**2)], [0.0], [1 / (12 * GRID_ROWS**2)]])
 """Covariance (xx, xy, yy) of a uniform distribution over one cell, image units."""
 _ROUNDER = 0.2
@@ -28,8 +26,16 @@ _KERNEL = 0.7
 """Standard deviation of the kernel that measures density, in those of the group."""
 _DENSER = 2.0
 """A way ends in a place this many times as dense as the group."""
-_REACH = 2.0
-"""Distance from the border of the view, in standard deviations, within which a group reaches it."""
+_REACH = 1.75
+"""Distance from the border of the view, in standard deviations, within which a group reaches it: an
+even strip along the border has its centre at 1.73.
+"""
+_LONG = 0.08
+"""Largest standard deviation of a zone away from the border, image units; of a larger group, this
+much around its centre is looked at.
+"""
+_BEND = 0.5
+"""Factor on the density of a way each time that it turns aside from its ray."""
 _DIRECTIONS = 16
 _BACK = (6, 7, 8, 9, 10)
 """Sixteenths of a circle from a ray to the opposite one and to those beside it: a way may turn
@@ -46,23 +52,28 @@ def way_contrast(cells: Cells, group: Floats, rates: Floats) -> float:
 
     group (6,): its sums. rates (rows, columns): expected events of clutter in each cell.
 
-    On each ray out of the centre, the way is as dense as the least dense place up to a denser zone,
-    or else up to four deviations. It needs two rays that are roughly opposite, and the sparser one
-    counts, less half of the expected clutter. The ratio is infinite for a group at the border.
+    A way runs outwards, on a ray or aside to the next one, up to a denser zone or to four
+    deviations, and is as dense as its least dense place. It needs two rays that are roughly
+    opposite, and the sparser one counts, less half of the expected clutter. The density of the
+    group is taken one standard error lower. The ratio is infinite for a group at the border.
     """
     mean, scatter = moments(group)
     xx, xy, yy = covariance(group[0], scatter) + CELL_SPREAD[:, 0]
-    if (np.minimum(mean, 1 - mean) < _REACH * np.sqrt((xx, yy))).any():
+    across = np.sqrt((xx - xy * xy / yy, yy - xy * xy / xx))  # with the other coordinate given
+    if (np.minimum(mean, 1 - mean) < _REACH * across).any():
         return np.inf
     more = _ROUNDER * (xx + yy)
     root = np.linalg.cholesky(np.array([[xx + more, xy], [xy, yy + more]]))
+    root *= min(1.0, _LONG / np.sqrt(max(xx, yy)))
     events = np.linalg.solve(root, cells.average[1:3] - mean[:, None]).T
     density = np.exp(cdist(_PLACES, events, "sqeuclidean") / (-2 * _KERNEL**2)) @ cells.sums[0]
 
-    # The way along each ray, and the two rays of the densest way.
+    # The way out along each ray, from its end inwards, and the two rays of the densest way.
     here, rays = float(density[0]), density[1:].reshape(-1, _DIRECTIONS)
-    least = np.minimum.accumulate(rays)
-    way = np.maximum(least[-1], np.where(rays > _DENSER * here, least, 0.0).max(axis=0))
+    way = rays[-1]
+    for ring in rays[-2::-1]:
+        on = np.maximum(way, _BEND * np.maximum(np.roll(way, 1), np.roll(way, -1)))
+        way = np.where(ring > _DENSER * here, ring, np.minimum(ring, on))
     back = [np.roll(way, turn) for turn in _BACK]
     through = float(np.minimum(way, np.max(back, axis=0)).max())
 
@@ -70,5 +81,4 @@ def way_contrast(cells: Cells, group: Floats, rates: Floats) -> float:
     area = 2 * np.pi * _KERNEL**2 * root[0, 0] * root[1, 1] * GRID_ROWS * GRID_COLUMNS
     column, row = (mean * (GRID_COLUMNS, GRID_ROWS)).astype(np.intp)
     even = area * rates[min(row, GRID_ROWS - 1), min(column, GRID_COLUMNS - 1)]
-    here /= 2 if group[0] < RARE * cells.sums[0].sum() else 1
-    return float(here / max(through - even / 2, 1e-9))
+    return float(here * (1 - group[0] ** -0.5) / max(through - even / 2, 1e-9))
