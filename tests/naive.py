@@ -2,6 +2,7 @@
 
 import functools
 import itertools
+from functools import cache
 
 import numpy as np
 import scipy.signal
@@ -136,13 +137,14 @@ def _valley_ratio(positions, grid, b, c, f, g):
 
 def way_contrast(sums, n, mean, cov, rates, constants):
     """Return the density of a group by that of the densest way through it (`zones/ways`)."""
-    rare, rounder, kernel, denser, directions, back, reach = constants
+    least_way, rounder, long, bend, kernel, denser, directions, back, reach = constants
     xx, xy, yy = cov
-    for at, variance in zip(mean, (xx, yy), strict=True):
+    for at, variance in zip(mean, (xx - xy**2 / yy, yy - xy**2 / xx), strict=True):
         if at - reach * variance**0.5 < 0 or at + reach * variance**0.5 > 1:
             return np.inf
     more = rounder * (xx + yy)
     root = np.linalg.cholesky([[xx + more, xy], [xy, yy + more]])
+    root = root * min(1, long / max(xx, yy) ** 0.5)
 
     def away(cell, place):
         return np.hypot(*(np.linalg.solve(root, cell[1:3] / cell[0] - mean) - place))
@@ -150,18 +152,21 @@ def way_contrast(sums, n, mean, cov, rates, constants):
     def density(place):
         return sum(cell[0] * np.exp(-((away(cell, place) / kernel) ** 2) / 2) for cell in sums.T)
 
-    def on_ray(direction):
+    @cache
+    def at_place(direction, step):
         angle = 2 * np.pi * direction / directions
-        best, least = 0.0, np.inf
-        for step in range(1, 9):
-            here = density(step / 2 * np.array((np.cos(angle), np.sin(angle))))
-            least = min(least, here)
-            if here > denser * centre:
-                best = max(best, least)
-        return max(best, least)
+        return density(step / 2 * np.array((np.cos(angle), np.sin(angle))))
+
+    @cache
+    def way_out(direction, step):
+        here = at_place(direction % directions, step)
+        if step == 8 or (here > denser * centre):
+            return here
+        on = [way_out((direction + turn) % directions, step + 1) for turn in (-1, 0, 1)]
+        return min(here, max(bend * on[0], on[1], bend * on[2]))
 
     centre = density(np.zeros(2))
-    way = [on_ray(direction) for direction in range(directions)]
+    way = [way_out(direction, 1) for direction in range(directions)]
     through = max(
         min(way[a], way[b])
         for a in range(directions)
@@ -171,8 +176,8 @@ def way_contrast(sums, n, mean, cov, rates, constants):
     rows, columns = rates.shape
     area = 2 * np.pi * kernel**2 * np.sqrt(np.linalg.det(root @ root.T)) * rates.size
     row, column = min(int(mean[1] * rows), rows - 1), min(int(mean[0] * columns), columns - 1)
-    ratio = centre / max(through - area * rates[row, column] / 2, 1e-9)
-    return ratio / 2 if n < rare * sums[0].sum() else ratio
+    through = max(through - area * rates[row, column] / 2, 0) + least_way * sums[0].sum()
+    return centre * (1 - 1 / n**0.5) / through
 
 
 def gaussian_density(points, mean, cov):

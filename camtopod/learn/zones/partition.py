@@ -33,7 +33,7 @@ from camtopod.learn.zones.marginal_likelihood import (
     moments,
 )
 from camtopod.learn.zones.mixture import CELL_X, CELL_Y
-from camtopod.learn.zones.separation import discriminant, sd_along, valley_log_ratio
+from camtopod.learn.zones.separation import valley_between
 from camtopod.learn.zones.ways import CELL_SPREAD, WAY_CONTRAST, way_contrast
 from camtopod.topology import GRID_COLUMNS, GRID_ROWS
 
@@ -369,38 +369,9 @@ class _Partition:
         """
         key = min(a.tobytes() + b.tobytes(), b.tobytes() + a.tobytes())
         if key not in self.valleys:
-            self.valleys[key] = self._valley(a, b, inside)
+            weight = 1 / (1 + (a[0] + b[0]) / PAIR_EVENTS)
+            self.valleys[key] = valley_between(self.cells, a, b, inside, self.labels < 0, weight)
         return self.valleys[key]
-
-    def _valley(self, a: Floats, b: Floats, inside: NDArray[np.bool_]) -> float:
-        """Compute the result of `_valley_between`."""
-        # The line that discriminates the two best, and the distance of the centres along it.
-        groups = np.stack((a, b), axis=1)
-        mean, scatter = moments(groups)
-        cov = covariance(groups[0], scatter)
-        (x, to_x), (y, to_y) = mean.tolist()
-        to_x = to_x - x
-        to_y = to_y - y
-        line_x, line_y = line = discriminant(cov.sum(axis=1).tolist(), (to_x, to_y))
-        covs = cov.T.tolist()
-        sd_a, sd_b = (sd_along(cov_of_one, line) for cov_of_one in covs)
-        apart = line_x * to_x + line_y * to_y
-        if apart == 0.0:
-            return 0.0  # there is nothing between equal centres
-
-        # Clutter in the tube between the two belongs to the valley.
-        dx = self.cells.average[1] - x
-        dy = self.cells.average[2] - y
-        along = line_x * dx + line_y * dy
-        aside = line_x * dy - line_y * dx - along * ((line_x * to_y - line_y * to_x) / apart)
-        width = max(sd_along(cov_of_one, (-line_y, line_x)) for cov_of_one in covs)
-        tube = (self.labels < 0) & (along > 0) & (along < apart) & (np.abs(aside) < 2 * width)
-
-        # The valley along the line, from two standard deviations before to two behind the centres.
-        chosen = np.flatnonzero(inside | tube)
-        n = self.cells.sums[0, chosen] / (1 + (a[0] + b[0]) / PAIR_EVENTS)
-        sd = sd_along(self.cells.spread[:, chosen], line)
-        return valley_log_ratio(n, along[chosen], sd, -2 * sd_a, apart + 2 * sd_b)
 
     def _assign(self) -> bool:
         """Assign each cell to the Gaussian or the clutter that explains its events best on average.

@@ -1,7 +1,7 @@
 """Evidence that two groups of events in a view are separate, for `partition`.
 
 Two groups are separate if there is a *valley*, a stretch of low density, between them
-(`valley_log_ratio`), on the line that discriminates the two best (`discriminant`).
+(`valley_between`), on the line that discriminates the two best (`discriminant`).
 """
 
 from __future__ import annotations
@@ -10,9 +10,12 @@ from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.special import ndtr
 
 from camtopod.arrays import Floats
+from camtopod.learn.zones.cells import Cells
+from camtopod.learn.zones.marginal_likelihood import covariance, moments
 
 _Parts = Sequence[Any] | Floats
 
@@ -65,6 +68,49 @@ _VALLEYS, _FLANKS, _WHOLES = np.array(
 # Where the combinations of each valley begin; the first `_ONE_SIDE` have the flank on the left.
 _STARTS = np.flatnonzero(np.diff(_VALLEYS, prepend=-1))
 _ONE_SIDE = len(_INNER)
+
+
+def valley_between(
+    cells: Cells,
+    a: Floats,
+    b: Floats,
+    inside: NDArray[np.bool_],
+    outside: NDArray[np.bool_],
+    weight: float,
+) -> float:
+    """Return the log likelihood ratio of a valley between two groups, at least 0.
+
+    a, b (6,): sums of the groups.
+    inside, outside (m,): masks of their cells and of the cells of clutter.
+    weight: what an event counts.
+    """
+    # The line that discriminates the two best, and the distance of the centres along it.
+    groups = np.stack((a, b), axis=1)
+    mean, scatter = moments(groups)
+    cov = covariance(groups[0], scatter)
+    (x, to_x), (y, to_y) = mean.tolist()
+    to_x = to_x - x
+    to_y = to_y - y
+    line_x, line_y = line = discriminant(cov.sum(axis=1).tolist(), (to_x, to_y))
+    covs = cov.T.tolist()
+    sd_a, sd_b = (sd_along(cov_of_one, line) for cov_of_one in covs)
+    apart = line_x * to_x + line_y * to_y
+    if apart == 0.0:
+        return 0.0  # there is nothing between equal centres
+
+    # Clutter in the tube between the two belongs to the valley.
+    dx = cells.average[1] - x
+    dy = cells.average[2] - y
+    along = line_x * dx + line_y * dy
+    aside = line_x * dy - line_y * dx - along * ((line_x * to_y - line_y * to_x) / apart)
+    width = max(sd_along(cov_of_one, (-line_y, line_x)) for cov_of_one in covs)
+    tube = (outside) & (along > 0) & (along < apart) & (np.abs(aside) < 2 * width)
+
+    # The valley along the line, from two standard deviations before to two behind the centres.
+    chosen = np.flatnonzero(inside | tube)
+    n = cells.sums[0, chosen] * weight
+    sd = sd_along(cells.spread[:, chosen], line)
+    return valley_log_ratio(n, along[chosen], sd, -2 * sd_a, apart + 2 * sd_b)
 
 
 def valley_log_ratio(n: Floats, position: Floats, sd: Floats, low: float, high: float) -> float:

@@ -18,6 +18,10 @@ from camtopod.topology import GRID_COLUMNS, GRID_ROWS
 
 WAY_CONTRAST = 4.0
 """Least ratio of a zone's density to the density of the ways through it."""
+LEAST_WAY = 0.0005
+"""Least density of a way, as a share of the camera's events under the kernel: a way on which few
+tracks were lost has gaps.
+"""
 CELL_SPREAD = np.array([[1 / (12 * GRID_COLUMNS**2)], [0.0], [1 / (12 * GRID_ROWS**2)]])
 """Covariance (xx, xy, yy) of a uniform distribution over one cell, image units."""
 _ROUNDER = 0.2
@@ -54,8 +58,9 @@ def way_contrast(cells: Cells, group: Floats, rates: Floats) -> float:
 
     A way runs outwards, on a ray or aside to the next one, up to a denser zone or to four
     deviations, and is as dense as its least dense place. It needs two rays that are roughly
-    opposite, and the sparser one counts, less half of the expected clutter. The density of the
-    group is taken one standard error lower. The ratio is infinite for a group at the border.
+    opposite, and the sparser one counts, less half of the expected clutter, plus `LEAST_WAY`. The
+    density of the group is taken one standard error lower. The ratio is infinite for a group at the
+    border.
     """
     mean, scatter = moments(group)
     xx, xy, yy = covariance(group[0], scatter) + CELL_SPREAD[:, 0]
@@ -81,4 +86,5 @@ def way_contrast(cells: Cells, group: Floats, rates: Floats) -> float:
     area = 2 * np.pi * _KERNEL**2 * root[0, 0] * root[1, 1] * GRID_ROWS * GRID_COLUMNS
     column, row = (mean * (GRID_COLUMNS, GRID_ROWS)).astype(np.intp)
     even = area * rates[min(row, GRID_ROWS - 1), min(column, GRID_COLUMNS - 1)]
-    return float(here * (1 - group[0] ** -0.5) / max(through - even / 2, 1e-9))
+    through = max(through - even / 2, 0.0) + LEAST_WAY * float(cells.sums[0].sum())
+    return here * (1 - float(group[0]) ** -0.5) / float(through)
