@@ -31,7 +31,7 @@ RIGHT_MIN = 0.9
 HARD = {
     "open borders, thick": 0.75,
     "clutter along paths": 0.85,
-    "clutter along bent paths": 0.6,
+    "clutter along bent paths": 0.7,
 }
 """Least share for the kinds that are not always told from clutter."""
 Method = Callable[..., object]
@@ -111,7 +111,7 @@ CANARIES: dict[str, tuple[str, object, str, Method]] = {
     "no ways": ("clutter along bent paths", HERE, "way_contrast", lambda *_: np.inf),
     "no merging": ("open borders", MOVES, "_merge", lambda self: None),
     "no splitting": ("boxes", MOVES, "_split", lambda self: False),
-    "no dropping": ("open borders", MOVES, "_drop", lambda self: None),
+    "no dropping": ("round, well apart", MOVES, "_drop", lambda self: None),
 }
 """Parts of the method: the kind of view that needs it, and what replaces it."""
 

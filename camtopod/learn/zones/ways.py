@@ -87,4 +87,4 @@ def way_contrast(cells: Cells, group: Floats, rates: Floats) -> float:
     column, row = (mean * (GRID_COLUMNS, GRID_ROWS)).astype(np.intp)
     even = area * rates[min(row, GRID_ROWS - 1), min(column, GRID_COLUMNS - 1)]
     through = max(through - even / 2, 0.0) + LEAST_WAY * float(cells.sums[0].sum())
-    return here * (1 - float(group[0]) ** -0.5) / float(through)
+    return float(here * (1 - group[0] ** -0.5) / through)
