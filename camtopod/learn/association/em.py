@@ -17,10 +17,16 @@ hazard that the other candidates make (leave one out). What a fit assumes in add
 
 from __future__ import annotations
 
+from itertools import pairwise
+
 import numpy as np
 
 from camtopod.arrays import Bools, Floats, Indices, Singles, row_slices
-from camtopod.learn.association.candidates import Candidates, initial_hazards
+from camtopod.learn.association.candidates import (
+    CANDIDATES_AT_ONCE,
+    Candidates,
+    initial_hazards,
+)
 from camtopod.learn.association.em_model import NO_ADDITIONS, EmModel
 from camtopod.learn.association.problem import Problem, exposures
 from camtopod.learn.association.speed_adjustment import Adjusted, adjust
@@ -126,6 +132,14 @@ class Em:
         self._first = np.flatnonzero(np.diff(arrival, prepend=-1))
         self._arrived = arrival[self._first]
         self._times = np.diff(self._first, append=len(arrival))
+        begins = np.searchsorted(self._first, np.arange(0, len(arrival), CANDIDATES_AT_ONCE))
+        cuts = [*np.unique(begins).tolist(), len(self._first)]
+        ends = np.append(self._first, len(arrival))[cuts].tolist()
+        self._parts = [
+            (slice(*rows), slice(*arrived))
+            for rows, arrived in zip(pairwise(ends), pairwise(cuts), strict=True)
+        ]
+        """Rows of the candidates, and of the arrivals with any, that are processed together."""
         self._departure = candidates.departure.astype(np.intp)
         self.range_of = self.problem.range_of(candidates.source, candidates.target)
         """(P,) range of the lags of each pair of zones."""
@@ -225,13 +239,15 @@ class Em:
         # other arrival. The responsibility is the offer's share among all offers and the
         # background; the message back is the reciprocal of the competing offers and background.
         # In double precision, as differences of nearly equal numbers matter.
-        offer = weight / (taken.take(self._departure) - asked)
         zone = self.problem.arrivals.zone[self._arrived]
         rate = self.problem.arrivals.rate[self._arrived]
         background = np.maximum(self.outside[zone] * rate, BACKGROUND_MIN)
-        demand = np.repeat(background + self._by_arrival(offer), self._times)
-        self.responsibility = (offer / demand).astype(np.float32)
-        self._message = (1.0 / np.maximum(demand - offer, BACKGROUND_MIN)).astype(np.float32)
+        for rows, arrived in self._parts:
+            offer = weight[rows] / (taken.take(self._departure[rows]) - asked[rows])
+            offers = np.add.reduceat(offer, self._first[arrived] - rows.start)
+            demand = np.repeat(background[arrived] + offers, self._times[arrived])
+            self.responsibility[rows] = offer / demand
+            self._message[rows] = 1.0 / np.maximum(demand - offer, BACKGROUND_MIN)
 
     def maximise(self) -> Singles:
         """Do the M step for the entry kernels and the hazards (P, bins); return the hazards."""
@@ -284,12 +300,15 @@ class Em:
 
         Return a mask (P,) of the pairs that are left. The entry kernels have to be made anew.
         """
-        left = np.bincount(self.candidates.pair[kept], minlength=self.pairs) > 0
+        rows = np.flatnonzero(kept)
+        pair = self.candidates.pair[rows]
+        left = np.bincount(pair, minlength=self.pairs) > 0
+        self.adjusted = self.adjusted.take(rows)
+        self.adjusted.cell[:] -= np.cumsum(~left).take(pair) * self.problem.bins.size
         self._use(self.candidates.take(kept))
-        self._message = self._message[kept]
-        self.responsibility = self.responsibility[kept]
+        self._message = self._message[rows]
+        self.responsibility = self.responsibility[rows]
         self.own = self.own[left]
-        self.adjusted = adjust(self.problem, self.candidates, self.adjusted.persistence)
         return left
 
     def responsibilities_under(self, hazard: Singles, outside: Floats, sweeps: int) -> Floats:
@@ -343,9 +362,12 @@ class Em:
         """
         # The hazard, without the candidate's own contribution to it (leave one out): otherwise a
         # lone arrival would be its own evidence, and all clutter would find a departure.
-        others = np.maximum(1.0 - self.own.take(self.adjusted.cell) * self.responsibility, 0.0)
-        weight: Singles = hazard.take(self.adjusted.cell) * others
+        weight: Singles = np.empty(len(self.responsibility), np.float32)
         agreement = self.adjusted.agreement
+        for rows, _ in self._parts:
+            cell = self.adjusted.cell[rows]
+            others = np.maximum(1.0 - self.own.take(cell) * self.responsibility[rows], 0.0)
+            weight[rows] = hazard.take(cell) * others
         if agreement is not None:
             weight *= agreement
 
