@@ -58,6 +58,10 @@ LOOK_SHARE = 0.125
 """Share of the zones of arrival that each fit looks at again."""
 ZONES_AT_ONCE = 64
 """Zones of arrival that are looked at together."""
+DEPARTURES_AT_ONCE = 1 << 16
+"""Departures that are looked at together, one part of the window after another, so that the table
+of the arrivals around them stays in the processor's cache.
+"""
 WIDE_BINS = 4
 """Lag bins in a wide bin. A look compares every two wide bins in a row with the null model."""
 SOURCES_PER_ZONE_MAX = 32
@@ -331,13 +335,17 @@ class Traffic:
         self._exposed = exposed[:, is_exposed]
         self._edges = np.append(np.array(bins.limits)[wide[is_exposed]], bins.limits[-1])
 
-        # Departures by zone. The first arrival after each of them with a lag past each edge.
-        by_zone = np.argsort(departures.zone, kind="stable")
-        self._first = np.searchsorted(departures.zone[by_zone], np.arange(zones + 1))
-        t = departures.t[by_zone]
-        since = departures.since[by_zone]
+        # Departures by part of the window and zone. The first arrival after each of them with a lag
+        # past each edge.
+        part = np.arange(len(departures.t)) // DEPARTURES_AT_ONCE
+        group = part * zones + departures.zone
+        by_group = np.argsort(group, kind="stable")
+        groups = (int(part[-1]) + 1) * zones
+        self._first = np.searchsorted(group[by_group], np.arange(groups + 1))
+        t, since = departures.t, departures.since
         self._passed = [
-            np.searchsorted(arrivals.t, np.maximum(since, t + edge)) for edge in self._edges
+            np.searchsorted(arrivals.t, np.maximum(since, t + edge))[by_group]
+            for edge in self._edges
         ]
 
         # Camera of each zone; integers that hold the number of candidates of any pair of zones.
@@ -367,9 +375,11 @@ class Traffic:
 
         # Arrivals before each edge, added up over the departures from each zone.
         each: NDArray[Any] = np.ones(len(departures.t), self._kind)
-        size = (zones, len(came))
+        size = (len(self._first) - 1, len(came))
         before = [
-            csr_matrix((each, number[passed], self._first), shape=size) @ came
+            (csr_matrix((each, number.take(passed), self._first), shape=size) @ came)
+            .reshape(size[0] // zones, zones, len(targets))
+            .sum(axis=0, dtype=self._kind)
             for passed in self._passed
         ]
 
