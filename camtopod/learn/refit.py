@@ -325,8 +325,8 @@ def associate(
     # 5. Evidence: each part of the window is judged by a fit of other parts.
     on_step("evidence")
     first = float(min(problem.departures.t[0], problem.arrivals.t[0]))
-    fit = without_cycle(problem, fit)
-    evidence = link_evidence(problem, fit, first)
+    fit, period = without_cycle(problem, fit)
+    evidence = link_evidence(problem, fit, first, period)
     between = tabulate(
         transitions_of(fit),
         exposed_departures(problem),

@@ -17,7 +17,7 @@ from scipy.fft import next_fast_len, rfft
 from scipy.ndimage import median_filter
 from scipy.special import gammaincc, gammaincinv
 
-from camtopod.arrays import Bools, Floats, Ints, Singles
+from camtopod.arrays import Bools, Floats, Ints, Singles, rows_by_group
 from camtopod.learn.association import (
     Candidates,
     Em,
@@ -88,9 +88,10 @@ def common_periods(problem: Problem, fit: Fit) -> Floats:
         frequencies around each.
         """
         some, row = np.unique(zones, return_inverse=True)
+        rows = rows_by_group(zone, problem.zones)
         table = np.zeros((2, len(some), len(period)))
         for power, line, each in zip(*table, some.tolist(), strict=True):
-            step = ((t[zone == each] - first) / STEP_SECONDS).astype(np.int64)
+            step = ((t[rows[each]] - first) / STEP_SECONDS).astype(np.int64)
             step = step[step < blocks * steps]  # by a wrong clock, some are after the window
             counts = np.bincount(step, minlength=blocks * steps).reshape(blocks, steps)
             waves = np.abs(rfft(counts - counts.mean(axis=1, keepdims=True), size)) ** 2
@@ -197,18 +198,20 @@ def way_lags(counts: Floats, copies: Floats) -> Bools:
     return mask
 
 
-def without_cycle(problem: Problem, fit: Fit) -> Fit:
+def without_cycle(problem: Problem, fit: Fit) -> tuple[Fit, Floats]:
     """Return a joint fit without the candidates at lags that a common cycle alone would make.
 
-    They would have arrivals of true ways.
+    They would have arrivals of true ways. The second result is `common_periods` of the fit.
     """
-    able = off_cycle(problem, fit.candidates, common_periods(problem, fit))
+    period = common_periods(problem, fit)
+    able = off_cycle(problem, fit.candidates, period)
     if able.all():
-        return fit
+        return fit, period
     em = Em(problem, fit.candidates, adjusted=adjust(problem, fit.candidates, fit.persistence))
     em.keep(able)
     em.run(em.start())
-    return fit_sparsely(em)
+    fit = fit_sparsely(em)
+    return fit, common_periods(problem, fit)
 
 
 def evidence_against_cycle(

@@ -31,7 +31,6 @@ from camtopod.learn.association import (
     flatness,
 )
 from camtopod.learn.links.common_cycle import (
-    common_periods,
     evidence_against_cycle,
     off_cycle,
 )
@@ -76,14 +75,15 @@ class LinkEvidence(NamedTuple):
         return mean
 
 
-def link_evidence(problem: Problem, fit: Fit, first: float) -> LinkEvidence:
+def link_evidence(problem: Problem, fit: Fit, first: float, period: Floats) -> LinkEvidence:
     """Return the evidence that the zones of each pair of a fit are linked.
 
     first (seconds): beginning of the window.
+    period (P, seconds): common period of each pair of zones, nan without one.
     """
-    period = common_periods(problem, fit)
-    held_out = _held_out(problem, fit, first, period)
-    return LinkEvidence(held_out, _whole(judging(problem), fit, period))
+    judge = judging(problem)
+    held_out = _held_out(problem, judge, fit, first, period)
+    return LinkEvidence(held_out, _whole(judge, fit, period))
 
 
 def judging(problem: Problem) -> Problem:
@@ -119,9 +119,10 @@ def _whole(problem: Problem, fit: Fit, period: Floats) -> Floats:
     return np.where(period > 0.0, repeated(cycle), evidence)
 
 
-def _held_out(problem: Problem, fit: Fit, first: float, period: Floats) -> Floats:
+def _held_out(problem: Problem, judge: Problem, fit: Fit, first: float, period: Floats) -> Floats:
     """Return the held-out evidence (P, nats) that the zones of each pair of a fit are linked.
 
+    judge: the problem as the bets are judged (`judging`).
     fit: the joint fit of the whole window, for its pairs of zones; its hazards are not used. Of the
         pairs that may be links, all candidates count, as the likely ones alone are biased.
     first (seconds): beginning of the window.
@@ -130,7 +131,7 @@ def _held_out(problem: Problem, fit: Fit, first: float, period: Floats) -> Float
     pairs = np.flatnonzero(fit.counts.sum(axis=1) >= TRANSITIONS_MIN)
     every = candidates_of_pairs(problem, fit.candidates, pairs)
     every = every.rows(off_cycle(problem, every, period))
-    halves = Halves(problem, fit._replace(candidates=every), first)
+    halves = Halves(problem, judge, fit._replace(candidates=every), first)
     mean: Floats = np.logaddexp(_bet(halves, 0, period), _bet(halves, 1, period)) - np.log(2.0)
     return mean
 
@@ -160,12 +161,12 @@ def _bet(halves: Halves, fitted: int, period: Floats) -> Floats:
 class Halves:
     """The two halves of a window, each with its exposure.
 
-    Arguments are as for `link_evidence`.
+    Arguments are as for `_held_out`.
     """
 
-    def __init__(self, problem: Problem, fit: Fit, first: float) -> None:
+    def __init__(self, problem: Problem, judge: Problem, fit: Fit, first: float) -> None:
         self.problem = problem
-        self._judging = judging(problem)
+        self._judging = judge
         self.fit = fit
         self.first = first
 
