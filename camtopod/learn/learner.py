@@ -324,10 +324,10 @@ class Learner:
 
         A version is due with the first events; with enough new events; with a camera that was
         turned or has two publishers; or, given any new event, ``refit_hours`` after the last
-        version. The zones are due when there are twice as many events.
+        version. The zones are due when there are four times as many events.
         """
         if self.only_last:
-            enough = max(BEFORE_MIN * len(self._window.cameras), len(self._window) // 2)
+            enough = max(BEFORE_MIN * len(self._window.cameras), 3 * len(self._window) // 4)
             return self.state.since_fit >= enough
         if self.state.since_fit == 0 or self.state.fitted_us is None:
             return self.state.since_fit > 0
