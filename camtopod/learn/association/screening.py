@@ -30,8 +30,10 @@ from camtopod.arrays import (
     Singles,
     find_rows,
     ranges,
+    ranges_in_parts,
 )
 from camtopod.learn.association.candidates import (
+    CANDIDATES_AT_ONCE,
     RESPONSIBILITY_MAX,
     Candidates,
     departures_in_reach,
@@ -237,14 +239,17 @@ class ZonePairs:
         low, high = (
             np.searchsorted(self._key, nearest + end[rows][at]) for end in (self._low, self._high)
         )
-        which, position = ranges(low, high - low)
 
         # Those that are possible.
-        departure = self._by_zone[position]
-        at = at[which]
-        lag = arrivals.t[rows][at] - departures.t[departure]
-        kept = np.flatnonzero(possible(self.problem, departure, rows[at], lag))
-        return Block(rows, at[kept], departure[kept], pair[which[kept]], lag[kept])
+        parts = [(at[:0], at[:0], at[:0], arrivals.t[:0])]
+        for which, position in ranges_in_parts(low, high - low, CANDIDATES_AT_ONCE):
+            departure = self._by_zone[position]
+            came = rows[at[which]]
+            lag = arrivals.t[came] - departures.t[departure]
+            kept = np.flatnonzero(possible(self.problem, departure, came, lag))
+            which = which[kept]
+            parts.append((at[which], departure[kept], pair[which], lag[kept]))
+        return Block(rows, *(np.concatenate(column) for column in zip(*parts, strict=True)))
 
 
 def _joined(blocks: Iterable[Block]) -> tuple[Ints, Ints, Ints, Singles]:
