@@ -346,13 +346,6 @@ class Em:
             at_exit[self.model.entering.rows] *= np.maximum(1.0 - self.model.entering.share, 0.0)
         return at_exit
 
-    def _by_arrival(self, each: Floats | Singles) -> Floats:
-        """Return the sums of ``each`` (M,) over the candidates of each arrival that has any."""
-        if len(each) == 0:
-            return np.zeros(0)
-        sums: Floats = np.add.reduceat(each, self._first, dtype=float)
-        return sums
-
     # --- Rates ------------------------------------------------------------------------------------
 
     def _rates(self, hazard: Singles) -> Singles:
@@ -408,7 +401,7 @@ class Em:
         """Estimate the share of each zone's arrivals that no departure explains (`outside`)."""
         arrivals = self.problem.arrivals
         zones = self.problem.zones
-        explained = self._by_arrival(self.responsibility)
+        explained = np.add.reduceat(self.responsibility, self._first, dtype=float)
         of_zone = np.bincount(arrivals.zone[self._arrived], explained, minlength=zones)
         self.outside = np.clip(1.0 - of_zone / self.arrivals_of_zone, OUTSIDE_FLOOR, 1.0)
 
