@@ -300,14 +300,13 @@ class Em:
 
         Return a mask (P,) of the pairs that are left. The entry kernels have to be made anew.
         """
-        rows = np.flatnonzero(kept)
-        pair = self.candidates.pair[rows]
+        pair = self.candidates.pair[kept]
         left = np.bincount(pair, minlength=self.pairs) > 0
-        self.adjusted = self.adjusted.take(rows)
+        self.adjusted = self.adjusted.take(np.flatnonzero(kept))
         self.adjusted.cell[:] -= np.cumsum(~left).take(pair) * self.problem.bins.size
         self._use(self.candidates.take(kept))
-        self._message = self._message[rows]
-        self.responsibility = self.responsibility[rows]
+        self._message = self._message[kept]
+        self.responsibility = self.responsibility[kept]
         self.own = self.own[left]
         return left
 

@@ -60,10 +60,6 @@ LOOK_SHARE = 0.125
 """Share of the zones of arrival that each fit looks at again."""
 ZONES_AT_ONCE = 64
 """Zones of arrival that are looked at together."""
-DEPARTURES_AT_ONCE = 1 << 16
-"""Departures that are looked at together, one part of the window after another, so that the table
-of the arrivals around them stays in the processor's cache.
-"""
 WIDE_BINS = 4
 """Lag bins in a wide bin. A look compares every two wide bins in a row with the null model."""
 SOURCES_PER_ZONE_MAX = 32
@@ -340,16 +336,15 @@ class Traffic:
         self._exposed = exposed[:, is_exposed]
         self._edges = np.append(np.array(bins.limits)[wide[is_exposed]], bins.limits[-1])
 
-        # Departures by part of the window and zone. The first arrival after each of them with a lag
-        # past each edge.
-        part = np.arange(len(departures.t)) // DEPARTURES_AT_ONCE
-        group = part * zones + departures.zone
+        # Departures by part of the window, whose arrivals stay in the processor's cache, and zone.
+        # The first arrival after each of them with a lag past each edge.
+        group = np.arange(len(departures.t)) // CANDIDATES_AT_ONCE * zones + departures.zone
         by_group = np.argsort(group, kind="stable")
-        groups = (int(part[-1]) + 1) * zones
-        self._first = np.searchsorted(group[by_group], np.arange(groups + 1))
-        t, since = departures.t, departures.since
+        self._first = np.searchsorted(
+            group[by_group], np.arange((len(group) // CANDIDATES_AT_ONCE + 1) * zones + 1)
+        )
         self._passed = [
-            np.searchsorted(arrivals.t, np.maximum(since, t + edge))[by_group]
+            np.searchsorted(arrivals.t, np.maximum(departures.since, departures.t + edge))[by_group]
             for edge in self._edges
         ]
 
