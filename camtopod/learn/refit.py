@@ -284,8 +284,9 @@ def associate(
     fits.
     """
     if not (len(scene.departures.t) and len(scene.arrivals.t)):
-        none = concatenate_transitions([])
-        between = tabulate(none, np.zeros((problem.zones, 1)), problem.bins, problem.zones)
+        between = tabulate(
+            concatenate_transitions([]), np.zeros((problem.zones, 1)), problem.bins, problem.zones
+        )
         return Associated(between, [], problem, None, dict(known.followed), None)
 
     # 3. Candidates: departures and arrivals within the range of the lags, delayed on long paths.

@@ -189,10 +189,9 @@ class Em:
         )
         rates = null_model.rates_of(c.source, c.target)
         rates *= unrelated
-        first = initial_hazards(
+        return initial_hazards(
             histograms, rates, self.exposure, self.range_of, bins, noise_sd, START_FLOOR
-        )
-        return first.astype(np.float32)
+        ).astype(np.float32)
 
     def _first_weights(self) -> tuple[Singles, float]:
         """Return the weight (M,) of each candidate in `start`, and that of unrelated ones."""
@@ -240,12 +239,15 @@ class Em:
         # background; the message back is the reciprocal of the competing offers and background.
         # In double precision, as differences of nearly equal numbers matter.
         zone = self.problem.arrivals.zone[self._arrived]
-        rate = self.problem.arrivals.rate[self._arrived]
-        background = np.maximum(self.outside[zone] * rate, BACKGROUND_MIN)
+        background = np.maximum(
+            self.outside[zone] * self.problem.arrivals.rate[self._arrived], BACKGROUND_MIN
+        )
         for rows, arrived in self._parts:
             offer = weight[rows] / (taken.take(self._departure[rows]) - asked[rows])
-            offers = np.add.reduceat(offer, self._first[arrived] - rows.start)
-            demand = np.repeat(background[arrived] + offers, self._times[arrived])
+            demand = np.repeat(
+                background[arrived] + np.add.reduceat(offer, self._first[arrived] - rows.start),
+                self._times[arrived],
+            )
             self.responsibility[rows] = offer / demand
             self._message[rows] = 1.0 / np.maximum(demand - offer, BACKGROUND_MIN)
 
@@ -358,8 +360,9 @@ class Em:
         agreement = self.adjusted.agreement
         for rows, _ in self._parts:
             cell = self.adjusted.cell[rows]
-            others = np.maximum(1.0 - self.own.take(cell) * self.responsibility[rows], 0.0)
-            weight[rows] = hazard.take(cell) * others
+            weight[rows] = hazard.take(cell) * np.maximum(
+                1.0 - self.own.take(cell) * self.responsibility[rows], 0.0
+            )
         if agreement is not None:
             weight *= agreement
 
@@ -398,10 +401,9 @@ class Em:
 
     def _estimate_outside(self) -> None:
         """Estimate the share of each zone's arrivals that no departure explains (`outside`)."""
-        arrivals = self.problem.arrivals
-        zones = self.problem.zones
+        zone = self.problem.arrivals.zone[self._arrived]
         explained = np.add.reduceat(self.responsibility, self._first, dtype=float)
-        of_zone = np.bincount(arrivals.zone[self._arrived], explained, minlength=zones)
+        of_zone = np.bincount(zone, explained, minlength=self.problem.zones)
         self.outside = np.clip(1.0 - of_zone / self.arrivals_of_zone, OUTSIDE_FLOOR, 1.0)
 
     def _count(self, shares: Singles) -> Floats:

@@ -132,11 +132,8 @@ class CandidateScreen:
         departure, arrival, pair, lag = _joined(_likely(traffic, pairs, block) for block in blocks)
 
         # Number the pairs of zones that are left.
-        left = np.unique(pair)
-        number, source, target = number_pairs(pairs.source[left], pairs.target[left], problem.zones)
-        renumbered = np.zeros(len(pairs.source), np.int32)
-        renumbered[left] = number
-        return Candidates(departure, arrival, renumbered[pair], lag, source, target)
+        pair, source, target = number_pairs(pairs.source[pair], pairs.target[pair], problem.zones)
+        return Candidates(departure, arrival, pair, lag, source, target)
 
     def _look(self, traffic: Traffic, places: Longs, learned: int, everywhere: bool) -> None:
         """Look at zones of arrival; forget zones that exist no more."""
@@ -243,8 +240,7 @@ class ZonePairs:
             came = rows[at[which]]
             lag = arrivals.t[came] - departures.t[departure]
             kept = np.flatnonzero(possible(self.problem, departure, came, lag))
-            which = which[kept]
-            parts.append((at[which], departure[kept], pair[which], lag[kept]))
+            parts.append((at[which[kept]], departure[kept], pair[which[kept]], lag[kept]))
         return Block(rows, *(np.concatenate(column) for column in zip(*parts, strict=True)))
 
 

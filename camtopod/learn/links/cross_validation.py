@@ -82,8 +82,7 @@ def link_evidence(problem: Problem, fit: Fit, first: float, period: Floats) -> L
     period (P, seconds): common period of each pair of zones, nan without one.
     """
     judge = judging(problem)
-    held_out = _held_out(problem, judge, fit, first, period)
-    return LinkEvidence(held_out, _whole(judge, fit, period))
+    return LinkEvidence(_held_out(problem, judge, fit, first, period), _whole(judge, fit, period))
 
 
 def judging(problem: Problem) -> Problem:
