@@ -8,11 +8,10 @@ as that is local in time, a rhythm common to all zones makes no links.
 
 `Em` is a fit in progress over M candidates of P pairs of zones. `Em.run` iterates the E step
 (`Em.expect`), which computes the responsibility of each candidate from the hazards, and the M step
-(`Em.maximise`), which computes the hazards from the responsibilities. The E step is the sum-product
-approximation of the marginals of a one-to-one assignment with misses and clutter (Williams and Lau,
-IEEE Trans. AES 50(4), 2014), one sweep of *messages* an iteration. Each candidate is judged by the
-hazard that the other candidates make (leave one out). What a fit assumes in addition is its
-`em_model.EmModel`; the outer loops are in `joint_fit` and `next_camera.fit`.
+(`Em.maximise`), which computes the hazards from the responsibilities. The E step is one sweep of
+the messages of `sum_product`. Each candidate is judged by the hazard that the other candidates make
+(leave one out). What a fit assumes in addition is its `em_model.EmModel`; the outer loops are in
+`joint_fit` and `next_camera.fit`.
 """
 
 from __future__ import annotations
@@ -24,6 +23,7 @@ from camtopod.learn.association.candidates import Candidates, initial_hazards
 from camtopod.learn.association.em_model import NO_ADDITIONS, EmModel
 from camtopod.learn.association.problem import Problem, exposures
 from camtopod.learn.association.speed_adjustment import Adjusted, adjust
+from camtopod.learn.association.sum_product import DEMAND_MIN, answers, offers
 from camtopod.learn.traffic import (
     NO_PERSISTENCE,
     SURE_RESPONSIBILITY,
@@ -36,8 +36,6 @@ from camtopod.topology import LEAVE_FLOOR, favours, smooth
 
 OUTSIDE_FLOOR = 0.01
 """Lower bound on the share of the local rate of arrivals that comes from outside."""
-BACKGROUND_MIN = 1e-12
-"""Lower bound on the background, and on the rates that compete for an arrival, 1/s."""
 START_NOISE_SD = 2.0
 """Standard deviations of the null model that are subtracted from lag histograms for first hazards.
 """
@@ -215,23 +213,14 @@ class Em:
         contributed to the hazards, which is left out (`_rates`). So are the messages of the E step
         before, which are replaced as well (``_message``), as is the share of the entry kernels.
         """
-        # Per departure, the probability mass of all its candidates and of leaving the site.
-        weight = self._rates(hazard)
-        asked = weight * self._message
-        departures = len(self.problem.departures.t)
-        taken = np.bincount(self._departure, asked, minlength=departures) + self._leaving(hazard)
-
-        # A candidate's offer to its arrival is its rate, given that the departure has caused no
-        # other arrival. The responsibility is the offer's share among all offers and the
-        # background; the message back is the reciprocal of the competing offers and background.
-        # In double precision, as differences of nearly equal numbers matter.
-        offer = weight / (taken.take(self._departure) - asked)
+        offer = offers(self._rates(hazard), self._message, self._departure, self._leaving(hazard))
         zone = self.problem.arrivals.zone[self._arrived]
         rate = self.problem.arrivals.rate[self._arrived]
-        background = np.maximum(self.outside[zone] * rate, BACKGROUND_MIN)
+        background = np.maximum(self.outside[zone] * rate, DEMAND_MIN)
         demand = np.repeat(background + self._by_arrival(offer), self._times)
-        self.responsibility = (offer / demand).astype(np.float32)
-        self._message = (1.0 / np.maximum(demand - offer, BACKGROUND_MIN)).astype(np.float32)
+        share, message = answers(offer, demand)
+        self.responsibility = share.astype(np.float32)
+        self._message = message.astype(np.float32)
 
     def maximise(self) -> Singles:
         """Do the M step for the entry kernels and the hazards (P, bins); return the hazards."""

@@ -15,6 +15,7 @@ import numpy as np
 from scipy.special import digamma
 
 from camtopod.arrays import Floats, Longs, Rows, Singles
+from camtopod.learn.association import answers, offers
 from camtopod.learn.links import (
     OUTSIDE_LEAST,
     PathEvidence,
@@ -163,15 +164,13 @@ class PathFit:
         departure, arrival = lags.departure[rows], lags.arrival[rows]
         source = self.paths.pair // lags.cameras
         explained = np.bincount(source, self.paths.share, minlength=lags.cameras)
-        unseen = np.maximum(1.0 - explained, LEAVE_FLOOR)[lags.source][departure]
+        unseen = np.maximum(1.0 - explained, LEAVE_FLOOR)[lags.source]
         background = self.outside[lags.target] * lags.rate
         message = 1.0 / np.maximum(self._demand, background)[arrival]
         for _ in range(SWEEPS):
-            taken = np.bincount(departure, rate * message, minlength=len(lags.left))
-            offer = rate / np.maximum(unseen + taken[departure] - rate * message, 1e-9)
+            offer = offers(rate, message, departure, unseen)
             self._demand = background + np.bincount(arrival, offer, minlength=len(background))
-            message = 1.0 / np.maximum(self._demand[arrival] - offer, 1e-12)
-        responsibility: Floats = offer / self._demand[arrival]
+            responsibility, message = answers(offer, self._demand[arrival])
         return responsibility
 
     def _moved(
