@@ -20,6 +20,7 @@ from camtopod.learn.association.candidates import (
     newest_within_limit as newest_within_limit,
     number_pairs as number_pairs,
 )
+from camtopod.learn.association.convergence import ConvergenceMonitor as ConvergenceMonitor
 from camtopod.learn.association.em import (
     NOTHING as NOTHING,
     START_FLOOR as START_FLOOR,

@@ -20,6 +20,7 @@ import numpy as np
 
 from camtopod.arrays import Bools, Floats, Indices, Singles, row_slices
 from camtopod.learn.association.candidates import Candidates, initial_hazards
+from camtopod.learn.association.convergence import ConvergenceMonitor
 from camtopod.learn.association.em_model import NO_ADDITIONS, EmModel
 from camtopod.learn.association.problem import Problem, exposures
 from camtopod.learn.association.speed_adjustment import Adjusted, adjust
@@ -42,16 +43,12 @@ START_NOISE_SD = 2.0
 START_FLOOR = 0.002
 """Share of a pair's lag histogram that makes its first hazard where nothing exceeds the null model.
 """
-ITERATIONS = 6
-"""EM iterations of a run."""
 STRIDE = 1.8
 """Over-relaxation factor of EM updates on a log scale; plain EM (factor 1) converges slowly.
 Over-relaxation converges for factors below 2.
 """
 STRIDE_RATIO_MAX = 4.0
 """Largest ratio of new to old hazards that over-relaxation extrapolates."""
-SETTLING_ITERATIONS = 3
-"""Iterations of plain EM at the end of a run."""
 DEAD_SHARE = 0.003
 """Share of all expected transitions that the unlikeliest candidates may have for them to be left
 out of the rest of a fit. These are most candidates.
@@ -101,6 +98,8 @@ class Em:
         """(zones,) arrivals of each zone, at least 1."""
         self.outside = np.full(zones, 0.5)
         """(zones,) share of the local rate of arrivals that no departure explains."""
+        self.monitor = ConvergenceMonitor()
+        """Tells whether the newest run of iterations has converged."""
 
         # Figures of candidates. Messages are those of the sum-product algorithm, from arrivals to
         # candidates.
@@ -189,17 +188,18 @@ class Em:
         return weight * by_label, unrelated
 
     def run(self, hazard: Singles) -> Singles:
-        """Return the hazards (P, bins) after `ITERATIONS` iterations of EM.
+        """Return the hazards (P, bins) after a run of EM.
 
         hazard (P, bins): the hazards to begin with.
         """
-        for iteration in range(ITERATIONS):
+        self.monitor = ConvergenceMonitor()
+        for iteration in self.monitor:
             self.expect(hazard)
             fresh = self.maximise()
             # Over-relaxation: the step of the log hazards is `STRIDE` times that of plain EM; in
             # other words, the ratio of new to old hazards is raised to the power of `STRIDE`. The
-            # last iterations are plain EM, so that the result is one of the M step.
-            if iteration < ITERATIONS - SETTLING_ITERATIONS:
+            # second half is plain EM, so that the result is one of the M step.
+            if iteration < self.monitor.iterations_max // 2:
                 for rows in row_slices(self.pairs):
                     ratio = fresh[rows] / np.maximum(hazard[rows], NOTHING)
                     fresh[rows] *= np.minimum(ratio, STRIDE_RATIO_MAX) ** (STRIDE - 1.0)
@@ -227,7 +227,9 @@ class Em:
         if self.model.entering is not None:
             self.model.entering.learn(self.responsibility)
         self._estimate_outside()
-        return self.hazards(self.transitions())
+        counts = self.transitions()
+        self.monitor.report(counts.sum(axis=1))
+        return self.hazards(counts)
 
     def learn_speed(self, hazard: Singles) -> Singles:
         """Estimate from the surest candidates how far speed persists, and adjust all candidates.

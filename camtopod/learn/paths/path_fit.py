@@ -15,7 +15,7 @@ import numpy as np
 from scipy.special import digamma
 
 from camtopod.arrays import Floats, Longs, Rows, Singles
-from camtopod.learn.association import answers, offers
+from camtopod.learn.association import ConvergenceMonitor, answers, offers
 from camtopod.learn.links import (
     OUTSIDE_LEAST,
     PathEvidence,
@@ -30,10 +30,9 @@ from camtopod.topology import DEGREES, LEAVE_FLOOR, REACH_WIDTHS, student_densit
 SWEEPS = 2
 """Sweeps of messages in each iteration."""
 ITERATIONS = 15
-"""EM iterations."""
+"""Largest number of EM iterations."""
 SPARSE_NATS = (0.3, 0.6, 1.0, 1.5, 2.0, 2.5, 3.0)
-SPARSE_ITERATIONS = 4
-"""Least evidence of a path in the rounds of the fit for links, and EM iterations of each."""
+"""Least evidence of a path in the rounds of the fit for links."""
 WIDTH_PRIOR = (4.0, 3.0)
 """The usual width in seconds, and its weight in that of a path, in transitions."""
 
@@ -90,11 +89,12 @@ class PathFit:
         self.paths = Paths(pair, share, place, width)
         self.outside = np.ones(lags.cameras)
         self._demand = lags.rate
+        self.monitor = ConvergenceMonitor(ITERATIONS)
+        """Tells whether the newest run of iterations has converged."""
 
     def run(self) -> None:
         """Run the iterations."""
-        for _ in range(ITERATIONS):
-            self._iterate()
+        self._iterate(ConvergenceMonitor(ITERATIONS))
 
     def evidence(self) -> PathEvidence:
         """Go on with fewer and fewer paths, and return the evidence for those that are left.
@@ -106,8 +106,7 @@ class PathFit:
             kept = evidence_against_unrelated(step.path, step.part, len(self.paths.pair)) >= least
             pair, share, place, width = self.paths
             self.paths = Paths(pair[kept], share[kept], place[kept], width[kept])
-            for _ in range(SPARSE_ITERATIONS):
-                self._iterate()
+            self._iterate(ConvergenceMonitor())
         self.outside = np.maximum(self.outside, OUTSIDE_LEAST)
         self.lags = self.lags._replace(rate=self.lags.active)
         step = self._expect()
@@ -125,19 +124,24 @@ class PathFit:
         nats = np.maximum(nats + log_density(place, width, self.lags.lag_max), 0.0)
         return PathEvidence(source, pair % lags.cameras, place, width, nats)
 
-    def _iterate(self) -> None:
-        """Do one E step and one M step."""
-        lags = self.lags
-        step = self._expect()
-        path, part = step.path, step.part
+    def _iterate(self, monitor: ConvergenceMonitor) -> None:
+        """Run EM."""
+        self.monitor = monitor
+        for _ in monitor:
+            monitor.report(self._maximise(self._expect()))
+
+    def _maximise(self, step: Expected) -> Floats:
+        """Do the M step with the result of an E step; return the transitions of each path, (K,)."""
+        lags, path, part = self.lags, step.path, step.part
         transitions: Floats = np.bincount(path, part, minlength=len(self.paths.pair)).astype(float)
         target = lags.target[lags.arrival[step.rows]]
         explained = np.bincount(target, step.responsibility, minlength=lags.cameras)
         self.outside = np.maximum(1.0 - explained / np.maximum(self.arrivals, 1.0), LEAVE_FLOOR)
 
-        # M step: places and widths, then shares.
+        # Places and widths, then shares.
         place, width = self._moved(lags.lag[step.rows[step.row]], path, part, transitions)
         self.paths = Paths(self.paths.pair, self._shares(transitions), place, width)
+        return transitions
 
     def _expect(self) -> Expected:
         """Do the E step on the candidates near any path, which may be near several."""
