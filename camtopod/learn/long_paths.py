@@ -24,6 +24,7 @@ from camtopod.learn.clocks import (
     cache_friendly_order,
     null_expectation,
 )
+from camtopod.learn.lags import poisson_nats
 from camtopod.learn.traffic import Arrivals, Departures
 
 LONG_SECONDS_MIN = 60.0
@@ -116,10 +117,9 @@ def clearest_peaks(counts: Counts, longest: float) -> tuple[Floats, Floats]:
 
         # Log likelihood ratio of both halves together, corrected for dispersion.
         observed, expected = observed.sum(axis=0), expected.sum(axis=0)
-        excess = observed - expected
-        dispersion = np.var((excess / np.sqrt(expected))[:, before], axis=1, keepdims=True)
-        nats = observed * np.log(np.maximum(observed, 1e-9) / expected) - excess
-        nats /= np.maximum(dispersion, 1.0)
+        deviation = ((observed - expected) / np.sqrt(expected))[:, before]
+        dispersion = np.var(deviation, axis=1, keepdims=True)
+        nats = poisson_nats(observed, expected) / np.maximum(dispersion, 1.0)
 
         # The highest peak, be it at a short lag or at a long one.
         sharp = width * BIN_SECONDS <= 2 * SHARP_SHARE_MAX * lag

@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from camtopod.arrays import Floats, Longs, Singles
+from camtopod.learn.lags import poisson_nats
 from camtopod.learn.paths.camera_lags import CameraLags, keys
 from camtopod.learn.traffic import RATIO_MAX
 
@@ -156,8 +157,7 @@ def _gain(window: _Window, counted: Floats, squared: Floats, exposed: Floats) ->
     counted, squared (targets, lags + 1), exposed (lags + 1): weighed candidates, squared weights
         and what chance makes expect, up to each lag.
 
-    It is the log likelihood ratio of Poisson counts, n ln(n / e) - (n - e). Expected is the larger
-    of chance and the surroundings.
+    Expected is the larger of chance and the surroundings.
     """
     inside = counted[:, window.high] - counted[:, window.low]
     spread = squared[:, window.high] - squared[:, window.low]
@@ -168,10 +168,4 @@ def _gain(window: _Window, counted: Floats, squared: Floats, exposed: Floats) ->
 
     # In numbers of candidates instead of seconds.
     unit = inside / np.maximum(spread, 1e-12)
-    n = inside * unit
-    e = np.maximum(usual * unit, 1e-3)
-    gain = np.zeros(n.shape)
-    more = n > e
-    n, e = n[more], e[more]
-    gain[more] = n * np.log(n / e) - (n - e)
-    return gain
+    return poisson_nats(inside * unit, np.maximum(usual * unit, 1e-3))
