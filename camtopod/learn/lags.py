@@ -10,6 +10,12 @@ from numpy.typing import NDArray
 from camtopod.arrays import Floats
 from camtopod.topology import lag_smoothing_matrix
 
+BIN_SECONDS = 1.0
+"""Seconds by which lags are told apart, as the times of some cameras are whole seconds."""
+NOISE_SD = 0.5
+"""Standard deviations of the null model that are subtracted from an excess over it, where whatever
+may be right is to be kept.
+"""
 SMOOTHING_SD_BINS = (1.5, 3.0, 6.0)
 """Standard deviations, in lag bins, of the kernels with which histograms of lags are smoothed
 before they are compared, as the spread of transit times differs between links.

@@ -16,7 +16,6 @@ from scipy.ndimage import uniform_filter1d
 from camtopod.arrays import Floats, Ints, rows_by_group
 from camtopod.learn.association import CandidateScreen, LagRanges, Problem
 from camtopod.learn.clocks import (
-    BIN_SECONDS,
     LAGS,
     ROWS_AT_ONCE,
     Correlograms,
@@ -24,7 +23,7 @@ from camtopod.learn.clocks import (
     cache_friendly_order,
     null_expectation,
 )
-from camtopod.learn.lags import poisson_nats
+from camtopod.learn.lags import BIN_SECONDS, poisson_nats
 from camtopod.learn.traffic import Arrivals, Departures
 
 LONG_SECONDS_MIN = 60.0

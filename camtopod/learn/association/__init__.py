@@ -49,4 +49,8 @@ from camtopod.learn.association.screening import (
     place as place,
 )
 from camtopod.learn.association.speed_adjustment import adjust as adjust
-from camtopod.learn.association.sum_product import answers as answers, offers as offers
+from camtopod.learn.association.sum_product import (
+    answers as answers,
+    claims as claims,
+    offers as offers,
+)

@@ -24,7 +24,7 @@ from camtopod.learn.association.convergence import ConvergenceMonitor
 from camtopod.learn.association.em_model import NO_ADDITIONS, EmModel
 from camtopod.learn.association.problem import Problem, exposures
 from camtopod.learn.association.speed_adjustment import Adjusted, adjust
-from camtopod.learn.association.sum_product import DEMAND_MIN, answers, offers
+from camtopod.learn.association.sum_product import DEMAND_MIN, answers, claims, offers
 from camtopod.learn.traffic import (
     NO_PERSISTENCE,
     SURE_RESPONSIBILITY,
@@ -53,6 +53,8 @@ DEAD_SHARE = 0.003
 """Share of all expected transitions that the unlikeliest candidates may have for them to be left
 out of the rest of a fit. These are most candidates.
 """
+SWEEPS = 3
+"""Number of E steps under given hazards, over which the messages settle."""
 FEW = 200_000
 """Number of candidates up to which none are left out."""
 NOTHING = 1e-30
@@ -213,10 +215,12 @@ class Em:
         contributed to the hazards, which is left out (`_rates`). So are the messages of the E step
         before, which are replaced as well (``_message``), as is the share of the entry kernels.
         """
-        offer = offers(self._rates(hazard), self._message, self._departure, self._leaving(hazard))
+        rate = self._rates(hazard)
+        claimed = claims(rate, self._message, self._departure, self._leaving(hazard))
+        offer = offers(rate, self._message, self._departure, claimed)
         zone = self.problem.arrivals.zone[self._arrived]
-        rate = self.problem.arrivals.rate[self._arrived]
-        background = np.maximum(self.outside[zone] * rate, DEMAND_MIN)
+        outside = self.outside[zone] * self.problem.arrivals.rate[self._arrived]
+        background = np.maximum(outside, DEMAND_MIN)
         demand = np.repeat(background + self._by_arrival(offer), self._times)
         share, message = answers(offer, demand)
         self.responsibility = share.astype(np.float32)
@@ -283,18 +287,20 @@ class Em:
         self.adjusted = adjust(self.problem, self.candidates, self.adjusted.persistence)
         return left
 
-    def responsibilities_under(self, hazard: Singles, outside: Floats, sweeps: int) -> Floats:
-        """Return the responsibilities (M,) under hazards estimated from other events.
+    def responsibilities_under(
+        self, hazard: Singles, outside: Floats, contributed: Floats | float = 0.0
+    ) -> Floats:
+        """Return the responsibilities (M,) under given hazards, after `SWEEPS` sweeps of messages.
 
-        hazard (P, bins): the hazards. No candidate has contributed to them, so none may be left
-            out of them (`expect`): the responsibilities are set to 0 before each E step.
-        outside (zones,): share of the arrivals that no departure explains, from the same events.
-        sweeps: number of E steps, over which the messages settle.
+        hazard (P, bins): the hazards.
+        outside (zones,): share of the arrivals that no departure explains.
+        contributed (M,): responsibilities with which the candidates have contributed to the
+            hazards, and which are left out of them (`expect`); 0 for hazards of other events.
         """
         self.outside = outside
         self._message[:] = 1.0
-        for _ in range(sweeps):
-            self.responsibility[:] = 0.0
+        for _ in range(SWEEPS):
+            self.responsibility[:] = contributed
             self.expect(hazard)
         return self.responsibility.astype(float)
 

@@ -43,7 +43,7 @@ from camtopod.learn.association.candidates import (
 )
 from camtopod.learn.association.em import START_FLOOR
 from camtopod.learn.association.problem import Problem, exposures
-from camtopod.learn.lags import excess_sd
+from camtopod.learn.lags import NOISE_SD, excess_sd
 from camtopod.learn.limits import (
     JUDGED_MAX,
     WEIGHED_AT_ONCE,
@@ -63,10 +63,6 @@ WIDE_BINS = 4
 """Lag bins in a wide bin. A look compares every two wide bins in a row with the null model."""
 SOURCES_PER_ZONE_MAX = 32
 """Largest number of zones of departure that are followed for one zone of arrival."""
-NOISE_SD = 0.5
-"""Standard deviations of the null model subtracted from lag histograms for the hazards by which
-candidates are weighed.
-"""
 OVERLAP_FALSE = 0.05
 """Probability that `negative_without_overlap` finds any overlap on a site without overlaps."""
 LIKELY_MIN = 0.001

@@ -1,9 +1,9 @@
 """The sum-product approximation of the marginals of a one-to-one assignment (METHOD 5).
 
 M candidates compete for departures, each of which causes at most one arrival, and for arrivals,
-each of which has one cause (Williams and Lau, IEEE Trans. AES 50(4), 2014). One sweep computes the
-offers of departures (`offers`), from which the caller sums up the demand for each arrival, then the
-answers of arrivals (`answers`). The messages of a sweep go into the next one.
+each of which has one cause (Williams and Lau, IEEE Trans. AES 50(4), 2014). One sweep sums up the
+`claims` on departures, then the `offers` of departures, and computes the `answers` of arrivals,
+whose messages make the claims of the next sweep.
 """
 
 from __future__ import annotations
@@ -16,21 +16,28 @@ DEMAND_MIN = 1e-12
 """Lower bound on the rates that compete for an arrival, 1/s."""
 
 
-def offers(
+def claims(
     rate: Floats | Singles, message: Floats | Singles, departure: Indices, none: Floats
 ) -> Floats:
-    """Return the offer of each candidate: its rate if its departure causes no other arrival, (M,).
+    """Return the sum of the claims on each departure, and of that of no arrival, (n,).
 
     rate (M, 1/s): rate at which the departure of each candidate would cause its arrival.
     message (M, s): messages from arrivals; at first, 1 over the demand without any candidate.
     departure (M,): row of the departure of each candidate.
     none (n,): probability that each departure causes no arrival; above 0.
     """
+    return np.bincount(departure, rate * message, minlength=len(none)) + none
+
+
+def offers(
+    rate: Floats | Singles, message: Floats | Singles, departure: Indices, claimed: Floats
+) -> Floats:
+    """Return the offer of each candidate: its rate if its departure causes no other arrival, (M,).
+
+    The arguments are as for `claims`, of which ``claimed`` (n,) is the result.
+    """
     # In double precision, as differences of nearly equal numbers matter.
-    asked = rate * message
-    taken = np.bincount(departure, asked, minlength=len(none)) + none
-    offer: Floats = rate / (taken.take(departure) - asked)
-    return offer
+    return rate / (claimed.take(departure) - rate * message)
 
 
 def answers(offer: Floats, demand: Floats) -> tuple[Floats, Floats]:

@@ -15,7 +15,8 @@ import numpy as np
 from scipy.special import digamma
 
 from camtopod.arrays import Floats, Longs, Rows, Singles
-from camtopod.learn.association import ConvergenceMonitor, answers, offers
+from camtopod.learn.association import ConvergenceMonitor, answers, claims, offers
+from camtopod.learn.lags import BIN_SECONDS
 from camtopod.learn.links import (
     OUTSIDE_LEAST,
     PathEvidence,
@@ -24,7 +25,7 @@ from camtopod.learn.links import (
     repeated_evidence,
 )
 from camtopod.learn.paths.camera_lags import CameraLags
-from camtopod.learn.paths.dictionary import RESOLUTION_SECONDS, log_density
+from camtopod.learn.paths.dictionary import log_density
 from camtopod.topology import DEGREES, LEAVE_FLOOR, REACH_WIDTHS, student_density
 
 SWEEPS = 2
@@ -172,7 +173,8 @@ class PathFit:
         background = self.outside[lags.target] * lags.rate
         message = 1.0 / np.maximum(self._demand, background)[arrival]
         for _ in range(SWEEPS):
-            offer = offers(rate, message, departure, unseen)
+            claimed = claims(rate, message, departure, unseen)
+            offer = offers(rate, message, departure, claimed)
             self._demand = background + np.bincount(arrival, offer, minlength=len(background))
             responsibility, message = answers(offer, self._demand[arrival])
         return responsibility
@@ -197,7 +199,7 @@ class PathFit:
         squares = summed(weight * (lag - moved[path]) ** 2)
         usual, prior = WIDTH_PRIOR
         spread = np.sqrt((squares + prior * usual**2) / (transitions + prior))
-        return moved, np.maximum(spread, RESOLUTION_SECONDS)
+        return moved, np.maximum(spread, BIN_SECONDS)
 
     def _shares(self, transitions: Floats) -> Floats:
         """Return the shares (K,) of the departures that take each path.

@@ -7,7 +7,7 @@ import itertools
 import numpy as np
 import pytest
 
-from camtopod.learn.association import answers, offers
+from camtopod.learn.association import answers, claims, offers
 
 
 def test_responsibilities_on_a_chain_are_exact() -> None:
@@ -16,7 +16,7 @@ def test_responsibilities_on_a_chain_are_exact() -> None:
     rate, none, background = np.array([0.3, 0.2, 0.5, 0.1]), np.array([0.4, 0.3, 0.9]), [0.2, 0.05]
     message = 1.0 / np.array(background)[arrival]
     for _ in range(4):
-        offer = offers(rate, message, departure, none)
+        offer = offers(rate, message, departure, claims(rate, message, departure, none))
         demand = background + np.bincount(arrival, offer)
         responsibility, message = answers(offer, demand[arrival])
 
