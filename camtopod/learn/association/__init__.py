@@ -20,7 +20,10 @@ from camtopod.learn.association.candidates import (
     newest_within_limit as newest_within_limit,
     number_pairs as number_pairs,
 )
-from camtopod.learn.association.convergence import ConvergenceMonitor as ConvergenceMonitor
+from camtopod.learn.association.convergence import (
+    ITERATIONS as ITERATIONS,
+    ConvergenceMonitor as ConvergenceMonitor,
+)
 from camtopod.learn.association.em import (
     NOTHING as NOTHING,
     START_FLOOR as START_FLOOR,

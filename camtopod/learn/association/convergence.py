@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from itertools import takewhile
 
 import numpy as np
 
@@ -29,11 +30,8 @@ class ConvergenceMonitor:
         self._transitions: Floats | None = None
 
     def __iter__(self) -> Iterator[int]:
-        """Yield the numbers of the iterations, from 0."""
-        for iteration in range(self.iterations_max):
-            yield iteration
-            if self.converged:
-                return
+        """Return the numbers of the iterations, from 0."""
+        return takewhile(lambda _: not self.converged, range(self.iterations_max))
 
     @property
     def converged(self) -> bool:

@@ -15,7 +15,7 @@ import numpy as np
 from scipy.special import digamma
 
 from camtopod.arrays import Floats, Longs, Rows, Singles
-from camtopod.learn.association import ConvergenceMonitor, answers, claims, offers
+from camtopod.learn.association import ITERATIONS, ConvergenceMonitor, answers, claims, offers
 from camtopod.learn.lags import BIN_SECONDS
 from camtopod.learn.links import (
     OUTSIDE_LEAST,
@@ -30,8 +30,8 @@ from camtopod.topology import DEGREES, LEAVE_FLOOR, REACH_WIDTHS, student_densit
 
 SWEEPS = 2
 """Sweeps of messages in each iteration."""
-ITERATIONS = 15
-"""Largest number of EM iterations."""
+PATH_ITERATIONS = 15
+"""Largest number of EM iterations of a run with all paths of the dictionary."""
 SPARSE_NATS = (0.3, 0.6, 1.0, 1.5, 2.0, 2.5, 3.0)
 """Least evidence of a path in the rounds of the fit for links."""
 WIDTH_PRIOR = (4.0, 3.0)
@@ -90,12 +90,14 @@ class PathFit:
         self.paths = Paths(pair, share, place, width)
         self.outside = np.ones(lags.cameras)
         self._demand = lags.rate
-        self.monitor = ConvergenceMonitor(ITERATIONS)
+        self.monitor = ConvergenceMonitor()
         """Tells whether the newest run of iterations has converged."""
 
-    def run(self) -> None:
-        """Run the iterations."""
-        self._iterate(ConvergenceMonitor(ITERATIONS))
+    def run(self, iterations_max: int = PATH_ITERATIONS) -> None:
+        """Run EM."""
+        self.monitor = ConvergenceMonitor(iterations_max)
+        for _ in self.monitor:
+            self.monitor.report(self._maximise(self._expect()))
 
     def evidence(self) -> PathEvidence:
         """Go on with fewer and fewer paths, and return the evidence for those that are left.
@@ -107,7 +109,7 @@ class PathFit:
             kept = evidence_against_unrelated(step.path, step.part, len(self.paths.pair)) >= least
             pair, share, place, width = self.paths
             self.paths = Paths(pair[kept], share[kept], place[kept], width[kept])
-            self._iterate(ConvergenceMonitor())
+            self.run(ITERATIONS)
         self.outside = np.maximum(self.outside, OUTSIDE_LEAST)
         self.lags = self.lags._replace(rate=self.lags.active)
         step = self._expect()
@@ -124,12 +126,6 @@ class PathFit:
         # A path has been looked for at all places.
         nats = np.maximum(nats + log_density(place, width, self.lags.lag_max), 0.0)
         return PathEvidence(source, pair % lags.cameras, place, width, nats)
-
-    def _iterate(self, monitor: ConvergenceMonitor) -> None:
-        """Run EM."""
-        self.monitor = monitor
-        for _ in monitor:
-            monitor.report(self._maximise(self._expect()))
 
     def _maximise(self, step: Expected) -> Floats:
         """Do the M step with the result of an E step; return the transitions of each path, (K,)."""
