@@ -21,7 +21,7 @@ from copy import deepcopy
 
 from msgspec.structs import replace
 
-from camtopod.event_time import MICROSECONDS, EventTimeState, microseconds, utc_text
+from camtopod.event_time import MICROSECONDS, EventTimeState, microseconds
 from camtopod.learn import refit as refits
 from camtopod.learn.assemble import (
     assemble,
@@ -30,7 +30,7 @@ from camtopod.learn.assemble import (
     with_provisional,
     zone_id,
 )
-from camtopod.learn.camera_zones import find_moved_cameras, refresh_camera_zones
+from camtopod.learn.camera_zones import find_moved_cameras, moved_news, refresh_camera_zones
 from camtopod.learn.changes import BEFORE_MIN, AlarmLog, News
 from camtopod.learn.declarations import declared_by
 from camtopod.learn.doubled_cameras import doubled_news, find_doubled_cameras
@@ -443,10 +443,6 @@ class Learner:
             ),
             *self._alarms.clocks(topology.cameras, self.settings.overlap_tolerance_seconds),
         ]
-
-        # Cameras that were turned, and those that two programs publish.
-        for camera, since, move in self.state.moved:
-            outside = f"{move.outside:.2f} of {move.events} events outside its zones"
-            news.append(("camera_moved", cameras[camera], f"{outside} since {utc_text(since)}"))
-        self._alarms.add(self._next_version, now, [*news, *doubled_news(self.state)])
+        news += moved_news(self.state, cameras) + doubled_news(self.state)
+        self._alarms.add(self._next_version, now, news)
         self.state.moved, self.state.doubled = [], []

@@ -45,6 +45,7 @@ from camtopod.learn.association.candidates import (
 )
 from camtopod.learn.association.em import START_FLOOR
 from camtopod.learn.association.problem import Problem, exposures
+from camtopod.learn.lags import NOISE_SD, excess_sd
 from camtopod.learn.limits import (
     JUDGED_MAX,
     WEIGHED_AT_ONCE,
@@ -64,10 +65,6 @@ WIDE_BINS = 4
 """Lag bins in a wide bin. A look compares every two wide bins in a row with the null model."""
 SOURCES_PER_ZONE_MAX = 32
 """Largest number of zones of departure that are followed for one zone of arrival."""
-NOISE_SD = 0.5
-"""Standard deviations of the null model subtracted from lag histograms for the hazards by which
-candidates are weighed.
-"""
 OVERLAP_FALSE = 0.05
 """Probability that `negative_without_overlap` finds any overlap on a site without overlaps."""
 LIKELY_MIN = 0.001
@@ -355,8 +352,7 @@ class Traffic:
         targets (k,): the zones of arrival.
 
         The result is by zone of departure, in standard deviations of the null model at the lags
-        with the largest excess, and at least 0. The null model has one expected arrival more: by
-        chance alone, one arrival after few departures is no excess.
+        with the largest excess (`excess_sd`), and at least 0.
         """
         # For each arrival at any of these zones in turn, the number of earlier ones at each.
         departures, arrivals, _, zones, *_ = self.problem
@@ -386,7 +382,7 @@ class Traffic:
         result = np.zeros(rates.shape, np.float32)
         for k, edge in enumerate(self._edges[:-2]):
             expected = rates * self._exposed[:, k : k + 2].sum(axis=1, keepdims=True)
-            above = (before[k + 2] - before[k] - expected) / np.sqrt(expected + 1.0)
+            above = excess_sd(before[k + 2] - before[k], expected)
             if edge < 0:
                 above[same] = 0.0
             np.maximum(result, above, out=result)

@@ -27,6 +27,7 @@ from camtopod.learn.association import (
     find_candidates,
     fit_sparsely,
 )
+from camtopod.learn.lags import SMOOTHING_SD_BINS
 from camtopod.learn.links.link_table import TRANSITIONS_MIN
 from camtopod.learn.links.significance import PARTS
 from camtopod.learn.traffic import Departures
@@ -56,8 +57,6 @@ EXCESS_SD = (1.0, 3.0)
 """Least excess of candidates over the copies at the lags of a way, in standard deviations: at its
 edges, and in the middle.
 """
-WAY_SD_BINS = 1.5
-"""Standard deviation, in lag bins, with which the excess is smoothed."""
 
 
 def common_periods(problem: Problem, fit: Fit) -> Floats:
@@ -182,9 +181,10 @@ def way_lags(counts: Floats, copies: Floats) -> Bools:
     counts (bins,), copies (n, bins): candidates by lag.
     """
     # Noise is what the copies differ by: saturated platoons hardly differ from cycle to cycle.
-    spread = lag_smoothing_matrix(len(counts), WAY_SD_BINS)
+    narrow, wide, *_ = SMOOTHING_SD_BINS
+    spread = lag_smoothing_matrix(len(counts), narrow)
     smoothed = copies @ spread.T
-    wider = lag_smoothing_matrix(len(counts), 2.0 * WAY_SD_BINS)
+    wider = lag_smoothing_matrix(len(counts), wide)
     noise = wider @ smoothed.var(axis=0, ddof=1) * (1.0 + 1.0 / len(copies))
     noise += (spread**2).sum(axis=1)  # that of one candidate a bin, where there are few
     excess = (spread @ counts - smoothed.mean(axis=0)) / np.sqrt(noise)

@@ -50,8 +50,6 @@ fewer than in the fit of the whole window, as half of the window has fewer trans
 """
 OUTSIDE_LEAST = 0.5
 """Least share of the local rate of arrivals that counts as from outside when a bet is judged."""
-SWEEPS = 3
-"""Number of E steps under given hazards."""
 
 
 class LinkEvidence(NamedTuple):
@@ -106,12 +104,8 @@ def _whole(problem: Problem, fit: Fit, period: Floats) -> Floats:
     em = Em(problem, c, EmModel(sparsity=SPARSITY), None, adjust(problem, c, fit.persistence))
     em.responsibility = fit.responsibility.astype(np.float32)
     hazard = em.hazards(em.transitions())
-    em.outside = np.maximum(fit.outside, OUTSIDE_LEAST)
-    for _ in range(SWEEPS):
-        em.responsibility[:] = fit.responsibility
-        em.expect(hazard)
-
-    share = em.responsibility.astype(float)
+    outside = np.maximum(fit.outside, OUTSIDE_LEAST)
+    share = em.responsibilities_under(hazard, outside, fit.responsibility)
     at = c.arrival / max(len(problem.arrivals.t), 1)
     evidence = repeated_evidence(c.pair, share, flatness(em, hazard), at, em.pairs)
     cycle = evidence_against_cycle(problem, c, hazard, share, em.outside, period)
@@ -260,7 +254,7 @@ def _evidence(
     period (P, seconds): as for `_bet`.
     """
     # Responsibilities of the held-out candidates under the given hazards.
-    share = fitter.responsibilities_under(hazard, outside, SWEEPS)
+    share = fitter.responsibilities_under(hazard, outside)
     share = np.minimum(share, RESPONSIBILITY_MAX)
     c = fitter.candidates
 

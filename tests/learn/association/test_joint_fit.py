@@ -161,9 +161,10 @@ def test_iterations_equal_their_slow_twin(
     named = list(zip(found.source.tolist(), found.target.tolist(), strict=True))
     with pytest.MonkeyPatch.context() as limits:
         limits.setattr(candidates_module, "CANDIDATES_AT_ONCE", at_once)
-        limits.setattr(em, "ITERATIONS", iterations)
-        limits.setattr(em, "SETTLING_ITERATIONS", iterations)
-        hazards = fitter.run(hazard.astype(np.float32))
+        hazards = hazard.astype(np.float32)
+        for _ in range(iterations):
+            fitter.expect(hazards)
+            hazards = fitter.maximise()
     responsibility, counts, fresh, outside = naive.joint_fit(
         departures,
         arrivals,
