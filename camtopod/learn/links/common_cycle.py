@@ -45,7 +45,7 @@ NEIGHBOURS = 65
 """Frequencies around a period, four for each that the window tells apart, whose median is the noise
 there: batches and trains without a timetable make long waves of all frequencies.
 """
-PEAK_NATS = 5.0
+PEAK_NATS = 20.0
 """Least significance of a period at each of two zones, as the negative log of a p-value, beside the
 number of periods that are looked at.
 """

@@ -123,8 +123,6 @@ class PathFit:
             step.path, step.part, np.zeros(len(came)), came, len(pair), expected
         )
 
-        # A path has been looked for at all places.
-        nats = np.maximum(nats + log_density(place, width, self.lags.lag_max), 0.0)
         return PathEvidence(source, pair % lags.cameras, place, width, nats)
 
     def _maximise(self, step: Expected) -> Floats:
