@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 
 from camtopod.arrays import Longs
-from camtopod.event_time import MICROSECONDS
-from camtopod.learn.changes import find_moves
+from camtopod.event_time import MICROSECONDS, utc_text
+from camtopod.learn.changes import News, find_moves
 from camtopod.learn.limits import ZONES_PER_CAMERA_MAX
 from camtopod.learn.snapshot import CameraState, LearnerState, RetiredCamera
 from camtopod.learn.window import NONE, Window
@@ -54,6 +54,18 @@ def find_moved_cameras(state: LearnerState, window: Window) -> None:
             known.zoned_at = known.tested_at
             known.vanished = ()
             state.moved.append((camera, since, move))
+
+
+def moved_news(state: LearnerState, cameras: list[str]) -> list[News]:
+    """Return the alarms for the cameras turned since the last version, ``state.moved``."""
+    return [
+        (
+            "camera_moved",
+            cameras[camera],
+            f"{move.outside:.2f} of {move.events} events outside its zones since {utc_text(since)}",
+        )
+        for camera, since, move in state.moved
+    ]
 
 
 def refresh_camera_zones(state: LearnerState, window: Window, anew: bool = False) -> None:

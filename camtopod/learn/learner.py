@@ -21,7 +21,7 @@ from copy import deepcopy
 
 from msgspec.structs import replace
 
-from camtopod.event_time import MICROSECONDS, EventTimeState, microseconds, utc_text
+from camtopod.event_time import MICROSECONDS, EventTimeState, microseconds
 from camtopod.learn import refit as refits
 from camtopod.learn.assemble import (
     assemble,
@@ -30,7 +30,7 @@ from camtopod.learn.assemble import (
     with_provisional,
     zone_id,
 )
-from camtopod.learn.camera_zones import find_moved_cameras, refresh_camera_zones
+from camtopod.learn.camera_zones import find_moved_cameras, moved_news, refresh_camera_zones
 from camtopod.learn.changes import BEFORE_MIN, AlarmLog, News
 from camtopod.learn.declarations import declared_by
 from camtopod.learn.doubled_cameras import doubled_news, find_doubled_cameras
@@ -324,10 +324,10 @@ class Learner:
 
         A version is due with the first events; with enough new events; with a camera that was
         turned or has two publishers; or, given any new event, ``refit_hours`` after the last
-        version. The zones are due when there are twice as many events.
+        version. The zones are due when there are four times as many events.
         """
         if self.only_last:
-            enough = max(BEFORE_MIN * len(self._window.cameras), len(self._window) // 2)
+            enough = max(BEFORE_MIN * len(self._window.cameras), 3 * len(self._window) // 4)
             return self.state.since_fit >= enough
         if self.state.since_fit == 0 or self.state.fitted_us is None:
             return self.state.since_fit > 0
@@ -443,10 +443,6 @@ class Learner:
             ),
             *self._alarms.clocks(topology.cameras, self.settings.overlap_tolerance_seconds),
         ]
-
-        # Cameras that were turned, and those that two programs publish.
-        for camera, since, move in self.state.moved:
-            outside = f"{move.outside:.2f} of {move.events} events outside its zones"
-            news.append(("camera_moved", cameras[camera], f"{outside} since {utc_text(since)}"))
-        self._alarms.add(self._next_version, now, [*news, *doubled_news(self.state)])
+        news += moved_news(self.state, cameras) + doubled_news(self.state)
+        self._alarms.add(self._next_version, now, news)
         self.state.moved, self.state.doubled = [], []

@@ -16,7 +16,6 @@ from scipy.ndimage import uniform_filter1d
 from camtopod.arrays import Floats, Ints, rows_by_group
 from camtopod.learn.association import CandidateScreen, LagRanges, Problem
 from camtopod.learn.clocks import (
-    BIN_SECONDS,
     LAGS,
     ROWS_AT_ONCE,
     Correlograms,
@@ -24,6 +23,7 @@ from camtopod.learn.clocks import (
     cache_friendly_order,
     null_expectation,
 )
+from camtopod.learn.lags import BIN_SECONDS, poisson_nats
 from camtopod.learn.traffic import Arrivals, Departures
 
 LONG_SECONDS_MIN = 60.0
@@ -116,10 +116,9 @@ def clearest_peaks(counts: Counts, longest: float) -> tuple[Floats, Floats]:
 
         # Log likelihood ratio of both halves together, corrected for dispersion.
         observed, expected = observed.sum(axis=0), expected.sum(axis=0)
-        excess = observed - expected
-        dispersion = np.var((excess / np.sqrt(expected))[:, before], axis=1, keepdims=True)
-        nats = observed * np.log(np.maximum(observed, 1e-9) / expected) - excess
-        nats /= np.maximum(dispersion, 1.0)
+        deviation = ((observed - expected) / np.sqrt(expected))[:, before]
+        dispersion = np.var(deviation, axis=1, keepdims=True)
+        nats = poisson_nats(observed, expected) / np.maximum(dispersion, 1.0)
 
         # The highest peak, be it at a short lag or at a long one.
         sharp = width * BIN_SECONDS <= 2 * SHARP_SHARE_MAX * lag

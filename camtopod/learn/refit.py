@@ -152,7 +152,8 @@ class Associated(NamedTuple):
     between: every pair of zones with expected transitions, with its held-out evidence.
     changes: links that opened, closed or changed their share.
     problem: departures and arrivals, with the ranges of their lags.
-    posterior: where objects appear next, all weak evidence included.
+    posterior: where objects appear next, all weak evidence included; None if there are no
+        departures or no arrivals, so that `between` is empty.
     followed: `Known.followed` for the next refit.
     weights (zones, zones): weight of each pair of zones by what was declared; None for 1.
     """
@@ -160,7 +161,7 @@ class Associated(NamedTuple):
     between: LinkTable
     changes: list[Change]
     problem: Problem
-    posterior: Posterior
+    posterior: Posterior | None
     followed: dict[int, FollowedSources]
     weights: Floats | None
 
@@ -200,33 +201,14 @@ def refit(
     overlapping = find_overlapping(scene.departures.passages(), len(window.cameras), offsets)
 
     # 3. to 7. Links between views, and the prediction model.
-    if len(scene.departures.t) and len(scene.arrivals.t):
-        associated = associate(
-            scene, problem, silences, overlapping, window, known, settings, on_step
-        )
-        on_step("prediction")
-        associated, paths = with_paths(associated, scene, window.cameras)
-        all_pairs, changes = associated.between, associated.changes
-        verdict = rule.judge(all_pairs, views)
-        likely_pairs, model, happened = predict_next(
-            scene,
-            window,
-            clocks,
-            associated,
-            verdict.missed,
-            overlapping,
-            paths,
-            known,
-            settings.correct_clocks,
-        )
-        followed = associated.followed
-    else:
-        none = concatenate_transitions([])
-        all_pairs = likely_pairs = tabulate(none, np.zeros((zones, 1)), bins, zones)
-        verdict = rule.judge(all_pairs, views)
-        happened, changes, followed = [], [], dict(known.followed)
-        corrected = settings.correct_clocks
-        model = build_model(window.cameras, scene, None, bins, window, [], corrected, overlapping)
+    associated = associate(scene, problem, silences, overlapping, window, known, settings, on_step)
+    on_step("prediction")
+    associated, paths = with_paths(associated, scene, window.cameras)
+    all_pairs, changes = associated.between, associated.changes
+    verdict = rule.judge(all_pairs, views)
+    likely_pairs, model, happened = predict_next(
+        scene, window, clocks, associated, verdict.missed, overlapping, paths, known, settings
+    )
 
     # 8. The links to publish, as they are at present.
     on_step("topology")
@@ -248,7 +230,7 @@ def refit(
         silences=silences,
         repeats=repeats,
         model=replace(model, declared=known.declared if known.declared != Declared() else None),
-        followed=followed,
+        followed=associated.followed,
         happened=happened,
     )
 
@@ -272,10 +254,10 @@ def with_paths(
 
     The paths are None where the fit by zones needs no second opinion.
     """
-    if not is_wanted(scene, len(cameras)):
+    problem, posterior = associated.problem, associated.posterior
+    if posterior is None or not is_wanted(scene, len(cameras)):
         return associated, None
-    problem = associated.problem
-    persistence = associated.posterior.fit.persistence.label
+    persistence = posterior.fit.persistence.label
     paths, evidence = second_opinion(
         scene, cameras, problem.bins.lag_min, problem.odds, persistence
     )
@@ -301,6 +283,12 @@ def associate(
     The candidates take most of a refit's memory; all but the likely ones are given up before the
     fits.
     """
+    if not (len(scene.departures.t) and len(scene.arrivals.t)):
+        between = tabulate(
+            concatenate_transitions([]), np.zeros((problem.zones, 1)), problem.bins, problem.zones
+        )
+        return Associated(between, [], problem, None, dict(known.followed), None)
+
     # 3. Candidates: departures and arrivals within the range of the lags, delayed on long paths.
     on_step("candidates")
     problem = problem._replace(odds=declared_odds(known.declared, window.cameras))
@@ -325,8 +313,8 @@ def associate(
     # 5. Evidence: each part of the window is judged by a fit of other parts.
     on_step("evidence")
     first = float(min(problem.departures.t[0], problem.arrivals.t[0]))
-    fit = without_cycle(problem, fit)
-    evidence = link_evidence(problem, fit, first)
+    fit, period = without_cycle(problem, fit)
+    evidence = link_evidence(problem, fit, first, period)
     between = tabulate(
         transitions_of(fit),
         exposed_departures(problem),
@@ -354,21 +342,35 @@ def predict_next(
     overlapping: list[OverlappingViews],
     paths: list[CameraPath] | None,
     known: Known,
-    clocks_corrected: bool,
+    settings: Settings,
 ) -> tuple[LinkTable, Model, list[Happened | None]]:
     """Do step 7: fit where objects appear next, make the model, estimate outcomes of exits.
 
     Return every pair of zones with expected transitions in this fit, the model and the outcomes.
 
     associated: result of steps 3 to 6.
-    missed, overlapping, paths, clocks_corrected: as for `build_model`.
+    missed, overlapping, paths: as for `build_model`.
     """
-    # The posterior, and its table of pairs of zones.
     problem = associated.problem
     cameras = window.cameras
     bins = problem.bins
     posterior = associated.posterior
+    model = build_model(
+        cameras,
+        scene,
+        posterior,
+        bins,
+        window,
+        associated.changes,
+        settings.correct_clocks,
+        overlapping,
+        paths,
+        missed,
+    )
+    if posterior is None:
+        return associated.between, model, []
 
+    # The posterior's table of pairs of zones.
     transitions = transitions_of(posterior.fit, WEAK_TRANSITIONS_MIN)
     exposed = exposed_departures(problem)
     likely_pairs = tabulate(transitions, exposed, bins, problem.zones, ranges=problem.ranges)
@@ -387,18 +389,5 @@ def predict_next(
         clocks.offset,
         longest,
         scene.last,
-    )
-    # The model that is published, with what missed detections make, and the second opinion.
-    model = build_model(
-        cameras,
-        scene,
-        posterior,
-        bins,
-        window,
-        associated.changes,
-        clocks_corrected,
-        overlapping,
-        paths,
-        missed,
     )
     return likely_pairs, model, happened

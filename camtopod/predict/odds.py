@@ -18,7 +18,13 @@ from camtopod.predict.hazards import Hazards, model_of
 from camtopod.predict.labels import UNKNOWN_LABEL, Labels
 from camtopod.predict.open_passages import UNKNOWN, Passage
 from camtopod.predict.outcomes import Outcomes
-from camtopod.predict.time_windows import scale_lags, unknown_share
+from camtopod.predict.time_windows import (
+    Pace,
+    quantiles,
+    scale_lags,
+    unknown_share,
+    windows_at_pace,
+)
 from camtopod.records import Topology, Zone
 
 RATE_MIN = 1e-6
@@ -124,6 +130,16 @@ class ExitTable:
         """
         self.window_shift = np.where(site.is_corrected, 0.0, offsets) + outcomes.delay
         """(targets, seconds) to be added to a lag to get the lag that is published."""
+
+    def windows(self, rows: Rows, odds: Odds, pace: Pace | None) -> list[list[float]]:
+        """Return the time window of each of the targets ``rows``: quantiles of the published lag.
+
+        pace: expected pace of the object; None if its lags are of its own pace already.
+        """
+        lags = quantiles(odds.mass[rows], odds.edges)
+        lags = windows_at_pace(pace, lags, self.transitions[rows])
+        windows: list[list[float]] = np.round(lags + self.window_shift[rows, None], 3).tolist()
+        return windows
 
 
 class Site:

@@ -81,14 +81,10 @@ class OpenPassages:
             del self._ended[next(iter(self._ended))]
         return passage
 
-    def get(self, camera: str, track: str) -> Passage | None:
-        """Return the open passage of a track; None if there is none."""
-        return self._passages.get((camera, track))
-
     def left_at(self, camera: str, track: str, t: float) -> Passage | None:
         """Return the passage that ended at ``t`` by the camera's clock, or that is still open."""
         ended_at, passage = self._ended.get((camera, track), (None, None))
-        return passage if ended_at == t else self.get(camera, track)
+        return passage if ended_at == t else self._passages.get((camera, track))
 
     def in_view(self, camera: str) -> Collection[Passage]:
         """Return a camera's open passages."""

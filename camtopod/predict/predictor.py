@@ -34,7 +34,7 @@ from camtopod.predict.recent_events import (
     moved_zones,
 )
 from camtopod.predict.reporting import Reporting
-from camtopod.predict.time_windows import PaceModel, quantiles, windows_at_pace
+from camtopod.predict.time_windows import PaceModel
 from camtopod.predict.zone_lookup import ZoneLookup
 from camtopod.records import Event, NextCamera, Prediction, Topology, Zone
 from camtopod.topology import LEAVE_FLOOR, block_of
@@ -171,11 +171,8 @@ class Predictor:
         if zone is None:
             return Prediction(event.camera, None, event.t, track, self.version, 1.0, [])
 
-        passage = None
-        if track is not None and now is None:
-            passage = self._open_passages.get(event.camera, track)
-        elif track is not None:
-            passage = self._open_passages.left_at(event.camera, track, event.t)
+        passages = self._open_passages
+        passage = None if track is None else passages.left_at(event.camera, track, event.t)
         block = block_of(event.x, event.y)
         return self.predict_from(zone, event.t, passage, track, block, now, event.label)
 
@@ -208,16 +205,15 @@ class Predictor:
             return self._prediction(here, t, track, leave, next_, passage)
 
         # Odds at the exit.
+        known = passage or UNKNOWN
         corrected = t - self.site.clock_offset[here.camera]
-        same = (self._exits.t == corrected) & (self._exits.zone == zone)
-        is_observed = now is not None and bool(same.any())
-        number = self.site.labels.number(label, (passage or UNKNOWN).label)
+        is_observed = now is not None and self._exits.has(corrected, zone)
+        number = self.site.labels.number(label, known.label)
         query = Query(zone, corrected, passage, is_observed, label=number)
         odds = self._odds(query, table)
 
         # The context multiplies the odds. Odds that may be spurious count as leaving the site, from
         # the exit on.
-        known = passage or UNKNOWN
         multiplier, leave = self.surroundings.multipliers(
             zone, table.outcomes, block, known.entry, known.previous, known.sure
         )
@@ -240,14 +236,11 @@ class Predictor:
         total = leave + float(chance[order].sum())
         probabilities = (chance[order] / total).tolist()
 
-        # The time windows of these outcomes.
-        lags = quantiles(odds.mass[order], odds.edges)
-        lags = windows_at_pace(pace, lags, table.transitions[order])
-        windows = np.round(lags + table.window_shift[order, None], 3).tolist()
-
         next_ = [
             NextCamera(table.targets[k].camera, table.targets[k].id, probability, *window)
-            for k, probability, window in zip(order.tolist(), probabilities, windows, strict=True)
+            for k, probability, window in zip(
+                order.tolist(), probabilities, table.windows(order, odds, pace), strict=True
+            )
         ]
         leave, next_ = self.anywhere.shared_out(zone, leave / total, next_, t, now)
         return self._prediction(here, t, track, leave, next_, passage if now is None else None)

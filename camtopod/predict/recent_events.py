@@ -49,6 +49,10 @@ class RecentEvents:
         """Indices of the zones (n,)."""
         return self._zone[self._first : self._stop]
 
+    def has(self, t: float, zone: int) -> bool:
+        """Return True if there was an event at a corrected time (seconds) in a zone (index)."""
+        return bool(((self.t == t) & (self.zone == zone)).any())
+
     @property
     def rate(self) -> Floats:
         """Rates (n, 1/s) of all known causes of arrivals; 0 for exits."""

@@ -1,7 +1,9 @@
 """The graph on which walks are matched: passages, and edges to the entries that may continue them.
 
 At most one of the claims on a passage is right, and each entry has one cause. `pass_messages`
-estimates the probability of each edge by the sum-product approximation (`walks`).
+estimates the probability of each edge by the sum-product approximation (`walks`). The learner's
+(`camtopod.learn.association.sum_product`) answers all arrivals of a window at once; here the few
+entries that compete take turns, each with the newest messages, beside claims that stay as they are.
 """
 
 from __future__ import annotations

@@ -30,7 +30,7 @@ FLOORS = (
     "files records admin arrays redact visible soundness codec event_time publishers mqtt untrusted_xml",
     "topology",
     "predict",
-    "learn.settings learn.limits",
+    "learn.settings learn.limits learn.lags",
     "learn.zones",
     "learn.window",
     "learn.traffic",

@@ -5,9 +5,10 @@ probability that it is. Reading order: `problem` holds the departures and arriva
 lists every two of them within the range of lags. `exposure` counts how many departures could have
 been seen to arrive after each lag. `speed_adjustment` corrects lags for each object's speed. `em`
 estimates responsibilities and hazards (rates of arrivals by lag, for each pair of zones) by
-expectation maximisation, with the additions of an `em_model`, and `joint_fit` runs it to find
-links. `even_hazards` tells how far a lag speaks for a transition. On large sites, which have too
-many candidates for one fit, `screening` selects the candidates first.
+expectation maximisation, whose E step is that of `sum_product`, with the additions of an
+`em_model`, and `joint_fit` runs it to find links. `flatness` tells how far a lag speaks for a
+transition. On large sites, which have too many candidates for one fit, `screening` selects the
+candidates first.
 """
 
 from camtopod.learn.association.candidates import (
@@ -18,6 +19,10 @@ from camtopod.learn.association.candidates import (
     initial_hazards as initial_hazards,
     newest_within_limit as newest_within_limit,
     number_pairs as number_pairs,
+)
+from camtopod.learn.association.convergence import (
+    ITERATIONS as ITERATIONS,
+    ConvergenceMonitor as ConvergenceMonitor,
 )
 from camtopod.learn.association.em import (
     NOTHING as NOTHING,
@@ -47,3 +52,8 @@ from camtopod.learn.association.screening import (
     place as place,
 )
 from camtopod.learn.association.speed_adjustment import adjust as adjust
+from camtopod.learn.association.sum_product import (
+    answers as answers,
+    claims as claims,
+    offers as offers,
+)

@@ -14,12 +14,9 @@ from numpy.typing import NDArray
 
 from camtopod.arrays import Floats, Indices, Ints, Rows, Singles, ranges_in_parts, row_slices
 from camtopod.learn.association.problem import Problem
-from camtopod.topology import LagBins, lag_smoothing_matrix
+from camtopod.learn.lags import excess_over_null
+from camtopod.topology import LagBins
 
-EXCESS_SMOOTHING_SD_BINS = (1.5, 3.0, 6.0)
-"""Standard deviations, in lag bins, of the smoothing kernels with which a lag histogram is compared
-with the null model.
-"""
 CANDIDATES_AT_ONCE = 1 << 15
 """Number of candidates processed together, of possibly millions. Intermediate results of this size
 stay in the processor's cache and need little memory.
@@ -172,25 +169,6 @@ def find_candidates(problem: Problem) -> Candidates:
     return Candidates(departure, arrival, pair, np.concatenate(lags), source, target)
 
 
-def excess_over_null(observed: Floats, expected: Floats, bins: LagBins, noise_sd: float) -> Floats:
-    """Return by how many counts smoothed lag histograms exceed the null model and its noise.
-
-    observed (P, bins): candidates of each pair of zones by lag bin.
-    expected (P, bins): expected candidates under the null model.
-    noise_sd: standard deviations of the smoothed null model that are subtracted as noise.
-
-    The result is (P, bins), at least 0. This is a cross-correlation (Makris, Ellis and Black 2004)
-    at several smoothing widths, as the spread of transit times differs between links; of the
-    widths, the largest excess counts.
-    """
-    result = np.zeros_like(observed)
-    for sd_bins in EXCESS_SMOOTHING_SD_BINS:
-        spread = lag_smoothing_matrix(bins.size, sd_bins)
-        noise = np.sqrt(np.maximum(expected, 0.5) @ (spread**2).T)
-        result = np.maximum(result, (observed - expected) @ spread.T - noise_sd * noise)
-    return result
-
-
 def initial_hazards(
     counts: Floats,
     rates: Floats,
@@ -215,9 +193,7 @@ def initial_hazards(
     for rows in row_slices(len(counts)):
         exposed = exposure[source[rows]] * bins.widths
         expected = rates[rows, None] * exposed
-        above = np.maximum(
-            excess_over_null(counts[rows], expected, bins, noise_sd), least * counts[rows]
-        )
+        above = np.maximum(excess_over_null(counts[rows], expected, noise_sd), least * counts[rows])
         np.divide(above, np.maximum(exposed, bins.widths), out=counts[rows])
     return counts
 
@@ -232,10 +208,11 @@ def number_pairs(departure_zone: Ints, arrival_zone: Ints, zones: int) -> tuple[
     occur, (P,) each.
     """
     key = departure_zone.astype(np.int64) * zones + arrival_zone
-    present = np.unique(key)
-    number = np.searchsorted(present, key)
-    source, target = (ends.astype(np.int32) for ends in np.divmod(present, max(zones, 1)))
-    return number.astype(np.int32), source, target
+    occurs = np.zeros(zones * zones, np.bool_)
+    occurs[key] = True
+    number = np.cumsum(occurs, dtype=np.int32) - 1
+    source, target = (ends.astype(np.int32) for ends in np.divmod(np.flatnonzero(occurs), zones))
+    return number.take(key), source, target
 
 
 RESPONSIBILITY_MAX = 1.0 - 1e-6

@@ -8,22 +8,29 @@ as that is local in time, a rhythm common to all zones makes no links.
 
 `Em` is a fit in progress over M candidates of P pairs of zones. `Em.run` iterates the E step
 (`Em.expect`), which computes the responsibility of each candidate from the hazards, and the M step
-(`Em.maximise`), which computes the hazards from the responsibilities. The E step is the sum-product
-approximation of the marginals of a one-to-one assignment with misses and clutter (Williams and Lau,
-IEEE Trans. AES 50(4), 2014), one sweep of *messages* an iteration. Each candidate is judged by the
-hazard that the other candidates make (leave one out). What a fit assumes in addition is its
-`em_model.EmModel`; the outer loops are in `joint_fit` and `next_camera.fit`.
+(`Em.maximise`), which computes the hazards from the responsibilities. The E step is one sweep of
+the messages of `sum_product`. Each candidate is judged by the hazard that the other candidates make
+(leave one out). What a fit assumes in addition is its `em_model.EmModel`; the outer loops are in
+`joint_fit` and `next_camera.fit`.
 """
 
 from __future__ import annotations
 
+from itertools import pairwise
+
 import numpy as np
 
 from camtopod.arrays import Bools, Floats, Indices, Singles, row_slices
-from camtopod.learn.association.candidates import Candidates, initial_hazards
+from camtopod.learn.association.candidates import (
+    CANDIDATES_AT_ONCE,
+    Candidates,
+    initial_hazards,
+)
+from camtopod.learn.association.convergence import ConvergenceMonitor
 from camtopod.learn.association.em_model import NO_ADDITIONS, EmModel
 from camtopod.learn.association.problem import Problem, exposures
 from camtopod.learn.association.speed_adjustment import Adjusted, adjust
+from camtopod.learn.association.sum_product import DEMAND_MIN, answers, claims, offers
 from camtopod.learn.traffic import (
     NO_PERSISTENCE,
     SURE_RESPONSIBILITY,
@@ -36,28 +43,24 @@ from camtopod.topology import LEAVE_FLOOR, favours, smooth
 
 OUTSIDE_FLOOR = 0.01
 """Lower bound on the share of the local rate of arrivals that comes from outside."""
-BACKGROUND_MIN = 1e-12
-"""Lower bound on the background, and on the rates that compete for an arrival, 1/s."""
 START_NOISE_SD = 2.0
 """Standard deviations of the null model that are subtracted from lag histograms for first hazards.
 """
 START_FLOOR = 0.002
 """Share of a pair's lag histogram that makes its first hazard where nothing exceeds the null model.
 """
-ITERATIONS = 6
-"""EM iterations of a run."""
 STRIDE = 1.8
 """Over-relaxation factor of EM updates on a log scale; plain EM (factor 1) converges slowly.
 Over-relaxation converges for factors below 2.
 """
 STRIDE_RATIO_MAX = 4.0
 """Largest ratio of new to old hazards that over-relaxation extrapolates."""
-SETTLING_ITERATIONS = 3
-"""Iterations of plain EM at the end of a run."""
 DEAD_SHARE = 0.003
 """Share of all expected transitions that the unlikeliest candidates may have for them to be left
 out of the rest of a fit. These are most candidates.
 """
+SWEEPS = 3
+"""Number of E steps under given hazards, over which the messages settle."""
 FEW = 200_000
 """Number of candidates up to which none are left out."""
 NOTHING = 1e-30
@@ -103,6 +106,8 @@ class Em:
         """(zones,) arrivals of each zone, at least 1."""
         self.outside = np.full(zones, 0.5)
         """(zones,) share of the local rate of arrivals that no departure explains."""
+        self.monitor = ConvergenceMonitor()
+        """Tells whether the newest run of iterations has converged."""
 
         # Figures of candidates. Messages are those of the sum-product algorithm, from arrivals to
         # candidates.
@@ -126,6 +131,14 @@ class Em:
         self._first = np.flatnonzero(np.diff(arrival, prepend=-1))
         self._arrived = arrival[self._first]
         self._times = np.diff(self._first, append=len(arrival))
+        begins = np.searchsorted(self._first, np.arange(0, len(arrival), CANDIDATES_AT_ONCE))
+        cuts = [*np.unique(begins).tolist(), len(self._first)]
+        ends = np.append(self._first, len(arrival))[cuts].tolist()
+        self._parts = [
+            (slice(*rows), slice(*arrived))
+            for rows, arrived in zip(pairwise(ends), pairwise(cuts), strict=True)
+        ]
+        """Rows of the candidates, and of the arrivals with any, that are processed together."""
         self._departure = candidates.departure.astype(np.intp)
         self.range_of = self.problem.range_of(candidates.source, candidates.target)
         """(P,) range of the lags of each pair of zones."""
@@ -175,10 +188,9 @@ class Em:
         )
         rates = null_model.rates_of(c.source, c.target)
         rates *= unrelated
-        first = initial_hazards(
+        return initial_hazards(
             histograms, rates, self.exposure, self.range_of, bins, noise_sd, START_FLOOR
-        )
-        return first.astype(np.float32)
+        ).astype(np.float32)
 
     def _first_weights(self) -> tuple[Singles, float]:
         """Return the weight (M,) of each candidate in `start`, and that of unrelated ones."""
@@ -191,17 +203,18 @@ class Em:
         return weight * by_label, unrelated
 
     def run(self, hazard: Singles) -> Singles:
-        """Return the hazards (P, bins) after `ITERATIONS` iterations of EM.
+        """Return the hazards (P, bins) after a run of EM.
 
         hazard (P, bins): the hazards to begin with.
         """
-        for iteration in range(ITERATIONS):
+        self.monitor = ConvergenceMonitor()
+        for iteration in self.monitor:
             self.expect(hazard)
             fresh = self.maximise()
             # Over-relaxation: the step of the log hazards is `STRIDE` times that of plain EM; in
             # other words, the ratio of new to old hazards is raised to the power of `STRIDE`. The
-            # last iterations are plain EM, so that the result is one of the M step.
-            if iteration < ITERATIONS - SETTLING_ITERATIONS:
+            # second half is plain EM, so that the result is one of the M step.
+            if iteration < self.monitor.iterations_max // 2:
                 for rows in row_slices(self.pairs):
                     ratio = fresh[rows] / np.maximum(hazard[rows], NOTHING)
                     fresh[rows] *= np.minimum(ratio, STRIDE_RATIO_MAX) ** (STRIDE - 1.0)
@@ -215,30 +228,27 @@ class Em:
         contributed to the hazards, which is left out (`_rates`). So are the messages of the E step
         before, which are replaced as well (``_message``), as is the share of the entry kernels.
         """
-        # Per departure, the probability mass of all its candidates and of leaving the site.
-        weight = self._rates(hazard)
-        asked = weight * self._message
-        departures = len(self.problem.departures.t)
-        taken = np.bincount(self._departure, asked, minlength=departures) + self._leaving(hazard)
-
-        # A candidate's offer to its arrival is its rate, given that the departure has caused no
-        # other arrival. The responsibility is the offer's share among all offers and the
-        # background; the message back is the reciprocal of the competing offers and background.
-        # In double precision, as differences of nearly equal numbers matter.
-        offer = weight / (taken.take(self._departure) - asked)
+        rate = self._rates(hazard)
+        claimed = claims(rate, self._message, self._departure, self._leaving(hazard))
         zone = self.problem.arrivals.zone[self._arrived]
-        rate = self.problem.arrivals.rate[self._arrived]
-        background = np.maximum(self.outside[zone] * rate, BACKGROUND_MIN)
-        demand = np.repeat(background + self._by_arrival(offer), self._times)
-        self.responsibility = (offer / demand).astype(np.float32)
-        self._message = (1.0 / np.maximum(demand - offer, BACKGROUND_MIN)).astype(np.float32)
+        outside = self.outside[zone] * self.problem.arrivals.rate[self._arrived]
+        background = np.maximum(outside, DEMAND_MIN)
+        for rows, arrived in self._parts:
+            offer = offers(rate[rows], self._message[rows], self._departure[rows], claimed)
+            demand = np.repeat(
+                background[arrived] + np.add.reduceat(offer, self._first[arrived] - rows.start),
+                self._times[arrived],
+            )
+            self.responsibility[rows], self._message[rows] = answers(offer, demand)
 
     def maximise(self) -> Singles:
         """Do the M step for the entry kernels and the hazards (P, bins); return the hazards."""
         if self.model.entering is not None:
             self.model.entering.learn(self.responsibility)
         self._estimate_outside()
-        return self.hazards(self.transitions())
+        counts = self.transitions()
+        self.monitor.report(counts.sum(axis=1))
+        return self.hazards(counts)
 
     def learn_speed(self, hazard: Singles) -> Singles:
         """Estimate from the surest candidates how far speed persists, and adjust all candidates.
@@ -284,26 +294,30 @@ class Em:
 
         Return a mask (P,) of the pairs that are left. The entry kernels have to be made anew.
         """
-        left = np.bincount(self.candidates.pair[kept], minlength=self.pairs) > 0
+        pair = self.candidates.pair[kept]
+        left = np.bincount(pair, minlength=self.pairs) > 0
+        self.adjusted = self.adjusted.take(np.flatnonzero(kept))
+        self.adjusted.cell[:] -= np.cumsum(~left).take(pair) * self.problem.bins.size
         self._use(self.candidates.take(kept))
         self._message = self._message[kept]
         self.responsibility = self.responsibility[kept]
         self.own = self.own[left]
-        self.adjusted = adjust(self.problem, self.candidates, self.adjusted.persistence)
         return left
 
-    def responsibilities_under(self, hazard: Singles, outside: Floats, sweeps: int) -> Floats:
-        """Return the responsibilities (M,) under hazards estimated from other events.
+    def responsibilities_under(
+        self, hazard: Singles, outside: Floats, contributed: Floats | float = 0.0
+    ) -> Floats:
+        """Return the responsibilities (M,) under given hazards, after `SWEEPS` sweeps of messages.
 
-        hazard (P, bins): the hazards. No candidate has contributed to them, so none may be left
-            out of them (`expect`): the responsibilities are set to 0 before each E step.
-        outside (zones,): share of the arrivals that no departure explains, from the same events.
-        sweeps: number of E steps, over which the messages settle.
+        hazard (P, bins): the hazards.
+        outside (zones,): share of the arrivals that no departure explains.
+        contributed (M,): responsibilities with which the candidates have contributed to the
+            hazards, and which are left out of them (`expect`); 0 for hazards of other events.
         """
         self.outside = outside
         self._message[:] = 1.0
-        for _ in range(sweeps):
-            self.responsibility[:] = 0.0
+        for _ in range(SWEEPS):
+            self.responsibility[:] = contributed
             self.expect(hazard)
         return self.responsibility.astype(float)
 
@@ -327,13 +341,6 @@ class Em:
             at_exit[self.model.entering.rows] *= np.maximum(1.0 - self.model.entering.share, 0.0)
         return at_exit
 
-    def _by_arrival(self, each: Floats | Singles) -> Floats:
-        """Return the sums of ``each`` (M,) over the candidates of each arrival that has any."""
-        if len(each) == 0:
-            return np.zeros(0)
-        sums: Floats = np.add.reduceat(each, self._first, dtype=float)
-        return sums
-
     # --- Rates ------------------------------------------------------------------------------------
 
     def _rates(self, hazard: Singles) -> Singles:
@@ -343,9 +350,13 @@ class Em:
         """
         # The hazard, without the candidate's own contribution to it (leave one out): otherwise a
         # lone arrival would be its own evidence, and all clutter would find a departure.
-        others = np.maximum(1.0 - self.own.take(self.adjusted.cell) * self.responsibility, 0.0)
-        weight: Singles = hazard.take(self.adjusted.cell) * others
+        weight: Singles = np.empty(len(self.responsibility), np.float32)
         agreement = self.adjusted.agreement
+        for rows, _ in self._parts:
+            cell = self.adjusted.cell[rows]
+            weight[rows] = hazard.take(cell) * np.maximum(
+                1.0 - self.own.take(cell) * self.responsibility[rows], 0.0
+            )
         if agreement is not None:
             weight *= agreement
 
@@ -384,10 +395,9 @@ class Em:
 
     def _estimate_outside(self) -> None:
         """Estimate the share of each zone's arrivals that no departure explains (`outside`)."""
-        arrivals = self.problem.arrivals
-        zones = self.problem.zones
-        explained = self._by_arrival(self.responsibility)
-        of_zone = np.bincount(arrivals.zone[self._arrived], explained, minlength=zones)
+        zone = self.problem.arrivals.zone[self._arrived]
+        explained = np.add.reduceat(self.responsibility, self._first, dtype=float)
+        of_zone = np.bincount(zone, explained, minlength=self.problem.zones)
         self.outside = np.clip(1.0 - of_zone / self.arrivals_of_zone, OUTSIDE_FLOOR, 1.0)
 
     def _count(self, shares: Singles) -> Floats:

@@ -21,7 +21,7 @@ from camtopod.learn.association.problem import Problem
 from camtopod.learn.traffic import Persistence
 
 SPARSE_RUNS = 2
-"""Runs of EM with the sparse prior; after each, pairs of zones without transitions are dropped."""
+"""Runs of EM with the sparse prior."""
 SPARSITY = 1.0
 """Transitions that the sparse prior takes off each pair of zones, as most pairs are not linked.
 Without the prior, arrivals from outside would be shared out among thousands of pairs.
@@ -59,26 +59,17 @@ def fit_jointly(problem: Problem, candidates: Candidates) -> Fit:
 
 
 def fit_sparsely(em: Em) -> Fit:
-    """Go on with a fit with the sparse prior instead of all other additions; return the result."""
-    em.model = EmModel(sparsity=SPARSITY)
-    counts = em.transitions()
-    hazard = em.hazards(counts)
-    for _ in range(SPARSE_RUNS):
-        hazard, counts = prune(em, em.run(hazard))
-    return result(em, hazard, counts)
+    """Go on with a fit with the sparse prior instead of all other additions; return the result.
 
-
-def prune(em: Em, hazard: Singles) -> tuple[Singles, Floats]:
-    """Drop pairs of zones with hardly any transitions, and unlikely candidates, from a fit.
-
-    hazard (P, bins): hazards of the pairs before.
-
-    Return hazards and expected transitions of the pairs that are kept, (pairs, bins) each.
+    After each run, pairs of zones with hardly any transitions and unlikely candidates are dropped.
     """
-    counts = em.transitions()
-    alive = counts.sum(axis=1) > FOLLOWED_TRANSITIONS_MIN
-    left = em.keep(alive[em.candidates.pair] & em.live())
-    return hazard[left], em.transitions()
+    em.model = EmModel(sparsity=SPARSITY)
+    hazard = em.hazards(em.transitions())
+    for _ in range(SPARSE_RUNS):
+        hazard = em.run(hazard)
+        alive = em.transitions().sum(axis=1) > FOLLOWED_TRANSITIONS_MIN
+        hazard = hazard[em.keep(alive[em.candidates.pair] & em.live())]
+    return result(em, hazard, em.transitions())
 
 
 def result(em: Em, hazard: Singles, counts: Floats) -> Fit:

@@ -30,8 +30,10 @@ from camtopod.arrays import (
     Singles,
     find_rows,
     ranges,
+    ranges_in_parts,
 )
 from camtopod.learn.association.candidates import (
+    CANDIDATES_AT_ONCE,
     RESPONSIBILITY_MAX,
     Candidates,
     departures_in_reach,
@@ -43,6 +45,7 @@ from camtopod.learn.association.candidates import (
 )
 from camtopod.learn.association.em import START_FLOOR
 from camtopod.learn.association.problem import Problem, exposures
+from camtopod.learn.lags import NOISE_SD, excess_sd
 from camtopod.learn.limits import (
     JUDGED_MAX,
     WEIGHED_AT_ONCE,
@@ -62,10 +65,6 @@ WIDE_BINS = 4
 """Lag bins in a wide bin. A look compares every two wide bins in a row with the null model."""
 SOURCES_PER_ZONE_MAX = 32
 """Largest number of zones of departure that are followed for one zone of arrival."""
-NOISE_SD = 0.5
-"""Standard deviations of the null model subtracted from lag histograms for the hazards by which
-candidates are weighed.
-"""
 OVERLAP_FALSE = 0.05
 """Probability that `negative_without_overlap` finds any overlap on a site without overlaps."""
 LIKELY_MIN = 0.001
@@ -130,11 +129,8 @@ class CandidateScreen:
         departure, arrival, pair, lag = _joined(_likely(traffic, pairs, block) for block in blocks)
 
         # Number the pairs of zones that are left.
-        left = np.unique(pair)
-        number, source, target = number_pairs(pairs.source[left], pairs.target[left], problem.zones)
-        renumbered = np.zeros(len(pairs.source), np.int32)
-        renumbered[left] = number
-        return Candidates(departure, arrival, renumbered[pair], lag, source, target)
+        pair, source, target = number_pairs(pairs.source[pair], pairs.target[pair], problem.zones)
+        return Candidates(departure, arrival, pair, lag, source, target)
 
     def _look(self, traffic: Traffic, places: Longs, learned: int, everywhere: bool) -> None:
         """Look at zones of arrival; forget zones that exist no more."""
@@ -233,14 +229,16 @@ class ZonePairs:
         low, high = (
             np.searchsorted(self._key, nearest + end[rows][at]) for end in (self._low, self._high)
         )
-        which, position = ranges(low, high - low)
 
         # Those that are possible.
-        departure = self._by_zone[position]
-        at = at[which]
-        lag = arrivals.t[rows][at] - departures.t[departure]
-        kept = np.flatnonzero(possible(self.problem, departure, rows[at], lag))
-        return Block(rows, at[kept], departure[kept], pair[which[kept]], lag[kept])
+        parts = [(at[:0], at[:0], at[:0], arrivals.t[:0])]
+        for which, position in ranges_in_parts(low, high - low, CANDIDATES_AT_ONCE):
+            departure = self._by_zone[position]
+            came = rows[at[which]]
+            lag = arrivals.t[came] - departures.t[departure]
+            kept = np.flatnonzero(possible(self.problem, departure, came, lag))
+            parts.append((at[which[kept]], departure[kept], pair[which[kept]], lag[kept]))
+        return Block(rows, *(np.concatenate(column) for column in zip(*parts, strict=True)))
 
 
 def _joined(blocks: Iterable[Block]) -> tuple[Ints, Ints, Ints, Singles]:
@@ -331,13 +329,16 @@ class Traffic:
         self._exposed = exposed[:, is_exposed]
         self._edges = np.append(np.array(bins.limits)[wide[is_exposed]], bins.limits[-1])
 
-        # Departures by zone. The first arrival after each of them with a lag past each edge.
-        by_zone = np.argsort(departures.zone, kind="stable")
-        self._first = np.searchsorted(departures.zone[by_zone], np.arange(zones + 1))
-        t = departures.t[by_zone]
-        since = departures.since[by_zone]
+        # Departures by part of the window, whose arrivals stay in the processor's cache, and zone.
+        # The first arrival after each of them with a lag past each edge.
+        group = np.arange(len(departures.t)) // CANDIDATES_AT_ONCE * zones + departures.zone
+        by_group = np.argsort(group, kind="stable")
+        self._first = np.searchsorted(
+            group[by_group], np.arange((len(group) // CANDIDATES_AT_ONCE + 1) * zones + 1)
+        )
         self._passed = [
-            np.searchsorted(arrivals.t, np.maximum(since, t + edge)) for edge in self._edges
+            np.searchsorted(arrivals.t, np.maximum(departures.since, departures.t + edge))[by_group]
+            for edge in self._edges
         ]
 
         # Camera of each zone; integers that hold the number of candidates of any pair of zones.
@@ -351,8 +352,7 @@ class Traffic:
         targets (k,): the zones of arrival.
 
         The result is by zone of departure, in standard deviations of the null model at the lags
-        with the largest excess, and at least 0. The null model has one expected arrival more: by
-        chance alone, one arrival after few departures is no excess.
+        with the largest excess (`excess_sd`), and at least 0.
         """
         # For each arrival at any of these zones in turn, the number of earlier ones at each.
         departures, arrivals, _, zones, *_ = self.problem
@@ -367,9 +367,11 @@ class Traffic:
 
         # Arrivals before each edge, added up over the departures from each zone.
         each: NDArray[Any] = np.ones(len(departures.t), self._kind)
-        size = (zones, len(came))
+        size = (len(self._first) - 1, len(came))
         before = [
-            csr_matrix((each, number[passed], self._first), shape=size) @ came
+            (csr_matrix((each, number.take(passed), self._first), shape=size) @ came)
+            .reshape(size[0] // zones, zones, len(targets))
+            .sum(axis=0, dtype=self._kind)
             for passed in self._passed
         ]
 
@@ -380,7 +382,7 @@ class Traffic:
         result = np.zeros(rates.shape, np.float32)
         for k, edge in enumerate(self._edges[:-2]):
             expected = rates * self._exposed[:, k : k + 2].sum(axis=1, keepdims=True)
-            above = (before[k + 2] - before[k] - expected) / np.sqrt(expected + 1.0)
+            above = excess_sd(before[k + 2] - before[k], expected)
             if edge < 0:
                 above[same] = 0.0
             np.maximum(result, above, out=result)

@@ -7,7 +7,6 @@ finds paths that objects take in both directions, each of which shows the differ
 """
 
 from camtopod.learn.clocks.correlogram import (
-    BIN_SECONDS as BIN_SECONDS,
     LAGS as LAGS,
     ROWS_AT_ONCE as ROWS_AT_ONCE,
     Correlograms as Correlograms,

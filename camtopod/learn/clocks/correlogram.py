@@ -22,8 +22,6 @@ from camtopod.arrays import Floats, Ints, rows_by_group
 Counts = NDArray[np.float32]
 Spectra = NDArray[np.complex64]
 
-BIN_SECONDS = 1.0
-"""Usual width of the bins."""
 LAGS = 1000
 """Largest lag, in bins, either way."""
 BLOCK = 2048
@@ -56,7 +54,7 @@ class Correlograms:
     departures: times (n,) in seconds, ascending, and labels (n,); not empty.
     arrivals: times (m,) and labels (m,), likewise.
     labels: number of labels; they are counted from 0.
-    bin_seconds: width of the bins.
+    bin_seconds: width of the bins, usually `BIN_SECONDS`.
 
     It is fastest if pairs asked for in succession have at most ``at_once`` labels
     (`cache_friendly_order`).

@@ -20,7 +20,6 @@ from scipy.sparse import block_array, csr_array, eye_array
 
 from camtopod.arrays import Bools, Floats, Ints
 from camtopod.learn.clocks.correlogram import (
-    BIN_SECONDS,
     ROWS_AT_ONCE,
     Correlograms,
     cache_friendly_order,
@@ -28,6 +27,7 @@ from camtopod.learn.clocks.correlogram import (
     significant_peaks,
 )
 from camtopod.learn.clocks.two_way_paths import ROUNDS, find_two_way_paths
+from camtopod.learn.lags import BIN_SECONDS
 from camtopod.learn.traffic import EVENT_SD_SECONDS, Arrivals, Departures, Scene
 
 SCREENING_BIN_SECONDS = 4.0

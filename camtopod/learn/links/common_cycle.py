@@ -17,7 +17,7 @@ from scipy.fft import next_fast_len, rfft
 from scipy.ndimage import median_filter
 from scipy.special import gammaincc, gammaincinv
 
-from camtopod.arrays import Bools, Floats, Ints, Singles
+from camtopod.arrays import Bools, Floats, Ints, Singles, rows_by_group
 from camtopod.learn.association import (
     Candidates,
     Em,
@@ -27,6 +27,7 @@ from camtopod.learn.association import (
     find_candidates,
     fit_sparsely,
 )
+from camtopod.learn.lags import SMOOTHING_SD_BINS
 from camtopod.learn.links.link_table import TRANSITIONS_MIN
 from camtopod.learn.links.significance import PARTS
 from camtopod.learn.traffic import Departures
@@ -44,7 +45,7 @@ NEIGHBOURS = 65
 """Frequencies around a period, four for each that the window tells apart, whose median is the noise
 there: batches and trains without a timetable make long waves of all frequencies.
 """
-PEAK_NATS = 5.0
+PEAK_NATS = 20.0
 """Least significance of a period at each of two zones, as the negative log of a p-value, beside the
 number of periods that are looked at.
 """
@@ -56,8 +57,6 @@ EXCESS_SD = (1.0, 3.0)
 """Least excess of candidates over the copies at the lags of a way, in standard deviations: at its
 edges, and in the middle.
 """
-WAY_SD_BINS = 1.5
-"""Standard deviation, in lag bins, with which the excess is smoothed."""
 
 
 def common_periods(problem: Problem, fit: Fit) -> Floats:
@@ -88,9 +87,10 @@ def common_periods(problem: Problem, fit: Fit) -> Floats:
         frequencies around each.
         """
         some, row = np.unique(zones, return_inverse=True)
+        rows = rows_by_group(zone, problem.zones)
         table = np.zeros((2, len(some), len(period)))
         for power, line, each in zip(*table, some.tolist(), strict=True):
-            step = ((t[zone == each] - first) / STEP_SECONDS).astype(np.int64)
+            step = ((t[rows[each]] - first) / STEP_SECONDS).astype(np.int64)
             step = step[step < blocks * steps]  # by a wrong clock, some are after the window
             counts = np.bincount(step, minlength=blocks * steps).reshape(blocks, steps)
             waves = np.abs(rfft(counts - counts.mean(axis=1, keepdims=True), size)) ** 2
@@ -181,9 +181,10 @@ def way_lags(counts: Floats, copies: Floats) -> Bools:
     counts (bins,), copies (n, bins): candidates by lag.
     """
     # Noise is what the copies differ by: saturated platoons hardly differ from cycle to cycle.
-    spread = lag_smoothing_matrix(len(counts), WAY_SD_BINS)
+    narrow, wide, *_ = SMOOTHING_SD_BINS
+    spread = lag_smoothing_matrix(len(counts), narrow)
     smoothed = copies @ spread.T
-    wider = lag_smoothing_matrix(len(counts), 2.0 * WAY_SD_BINS)
+    wider = lag_smoothing_matrix(len(counts), wide)
     noise = wider @ smoothed.var(axis=0, ddof=1) * (1.0 + 1.0 / len(copies))
     noise += (spread**2).sum(axis=1)  # that of one candidate a bin, where there are few
     excess = (spread @ counts - smoothed.mean(axis=0)) / np.sqrt(noise)
@@ -197,18 +198,20 @@ def way_lags(counts: Floats, copies: Floats) -> Bools:
     return mask
 
 
-def without_cycle(problem: Problem, fit: Fit) -> Fit:
+def without_cycle(problem: Problem, fit: Fit) -> tuple[Fit, Floats]:
     """Return a joint fit without the candidates at lags that a common cycle alone would make.
 
-    They would have arrivals of true ways.
+    They would have arrivals of true ways. The second result is `common_periods` of the fit.
     """
-    able = off_cycle(problem, fit.candidates, common_periods(problem, fit))
+    period = common_periods(problem, fit)
+    able = off_cycle(problem, fit.candidates, period)
     if able.all():
-        return fit
+        return fit, period
     em = Em(problem, fit.candidates, adjusted=adjust(problem, fit.candidates, fit.persistence))
     em.keep(able)
     em.run(em.start())
-    return fit_sparsely(em)
+    fit = fit_sparsely(em)
+    return fit, common_periods(problem, fit)
 
 
 def evidence_against_cycle(

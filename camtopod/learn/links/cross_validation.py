@@ -31,7 +31,6 @@ from camtopod.learn.association import (
     flatness,
 )
 from camtopod.learn.links.common_cycle import (
-    common_periods,
     evidence_against_cycle,
     off_cycle,
 )
@@ -51,8 +50,6 @@ fewer than in the fit of the whole window, as half of the window has fewer trans
 """
 OUTSIDE_LEAST = 0.5
 """Least share of the local rate of arrivals that counts as from outside when a bet is judged."""
-SWEEPS = 3
-"""Number of E steps under given hazards."""
 
 
 class LinkEvidence(NamedTuple):
@@ -76,14 +73,14 @@ class LinkEvidence(NamedTuple):
         return mean
 
 
-def link_evidence(problem: Problem, fit: Fit, first: float) -> LinkEvidence:
+def link_evidence(problem: Problem, fit: Fit, first: float, period: Floats) -> LinkEvidence:
     """Return the evidence that the zones of each pair of a fit are linked.
 
     first (seconds): beginning of the window.
+    period (P, seconds): common period of each pair of zones, nan without one.
     """
-    period = common_periods(problem, fit)
-    held_out = _held_out(problem, fit, first, period)
-    return LinkEvidence(held_out, _whole(judging(problem), fit, period))
+    judge = judging(problem)
+    return LinkEvidence(_held_out(problem, judge, fit, first, period), _whole(judge, fit, period))
 
 
 def judging(problem: Problem) -> Problem:
@@ -107,21 +104,18 @@ def _whole(problem: Problem, fit: Fit, period: Floats) -> Floats:
     em = Em(problem, c, EmModel(sparsity=SPARSITY), None, adjust(problem, c, fit.persistence))
     em.responsibility = fit.responsibility.astype(np.float32)
     hazard = em.hazards(em.transitions())
-    em.outside = np.maximum(fit.outside, OUTSIDE_LEAST)
-    for _ in range(SWEEPS):
-        em.responsibility[:] = fit.responsibility
-        em.expect(hazard)
-
-    share = em.responsibility.astype(float)
+    outside = np.maximum(fit.outside, OUTSIDE_LEAST)
+    share = em.responsibilities_under(hazard, outside, fit.responsibility)
     at = c.arrival / max(len(problem.arrivals.t), 1)
     evidence = repeated_evidence(c.pair, share, flatness(em, hazard), at, em.pairs)
     cycle = evidence_against_cycle(problem, c, hazard, share, em.outside, period)
     return np.where(period > 0.0, repeated(cycle), evidence)
 
 
-def _held_out(problem: Problem, fit: Fit, first: float, period: Floats) -> Floats:
+def _held_out(problem: Problem, judge: Problem, fit: Fit, first: float, period: Floats) -> Floats:
     """Return the held-out evidence (P, nats) that the zones of each pair of a fit are linked.
 
+    judge: the problem as the bets are judged (`judging`).
     fit: the joint fit of the whole window, for its pairs of zones; its hazards are not used. Of the
         pairs that may be links, all candidates count, as the likely ones alone are biased.
     first (seconds): beginning of the window.
@@ -130,7 +124,7 @@ def _held_out(problem: Problem, fit: Fit, first: float, period: Floats) -> Float
     pairs = np.flatnonzero(fit.counts.sum(axis=1) >= TRANSITIONS_MIN)
     every = candidates_of_pairs(problem, fit.candidates, pairs)
     every = every.rows(off_cycle(problem, every, period))
-    halves = Halves(problem, fit._replace(candidates=every), first)
+    halves = Halves(problem, judge, fit._replace(candidates=every), first)
     mean: Floats = np.logaddexp(_bet(halves, 0, period), _bet(halves, 1, period)) - np.log(2.0)
     return mean
 
@@ -160,12 +154,12 @@ def _bet(halves: Halves, fitted: int, period: Floats) -> Floats:
 class Halves:
     """The two halves of a window, each with its exposure.
 
-    Arguments are as for `link_evidence`.
+    Arguments are as for `_held_out`.
     """
 
-    def __init__(self, problem: Problem, fit: Fit, first: float) -> None:
+    def __init__(self, problem: Problem, judge: Problem, fit: Fit, first: float) -> None:
         self.problem = problem
-        self._judging = judging(problem)
+        self._judging = judge
         self.fit = fit
         self.first = first
 
@@ -260,7 +254,7 @@ def _evidence(
     period (P, seconds): as for `_bet`.
     """
     # Responsibilities of the held-out candidates under the given hazards.
-    share = fitter.responsibilities_under(hazard, outside, SWEEPS)
+    share = fitter.responsibilities_under(hazard, outside)
     share = np.minimum(share, RESPONSIBILITY_MAX)
     c = fitter.candidates
 

@@ -14,7 +14,7 @@ import numpy as np
 from camtopod.arrays import Floats, Ints, Longs, Rows
 from camtopod.learn.association import RESPONSIBILITY_MAX
 
-PARTS = 16
+PARTS = 32
 """Parts of the window with as many events each; two in a row are taken for one occasion."""
 OCCASION_SHARE_MAX = 1.0 / 3.0
 """Evidence of one occasion that counts, as a share of that of all others."""
@@ -116,7 +116,7 @@ def _part(at: Floats) -> Longs:
 def repeated(nats: Floats) -> Floats:
     """Return the total (P,) of evidence by parts of the window (P, PARTS), less what is told once.
 
-    The eighth of the events that speaks most for a pair counts no more than a third of the rest.
+    The sixteenth of the events that speaks most for a pair counts no more than a third of the rest.
     """
     total = nats.sum(axis=-1)
     rest = total - np.maximum((nats[..., :-1] + nats[..., 1:]).max(axis=-1), 0.0)

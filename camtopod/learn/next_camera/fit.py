@@ -20,6 +20,7 @@ from numpy.typing import NDArray
 from camtopod.arrays import Floats, Ints, Singles, row_slices
 from camtopod.learn.association import (
     Candidates,
+    ConvergenceMonitor,
     Em,
     EmModel,
     Fit,
@@ -42,12 +43,10 @@ from camtopod.topology import LEAVE_FLOOR
 FIRST_NOISE_SD = 3.0
 """Standard deviations of the null model that are subtracted from lag histograms for first hazards.
 """
-FIRST_ITERATIONS = (5, 5, 5)
-"""EM iterations of each round without contexts; after each round, unlikely candidates are left out
-and speed is estimated.
+FIRST_ROUNDS = 3
+"""Rounds of EM without contexts; after each round, unlikely candidates are left out and speed is
+estimated.
 """
-ITERATIONS = 8
-"""EM iterations with contexts; contexts are estimated after every other one."""
 FAINT_TRANSITIONS = 0.2
 """Transitions of every pair of zones that are added in iterations with contexts, spread evenly over
 the lag bins after the exit. With little data a converged fit is overconfident, as it reinforces its
@@ -162,11 +161,11 @@ class PosteriorFitter:
             self.hazard = self.em.start(FIRST_NOISE_SD)
 
         # Rounds without contexts; impossible candidates are left out as soon as they show.
-        for first, iterations in enumerate(FIRST_ITERATIONS):
-            self._iterate(iterations, contexts=False)
-            self._keep(self.em.live() if first else self._possible(overlapping))
+        for before in range(FIRST_ROUNDS):
+            self._iterate(contexts=False)
+            self._keep(self.em.live() if before else self._possible(overlapping))
             self.hazard = self.em.learn_speed(self.hazard)
-        self._iterate(ITERATIONS, contexts=True)
+        self._iterate(contexts=True)
 
     def _possible(self, overlapping: NDArray[np.bool_]) -> NDArray[np.bool_]:
         """Return a mask (M,) of the candidates that are neither unlikely nor impossible."""
@@ -203,9 +202,10 @@ class PosteriorFitter:
             levels,
         )
 
-    def _iterate(self, iterations: int, contexts: bool) -> None:
-        """Run EM iterations; with ``contexts``, estimate contexts after every other one."""
-        for iteration in range(iterations):
+    def _iterate(self, contexts: bool) -> None:
+        """Run EM; with ``contexts``, estimate contexts after every other iteration."""
+        self.em.monitor = ConvergenceMonitor()
+        for iteration in self.em.monitor:
             self.em.expect(self.hazard)
             self.hazard = self.em.maximise()
             if contexts:

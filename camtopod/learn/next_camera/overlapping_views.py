@@ -18,6 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from camtopod.arrays import Floats, Longs, Rows, ranges_in_parts
+from camtopod.learn.lags import NOISE_SD, excess_sd
 from camtopod.learn.traffic import Departures
 from camtopod.topology import SMOOTHING_SD_BINS, LagBins, lag_smoothing_matrix, smooth
 
@@ -29,8 +30,6 @@ the fewest transitions.
 """
 NULL_MIN = 0.02
 """Least number of passages that the null model expects in a bin, over all exits."""
-NOISE_SD = 0.5
-"""Standard deviations of the null model that are subtracted from an excess over it."""
 SCREENED_SD = 3.0
 """Least excess of the open passages of a pair of cameras over the null model, in standard
 deviations, for the pair to be tested.
@@ -82,7 +81,7 @@ def find_overlapping(passages: Departures, cameras: int, bins: LagBins) -> list[
     # Select the pairs of cameras with more open passages than under the null model.
     open_seen = _totals(passages, slice(newest, end), 0.0, cameras)
     open_null = _shifted(lambda shift: _totals(passages, slice(newest, end), shift, cameras))
-    source, target = _screened((open_seen - open_null) / np.sqrt(open_null + 1.0))
+    source, target = _screened(excess_sd(open_seen, open_null))
     if len(source) == 0:
         return []
 

@@ -14,13 +14,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from camtopod.arrays import Floats, Longs, Singles
+from camtopod.learn.lags import BIN_SECONDS, poisson_nats
 from camtopod.learn.paths.camera_lags import CameraLags, keys
 from camtopod.learn.traffic import RATIO_MAX
 
-RESOLUTION_SECONDS = 1.0
-"""Seconds by which lags are told apart, as the times of some cameras are whole seconds; least width
-of a path.
-"""
 WIDTHS = tuple(2.0**k for k in range(6))
 """Widths of peaks that are tried, seconds."""
 HALF_WINDOW = 1.5
@@ -53,7 +50,7 @@ def find_peaks(lags: CameraLags, favour: Singles) -> tuple[Longs, Floats, Floats
 
     They are columns (K,): pair of cameras (`CameraLags`), lag in the middle, and width, seconds.
     """
-    grid = np.arange(lags.lag_min, lags.lag_max + RESOLUTION_SECONDS, RESOLUTION_SECONDS)
+    grid = np.arange(lags.lag_min, lags.lag_max + BIN_SECONDS, BIN_SECONDS)
     windows = [_window(width, grid, lags.cameras) for width in WIDTHS]
     found = [
         peak
@@ -77,7 +74,7 @@ def log_density(place: Floats, width: Floats | float, lag_max: float) -> Floats:
 
 def _window(width: float, grid: Floats, cameras: int) -> _Window:
     """Return the windows of one width (seconds) about each lag of the grid (lags, seconds)."""
-    half = round(HALF_WINDOW * width / RESOLUTION_SECONDS)
+    half = round(HALF_WINDOW * width / BIN_SECONDS)
     step = max(half // 3, 1)
     at = np.arange(0, len(grid), step)
     place = grid[at]
@@ -103,7 +100,7 @@ def _peaks_from(
     left, dwell = np.sort(lags.left[of]), np.sort(lags.dwell[of])
     after = np.searchsorted(left, lags.until - grid, side="right")
     before = len(dwell) - np.searchsorted(dwell, -grid)
-    exposed = _summed(RESOLUTION_SECONDS * np.where(grid >= 0, after, before)[None, :])[0]
+    exposed = _summed(BIN_SECONDS * np.where(grid >= 0, after, before)[None, :])[0]
 
     # Candidates by target and lag, weighed by 1 / rate and labels, and their squared weights.
     cameras = lags.cameras
@@ -119,7 +116,7 @@ def _peaks_from(
     weight = 1.0 / lags.rate[lags.arrival[first:end]]
     if lags.likeness is not None:
         weight *= np.minimum(lags.likeness[first:end], RATIO_MAX)
-    cell = ((lags.lag[first:end] - grid[0]) / RESOLUTION_SECONDS + 0.5).astype(np.int64)
+    cell = ((lags.lag[first:end] - grid[0]) / BIN_SECONDS + 0.5).astype(np.int64)
     target = lags.target[lags.arrival[first:end]]
     cell = target * len(grid) + np.minimum(cell, len(grid) - 1)
     counted, squared = (
@@ -156,8 +153,7 @@ def _gain(window: _Window, counted: Floats, squared: Floats, exposed: Floats) ->
     counted, squared (targets, lags + 1), exposed (lags + 1): weighed candidates, squared weights
         and what chance makes expect, up to each lag.
 
-    It is the log likelihood ratio of Poisson counts, n ln(n / e) - (n - e). Expected is the larger
-    of chance and the surroundings.
+    Expected is the larger of chance and the surroundings.
     """
     inside = counted[:, window.high] - counted[:, window.low]
     spread = squared[:, window.high] - squared[:, window.low]
@@ -168,10 +164,4 @@ def _gain(window: _Window, counted: Floats, squared: Floats, exposed: Floats) ->
 
     # In numbers of candidates instead of seconds.
     unit = inside / np.maximum(spread, 1e-12)
-    n = inside * unit
-    e = np.maximum(usual * unit, 1e-3)
-    gain = np.zeros(n.shape)
-    more = n > e
-    n, e = n[more], e[more]
-    gain[more] = n * np.log(n / e) - (n - e)
-    return gain
+    return poisson_nats(inside * unit, np.maximum(usual * unit, 1e-3))

@@ -15,6 +15,8 @@ import numpy as np
 from scipy.special import digamma
 
 from camtopod.arrays import Floats, Longs, Rows, Singles
+from camtopod.learn.association import ITERATIONS, ConvergenceMonitor, answers, claims, offers
+from camtopod.learn.lags import BIN_SECONDS
 from camtopod.learn.links import (
     OUTSIDE_LEAST,
     PathEvidence,
@@ -23,16 +25,15 @@ from camtopod.learn.links import (
     repeated_evidence,
 )
 from camtopod.learn.paths.camera_lags import CameraLags
-from camtopod.learn.paths.dictionary import RESOLUTION_SECONDS, log_density
+from camtopod.learn.paths.dictionary import log_density
 from camtopod.topology import DEGREES, LEAVE_FLOOR, REACH_WIDTHS, student_density
 
 SWEEPS = 2
 """Sweeps of messages in each iteration."""
-ITERATIONS = 15
-"""EM iterations."""
+PATH_ITERATIONS = 15
+"""Largest number of EM iterations of a run with all paths of the dictionary."""
 SPARSE_NATS = (0.3, 0.6, 1.0, 1.5, 2.0, 2.5, 3.0)
-SPARSE_ITERATIONS = 4
-"""Least evidence of a path in the rounds of the fit for links, and EM iterations of each."""
+"""Least evidence of a path in the rounds of the fit for links."""
 WIDTH_PRIOR = (4.0, 3.0)
 """The usual width in seconds, and its weight in that of a path, in transitions."""
 
@@ -89,11 +90,14 @@ class PathFit:
         self.paths = Paths(pair, share, place, width)
         self.outside = np.ones(lags.cameras)
         self._demand = lags.rate
+        self.monitor = ConvergenceMonitor()
+        """Tells whether the newest run of iterations has converged."""
 
-    def run(self) -> None:
-        """Run the iterations."""
-        for _ in range(ITERATIONS):
-            self._iterate()
+    def run(self, iterations_max: int = PATH_ITERATIONS) -> None:
+        """Run EM."""
+        self.monitor = ConvergenceMonitor(iterations_max)
+        for _ in self.monitor:
+            self.monitor.report(self._maximise(self._expect()))
 
     def evidence(self) -> PathEvidence:
         """Go on with fewer and fewer paths, and return the evidence for those that are left.
@@ -105,8 +109,7 @@ class PathFit:
             kept = evidence_against_unrelated(step.path, step.part, len(self.paths.pair)) >= least
             pair, share, place, width = self.paths
             self.paths = Paths(pair[kept], share[kept], place[kept], width[kept])
-            for _ in range(SPARSE_ITERATIONS):
-                self._iterate()
+            self.run(ITERATIONS)
         self.outside = np.maximum(self.outside, OUTSIDE_LEAST)
         self.lags = self.lags._replace(rate=self.lags.active)
         step = self._expect()
@@ -120,23 +123,20 @@ class PathFit:
             step.path, step.part, np.zeros(len(came)), came, len(pair), expected
         )
 
-        # A path has been looked for at all places.
-        nats = np.maximum(nats + log_density(place, width, self.lags.lag_max), 0.0)
         return PathEvidence(source, pair % lags.cameras, place, width, nats)
 
-    def _iterate(self) -> None:
-        """Do one E step and one M step."""
-        lags = self.lags
-        step = self._expect()
-        path, part = step.path, step.part
+    def _maximise(self, step: Expected) -> Floats:
+        """Do the M step with the result of an E step; return the transitions of each path, (K,)."""
+        lags, path, part = self.lags, step.path, step.part
         transitions: Floats = np.bincount(path, part, minlength=len(self.paths.pair)).astype(float)
         target = lags.target[lags.arrival[step.rows]]
         explained = np.bincount(target, step.responsibility, minlength=lags.cameras)
         self.outside = np.maximum(1.0 - explained / np.maximum(self.arrivals, 1.0), LEAVE_FLOOR)
 
-        # M step: places and widths, then shares.
+        # Places and widths, then shares.
         place, width = self._moved(lags.lag[step.rows[step.row]], path, part, transitions)
         self.paths = Paths(self.paths.pair, self._shares(transitions), place, width)
+        return transitions
 
     def _expect(self) -> Expected:
         """Do the E step on the candidates near any path, which may be near several."""
@@ -163,15 +163,14 @@ class PathFit:
         departure, arrival = lags.departure[rows], lags.arrival[rows]
         source = self.paths.pair // lags.cameras
         explained = np.bincount(source, self.paths.share, minlength=lags.cameras)
-        unseen = np.maximum(1.0 - explained, LEAVE_FLOOR)[lags.source][departure]
+        unseen = np.maximum(1.0 - explained, LEAVE_FLOOR)[lags.source]
         background = self.outside[lags.target] * lags.rate
         message = 1.0 / np.maximum(self._demand, background)[arrival]
         for _ in range(SWEEPS):
-            taken = np.bincount(departure, rate * message, minlength=len(lags.left))
-            offer = rate / np.maximum(unseen + taken[departure] - rate * message, 1e-9)
+            claimed = claims(rate, message, departure, unseen)
+            offer = offers(rate, message, departure, claimed)
             self._demand = background + np.bincount(arrival, offer, minlength=len(background))
-            message = 1.0 / np.maximum(self._demand[arrival] - offer, 1e-12)
-        responsibility: Floats = offer / self._demand[arrival]
+            responsibility, message = answers(offer, self._demand[arrival])
         return responsibility
 
     def _moved(
@@ -194,7 +193,7 @@ class PathFit:
         squares = summed(weight * (lag - moved[path]) ** 2)
         usual, prior = WIDTH_PRIOR
         spread = np.sqrt((squares + prior * usual**2) / (transitions + prior))
-        return moved, np.maximum(spread, RESOLUTION_SECONDS)
+        return moved, np.maximum(spread, BIN_SECONDS)
 
     def _shares(self, transitions: Floats) -> Floats:
         """Return the shares (K,) of the departures that take each path.

@@ -133,19 +133,12 @@ def label_events(window: Window, maps: list[ZoneMap], ahead: Floats | None = Non
     departures = Departures(
         t[exit_rows], zone[exit_rows], camera[exit_rows], since, slow[exit_rows], own_arrival, block
     )
+    arrivals = _arrivals(t[entry_rows], zone[entry_rows], camera[entry_rows], slow[entry_rows], n)
     labels, label = window.labels()
-
-    # Arrivals.
-    came = t[entry_rows]
-    entered = zone[entry_rows]
-    even = local_rates(came, entered, n)
-    rate = rhythm_rates(came, entered, even, n)
-    arrivals = Arrivals(came, entered, camera[entry_rows], rate, slow[entry_rows], even / rate)
     if len(labels) > 1:
+        share = label_shares(arrivals.zone, label[entry_rows], n)
         departures = departures._replace(label=label[exit_rows])
-        arrivals = arrivals._replace(
-            label=label[entry_rows], label_share=label_shares(entered, label[entry_rows], n)
-        )
+        arrivals = arrivals._replace(label=label[entry_rows], label_share=share)
 
     return Scene(
         zones,
@@ -158,6 +151,16 @@ def label_events(window: Window, maps: list[ZoneMap], ahead: Floats | None = Non
         last,
         labels,
     )
+
+
+def _arrivals(t: Floats, zone: Ints, camera: Ints, slow: Floats, zones: int) -> Arrivals:
+    """Return arrivals without labels, with the local rates of arrivals that their rhythm makes.
+
+    t, zone, camera, slow (m,): columns of `Arrivals`; zones: number of zones.
+    """
+    even = local_rates(t, zone, zones)
+    rate = rhythm_rates(t, zone, even, zones)
+    return Arrivals(t, zone, camera, rate, slow, even / rate)
 
 
 def _tracked(camera: Ints, mate: Indices, cameras: int) -> NDArray[np.bool_]:

@@ -45,6 +45,7 @@ _BACK = (6, 7, 8, 9, 10)
 """Sixteenths of a circle from a ray to the opposite one and to those beside it: a way may turn
 within a group.
 """
+_RAYS_BACK = np.subtract.outer(np.arange(_DIRECTIONS), _BACK)
 _ANGLE = np.linspace(0.0, 2 * np.pi, _DIRECTIONS, endpoint=False)
 _RAYS = np.multiply.outer(np.arange(0.5, 4.5, 0.5), np.array((np.cos(_ANGLE), np.sin(_ANGLE))).T)
 _PLACES = np.concatenate((np.zeros((1, 2)), _RAYS.reshape(-1, 2)))
@@ -79,8 +80,7 @@ def way_contrast(cells: Cells, group: Floats, rates: Floats) -> float:
     for ring in rays[-2::-1]:
         on = np.maximum(way, _BEND * np.maximum(np.roll(way, 1), np.roll(way, -1)))
         way = np.where(ring > _DENSER * here, ring, np.minimum(ring, on))
-    back = [np.roll(way, turn) for turn in _BACK]
-    through = float(np.minimum(way, np.max(back, axis=0)).max())
+    through = float(np.minimum(way, way[_RAYS_BACK].max(axis=1)).max())
 
     # The expected clutter under the kernel, whose area is in cells.
     area = 2 * np.pi * _KERNEL**2 * root[0, 0] * root[1, 1] * GRID_ROWS * GRID_COLUMNS

@@ -18,6 +18,7 @@ from camtopod.learn.association.em import Em
 from camtopod.learn.association.em_model import EmModel
 from camtopod.learn.association.joint_fit import Fit, fit_jointly, flatness
 from camtopod.learn.association.problem import Problem, exposures
+from camtopod.learn.links.common_cycle import common_periods
 from camtopod.learn.links.cross_validation import link_evidence
 from camtopod.learn.traffic.background_rate import local_rates
 from camtopod.learn.traffic.events import Arrivals, Departures
@@ -160,9 +161,10 @@ def test_iterations_equal_their_slow_twin(
     named = list(zip(found.source.tolist(), found.target.tolist(), strict=True))
     with pytest.MonkeyPatch.context() as limits:
         limits.setattr(candidates_module, "CANDIDATES_AT_ONCE", at_once)
-        limits.setattr(em, "ITERATIONS", iterations)
-        limits.setattr(em, "SETTLING_ITERATIONS", iterations)
-        hazards = fitter.run(hazard.astype(np.float32))
+        hazards = hazard.astype(np.float32)
+        for _ in range(iterations):
+            fitter.expect(hazards)
+            hazards = fitter.maximise()
     responsibility, counts, fresh, outside = naive.joint_fit(
         departures,
         arrivals,
@@ -290,7 +292,8 @@ def test_evidence_of_chance_is_small_and_of_a_link_large() -> None:
         walks.go(400, 12_000.0, (zone, 0, 0, 1))
     departures, arrivals = walks.columns(6)
     fit = fitted(departures, arrivals, 6)
-    ratio = link_evidence(Problem(departures, arrivals, BINS, 6, 12_000.0), fit, 0.0).held_out
+    problem = Problem(departures, arrivals, BINS, 6, 12_000.0)
+    ratio = link_evidence(problem, fit, 0.0, common_periods(problem, fit)).held_out
     linked = (fit.candidates.source == 0) & (fit.candidates.target == 1)
     assert ratio[linked] > 100
     assert (ratio[~linked] < np.log(36 * 100)).all()

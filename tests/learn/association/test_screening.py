@@ -10,7 +10,6 @@ from hypothesis import given, settings, strategies as st
 from camtopod.learn.association import screening as module
 from camtopod.learn.association.candidates import (
     Candidates,
-    excess_over_null,
     find_candidates,
 )
 from camtopod.learn.association.em import START_FLOOR
@@ -23,6 +22,7 @@ from camtopod.learn.association.screening import (
     candidates_of_pairs,
     place,
 )
+from camtopod.learn.lags import NOISE_SD, excess_over_null
 from camtopod.learn.learner import Learner
 from camtopod.learn.settings import Settings
 from camtopod.learn.traffic.background_rate import local_rates
@@ -185,7 +185,7 @@ def test_likely_ones_equal_their_slow_twin(seed: int, left: int, came: int) -> N
         SHORT,
         traffic.exposure,
         traffic.null_model.rates_of,
-        lambda seen, usual: excess_over_null(seen, usual, SHORT, module.NOISE_SD),
+        lambda seen, usual: excess_over_null(seen, usual, NOISE_SD),
         START_FLOOR,
         module.LIKELY_MIN,
     )

@@ -75,10 +75,10 @@ def test_a_phase_is_no_way_and_a_way_is_one(seed: int) -> None:
     unaware = log_likelihood_ratio(c.pair, before.responsibility, before.flat, len(c.source))
     assert by_pair(before, unaware)[PHASE] > 8.0
 
-    fit = without_cycle(problem, before)
+    fit, period_of = without_cycle(problem, before)
 
-    period = by_pair(fit, common_periods(problem, fit))
-    evidence = link_evidence(problem, fit, 0.0)
+    period = by_pair(fit, period_of)
+    evidence = link_evidence(problem, fit, 0.0, period_of)
     whole, held_out = by_pair(fit, evidence.whole), by_pair(fit, evidence.held_out)
     assert period[WAY] == pytest.approx(PERIOD, rel=0.01)
     assert (whole[WAY] + held_out[WAY]) / 2 > 15.0
@@ -89,7 +89,7 @@ def test_without_a_cycle_nothing_changes() -> None:
     problem = street(1, 0.0)
     fit = fit_jointly(problem, find_candidates(problem))
     assert np.isnan(common_periods(problem, fit)).all()
-    assert without_cycle(problem, fit) is fit
+    assert without_cycle(problem, fit)[0] is fit
 
 
 @pytest.mark.parametrize("seconds", [1.0, 100.0, 340.0])
@@ -111,7 +111,7 @@ def test_a_window_of_a_few_periods_has_none(seconds: float) -> None:
 def test_a_fit_keeps_a_way_at_its_lag() -> None:
     """What the cycle makes at other lags is left out."""
     problem = street(4)
-    fit = without_cycle(problem, fit_jointly(problem, find_candidates(problem)))
+    fit, _ = without_cycle(problem, fit_jointly(problem, find_candidates(problem)))
     way = by_pair(fit, np.arange(len(fit.counts)))[WAY]
     lag = fit.counts[int(way)] @ BINS.centres / fit.counts[int(way)].sum()
     assert lag == pytest.approx(20.0, abs=2.0)

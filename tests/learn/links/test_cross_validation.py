@@ -8,6 +8,7 @@ import pytest
 from camtopod.learn.association.candidates import find_candidates
 from camtopod.learn.association.joint_fit import fit_jointly
 from camtopod.learn.association.problem import Problem, exposures
+from camtopod.learn.links.common_cycle import common_periods
 from camtopod.learn.links.cross_validation import Halves, link_evidence
 from camtopod.learn.traffic.events import Arrivals, Departures
 from camtopod.topology.lag_bins import LagBins
@@ -36,7 +37,7 @@ def test_halves_together_see_what_the_whole_sees(seconds: float) -> None:
     crowded = crowd(1, 4, 50, seconds)
     problem = Problem(*crowded, BINS, 4, seconds)
     fit = fit_jointly(problem, find_candidates(problem))
-    halves = Halves(problem, fit, 0.0)
+    halves = Halves(problem, problem, fit, 0.0)
     taken = [halves.take(k) for k in range(2)]
     assert sum(half.exposure for half in taken) == pytest.approx(exposures(problem))
     assert sum(len(half.candidates.lag) for half in taken) == len(fit.candidates.lag)
@@ -53,7 +54,7 @@ def test_chance_rarely_wins_where_it_is_dense_and_short() -> None:
         crowded = crowd(seed, 8, 60, 600.0)
         problem = Problem(*crowded, BINS, 8, 600.0)
         fit = fit_jointly(problem, find_candidates(problem))
-        ratio = link_evidence(problem, fit, 0.0).held_out
+        ratio = link_evidence(problem, fit, 0.0, common_periods(problem, fit)).held_out
         won, pairs = won + int((ratio > 4.0).sum()), pairs + 64
         assert ratio.max(initial=0.0) < 7.0
     assert won <= pairs * np.exp(-4.0)
