@@ -29,6 +29,7 @@ CAMERAS = 6
 RIGHT_MIN = 0.9
 """Least share of right cameras of a kind."""
 HARD = {
+    "long boxes": 0.85,
     "open borders, thick": 0.75,
     "clutter along paths": 0.85,
     "clutter along bent paths": 0.7,

@@ -25,7 +25,6 @@ from camtopod.learn.links import (
     repeated_evidence,
 )
 from camtopod.learn.paths.camera_lags import CameraLags
-from camtopod.learn.paths.dictionary import log_density
 from camtopod.topology import DEGREES, LEAVE_FLOOR, REACH_WIDTHS, student_density
 
 SWEEPS = 2

@@ -38,7 +38,7 @@ _LONG = 0.08
 """Largest standard deviation of a zone away from the border, image units; of a larger group, this
 much around its centre is looked at.
 """
-_BEND = 0.5
+_BEND = 0.4
 """Factor on the density of a way each time that it turns aside from its ray."""
 _DIRECTIONS = 16
 _BACK = (6, 7, 8, 9, 10)
