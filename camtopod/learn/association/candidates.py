@@ -208,11 +208,10 @@ def number_pairs(departure_zone: Ints, arrival_zone: Ints, zones: int) -> tuple[
     occur, (P,) each.
     """
     key = departure_zone.astype(np.int64) * zones + arrival_zone
-    occurs = np.zeros(zones * zones, np.bool_)
-    occurs[key] = True
-    number = np.cumsum(occurs, dtype=np.int32) - 1
-    source, target = (ends.astype(np.int32) for ends in np.divmod(np.flatnonzero(occurs), zones))
-    return number.take(key), source, target
+    present = np.unique(key)
+    number = np.searchsorted(present, key)
+    source, target = (ends.astype(np.int32) for ends in np.divmod(present, max(zones, 1)))
+    return number.astype(np.int32), source, target
 
 
 RESPONSIBILITY_MAX = 1.0 - 1e-6
