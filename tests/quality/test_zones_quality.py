@@ -19,7 +19,6 @@ from bench.zones import KINDS, Kind, camera
 from camtopod.learn.zones import partition as partition_module
 from camtopod.learn.zones.cells import cell_sums, fixed_point
 from camtopod.learn.zones.clutter import Labels
-from camtopod.learn.zones.daspec import bandwidth, data_spectroscopy
 from camtopod.learn.zones.zone_map import find_zones
 
 EVENTS = (1000, 3000, 30_000)
@@ -90,19 +89,10 @@ def by_density(dense: np.ndarray) -> Labels:
     return labels
 
 
-def plain_daspec(dense: np.ndarray) -> Labels:
-    """Group the cells by DaSpec with the whole bandwidth, once."""
-    result = data_spectroscopy(dense, bandwidth(dense))
-    labels = np.full(dense.size, -1, np.intp)
-    labels[result.cells] = result.labels
-    return labels
-
-
 CANARIES: dict[str, tuple[str, object, str, Method]] = {
     "cells that touch": ("clutter along bent paths", HERE, GROUPING, touching),
     "one group": ("along the border", HERE, GROUPING, one_group),
     "HDBSCAN": ("boxes", HERE, GROUPING, by_density),
-    "plain DaSpec": ("long boxes", HERE, GROUPING, plain_daspec),
     "clutter stays": (
         "doors in a row",
         HERE,
