@@ -184,8 +184,6 @@ def with_second_opinion(
     row, place, width, nats = agreed[row[exists]], *(column[exists] for column in paths[2:])
     early, _, late = table.transit.quantiles[row].T
     same = (place >= early - width) & (place <= late + width)
-    # A path has been looked for at all these places.
-    nats = np.maximum(nats - np.log1p((late - early) / (2.0 * width)), 0.0)
     ratio = table.ratio + np.bincount(row[same], nats[same], len(table.ratio))
     return table.with_evidence(ratio, zones**2)
 

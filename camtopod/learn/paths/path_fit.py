@@ -25,6 +25,7 @@ from camtopod.learn.links import (
     repeated_evidence,
 )
 from camtopod.learn.paths.camera_lags import CameraLags
+from camtopod.learn.paths.dictionary import log_density
 from camtopod.topology import DEGREES, LEAVE_FLOOR, REACH_WIDTHS, student_density
 
 SWEEPS = 2
@@ -122,6 +123,8 @@ class PathFit:
             step.path, step.part, np.zeros(len(came)), came, len(pair), expected
         )
 
+        # A path has been looked for at all places.
+        nats = np.maximum(nats + log_density(place, width, self.lags.lag_max), 0.0)
         return PathEvidence(source, pair % lags.cameras, place, width, nats)
 
     def _maximise(self, step: Expected) -> Floats:
