@@ -58,7 +58,7 @@ class LinkEvidence(NamedTuple):
     It is a log likelihood ratio against two null models, of which the stronger one counts (the
     smaller ratio): the zones are unrelated; or arrivals at one zone follow departures from the
     other at no particular lag, as when both zones follow a rhythm. Where the zones have a common
-    cycle, this takes the place of the first model (`common_cycle`).
+    cycle, this takes the place of the first model (`common_cycle`), and of both in ``whole``.
     """
 
     held_out: Floats

@@ -110,7 +110,9 @@ class PathFit:
             pair, share, place, width = self.paths
             self.paths = Paths(pair[kept], share[kept], place[kept], width[kept])
             self.run(ITERATIONS)
+        # The null model that judges links (`links.judging`).
         self.outside = np.maximum(self.outside, OUTSIDE_LEAST)
+        self._favour = np.ones_like(self._favour)
         self.lags = self.lags._replace(rate=self.lags.active)
         step = self._expect()
         pair, _, place, width = self.paths
