@@ -244,6 +244,8 @@ def tellable(
         )
         columns[-1] = (mine[columns[-1][0]], there[columns[-1][1]], columns[-1][2])
         pairs.append((source, target))
+    if not columns:
+        return {}
     first = np.cumsum([0, *(len(one[0]) for one in columns)])
     departure, arrival, hazard = (
         np.concatenate([np.asarray(one[k]) for one in columns]) for k in range(3)
