@@ -113,10 +113,11 @@ class PublishingRule(NamedTuple):
         needed = usual - np.log(weak.weight)
         held_out = between.evidence_of(weak.source, weak.target)
 
-        # Each further object adds the mean evidence of the transitions so far. A link that too few
-        # take is not published with any number of objects.
+        # Each further object adds half of the mean evidence of the transitions so far: evidence is
+        # the mean of that of the whole window and the held-out one, which comes later. A link that
+        # too few take is not published with any number of objects.
         transitions = weak.transit.total
-        each = weak.ratio / np.maximum(transitions, 1e-9)
+        each = 0.5 * weak.ratio / np.maximum(transitions, 1e-9)
         helps = (each > 0) & self.is_often_taken(weak.probability)
         passages = np.full(len(held_out), np.nan)
         passages[helps] = (needed - held_out)[helps] / each[helps]
