@@ -35,7 +35,7 @@ def poisson_nats(observed: Floats, expected: Floats) -> Floats:
 
 
 def excess_sd(observed: NDArray[Any], expected: NDArray[Any]) -> NDArray[Any]:
-    """Return by how many standard deviations each Poisson count exceeds what is expected.
+    """Return the excess of each Poisson count over its expectation, in standard deviations.
 
     observed, expected: counts of any one shape.
 

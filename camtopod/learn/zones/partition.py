@@ -286,8 +286,7 @@ class _Partition:
         """Turn groups that are pieces of ways into clutter; return True if there is any.
 
         A rare door and its ways may have become one group. So a group shrinks to its densest place
-        if that is a zone: as the place was chosen for its density, it needs twice the contrast. Of
-        several groups, the one with the most contrast stays.
+        if that is a zone. Of several groups, the one with the most contrast stays.
         """
         contrast = np.array([self._contrast(k) for k in range(len(self.zones))])
         labels = self.labels.copy()
@@ -299,7 +298,7 @@ class _Partition:
             dense = places[:, [self.cells.sums[0, inside].argmax()]]
             core = np.hypot(*(places - dense)) < _CORE
             sums = self.cells.sums[:, inside[core]].sum(axis=1)
-            rest = way_contrast(self.cells, sums, self.rates) < 2 * WAY_CONTRAST
+            rest = way_contrast(self.cells, sums, self.rates) < WAY_CONTRAST
             labels[inside[rest | ~core]] = -1
         changed = bool((labels != self.labels).any())
         if changed:
