@@ -138,7 +138,7 @@ def matches(
     topology: Topology, events: Iterable[Event]
 ) -> tuple[dict[str, Match], dict[str, Match]]:
     """Return the matches by track: given at the entry, and the last ones."""
-    walks = Walks(topology, Predictor(topology))
+    walks = Walks(topology)
     first: dict[str, Match] = {}
     later: dict[str, Match] = {}
     for event in events:

@@ -853,6 +853,15 @@ def predicted(topology, seen, asked, zone_of, constants, now=None):
                 )
                 slower = np.exp(model.pace.scaling * slow * (1 + model.pace.correlation) / 2)
 
+    watched = min([asked.t, *(event.t for event in seen)]) - asked.t
+
+    def exposed_to(k):
+        """Return the share of bin ``k`` within the passage; all of a bin after the exit."""
+        low, high = edges(k)
+        if high > 0 or p is None:
+            return begun(u, k)
+        return min(max((high - (since - asked.t)) / (high - low), 0.0), 1.0)
+
     def odds_by(until):
         """Return the odds of appearing at each zone, as known at ``until``."""
         mass, pace = {}, slower if until > asked.t else 1.0
@@ -861,7 +870,7 @@ def predicted(topology, seen, asked, zone_of, constants, now=None):
                 (n for n, event in enumerate(seen, 1) if event.camera == zones[v].camera), default=0
             )
             share = sum(known.share for known in model.cameras if known.camera == zones[v].camera)
-            alive = 1.0 / (1.0 + dead * np.exp(min((len(seen) - last) * share, 50.0)))
+            alive = 1.0 / (1.0 + dead * np.expm1(min((len(seen) - last) * share, 50.0)))
             mass[v] = 0.0
             for k, h in row.items():
                 low, high = edges(k)
@@ -870,6 +879,9 @@ def predicted(topology, seen, asked, zone_of, constants, now=None):
                         high * pace - low * pace
                     )
                     mass[v] += h * (high - low) * alive * max(left, 0.0)
+                else:
+                    unwatched = max(min(high, watched) - low, 0.0)
+                    mass[v] += h * unwatched * alive * exposed_to(k)
         for n, a in enumerate(seen):
             v, lag = zone_of(a), a.t - asked.t
             usual = lag / pace if lag > 0 else lag
@@ -883,16 +895,9 @@ def predicted(topology, seen, asked, zone_of, constants, now=None):
             if a.t <= since or at(usual) is None:
                 continue
             k, entered = at(usual), 0.0
-            exposed = begun(u, k)
-            if p is not None:
-                low, high = edges(k)
-                exposed = (
-                    min(max((high - (since - asked.t)) / (high - low), 0.0), 1.0)
-                    if high <= 0
-                    else 1.0
-                )
-                entered = rate_entered(zone_of(seen[p]), v, a.t - since) if lag < 0 else 0.0
-            here = rate(u, v, usual) * exposed / (pace if lag > 0 else 1.0) + entered
+            if p is not None and lag < 0:
+                entered = rate_entered(zone_of(seen[p]), v, a.t - since)
+            here = rate(u, v, usual) * exposed_to(k) / (pace if lag > 0 else 1.0) + entered
             here *= alike(label_of(asked, p), a)
             others = sum(causes(n, len(seen), own).values())
             mass[v] += here / max(outside[v] + others, rate_min)

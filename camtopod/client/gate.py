@@ -23,7 +23,15 @@ import numpy as np
 
 from camtopod.arrays import Floats
 from camtopod.client.errors import zone_at, zones_of
-from camtopod.predict import Began, Predictor, Transitions
+from camtopod.predict import (
+    Departure,
+    Outlook,
+    Passage,
+    PreparedVersion,
+    log_density,
+    outlook,
+    outside_rates,
+)
 from camtopod.records import Event, Topology
 from camtopod.topology import block_of
 
@@ -43,12 +51,12 @@ class Gate:
         array([[False,  True]])
     """
 
-    def __init__(self, topology: Topology, predictor: Predictor | None = None) -> None:
-        """Prepare the tables; ``predictor`` is one over the same topology, if there is one."""
+    def __init__(self, topology: Topology, prepared: PreparedVersion | None = None) -> None:
+        """Prepare the tables; ``prepared`` is the same topology, if it is prepared already."""
         self.topology = topology
-        self.predictor = predictor or Predictor(topology)
-        self._transitions = Transitions(self.predictor)
-        self._ahead = self.predictor.site.clock_offset
+        self.prepared = prepared or PreparedVersion(topology)
+        self._outside = outside_rates(self.prepared)
+        self._ahead = self.prepared.clock_offset
 
     def gate(
         self,
@@ -81,10 +89,9 @@ class Gate:
         lag = t_entry - self._ahead[to_camera] - left
         if not math.isfinite(lag):
             raise ValueError(f"t_exit {t_exit} and t_entry {t_entry}: finite numbers of seconds")
-        log_density = self._transitions.log_density(
-            self._transitions.after(source), zones, np.full(len(zones), lag)
-        )
-        return float(np.logaddexp.reduce(log_density))
+        answer = outlook(self.prepared, Departure(source))
+        densities = log_density(self.prepared, answer, zones, np.full(len(zones), lag))
+        return float(np.logaddexp.reduce(densities))
 
     def gate_new(self, to_camera: str, to_zone: str | None = None) -> float:
         """Return ln of the rate (1/s) at which objects from outside appear at a camera or zone.
@@ -93,7 +100,7 @@ class Gate:
         The rate is constant in time: the mean over the window that was learned from. Raises
         `UnknownPlace` (a KeyError).
         """
-        return math.log(self._transitions.new[self._zones(to_camera, to_zone)].sum())
+        return math.log(self._outside[self._zones(to_camera, to_zone)].sum())
 
     def gate_gone(self, from_zone: str, seconds: float = math.inf) -> float:
         """Return ln of the probability that an object is unseen ``seconds`` after leaving a zone.
@@ -103,10 +110,8 @@ class Gate:
         """
         if math.isnan(seconds):
             raise ValueError("seconds is not a number")
-        return math.log(
-            self._transitions.gone(
-                self._transitions.after(zone_at(self.topology, from_zone)), seconds
-            )
+        return _log_unseen(
+            outlook(self.prepared, Departure(zone_at(self.topology, from_zone))), seconds
         )
 
     def affinity(
@@ -144,7 +149,7 @@ class Gate:
 
         # Zones and corrected times of the events.
         odds = np.zeros((len(exits), len(entries)))
-        zones = [self.predictor.zone_of(entry) for entry in entries]
+        zones = [self.prepared.zone_of(entry) for entry in entries]
         known = np.array([k for k, zone in enumerate(zones) if zone is not None], np.intp)
         if not len(known):
             return odds
@@ -154,23 +159,22 @@ class Gate:
         until = max([*left, *came.tolist()]) if now is None else now
 
         # Row of each exit: the transition against leaving the site and an arrival from outside.
-        new = np.log(self._transitions.new)[to]
-        labels = self.predictor.site.labels
+        new = np.log(self._outside)[to]
+        labels = self.prepared.labels
         entry_labels = np.array([labels.number(entries[k].label) for k in known])
         by_track = defaultdict(list)
         for one in entries:
             if one.track is not None:
                 by_track[one.camera, str(one.track)].append(one)
         for row, event in enumerate(exits):
-            zone = self.predictor.zone_of(event)
+            zone = self.prepared.zone_of(event)
             if zone is not None:
                 entry = _entry_of(event, by_track[event.camera, str(event.track)])
-                began = None if entry is None else self._began(event, entry)
-                onward = self._transitions.after(zone, block_of(event.x, event.y), began)
-                gone = math.log(self._transitions.gone(onward, until - left[row]))
-                odds[row, known] = (
-                    self._transitions.log_density(onward, to, came - left[row]) - new - gone
-                )
+                passage = None if entry is None else self._passage(entry)
+                block = block_of(event.x, event.y)
+                answer = outlook(self.prepared, Departure(zone, left[row], passage, block))
+                density = log_density(self.prepared, answer, to, came - left[row])
+                odds[row, known] = density - new - _log_unseen(answer, until - left[row])
                 label = labels.number(event.label or (entry or event).label)
                 odds[row, known] += np.log(labels.agreement(label, entry_labels, to))
         return odds
@@ -179,16 +183,21 @@ class Gate:
         """Return the corrected time of an event; minus infinity for an unknown camera."""
         return event.t - self._ahead.get(event.camera, math.inf)
 
-    def _began(self, event: Event, entry: Event) -> Began | None:
-        """Return how the passage of an exit began; None if the zone of its entry is unknown."""
-        zone = self.predictor.zone_of(entry)
-        return None if zone is None else Began(zone, event.t - entry.t)
+    def _passage(self, entry: Event) -> Passage | None:
+        """Return the passage that begins with an entry; None if its zone is unknown."""
+        zone = self.prepared.zone_of(entry)
+        return None if zone is None else Passage(self._corrected(entry), entry.camera, zone)
 
     def _zones(self, camera: str, zone: str | None) -> list[int]:
         """Return the zones (indices) of a camera, or the one zone given."""
         if zone is not None:
             return [zone_at(self.topology, zone, camera)]
         return zones_of(self.topology, camera)
+
+
+def _log_unseen(answer: Outlook, seconds: float) -> float:
+    """Return ln of the probability of not having been seen some seconds after the exit."""
+    return math.log(float(answer.unseen(np.array([seconds]))[0]))
 
 
 def _entry_of(event: Event, entries: Sequence[Event]) -> Event | None:

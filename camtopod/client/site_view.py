@@ -23,7 +23,7 @@ from camtopod.client.errors import NothingLearned, zone_at, zones_of
 from camtopod.client.gate import Gate
 from camtopod.client.wakeup import ChangeSignal
 from camtopod.config import Config, config_file, secret_files
-from camtopod.predict import Predictor
+from camtopod.predict import Predictor, PreparedVersion
 from camtopod.records import Event, Prediction, Topology
 from camtopod.serve.bus import (
     QUERY_SECONDS,
@@ -63,7 +63,8 @@ class SiteView:
         # Predictors are not thread-safe, and no subscription is opened once closing has begun.
         self._mutex = threading.Lock()
         self._gate: Gate | None = None
-        """Of the newest version, with its predictor."""
+        """Of the newest version; so is the predictor."""
+        self._predictor: Predictor | None = None
         self._queues: list[AnswerQueue[Any]] = []
         self._daemons: set[str] = set()
         self.stale_since: float | None = clock.wall()
@@ -154,14 +155,13 @@ class SiteView:
 
         # Query the predictor by zone or by position.
         with self._mutex:
-            gate = self._now()
+            topology, predictor = self._now().topology, self._predictor
+            assert predictor is not None
             if zone is None:
-                zones_of(gate.topology, camera)
-                return gate.predictor.predict(event, now)
-            place = zone_at(gate.topology, zone, camera)
-            return gate.predictor.predict_from(
-                place, event.t, track=track, now=now, label=event.label
-            )
+                zones_of(topology, camera)
+                return predictor.predict(event, now)
+            place = zone_at(topology, zone, camera)
+            return predictor.predict_from(place, event.t, track=track, now=now, label=event.label)
 
     def observe(self, event: Event) -> None:
         """Record an event for later predictions; an exit only after it was first predicted.
@@ -171,8 +171,8 @@ class SiteView:
         ignored.
         """
         with self._mutex:
-            if self._gate is not None:
-                self._gate.predictor.observe(event)
+            if self._predictor is not None:
+                self._predictor.observe(event)
 
     def gate(
         self,
@@ -259,11 +259,12 @@ class SiteView:
     def _refresh(self) -> None:
         version = self._view.update()
         if version is not None:
-            gate = Gate(version, Predictor(_with_all_alive(version)))
+            prepared = PreparedVersion(_with_all_alive(version))
+            gate, predictor = Gate(version, prepared), Predictor(version, prepared)
             with self._mutex:
-                if self._gate is not None:
-                    gate.predictor.take_over(self._gate.predictor)
-                self._gate = gate
+                if self._predictor is not None:
+                    predictor.take_over(self._predictor)
+                self._gate, self._predictor = gate, predictor
             self._news.notify()
         self._say_there(self._bus.connected and bool(self._daemons))
 

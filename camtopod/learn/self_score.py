@@ -112,7 +112,7 @@ class Scorer:
                             version,
                             predicted,
                             baseline,
-                            predictor.longest_lag,
+                            predictor.prepared.longest_lag,
                         )
                     )
                     del state.waiting[:-SCORED_MAX]

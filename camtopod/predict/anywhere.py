@@ -23,11 +23,9 @@ from statistics import NormalDist
 
 import numpy as np
 
-from camtopod.arrays import Floats
-from camtopod.predict.hazards import model_of
-from camtopod.predict.odds import Site
-from camtopod.predict.time_windows import WINDOW
-from camtopod.records import NextCamera, Topology
+from camtopod.arrays import Floats, Rows
+from camtopod.predict.hazards import Hazards, model_of
+from camtopod.records import Topology
 from camtopod.topology import LEAVE_FLOOR, declared_odds
 
 LEAVING_CAMERAS = 4.0
@@ -40,40 +38,44 @@ LINKED_ODDS = 30.0
 """How much likelier objects that are not found have gone where a published link leads than
 elsewhere, on a site that nobody leaves. It is more than for what is declared, as links were tested.
 """
-NEXT_PROBABILITY_MIN = 1e-4
-"""Least probability of an outcome that is listed in a prediction."""
 
 
 class Anywhere:
     """What may appear anywhere, by a topology version.
 
+    cameras: names of the cameras that have zones. camera_of (zones,): number of each zone's.
+
     unknown (zones,): share of the objects said to leave from each zone that may appear again.
     nobody_leaves: True if all of them do.
     """
 
-    def __init__(self, topology: Topology, site: Site) -> None:
-        self._site = site
+    def __init__(
+        self, topology: Topology, hazards: Hazards, cameras: list[str], camera_of: Rows
+    ) -> None:
+        self._camera_of = camera_of
         entering = {row.zone: row.arrival_rate for row in model_of(topology).zones}
-        self._rate = rate = np.array([entering.get(zone.id, 0.0) for zone in site.zones])
-        self._entering = np.bincount(site.camera_of, rate, minlength=len(site.cameras))
+        rate = np.array([entering.get(zone.id, 0.0) for zone in topology.zones])
+        self._entering = np.bincount(camera_of, rate, minlength=len(cameras))
         """(cameras, 1/s) rate of arrivals that no departure explains."""
+        self.within_camera = rate / np.maximum(self._entering[camera_of], 1e-300)
+        """(zones,) share of each zone in those of its camera."""
         declared = model_of(topology).declared
         self.nobody_leaves = declared is not None and declared.nobody_leaves
-        self._declared = declared_odds(declared, site.cameras)
-        self._linked = _linked_cameras(topology, site)
+        self._declared = declared_odds(declared, cameras)
+        self._linked = _linked_cameras(topology, camera_of)
         by_rate = np.argsort(rate, kind="stable")
-        self._busiest = np.zeros(len(site.cameras), np.intp)
+        self.busiest = np.zeros(len(cameras), np.intp)
         """(cameras,) index of the zone of each camera with the most such arrivals."""
-        self._busiest[site.camera_of[by_rate]] = by_rate
+        self.busiest[camera_of[by_rate]] = by_rate
 
         # What leaves by each of the two opinions, and the part of both that is unknown.
-        leave, by_paths = np.ones((2, len(site.zones)))
-        weight = np.zeros(len(site.zones))
-        for zone, outcomes in site.hazards.outcomes.items():
+        leave, by_paths = np.ones((2, len(rate)))
+        weight = np.zeros(len(rate))
+        for zone, outcomes in hazards.outcomes.items():
             leave[zone], by_paths[zone] = outcomes.leaving
             weight[zone] = outcomes.paths_weight
-        departures = np.array(site.hazards.departures, float)
-        missed = missed_shares(departures * leave, leave, rate, site.hazards.bins.lag_max)
+        departures = np.array(hazards.departures, float)
+        missed = missed_shares(departures * leave, leave, rate, hazards.bins.lag_max)
         first, second = (
             surplus(departures, gone, len(topology.cameras)) for gone in (leave, by_paths)
         )
@@ -82,83 +84,30 @@ class Anywhere:
         if self.nobody_leaves:
             self.unknown[:] = 1.0 - LEAVE_FLOOR
 
-    def shares(self, zone: int) -> Floats | None:
-        """Return the shares (zones,) of the objects not found that appear next at each zone.
+    def shares(self, zone: int) -> Floats:
+        """Return the shares (cameras,) of those said to leave a zone that appear at each camera.
 
-        zone: index of the zone that they have left.
+        zone: index of the zone.
 
-        None unless nobody leaves.
+        Arrivals that no departure explains weigh, times the odds of declared pairs. On a site that
+        nobody leaves, published links count, and objects return unseen to the view that they have
+        left; where objects leave, those that take a link have been found.
         """
-        if not self.nobody_leaves:
-            return None
-        likely = self._rate * self._odds_from(int(self._site.camera_of[zone]))[self._site.camera_of]
+        camera = int(self._camera_of[zone])
+        odds = np.ones(len(self._entering)) if self._declared is None else self._declared[camera]
+        likely = self._entering * odds
+        if self.nobody_leaves:
+            linked = self._linked.get(camera, [])
+            likely[linked] = self._entering[linked] * np.maximum(odds[linked], LINKED_ODDS)
+        else:
+            likely[camera] = 0.0
         shares: Floats = self.unknown[zone] * likely / max(float(likely.sum()), 1e-300)
         return shares
 
-    def _odds_from(self, camera: int) -> Floats:
-        """Return the odds (cameras,) of what has left the view of a camera, by number of camera.
 
-        They are those of declared pairs. On a site that nobody leaves, published links count, and
-        objects return unseen to the view that they have left; where objects leave, those that take
-        a link have been found.
-        """
-        odds = np.ones(len(self._entering)) if self._declared is None else self._declared[camera]
-        odds = odds.copy()
-        if self.nobody_leaves:
-            linked = self._linked.get(camera, [])
-            odds[linked] = np.maximum(odds[linked], LINKED_ODDS)
-        else:
-            odds[camera] = 0.0
-        return odds
-
-    def shared_out(
-        self, zone: int, leave: float, next_: list[NextCamera], t: float, now: float | None
-    ) -> tuple[float, list[NextCamera]]:
-        """Return the probability of leaving and the outcomes, with the unknown part shared out.
-
-        zone: index of the zone of the exit.
-        leave: probability of leaving, the unknown part included.
-        next_: the other outcomes.
-        t (seconds by the camera's clock): time of the exit.
-        now: moment of the question; None for the moment of the exit.
-        """
-        site = self._site
-        entering = self._entering * self._odds_from(int(site.camera_of[zone]))
-        if not self.unknown[zone] or not entering.any():
-            return leave, next_
-
-        # The part that may appear later than now, shared out. Where nobody leaves, all of it does.
-        latest = site.hazards.bins.lag_max
-        elapsed = max((now or t) - t, 0.0)
-        if self.nobody_leaves:
-            latest += elapsed
-        elapsed = min(elapsed, latest)
-        odds = self.unknown[zone] * (1.0 if self.nobody_leaves else 1.0 - elapsed / latest)
-        share = leave * odds * entering / entering.sum()
-        share[share < NEXT_PROBABILITY_MIN] = 0.0
-
-        # One more row for each camera, the likeliest first.
-        cameras = np.flatnonzero(share)
-        busiest = self._busiest[cameras]
-        lags = np.tile(elapsed + np.array(WINDOW) * (latest - elapsed), (len(busiest), 1))
-        if not site.is_corrected:
-            lags += (site.offset_of[busiest] - site.offset_of[zone])[:, None]
-        rows = [
-            NextCamera(site.zones[target].camera, site.zones[target].id, *row)
-            for target, *row in zip(
-                busiest.tolist(),
-                share[cameras].tolist(),
-                *np.round(lags, 3).T.tolist(),
-                strict=True,
-            )
-        ]
-        likeliest = sorted([*next_, *rows], key=lambda row: -row.probability)
-        return leave - float(share.sum()), likeliest
-
-
-def _linked_cameras(topology: Topology, site: Site) -> dict[int, list[int]]:
+def _linked_cameras(topology: Topology, camera_of: Rows) -> dict[int, list[int]]:
     """Return the cameras to which published links lead from each, by number of camera."""
-    camera = dict(zip((zone.id for zone in site.zones), site.camera_of.tolist(), strict=True))
+    camera = dict(zip((zone.id for zone in topology.zones), camera_of.tolist(), strict=True))
     linked: dict[int, list[int]] = {}
     for link in topology.links:
         if link.relation != "visible" and {link.from_, link.to} <= camera.keys():

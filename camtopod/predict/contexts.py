@@ -87,7 +87,7 @@ class ContextMultipliers:
         }
 
         # Each context backs off to the one before it; unknown contexts change nothing.
-        targets = np.array(outcomes.targets)
+        targets = outcomes.targets
         share = outcomes.share
         leave = outcomes.leave
         for key, probability in keys.items():

@@ -10,11 +10,17 @@ the time since their entry, and `rate_before_exit`, the mean over the passage).
 
 from __future__ import annotations
 
-import itertools
-
 import numpy as np
 
-from camtopod.arrays import Bools, Floats, Indices, Ints, Rows, Singles, ranges
+from camtopod.arrays import (
+    Bools,
+    Floats,
+    Indices,
+    Ints,
+    Rows,
+    Singles,
+    ranges,
+)
 from camtopod.predict.outcomes import FLOOR, Outcomes, with_paths
 from camtopod.records import CameraPath, Link, Model, Onward, Topology
 from camtopod.topology import (
@@ -170,7 +176,7 @@ class Hazards:
             zone = index[row.zone]
             mass = np.stack([masses_on_bins(outcome.hazard, self.bins) for outcome in row.next_])
             outcomes[zone] = Outcomes(
-                targets=[index[outcome.to] for outcome in row.next_],
+                targets=np.array([index[outcome.to] for outcome in row.next_]),
                 share=np.array([outcome.share for outcome in row.next_]),
                 leave=max(row.leave, FLOOR),
                 hazard=(mass / self.bins.widths).astype(np.float32),
@@ -204,7 +210,7 @@ class Hazards:
             hazard = probability[:, None] * share / (self.bins.widths * exposed)
 
             outcomes[zone] = Outcomes(
-                targets=[index[link.to] for link in out],
+                targets=np.array([index[link.to] for link in out]),
                 share=probability,
                 leave=max(1.0 - float(probability.sum()), LEAVE_FLOOR),
                 hazard=hazard.astype(np.float32),
@@ -229,7 +235,7 @@ class Hazards:
         for k, zone in enumerate(zones):
             none = np.zeros(0)
             gone = Outcomes(
-                [],
+                np.zeros(0, np.intp),
                 none,
                 1.0,
                 np.zeros((0, self.bins.size), np.float32),
@@ -242,7 +248,7 @@ class Hazards:
             first = self.outcomes.get(k, gone)
             mine = by_camera.get(zone.camera, []) + by_camera.get(zone.id, [])
             both = with_paths(first, linked.get(zone.id, 0.0), mine, zones, self.bins)
-            if both.targets:
+            if len(both.targets):
                 self.outcomes[k] = both
 
     def _exposure(self, zone: int) -> Floats:
@@ -285,7 +291,10 @@ class Hazards:
         self._zones = zones
         key = source * zones + target
         self._order = np.argsort(key, kind="stable")
-        self._keys = key[self._order]
+        after_all = zones * zones
+        self._pairs, self._pair_first, self._pair_rows = np.unique(
+            np.append(key[self._order], after_all), return_index=True, return_counts=True
+        )
         self._sources: dict[int, list[int]] = {}
         for zone, to in sorted({*zip(source.tolist(), target.tolist(), strict=True)}):
             self._sources.setdefault(to, []).append(zone)
@@ -294,9 +303,11 @@ class Hazards:
     def _rows_of(self, sources: Indices | int, targets: Indices | int) -> tuple[Rows, Rows]:
         """Return which of n pairs of zones the rows of the table are of, and these rows, (m,)."""
         key = np.multiply(sources, self._zones, dtype=np.int64) + targets
-        first, end = (self._keys.searchsorted(key, side) for side in ("left", "right"))
-        which, at = ranges(first, end - first)
-        return which, self._order.take(at)
+        pair = self._pairs.searchsorted(key)
+        [some] = (self._pairs.take(pair) == key).nonzero()
+        pair = pair.take(some)
+        which, at = ranges(self._pair_first.take(pair), self._pair_rows.take(pair))
+        return some.take(which), self._order.take(at)
 
     def _at(self, row: Rows, lag: Floats) -> Floats:
         """Return the weighted hazards (n, 1/s) of rows (n,) of the table at lags (n, seconds).
@@ -330,7 +341,7 @@ class Hazards:
             mass = outcomes.hazard * self.bins.widths * outcomes.exposure
             expected = outcomes.weight * mass[:, self.past].sum(axis=1)
             expected[outcomes.delay > 0.0] = 0.0
-            for target, number in zip(outcomes.targets, expected.tolist(), strict=True):
+            for target, number in zip(outcomes.targets.tolist(), expected.tolist(), strict=True):
                 key = zone.camera, target
                 rates[key] = rates.get(key, 0.0) + share * number
         return rates
@@ -362,7 +373,7 @@ class Hazards:
                 shift = offsets[outcomes.targets] - offsets[k] + outcomes.delay
                 reported = self.bins.edges[:-1] < -shift[:, None]
                 possible = np.any(reported & (outcomes.hazard > 0.0), axis=1)
-                before.update(itertools.compress(outcomes.targets, possible))
+                before.update(outcomes.targets[possible].tolist())
             elsewhere = [to for to in before if topology.zones[to].camera != zone.camera]
             self._seen_before.append(elsewhere)
 

@@ -12,7 +12,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from camtopod.arrays import Bools, Floats, Singles
+from camtopod.arrays import Bools, Floats, Rows, Singles
 from camtopod.records import CameraPath, Zone
 from camtopod.topology import REACH_WIDTHS, LagBins, student_share
 
@@ -31,7 +31,7 @@ class Outcomes(NamedTuple):
     leaving make 1.
     """
 
-    targets: list[int]
+    targets: Rows
     """(rows,) index of the zone of each."""
     share: Floats
     """(rows,) share of the departures that appear next there."""
@@ -129,7 +129,7 @@ def with_paths(
     none = np.zeros((0, bins.size))
     beside = np.concatenate([np.zeros(0), *shares])
     return Outcomes(
-        targets=[*outcomes.targets, *targets],
+        targets=np.append(outcomes.targets, np.array(targets, np.intp)),
         share=np.concatenate((outcomes.share, beside)),
         leave=outcomes.leave,
         hazard=np.concatenate([none, outcomes.hazard, *hazards]).astype(np.float32),

@@ -1,13 +1,7 @@
 """Predict where an object that has just left a zone appears next, and when.
 
 A `Predictor` reads one topology version, observes events (`Predictor.observe`) and answers for an
-exit (`Predictor.predict`). The possible outcomes of an exit compete: the object appears at one of
-the zones after some lag, or leaves the site. Their prior odds are the learned hazards of all pairs
-of zones. They are changed by the exit's *context* (`contexts`), by *exposure* (a lag of -L is only
-possible if the passage has lasted L), by *seen arrivals* (where views overlap, the object may
-already have appeared: `odds`), by *speed* (`time_windows`), and by *silent cameras*, which have
-probably stopped reporting (`reporting`). If the question is asked again later, outcomes that would
-have been observed by then have lost their odds.
+exit (`Predictor.predict`): the `outlook` of the exit, with what has been observed.
 
 Events have the times of their cameras' clocks. All times inside are *corrected times*: less the
 clock offset of the camera, as given in the topology.
@@ -19,14 +13,12 @@ import math
 
 import numpy as np
 from msgspec import Struct
+from msgspec.structs import replace
 
 from camtopod.arrays import Rows
-from camtopod.predict.anywhere import NEXT_PROBABILITY_MIN, Anywhere
-from camtopod.predict.contexts import ContextMultipliers
-from camtopod.predict.hand_over import HandOver, cameras_to_watch
-from camtopod.predict.hazards import Hazards
-from camtopod.predict.odds import ExitTable, Odds, Query, SeenArrivals, Site, find_odds
+from camtopod.predict.hand_over import cameras_to_watch
 from camtopod.predict.open_passages import UNKNOWN, OpenPassages, Passage
+from camtopod.predict.outlook import Departure, Outlook, Seen, outlook
 from camtopod.predict.recent_events import (
     RECENT_MAX,
     RecentEvents,
@@ -34,10 +26,10 @@ from camtopod.predict.recent_events import (
     moved_zones,
 )
 from camtopod.predict.reporting import Reporting
-from camtopod.predict.time_windows import PaceModel
-from camtopod.predict.zone_lookup import ZoneLookup
-from camtopod.records import Event, NextCamera, Prediction, Topology, Zone
-from camtopod.topology import LEAVE_FLOOR, block_of
+from camtopod.predict.time_windows import WINDOW
+from camtopod.predict.version import PreparedVersion
+from camtopod.records import Event, NextCamera, Prediction, Topology
+from camtopod.topology import block_of
 
 
 class PredictorState(Struct):
@@ -47,6 +39,7 @@ class PredictorState(Struct):
     under_way: open passages, as (camera, track, passage).
     events: number of observed events.
     last_event: number of each camera's last event in the order of all events.
+    since: time of the first observed event (corrected, seconds); infinite without one.
 
     Ended passages are left out: they only matter if a prediction is asked for again.
     """
@@ -56,6 +49,7 @@ class PredictorState(Struct):
     under_way: list[tuple[str, str, Passage]]
     events: int
     last_event: dict[str, int]
+    since: float = -math.inf
 
 
 class Predictor:
@@ -73,48 +67,29 @@ class Predictor:
     asked for. This does not hold if `predict` is given the time of the question.
     """
 
-    def __init__(self, topology: Topology) -> None:
-        self.version = topology.version
-        self.as_of = topology.as_of
-        self.zones = topology.zones
-
-        # Figures of the version, in a form for prediction.
-        self._hazards = Hazards(topology)
-        self.surroundings = ContextMultipliers(topology)
-        self._paces = PaceModel(topology)
-        self._hand_over = HandOver(topology)
-        self._lookup = ZoneLookup(self.zones)
-        self.site = Site(topology, self._hazards)
-        self.anywhere = Anywhere(topology, self.site)
-        deciles = self._hazards.stay
-        longest = {
-            camera: [deciles[zone][-1] for zone in zones if any(deciles[zone])]
-            for camera, zones in self._lookup.of_camera.items()
-        }
-        self._longest_stay = {camera: max(stays) for camera, stays in longest.items() if stays}
-
-        # Observed events.
+    def __init__(self, topology: Topology, prepared: PreparedVersion | None = None) -> None:
+        """Begin without events; ``prepared`` is the same topology, if it is prepared already."""
+        self.prepared = prepared or PreparedVersion(topology)
+        self.version = self.prepared.number
+        self.zones = self.prepared.zones
         self.forget()
-
-    @property
-    def longest_lag(self) -> float:
-        """Longest lag of the version, seconds: who is not seen by then has left."""
-        return self._hazards.lag_max
 
     def forget(self) -> None:
         """Forget all observed events; needed when event time has been taken back."""
-        self._open_passages = OpenPassages(self._longest_stay)
+        self._open_passages = OpenPassages(self.prepared.longest_stays())
         self._arrivals, self._exits = RecentEvents(), RecentEvents()
-        self._reporting = Reporting(self.site.cameras, self.site.event_share)
+        self._reporting = Reporting(self.prepared.cameras, self.prepared.event_share)
+        self._since = math.inf
 
     def take_over(self, older: Predictor) -> None:
         """Take over the observed events from a predictor by an older version; this must be new."""
         moved = moved_zones(older.zones, self.zones)
-        labels = self.site.labels.moved(older.site.labels)
+        labels = self.prepared.labels.moved(older.prepared.labels)
         self._arrivals.take_over(older._arrivals, moved, labels)
         self._exits.take_over(older._exits, moved, labels)
         self._open_passages.take_over(older._open_passages, moved, labels)
         self._reporting.load(older._reporting.events, older._reporting.last_events())
+        self._since = older._since
 
     def save(self) -> PredictorState:
         """Return the state from which `load` continues, given the same topology."""
@@ -124,6 +99,7 @@ class Predictor:
             under_way=self._open_passages.passages(),
             events=self._reporting.events,
             last_event=self._reporting.last_events(),
+            since=self._since,
         )
 
     def load(self, state: PredictorState) -> None:
@@ -133,14 +109,16 @@ class Predictor:
         for camera, track, passage in state.under_way:
             self._open_passages.begin(camera, track, passage)
         self._reporting.load(state.events, state.last_event)
+        self._since = state.since
 
     def observe(self, event: Event) -> None:
         """Observe an event; events should be given in order of time as far as possible."""
         zone = self.zone_of(event)
-        self._reporting.note(None if zone is None else int(self.site.camera_of[zone]))
+        self._reporting.note(None if zone is None else int(self.prepared.camera_of[zone]))
         if zone is None:
             return
-        t = event.t - self.site.clock_offset[event.camera]
+        t = event.t - self.prepared.clock_offset[event.camera]
+        self._since = min(self._since, t)
         if event.kind == "entry":
             self._observe_entry(event, zone, t)
         else:
@@ -148,7 +126,7 @@ class Predictor:
 
     def zone_of(self, event: Event) -> int | None:
         """Return the zone (index) that an event belongs to; None if its camera has no zone."""
-        return self._lookup.zone_of(event)
+        return self.prepared.zone_of(event)
 
     def zone_id_of(self, event: Event) -> str | None:
         """Return the id of the zone that an event belongs to; None if its camera has no zone."""
@@ -198,123 +176,109 @@ class Predictor:
         label: class of the object; None for that of its entry.
         """
         _check(t, now)
-        here = self.zones[zone]
-        table = self.site.table(zone)
-        if table is None:
-            leave, next_ = self.anywhere.shared_out(zone, 1.0, [], t, now)
-            return self._prediction(here, t, track, leave, next_, passage)
-
-        # Odds at the exit.
-        known = passage or UNKNOWN
-        corrected = t - self.site.clock_offset[here.camera]
-        is_observed = now is not None and self._exits.has(corrected, zone)
-        number = self.site.labels.number(label, known.label)
-        query = Query(zone, corrected, passage, is_observed, label=number)
-        odds = self._odds(query, table)
-
-        # The context multiplies the odds. Odds that may be spurious count as leaving the site, from
-        # the exit on.
-        multiplier, leave = self.surroundings.multipliers(
-            zone, table.outcomes, block, known.entry, known.previous, known.sure
+        begun = passage or UNKNOWN
+        corrected = t - self.prepared.offset_of[zone]
+        departure = Departure(
+            zone,
+            corrected,
+            passage,
+            block,
+            self.prepared.labels.number(label, begun.label),
+            is_observed=now is not None and self._exits.has(corrected, zone),
+            elapsed=0.0 if now is None else now - t,
         )
-        spurious = table.outcomes.doubt
-        leave += float(spurious @ (multiplier * odds.by_target()))
+        answer = outlook(self.prepared, departure, self._seen(departure))
+        following = self._following(answer)
+        here = self.zones[zone]
+        prediction = Prediction(
+            here.camera, here.id, t, track, self.version, answer.leave, following
+        )
+        if passage is None or now is not None or not self.prepared.hand_over.overlaps(here.camera):
+            return prediction
 
-        # Odds at a later moment; their lag bins are those of the object's pace already.
-        pace = self._paces.of_passage(known.entry, zone, query.dwell)
-        if now is not None and now > t:
-            slowness = 1.0 if pace is None else pace.factor
-            odds = self._odds(query._replace(elapsed=now - t, slowness=slowness), table)
-            leave = max(leave, LEAVE_FLOOR)
-            pace = None
+        # The hand-over, where views overlap.
+        in_view = self.prepared.hand_over.in_view(
+            passage,
+            corrected,
+            self._open_passages,
+            self.prepared.clock_offset,
+            self.prepared.labels,
+        )
+        return replace(prediction, look=cameras_to_watch(in_view, following), in_view=in_view)
 
-        # Probabilities of the outcomes that are likely enough.
-        by_target = odds.by_target() * multiplier * (1.0 - spurious)
-        chance, leave = table.outcomes.probabilities(by_target, leave)
-        order = np.argsort(-chance, kind="stable")
-        order = order[chance[order] >= NEXT_PROBABILITY_MIN]
-        total = leave + float(chance[order].sum())
-        probabilities = (chance[order] / total).tolist()
+    def _following(self, answer: Outlook) -> list[NextCamera]:
+        """Return the next appearances by an outlook, likeliest first."""
+        rows: list[NextCamera] = []
+        if answer.table is not None:
+            order = np.argsort(-answer.chance, kind="stable")
+            order = order[answer.chance[order] > 0.0]
+            targets = [answer.table.targets[k] for k in order.tolist()]
+            windows = answer.windows(order)
+            rows = [
+                NextCamera(target.camera, target.id, probability, *window)
+                for target, probability, window in zip(
+                    targets, answer.chance[order].tolist(), windows, strict=True
+                )
+            ]
 
-        next_ = [
-            NextCamera(table.targets[k].camera, table.targets[k].id, probability, *window)
-            for k, probability, window in zip(
-                order.tolist(), probabilities, table.windows(order, odds, pace), strict=True
+        # One more row for each camera where it may appear anywhere.
+        cameras = np.flatnonzero(answer.elsewhere)
+        if not len(cameras):
+            return rows
+        zones = self.prepared.anywhere.busiest[cameras]
+        first, last = answer.span
+        lags = np.tile(first + np.array(WINDOW) * (last - first), (len(zones), 1))
+        if not self.prepared.is_corrected:
+            offset = self.prepared.offset_of
+            lags += (offset[zones] - offset[answer.departure.zone])[:, None]
+        rows += [
+            NextCamera(self.zones[zone].camera, self.zones[zone].id, probability, *window)
+            for zone, probability, window in zip(
+                zones.tolist(),
+                answer.elsewhere[cameras].tolist(),
+                np.round(lags, 3).tolist(),
+                strict=True,
             )
         ]
-        leave, next_ = self.anywhere.shared_out(zone, leave / total, next_, t, now)
-        return self._prediction(here, t, track, leave, next_, passage if now is None else None)
-
-    def _prediction(
-        self,
-        here: Zone,
-        t: float,
-        track: str | None,
-        leave: float,
-        next_: list[NextCamera],
-        passage: Passage | None,
-    ) -> Prediction:
-        """Return the record of a prediction, with the hand-over if views overlap.
-
-        here, t, track: zone, time and track of the exit.
-        leave: probability that the object leaves the site.
-        next_: the other outcomes.
-        passage: the passage that ends with the exit; None to leave out the hand-over.
-        """
-        if passage is None or not self._hand_over.overlaps(here.camera):
-            return Prediction(here.camera, here.id, t, track, self.version, leave, next_)
-        offsets = self.site.clock_offset
-        corrected = t - offsets[here.camera]
-        in_view = self._hand_over.in_view(
-            passage, corrected, self._open_passages, offsets, self.site.labels
-        )
-        looks = cameras_to_watch(in_view, next_)
-        return Prediction(
-            here.camera, here.id, t, track, self.version, leave, next_, looks, in_view
-        )
+        return sorted(rows, key=lambda row: -row.probability)
 
     # --- The question ---
 
-    def _odds(self, query: Query, table: ExitTable) -> Odds:
-        """Return the odds of where and when the object of a query appears next."""
-        is_alive = self._reporting.is_alive()[table.target_cameras]
-        return find_odds(query, self.site, table, is_alive, self._seen_arrivals(query))
-
-    def _seen_arrivals(self, query: Query) -> SeenArrivals:
-        """Return the observed arrivals that may be of the object of a query.
+    def _seen(self, departure: Departure) -> Seen:
+        """Return what has been observed by the moment of a question.
 
         Two filters are used. Before the exit, arrivals count at zones where an object that leaves
-        at the zone of the query may have appeared already, and since its entry into the view
+        at the zone of the exit may have appeared already, and since its entry into the view
         (`_arrivals_before`). Since the exit, arrivals at all zones count.
         """
         # Before the exit. An arrival at the very moment of the object's entry (tied) counts only if
         # its passage has not ended before the exit: of two passages that begin together, the one
         # that ends first counts as the earlier one (`_is_open`).
-        arrivals = self._arrivals
-        rows = self._arrivals_before(query.zone, query.t, query.began)
-        tied = rows[arrivals.t[rows] == query.began]
+        arrivals, zone, t = self._arrivals, departure.zone, departure.t
+        rows = self._arrivals_before(zone, t, departure.began)
+        tied = rows[arrivals.t[rows] == departure.began]
         if len(tied):
-            rows = np.setdiff1d(rows, [row for row in tied if not self._is_open(row, query.t)])
+            rows = np.setdiff1d(rows, [row for row in tied if not self._is_open(row, t)])
         before = len(rows)
-        remembered = -math.inf
+        remembered = min(self._since - t, 0.0)
 
         # Since the exit, as far as they are reported by the moment of the question.
-        if query.elapsed:
-            offsets = self.site.offset_of
-            reported = arrivals.t + (offsets[arrivals.zone] - offsets[query.zone])
-            since = (reported >= query.t) & (reported <= query.t + query.elapsed)
+        if departure.elapsed:
+            offsets = self.prepared.offset_of
+            reported = arrivals.t + (offsets[arrivals.zone] - offsets[zone])
+            since = (reported >= t) & (reported <= t + departure.elapsed)
             rows = np.concatenate((rows, np.flatnonzero(since)))
             if len(arrivals.t) == RECENT_MAX:  # older ones may have been forgotten
-                remembered = float(reported[0]) - query.t
+                remembered = float(reported[0]) - t
 
-        is_before = np.arange(len(rows)) < before
-        return SeenArrivals(
+        return Seen(
             arrivals.zone[rows],
             arrivals.t[rows],
             arrivals.rate[rows],
-            is_before,
+            np.arange(len(rows)) < before,
             arrivals.label[rows],
             remembered,
+            self._reporting.is_alive(),
         )
 
     def _arrivals_before(self, zone: int, t: float, began: float) -> Rows:
@@ -329,13 +293,13 @@ class Predictor:
         """
         # Recent enough.
         times = self._arrivals.t
-        [rows] = (times >= max(t + self._hazards.bins.lag_min, began)).nonzero()
+        [rows] = (times >= max(t + self.prepared.hazards.bins.lag_min, began)).nonzero()
 
         # At zones where objects may appear before they leave at ``zone``, and reported before the
         # exit.
-        offsets = self.site.offset_of
+        offsets = self.prepared.offset_of
         arrival_zones = self._arrivals.zone[rows]
-        fits = self._hazards.seen_before(zone)[arrival_zones]
+        fits = self.prepared.hazards.seen_before(zone)[arrival_zones]
         fits &= times[rows] + (offsets[arrival_zones] - offsets[zone]) < t
         return rows[fits]
 
@@ -352,16 +316,16 @@ class Predictor:
         began = float(self._arrivals.t[row])
         camera = self.zones[zone].camera
         return self._open_passages.was_in_view(
-            camera, zone, began, t + self.site.clock_offset[camera]
+            camera, zone, began, t + self.prepared.clock_offset[camera]
         )
 
     # --- Observed events ---
 
     def _observe_entry(self, event: Event, zone: int, t: float) -> None:
         """Store an arrival with the rate of its possible causes, and the passage that begins."""
-        label = self.site.labels.number(event.label)
+        label = self.prepared.labels.number(event.label)
         causes = self._causes(zone, t, label)
-        rate = self._hazards.arrival_rate[zone] + sum(causes.values())
+        rate = self.prepared.hazards.arrival_rate[zone] + sum(causes.values())
         self._arrivals.append(t, zone, label, rate)
         if event.track is None:
             return
@@ -381,24 +345,24 @@ class Predictor:
         passage = None
         if event.track is not None:
             passage = self._open_passages.end(event.camera, str(event.track), event.t)
-        label = self.site.labels.number(event.label, (passage or UNKNOWN).label)
+        label = self.prepared.labels.number(event.label, (passage or UNKNOWN).label)
         self._exits.append(t, zone, label)
 
         # The hazard of the exit takes the place of the rate of an object in view.
         arrivals = self._arrivals
         rows = self._arrivals_before(zone, t, (passage or UNKNOWN).t)
         targets = arrivals.zone[rows]
-        labels, came = self.site.labels, arrivals.label[rows]
-        rates = self._hazards.rates_from(zone, targets, arrivals.t[rows] - t)
+        labels, came = self.prepared.labels, arrivals.label[rows]
+        rates = self.prepared.hazards.rates_from(zone, targets, arrivals.t[rows] - t)
         arrivals.rate[rows] += rates * labels.agreement(label, came, targets)
         if passage is not None:
-            rates = self._hazards.rates_before_exit(event.camera, targets)
+            rates = self.prepared.hazards.rates_before_exit(event.camera, targets)
             arrivals.rate[rows] -= rates * labels.agreement(passage.label, came, targets)
 
     def _add_simultaneous_cause(self, passage: Passage) -> None:
         """Add a passage that begins to the causes of arrivals in other views at the same time."""
         arrivals = self._arrivals
-        hazards = self._hazards
+        hazards = self.prepared.hazards
         for row in range(len(arrivals.t) - 1, -1, -1):
             if arrivals.t[row] != passage.t:
                 break
@@ -407,7 +371,9 @@ class Predictor:
                 before_exit = hazards.rate_before_exit(passage.camera, target)
                 rate = before_exit + hazards.rate_entered(passage.entry, target, 0.0)
                 came = int(arrivals.label[row])
-                arrivals.rate[row] += rate * self.site.labels.of_two(passage.label, came, target)
+                arrivals.rate[row] += rate * self.prepared.labels.of_two(
+                    passage.label, came, target
+                )
 
     def _causes(self, zone: int, t: float, label: int) -> dict[str, float]:
         """Return, by camera, the rate (1/s) at which objects known from it arrive at a zone.
@@ -418,13 +384,16 @@ class Predictor:
         are not included.
         """
         # Objects that have left.
-        hazards = self._hazards
-        site = self.site
-        exit_times, zones, left = self._exits.after(t - hazards.lag_max - site.offset_range)
+        hazards = self.prepared.hazards
+        exit_times, zones, left = self._exits.after(
+            t - hazards.lag_max - self.prepared.offset_range
+        )
         which, _, rates = hazards.rates_by_row(zones, zone, t - exit_times)
-        rates = rates * site.labels.agreement(left[which], label, zone)
-        total = np.bincount(site.camera_of[zones[which]], rates, minlength=len(site.cameras))
-        causes = {site.cameras[k]: float(total[k]) for k in np.flatnonzero(total)}
+        rates = rates * self.prepared.labels.agreement(left[which], label, zone)
+        total = np.bincount(
+            self.prepared.camera_of[zones[which]], rates, minlength=len(self.prepared.cameras)
+        )
+        causes = {self.prepared.cameras[k]: float(total[k]) for k in np.flatnonzero(total)}
 
         # Objects in other views that may appear at the zone before they leave.
         here = self.zones[zone].camera
@@ -434,7 +403,7 @@ class Predictor:
             before_exit = hazards.rate_before_exit(camera, zone)
             for passage in self._open_passages.in_view(camera):
                 rate = before_exit + hazards.rate_entered(passage.entry, zone, t - passage.t)
-                rate *= site.labels.of_two(passage.label, label, zone)
+                rate *= self.prepared.labels.of_two(passage.label, label, zone)
                 if rate:
                     causes[camera] = causes.get(camera, 0.0) + rate
         return causes

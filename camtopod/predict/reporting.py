@@ -35,12 +35,13 @@ class Reporting:
             self._last[camera] = self.events
 
     def is_alive(self) -> Floats:
-        """Return the probability (cameras,) that each camera still reports.
+        """Return the probability (cameras,) that each camera still reports, if it did at first.
 
         It is computed from the number of other cameras' events since the camera's last event.
         """
         nats = (self.events - self._last) * self._share
-        is_alive: Floats = 1.0 / (1.0 + DEAD_PRIOR * np.exp(np.minimum(nats, SILENCE_NATS_MAX)))
+        dead = DEAD_PRIOR * np.expm1(np.minimum(nats, SILENCE_NATS_MAX))
+        is_alive: Floats = 1.0 / (1.0 + dead)
         return is_alive
 
     def last_events(self) -> dict[str, int]:

@@ -51,24 +51,18 @@ def unknown_share(edges: Floats, elapsed: float, remembered: float, shift: Float
 
     edges (bins + 1, seconds): edges of the lag bins.
     elapsed: seconds since the exit.
-    remembered: time, in seconds after the exit, since which all arrivals are remembered.
+    remembered: time, in seconds after the exit, since which all arrivals are remembered; below 0
+        for one before the exit.
     shift (targets, seconds): to be added to a lag to get the seconds from the exit to the report of
         the arrival.
 
-    An arrival would not be known if it is still to come, or if it was reported after the exit and
-    is no longer remembered.
+    An arrival would not be known if it is still to come, or if it is not remembered.
     """
-    # Bounds in lags of each target; those before the exit do not matter.
+    # The seconds of each bin that are known, in lags of each target.
     by_target = shift[:, None]
-    low = np.maximum(edges[:-1], -by_target)
-    high = edges[1:]
-    now = elapsed - by_target
-    memory = remembered - by_target
-
-    # Seconds of each bin that are still to come, and that are forgotten.
-    coming = np.maximum(high - np.maximum(low, now), 0.0)
-    forgotten = np.maximum(np.minimum(high, np.minimum(memory, now)) - low, 0.0)
-    share: Floats = (coming + forgotten) / np.diff(edges)
+    begin = np.maximum(edges[:-1], remembered - by_target)
+    end = np.minimum(edges[1:], elapsed - by_target)
+    share: Floats = 1.0 - np.maximum(end - begin, 0.0) / np.diff(edges)
     return share
 
 
@@ -81,7 +75,8 @@ def quantiles(mass: Floats, edges: Floats) -> Floats:
     Within a bin, the mass is taken as uniform.
     """
     # Mass below each edge, and the mass to be reached.
-    below = np.cumsum(np.pad(mass, ((0, 0), (1, 0))), axis=1)
+    below = np.zeros((len(mass), mass.shape[1] + 1))
+    np.cumsum(mass, axis=1, out=below[:, 1:])
     wanted = np.array(WINDOW) * below[:, -1:]
 
     # Bin in which that mass is reached.

@@ -21,10 +21,10 @@ from collections.abc import Collection
 
 import numpy as np
 
-from camtopod.predict.hazards import Hazards
-from camtopod.predict.predictor import Predictor
+from camtopod.predict.open_passages import Passage
+from camtopod.predict.outlook import Departure, anywhere_rates, outlook, outside_rates
 from camtopod.predict.recent_events import moved_zones
-from camtopod.predict.transitions import Began, Transitions
+from camtopod.predict.version import PreparedVersion
 from camtopod.predict.walk_graph import Edge, Expected, Step, pass_messages
 from camtopod.records import Event, Match, MatchedPassage, Topology
 from camtopod.topology import LEAVE_FLOOR, block_of, dwell_bins, masses_on_bins
@@ -50,15 +50,12 @@ UNSEEN_IN_VIEW = 0.5
 class Walks:
     """The walks of the last hour, by one version of the topology; events come in order of time."""
 
-    def __init__(self, topology: Topology, predictor: Predictor) -> None:
-        """Begin without passages; ``predictor`` is one over the same topology."""
-        self._zones = topology.zones
-        self._version = topology.version
-        self._predictor = predictor
-        self._hazards: Hazards = predictor.site.hazards
-        self._labels = predictor.site.labels
-        self._transitions = Transitions(predictor)
-        self._nobody_leaves = predictor.anywhere.nobody_leaves
+    def __init__(self, topology: Topology, prepared: PreparedVersion | None = None) -> None:
+        """Begin without passages; ``prepared`` is the same topology, if it is prepared already."""
+        self._prepared = prepared = prepared or PreparedVersion(topology)
+        self._hazards, self._labels = prepared.hazards, prepared.labels
+        self._outside = outside_rates(prepared)
+        self._nobody_leaves = prepared.anywhere.nobody_leaves
         self._dwell_bins = dwell_bins()
         self._dwell = self._dwell_densities(topology)
         self.forget()
@@ -101,7 +98,7 @@ class Walks:
 
     def take_over(self, older: Walks) -> None:
         """Take over the passages from walks by an older version; this must be new."""
-        moved = moved_zones(older._zones, self._zones)
+        moved = moved_zones(older._prepared.zones, self._prepared.zones)
         self._events = older._events
         self._names = older._names
         self._open = older._open
@@ -121,8 +118,8 @@ class Walks:
         is_matched: False to observe an entry without matching it, which is quick.
         """
         self._forget(event.t)
-        zone = self._predictor.zone_of(event)
-        t = event.t - self._predictor.site.clock_offset.get(event.camera, 0.0)
+        zone = self._prepared.zone_of(event)
+        t = event.t - self._prepared.clock_offset.get(event.camera, 0.0)
         if event.kind == "exit":
             self._end(event, zone, t)
             return None
@@ -133,7 +130,7 @@ class Walks:
             self._open.setdefault(event.camera, {})[step.track or step.name] = step
             return None
         if zone is not None:
-            step.outside = float(self._transitions.new[zone])
+            step.outside = float(self._outside[zone])
             for edge in self._likely(step, self._candidates(step, zone), t):
                 edge.add()
             self._settle(step, t)
@@ -210,16 +207,16 @@ class Walks:
     def _expected(self, step: Step) -> Expected:
         """Return the outlook after a passage that has ended; computed once a version."""
         if step.expected is None:
-            began = None
+            passage = None
             if step.entry is not None and step.left > step.began:
-                began = Began(step.entry, step.left - step.began)
-            onward = self._transitions.after(step.zone, step.block, began)
-            lost = self._transitions.lost_rates(onward)
-            step.expected = Expected(
-                onward.scale.tolist(),
-                self._transitions.unseen(onward),
-                None if lost is None else lost.tolist(),
-            )
+                passage = Passage(step.began, step.camera, step.entry)
+            answer = outlook(self._prepared, Departure(step.zone, step.left, passage, step.block))
+            scale = answer.scale
+            if answer.table is not None:
+                scale = scale / np.maximum(answer.table.outcomes.weight, 1e-300)
+            rates = anywhere_rates(self._prepared, answer).tolist() if self._nobody_leaves else None
+            unseen = answer.unseen(self._hazards.bins.edges, linked=not self._nobody_leaves)
+            step.expected = Expected(scale.tolist(), unseen.tolist(), rates)
         return step.expected
 
     def _through(self, in_view: dict[str, Step], zone: int | None, t: float) -> str:
@@ -382,7 +379,7 @@ class Walks:
         step.told = [(edge, edge.probability) for edge in step.edges]
         rows = [_row(edge) for edge in edges]
         new = 1.0 - sum(row.probability for row in rows)
-        return Match(step.camera, step.t, self._version, rows, new, step.walk, step.track)
+        return Match(step.camera, step.t, self._prepared.number, rows, new, step.walk, step.track)
 
 
 def _row(edge: Edge) -> MatchedPassage:

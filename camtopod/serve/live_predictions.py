@@ -45,7 +45,7 @@ class Reader:
 
     def __init__(self, topology: Topology, walks: bool) -> None:
         self.predictor = Predictor(topology)
-        self.walks = Walks(topology, self.predictor) if walks else None
+        self.walks = Walks(topology, self.predictor.prepared) if walks else None
 
     def take_over(self, older: Reader) -> None:
         """Take over the observed events from the reader of an older version; this must be new."""
@@ -173,7 +173,7 @@ class Live:
         zone = label = None
         if self._reader is not None:
             predictor = self._reader.predictor
-            zone, label = predictor.zone_id_of(event), predictor.site.labels.name(event.label)
+            zone, label = predictor.zone_id_of(event), predictor.prepared.labels.name(event.label)
         seen = SeenEvent(event.t, event.camera, event.kind, zone, event.x, event.y, label)
         self._recent.append((received, seen))
         self._hours.add(seen)
@@ -254,7 +254,7 @@ class Live:
             if self._reader is None:
                 raise QueryError("nothing has been learned yet")
             predictor = self._reader.predictor
-            event, now = asked_exit(camera, parameters, predictor.as_of)
+            event, now = asked_exit(camera, parameters, predictor.prepared.as_of)
             try:
                 if "zone" not in parameters:
                     return predictor.predict(event, now)

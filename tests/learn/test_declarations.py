@@ -13,8 +13,7 @@ from camtopod.learn.declarations import declared_by, forgotten, taken_back, zone
 from camtopod.learn.links.significance import q_values
 from camtopod.learn.recording import learn_topology
 from camtopod.learn.settings import Settings, TopologySettings
-from camtopod.predict import Predictor, Walks
-from camtopod.predict.transitions import Transitions
+from camtopod.predict import Departure, Predictor, Walks, log_density, outlook
 from camtopod.records import Declared, Event, Topology
 from camtopod.topology import LEAVE_FLOOR
 
@@ -126,7 +125,7 @@ def test_nothing_declared_leaves_everything_as_it_is() -> None:
 
 
 def test_who_does_not_leave_is_somewhere() -> None:
-    """Nobody is said to leave a closed site, whenever it is asked for, nor by `Transitions`."""
+    """Nobody is said to leave a closed site, whenever it is asked for, nor by its outlook."""
     topology = learned(site(both=0.5, count=100), nobody_leaves=True)
     predictor = Predictor(topology)
     left = Event("d", "exit", T0 + 1e5)
@@ -137,18 +136,16 @@ def test_who_does_not_leave_is_somewhere() -> None:
             pytest.approx(1.0, abs=2e-3)
         )
 
-    transitions = Transitions(predictor)
-    onward = transitions.after(0)
-    bins = predictor.site.hazards.bins
-    assert transitions.gone(onward, np.inf) <= LEAVE_FLOOR + 1e-9
-    assert transitions.unseen(onward)[-1] <= LEAVE_FLOOR + 1e-9
-    halves = [transitions.gone(onward, share * bins.lag_max) for share in (0.0, 0.5, 1.0)]
-    assert halves == sorted(halves, reverse=True)
+    prepared = predictor.prepared
+    answer = outlook(prepared, Departure(0))
+    longest = prepared.hazards.bins.lag_max
+    unseen = answer.unseen(np.array([0.0, 0.5 * longest, longest, np.inf]))
+    assert unseen[-1] <= LEAVE_FLOOR + 1e-9
+    assert unseen.tolist() == sorted(unseen, reverse=True)
     at = np.arange(len(topology.zones))
-    assert np.isfinite(
-        transitions.log_density(onward, at[1:], np.full(3, 0.9 * bins.lag_max))
-    ).all()
-    assert np.isneginf(transitions.log_density(onward, at, np.full(4, bins.lag_max + 1.0))).all()
+    density = log_density(prepared, answer, at[1:], np.full(3, 0.9 * longest))
+    assert np.isfinite(density).all()
+    assert np.isneginf(log_density(prepared, answer, at, np.full(4, longest + 1.0))).all()
 
 
 def test_who_is_lost_on_a_closed_site_may_be_anyone_who_enters() -> None:
@@ -156,8 +153,7 @@ def test_who_is_lost_on_a_closed_site_may_be_anyone_who_enters() -> None:
     events = site(both=0.5, count=100)
     chances = []
     for closed in (False, True):
-        predictor = Predictor(topology := learned(events, nobody_leaves=closed))
-        walks = Walks(topology, predictor)
+        walks = Walks(learned(events, nobody_leaves=closed))
         walks.observe(Event("a", "entry", T0 + 1e5, track="1"))
         walks.observe(Event("a", "exit", T0 + 1e5 + 5.0, track="1"))
         match = walks.observe(Event("d", "entry", T0 + 1e5 + 60.0, track="2"))

@@ -18,7 +18,7 @@ def asked(unknown: float, seed: int = 3, after: float | None = None) -> Predicti
     assert model is not None
     zones = [replace(zone, arrival_rate=0.01 * (1 + k)) for k, zone in enumerate(model.zones)]
     predictor = Predictor(replace(topology, model=replace(model, zones=zones)))
-    predictor.anywhere.unknown[:] = unknown
+    predictor.prepared.anywhere.unknown[:] = unknown
     now = None if after is None else EXIT.t + after
     prediction = predictor.predict(EXIT, now)
     sound(prediction)
@@ -57,6 +57,6 @@ def test_what_paths_do_not_explain_may_be_anywhere_on_a_large_site() -> None:
     for paths in (None, [CameraPath("b", "c", 0.5, 300.0, 1.0)]):
         bare = replace(model, zones=zones, onward=[], contexts=[], paths=paths)
         predictor = Predictor(replace(topology, cameras=cameras, links=[], model=bare))
-        unknown.append(predictor.anywhere.unknown[2])
+        unknown.append(predictor.prepared.anywhere.unknown[2])
     assert unknown[0] < 0.01
     assert 0.2 < unknown[1] < 0.4

@@ -16,8 +16,8 @@ from bench.support.prediction_scores import score_predictions
 from camtopod.learn.learner import Learner
 from camtopod.learn.settings import Settings
 from camtopod.predict import anywhere, open_passages, recent_events
-from camtopod.predict.odds import RATE_MIN
-from camtopod.predict.predictor import NEXT_PROBABILITY_MIN, Predictor
+from camtopod.predict.outlook import NEXT_PROBABILITY_MIN, RATE_MIN
+from camtopod.predict.predictor import Predictor
 from camtopod.predict.reporting import DEAD_PRIOR
 from camtopod.records import (
     TOPOLOGY_SCHEMA,

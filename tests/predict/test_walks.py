@@ -13,7 +13,7 @@ from serving import T0, closing_event, walkers
 
 from camtopod.adapt.frigate import Frigate
 from camtopod.learn.learner import Learner
-from camtopod.predict import Predictor, Walks
+from camtopod.predict import Walks
 from camtopod.predict.walk_graph import Edge, Step
 from camtopod.predict.walks import (
     MEMORY_SECONDS,
@@ -39,7 +39,7 @@ def learned() -> Topology:
 
 @pytest.fixture
 def walks(learned: Topology) -> Walks:
-    return Walks(learned, Predictor(learned))
+    return Walks(learned)
 
 
 def entry(camera: str, t: float, track: str | None) -> Event:
@@ -93,15 +93,15 @@ def test_one_passage_has_one_successor(walks: Walks) -> None:
 def test_two_entries_at_one_instant_may_be_of_one_object(walks: Walks) -> None:
     """Learned is the direction from the entry that comes second to the first."""
     events = [entry("a", T, "1"), entry("b", T, "2"), entry("b", T + 0.1, "3")]
-    a, b = (walks._predictor.zone_of(event) for event in events[:2])
+    a, b = (walks._prepared.zone_of(event) for event in events[:2])
     assert a is not None
     assert b is not None
     walks._hazards._entered = {b: {a: [0.5] * walks._hazards.bins.size}}
 
     first, second, later = matched(walks, events)
     assert first.from_ == []
-    weight = 0.5 * walks._transitions.new[b] / walks._transitions.new[a]
-    expected = weight / (weight + UNSEEN_IN_VIEW * walks._transitions.new[b])
+    weight = 0.5 * walks._outside[b] / walks._outside[a]
+    expected = weight / (weight + UNSEEN_IN_VIEW * walks._outside[b])
     assert [one.probability for one in second.from_] == [pytest.approx(expected)]
     assert second.walk == first.walk
     assert later.from_ == []
@@ -177,7 +177,7 @@ def test_nothing_is_left_of_a_forgotten_camera(walks: Walks) -> None:
 def test_a_new_version_goes_on_with_the_walks(learned: Topology, walks: Walks) -> None:
     first = matched(walks, [entry("a", T, "1"), exit_("a", T + 4, "1")])[0]
     newer = replace(learned, version=learned.version + 1)
-    after = Walks(newer, Predictor(newer))
+    after = Walks(newer)
     after.take_over(walks)
     second = matched(after, [entry("b", T + 13, "2")])[0]
     assert (second.walk, second.version) == (first.walk, newer.version)
@@ -250,11 +250,11 @@ def test_of_two_passages_that_fit_the_one_with_the_same_label_goes_on(learned: T
         return Event(one.camera, kind, t, one.x, one.y, track, label=label)
 
     topology = with_labels(learned)
-    walks = Walks(topology, Predictor(topology))
+    walks = Walks(topology)
     for track, label in (("1", "car"), ("2", "bus")):
         walks.observe(at(link.from_, "entry", T, track, label))
         walks.observe(at(link.from_, "exit", T + 2.0, track, None))
-    newer = Walks(topology, Predictor(topology))
+    newer = Walks(topology)
     newer.take_over(walks)
 
     match = newer.observe(at(link.to, "entry", T + 2.0 + link.transit.q50, "9", "bus"))

@@ -107,7 +107,7 @@ def test_entries_beyond_the_limit_have_no_match_and_are_known(
     entries = sum(event.kind == "entry" for event in events)
     assert live.counts["matches_skipped"] == entries - (events[-1].kind == "entry")
 
-    walks, hurried = (Walks(learned, Predictor(learned)) for _ in range(2))
+    walks, hurried = (Walks(learned) for _ in range(2))
     [*before, last] = [event for event in events if event.kind == "entry"]
     for event in EVENTS[: EVENTS.index(last)]:
         walks.observe(event)

@@ -105,7 +105,7 @@ def matches(topology: Topology, events: list[Event]) -> Iterator[Match | None]:
 
     events: in order of time. Of one moment, exits that end earlier passages count before entries.
     """
-    walks = Walks(topology, Predictor(topology))
+    walks = Walks(topology)
     for _, moment in itertools.groupby(events, key=lambda event: event.t):
         simultaneous = list(moment)
         begun = {(one.camera, one.track) for one in simultaneous if one.kind == "entry"}

@@ -76,7 +76,7 @@ def test_each_opinion_has_its_weight(topology: Topology) -> None:
     said = []
     for paths in (None, [path]):
         predictor = Predictor(with_paths(topology, paths))
-        predictor.anywhere.unknown[:] = 0.0
+        predictor.prepared.anywhere.unknown[:] = 0.0
         said.append(predictor.predict(exit_))
     alone, both = said
     assert both.leave == pytest.approx(
