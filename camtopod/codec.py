@@ -12,14 +12,14 @@ import sys
 import threading
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any, TypeVar, get_args
 
 import msgspec
 from msgspec.structs import force_setattr
 
 from camtopod import soundness
 from camtopod.labels import plain
-from camtopod.records import CAMERA_PATTERN, Delta, Event, Prediction, Topology
+from camtopod.records import CAMERA_PATTERN, Delta, Event, Kind, Prediction, Topology
 
 EVENT_BYTES_MAX = 4096
 """Largest event, in bytes; a larger one is rejected before it is decoded."""
@@ -43,6 +43,7 @@ _to_pack = msgspec.msgpack.Encoder()
 _making = threading.Lock()
 _UNREADABLE = (msgspec.MsgspecError, ValueError, RecursionError)
 """What msgspec's decoders raise on bad input."""
+_KINDS = get_args(Kind)
 _T = TypeVar("_T")
 _AT_T = " - at `$.t`"
 _NO_TIME = f"t is no number of seconds between 1970 and 3000 (milliseconds, or text?){_AT_T}"
@@ -73,6 +74,23 @@ def require_camera(name: str) -> None:
     if not is_camera(name):
         allowed = "1 to 64 of the characters A-Z a-z 0-9 _ . -, and not daemon"
         raise ValueError(f"camera {name!r}: {allowed}")
+
+
+def require_event(event: Event, kind: Kind | None = None) -> None:
+    """Raise `Rejected` for an event that is none, or of another kind than asked for.
+
+    Events from files and from the bus are checked as they are decoded; this is for those that a
+    Python program has made.
+    """
+    if event.kind not in _KINDS:
+        mistake = ": the kind of an event is entry or exit"
+    elif not T_MIN <= event.t < T_MAX:  # also true for NaN
+        mistake = f": {_NO_TIME}"
+    elif kind not in (None, event.kind):
+        mistake = f" among what should be {kind} events"
+    else:
+        return
+    raise Rejected("bad-value", f"an {event.kind} of {event.camera} at {event.t}{mistake}")
 
 
 OnLabel = Callable[[Rejected], None]

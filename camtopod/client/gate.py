@@ -23,6 +23,7 @@ import numpy as np
 
 from camtopod.arrays import Floats
 from camtopod.client.errors import zone_at, zones_of
+from camtopod.codec import require_event
 from camtopod.predict import (
     Departure,
     Outlook,
@@ -141,11 +142,10 @@ class Gate:
         """
         if now is not None and math.isnan(now):
             raise ValueError("now is not a number")
-        for kind, events in (("exit", exits), ("entry", entries)):
-            for one in events:
-                if one.kind != kind or not math.isfinite(one.t):
-                    what = f"an {one.kind} of {one.camera} at {one.t}"
-                    raise ValueError(f"{what} among what should be {kind} events with times")
+        for event in exits:
+            require_event(event, "exit")
+        for event in entries:
+            require_event(event, "entry")
 
         # Zones and corrected times of the events.
         odds = np.zeros((len(exits), len(entries)))

@@ -21,6 +21,7 @@ from copy import deepcopy
 
 from msgspec.structs import replace
 
+from camtopod.codec import require_event
 from camtopod.event_time import MICROSECONDS, EventTimeState, microseconds
 from camtopod.learn import refit as refits
 from camtopod.learn.assemble import (
@@ -129,7 +130,9 @@ class Learner:
         """Receive one event, process the ticks that it completes, and return the verdict.
 
         The verdict is ``accepted``, ``duplicate``, ``late`` or ``refused`` (too many cameras).
+        Raise ValueError for an event that is neither entry nor exit, or without a time.
         """
+        require_event(event)
         if (
             not self._intake.has_room_for(event.camera)
             and (replaced := camera_to_replace(self._intake, self._window)) is not None

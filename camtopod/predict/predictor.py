@@ -16,6 +16,7 @@ from msgspec import Struct
 from msgspec.structs import replace
 
 from camtopod.arrays import Rows
+from camtopod.codec import require_event
 from camtopod.predict.hand_over import cameras_to_watch
 from camtopod.predict.open_passages import UNKNOWN, OpenPassages, Passage
 from camtopod.predict.outlook import Departure, Outlook, Seen, outlook
@@ -112,7 +113,11 @@ class Predictor:
         self._since = state.since
 
     def observe(self, event: Event) -> None:
-        """Observe an event; events should be given in order of time as far as possible."""
+        """Observe an event; events should be given in order of time as far as possible.
+
+        Raise ValueError for an event that is neither entry nor exit, or without a time.
+        """
+        require_event(event)
         zone = self.zone_of(event)
         self._reporting.note(None if zone is None else int(self.prepared.camera_of[zone]))
         if zone is None:
@@ -141,12 +146,13 @@ class Predictor:
             exit. Later, the exit may have been observed, too, and windows may lie before ``now``
             where an arrival may have been that of the object.
 
-        Raise ValueError for a ``now`` before the exit.
+        Raise ValueError for an event that is no exit, or a ``now`` before it.
         """
-        _check(event.t, now)
+        require_event(event, "exit")
         zone = self.zone_of(event)
         track = None if event.track is None else str(event.track)
         if zone is None:
+            _check(event.t, now)
             return Prediction(event.camera, None, event.t, track, self.version, 1.0, [])
 
         passages = self._open_passages

@@ -21,6 +21,7 @@ from collections.abc import Collection
 
 import numpy as np
 
+from camtopod.codec import require_event
 from camtopod.predict.open_passages import Passage
 from camtopod.predict.outlook import Departure, anywhere_rates, outlook, outside_rates
 from camtopod.predict.recent_events import moved_zones
@@ -116,7 +117,10 @@ class Walks:
         """Observe an event; return the match of an entry, None for an exit.
 
         is_matched: False to observe an entry without matching it, which is quick.
+
+        Raise ValueError for an event that is neither entry nor exit, or without a time.
         """
+        require_event(event)
         self._forget(event.t)
         zone = self._prepared.zone_of(event)
         t = event.t - self._prepared.clock_offset.get(event.camera, 0.0)
