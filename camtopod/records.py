@@ -661,7 +661,8 @@ class Match(Struct, frozen=True, omit_defaults=True, rename={"from_": "from"}):
     from_: the passages, by falling probability; with ``new`` they sum to 1. The JSON key is
         ``from``.
     new: probability that it continues none of them.
-    walk: name of the walk it belongs to: camera and time of the walk's first event.
+    walk: name of the walk it belongs to: camera and time of its oldest passage of the
+        last hour.
     """
 
     camera: str

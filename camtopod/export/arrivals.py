@@ -74,6 +74,7 @@ class Arrivals:
         entry = (match.camera, match.t, match.track)
         before = self._entries.pop(entry, None)
         self._entries[entry] = match
+        self._rename(match.walk)
 
         # The exits that it may continue.
         for one in self._exits.values():
@@ -89,6 +90,18 @@ class Arrivals:
             return Passing(match, passages)
         emptied = all(one.walk != before.walk for one in self._entries.values())
         return Passing(match, passages, True, before.walk if emptied else None)
+
+    def _rename(self, walk: str) -> None:
+        """Give a walk its present name: it is named by its oldest passage of the last hour."""
+        camera, _, t = walk.partition("/")[0].rpartition("@")
+        names = {
+            entry.walk
+            for entry in self._entries.values()
+            if entry.camera == camera and entry.t == float(t)
+        }
+        for key, entry in self._entries.items():
+            if entry.walk in names and entry.t >= float(t):
+                self._entries[key] = replace(entry, walk=walk)
 
     def forget(self, now: float) -> None:
         """Forget exits and entries older than an hour, and the oldest beyond the limits."""

@@ -36,8 +36,9 @@ class Step:
         self.name = name
         self.entry = entry
         self.began = began
-        self.walk = name
-        """Name of its walk."""
+        self.before: Step | None = None
+        """The passage that it continues; None if it begins a walk."""
+        self.is_forgotten = False
         self.edges: list[Edge] = []
         """Edges from the passages that it may continue."""
         self.outside = 0.0
@@ -58,6 +59,14 @@ class Step:
         """Block of the image where the object left."""
         self.expected: Expected | None = None
         """Outlook after the exit; None until the first candidate needs it."""
+
+    @property
+    def walk(self) -> str:
+        """Name of its walk: that of the oldest passage before it that is remembered."""
+        step = self
+        while step.before is not None and not step.before.is_forgotten:
+            step = step.before
+        return step.name
 
 
 class Expected(NamedTuple):

@@ -8,7 +8,7 @@ have a candidate in common with the new one. The rates are those of prediction (
 `hazards`).
 
 A passage belongs to the walk of its likeliest predecessor if that has more than one half; else it
-begins a walk, which is named by its camera and the time of its first event. `Walks.observe` answers
+begins a walk. A walk is named by the camera and the time of its oldest passage of the last hour. `Walks.observe` answers
 each entry at once; `Walks.revised` answers once more where later events have changed the answer.
 """
 
@@ -75,9 +75,11 @@ class Walks:
         """Entries whose match has been given once, oldest first."""
 
     def forget_cameras(self, cameras: Collection[str]) -> None:
-        """Forget the passages of cameras; their walks get the name of the first passage left."""
+        """Forget the passages of cameras; what came after one of them begins a walk."""
         steps = {id(step): step for _, step in self._events}.values()
         gone = {step.name for step in steps if step.camera in cameras}
+        for step in steps:
+            step.is_forgotten |= step.name in gone
         self._events = deque(one for one in self._events if one[1].name not in gone)
         self._given = deque(step for step in self._given if step.name not in gone)
         self._names -= gone
@@ -87,10 +89,7 @@ class Walks:
                 left.remove(step)
 
         # What other passages know of them.
-        renamed: dict[str, str] = {}
         for _, step in self._events:
-            if step.walk in gone:
-                step.walk = renamed.setdefault(step.walk, step.name)
             step.edges = [edge for edge in step.edges if edge.source.name not in gone]
             step.told = [one for one in step.told if one[0].source.name not in gone]
             for claims in step.claims.values():
@@ -258,15 +257,14 @@ class Walks:
             if t < (step.t if step.ended is None else step.ended):
                 continue
             self._names.discard(step.name)
+            step.is_forgotten = True
             in_view = self._open.get(step.camera, {})
             key = step.track or step.name
             if in_view.get(key) is step:
                 del in_view[key]
             if step in (left := self._left.get(step.zone, deque())):
                 left.remove(step)
-            step.edges = []
-            step.told = []
-            step.claims = {}
+            step.edges, step.told, step.claims, step.before = [], [], {}, None
 
     # --- Matching ---
 
@@ -379,7 +377,7 @@ class Walks:
         edges = sorted(step.edges, key=lambda edge: -edge.probability)
         edges = [edge for edge in edges if edge.probability >= PROBABILITY_MIN]
         is_known = bool(edges) and edges[0].probability > 0.5
-        step.walk = edges[0].source.walk if is_known else step.name
+        step.before = edges[0].source if is_known else None
         step.told = [(edge, edge.probability) for edge in step.edges]
         rows = [_row(edge) for edge in edges]
         new = 1.0 - sum(row.probability for row in rows)

@@ -105,6 +105,18 @@ def test_a_walk_has_its_entries_in_order_and_a_second_match_moves_one() -> None:
     assert [one.camera for one in back.passages] == ["yard"]
 
 
+def test_a_walk_of_hours_keeps_its_entries_under_its_newest_name() -> None:
+    """It is named by its oldest passage of the last hour."""
+    seen = Arrivals()
+    seen.entered(entry("hall", T + 10, "lobby@1", ("lobby", T, 0.9)))
+    seen.entered(entry("yard", T + 20.5, "lobby@1", ("hall", T + 15, 0.9)))
+
+    last = seen.entered(entry("gate", T + 30, f"yard@{T + 20.5}", ("yard", T + 25, 0.9)))
+
+    assert [match.camera for match in last.passages] == ["yard", "gate"]
+    assert {match.walk for match in last.passages} == {f"yard@{T + 20.5}"}
+
+
 def test_two_entries_of_one_moment_are_two() -> None:
     seen = Arrivals()
     seen.entered(entry("lobby", T, "lobby@1", track="7"))

@@ -158,6 +158,27 @@ def test_a_passage_is_remembered_from_its_last_event_on(walks: Walks) -> None:
     assert [step.track for _, step in walks._events] == ["3"]
 
 
+def test_a_walk_is_named_by_its_oldest_passage_of_the_last_hour(walks: Walks) -> None:
+    """Nothing tells where a walk was before that."""
+    [first] = matched(walks, [entry("a", T, "1"), exit_("a", T + 4, "1")])
+    [second] = matched(walks, [entry("b", T + 13, "3")])
+    assert second.walk == first.walk
+
+    matched(walks, [entry("c", T + 4 + MEMORY_SECONDS, "4")])
+    step = walks._open["b"]["3"]
+    assert step.walk == first.walk
+    matched(walks, [entry("c", T + 4.5 + MEMORY_SECONDS, "5")])
+    assert step.walk == f"b@{T + 13:.0f}"
+
+
+def test_what_came_after_a_forgotten_camera_begins_a_walk(walks: Walks) -> None:
+    [first] = matched(walks, [entry("a", T, "1"), exit_("a", T + 4, "1")])
+    [second] = matched(walks, [entry("b", T + 13, "3"), exit_("b", T + 17, "3")])
+    assert second.walk == first.walk
+    walks.forget_cameras({"b"})
+    assert [step.walk for _, step in walks._events] == [first.walk, first.walk]
+
+
 def test_nothing_is_left_of_a_forgotten_camera(walks: Walks) -> None:
     """Two walks begin at a, one of which goes on at b."""
     matched(walks, [entry("a", T, "1"), exit_("a", T + 4, "1"), entry("a", T + 5, "2")])

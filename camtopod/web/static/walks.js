@@ -34,7 +34,7 @@ export class Walks {
     const at = walk.lastIndexOf("@");
     const first = { camera: walk.slice(0, at), t: Number(walk.slice(at + 1)), probability: 1 };
     const continues = first.camera !== camera || Math.abs(first.t - t) > 0.001;
-    const steps = this.#walks.get(walk)?.steps ?? [first];
+    const steps = this.#walks.get(walk)?.steps ?? (continues ? this.#renamed(first, walk) : null) ?? [first];
     if (continues && from.length) steps.push({ camera, t, probability: from[0].probability });
     steps.sort((one, other) => one.t - other.t);
     this.#walks.delete(walk);
@@ -44,6 +44,17 @@ export class Walks {
     if (this.#of.size > 10 * WALKS_MAX) this.#of.delete(this.#of.keys().next().value);
     this.#timer ??= setTimeout(() => this.#draw(), LIST_MILLISECONDS);
     return continues && from.length > 0;
+  }
+
+  // The steps of a walk by its name until now: it is named by its oldest passage of the last hour.
+  #renamed(first, walk) {
+    const before = this.#of.get(`${first.camera} ${first.t}`);
+    const old = this.#walks.get(before);
+    if (!old) return null;
+    this.#walks.delete(before);
+    const steps = old.steps.filter((step) => step.t >= first.t);
+    for (const step of steps) this.#of.set(`${step.camera} ${step.t}`, walk);
+    return steps;
   }
 
   // Mark a walk in the list, or none; its cameras.
