@@ -8,8 +8,9 @@ have a candidate in common with the new one. The rates are those of prediction (
 `hazards`).
 
 A passage belongs to the walk of its likeliest predecessor if that has more than one half; else it
-begins a walk. A walk is named by the camera and the time of its oldest passage of the last hour. `Walks.observe` answers
-each entry at once; `Walks.revised` answers once more where later events have changed the answer.
+begins a walk. A walk is named by the camera and the time of its oldest passage of the last hour.
+`Walks.observe` answers each entry at once; `Walks.revised` answers once more where later events
+have changed the answer.
 """
 
 from __future__ import annotations

@@ -90,7 +90,8 @@ def test_versions_come_by_themselves(tmp_path: Path) -> None:
         newer = site.wait_for(last.version + 1, 20.0)
         assert site._gate is not None
         assert site._gate.topology.version >= newer.version
-        assert site._gate.predictor.save().under_way[0][:2] == ("a", "7"), (
+        assert site._predictor is not None
+        assert site._predictor.save().under_way[0][:2] == ("a", "7"), (
             "what was observed outlives a version"
         )
 
