@@ -81,7 +81,10 @@ HOMES = {
     "uvicorn": ("web.app", "web.connections"),
     "rich": ("cli.commands.watch",),
     "cv2": ("vision", "sim", "export"),
-    "sqlite3": ("serve.storage", "serve.outbox", "serve.daemon", "serve.versions"),
+    "sqlite3": (
+        *("serve.storage", "serve.outbox", "serve.daemon", "serve.versions"),
+        "cli.events.time_order",
+    ),
 }
 """Other people's packages, and the modules or packages that may know them."""
 
