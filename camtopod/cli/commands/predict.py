@@ -30,7 +30,9 @@ def add_parser(add: Any) -> None:
     """Add `predict`."""
     parser = add(
         description="Predicts for each exit of recorded events where the object appears next, and "
-        "prints one prediction per line.",
+        "prints one prediction per line, in the order of the input. A pipe is answered as it is "
+        "read: an exit when a line that is later by [learn] lateness_seconds has come, or no line "
+        "comes for two seconds.",
         epilog="example: camtopod predict topology.json events.jsonl --top 3 > predictions.jsonl",
     )
     parser.add_argument(
@@ -43,7 +45,7 @@ def add_parser(add: Any) -> None:
         "topology", metavar="TOPOLOGY.json", help="topology as `camtopod learn` writes it"
     )
     parser.add_argument(
-        "events", metavar="EVENTS", help="file of event lines ('-': standard input)"
+        "events", metavar="EVENTS", help="file or pipe of event lines ('-': standard input)"
     )
     parser.add_argument(
         "--top",

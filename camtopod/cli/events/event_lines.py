@@ -49,7 +49,7 @@ class Readable(Protocol):
     """A file, or what stands before one."""
 
     def read1(self, size: int, /) -> bytes:
-        """Wait until something has come, and return at most ``size`` bytes of it; none at the end."""
+        """Wait for something, and return at most ``size`` bytes of what has come; none: the end."""
 
 
 class Line(NamedTuple):

@@ -19,8 +19,10 @@ from camtopod.records import Event, Kind
 
 LINES_HELD_MAX = 10_000
 """Most lines that wait for lines with an earlier time, or whose answers wait for another answer."""
-SORTING_BYTES_MAX = 16 << 20
-"""Most memory for sorting, in bytes; what is more is in a temporary file."""
+LATE_LINES_MAX = 20
+"""Most late lines in a row; then the newest line had a wrong time, or another recording begins."""
+SORTING_BYTES_MAX = 4 << 20
+"""Size of each cache of SQLite for sorting, in bytes; what is more is in a temporary file."""
 SILENT_SECONDS = 2.0
 """Time without anything new in a pipe after which nothing earlier is waited for."""
 
@@ -30,7 +32,7 @@ class Answers:
 
     answer: is given all events of one moment, and returns a text for each; of ``kind``, its answer.
     lateness (seconds): an event is answered when one as much later, and of another moment, has
-        come. One that comes out of order after that is answered at once.
+        come. One that comes later than that is answered at once, and changes no earlier answer.
     """
 
     def __init__(
@@ -40,6 +42,8 @@ class Answers:
         self._kind = kind
         self._lateness = lateness
         self._newest = -math.inf
+        self._late = 0
+        """Number of the last events in a row that came late."""
         self._numbers = itertools.count()
         self._held: list[tuple[float, int, Event]] = []
         """Events that wait for earlier ones: a heap by time, then by number."""
@@ -82,14 +86,15 @@ class Answers:
         if event.kind == self._kind:
             self._unanswered.append(number)
         self._newest = max(self._newest, event.t)
-        if max(len(self._held), len(self._unanswered)) >= LINES_HELD_MAX:
-            return self.rest()
         before = math.nextafter(self._newest, -math.inf)
-        return self._until(min(self._newest - self._lateness, before))
+        answered = min(self._newest - self._lateness, before)
+        self._late = self._late + 1 if event.t <= answered else 0
+        is_full = max(len(self._held), len(self._unanswered)) >= LINES_HELD_MAX
+        return self.rest() if is_full or self._late >= LATE_LINES_MAX else self._until(answered)
 
     def rest(self) -> list[bytes]:
         """Return all remaining answers, without waiting for earlier events."""
-        self._newest = -math.inf
+        self._newest, self._late = -math.inf, 0
         return self._until(math.inf)
 
     def _until(self, t: float) -> list[bytes]:
