@@ -13,8 +13,7 @@ from typing import Any, TypeVar
 
 from msgspec.structs import replace
 
-from camtopod.cli.commands.export import load
-from camtopod.cli.common import configuration
+from camtopod.cli.common import configuration, topology_of
 from camtopod.cli.events.event_lines import LineReader, open_input
 from camtopod.cli.events.time_order import Answers, Pipe, count_if_ordered
 from camtopod.cli.exits import InputError
@@ -69,7 +68,7 @@ def run(args: argparse.Namespace) -> None:
     A pipe is answered as it is read, and so is a file in order of time; another file is sorted
     first.
     """
-    topology = load(args.topology)
+    topology = topology_of(args.topology)
     kind: Kind = "entry" if args.walks else "exit"
     answer = matching(topology) if args.walks else predicting(topology)
     done = "entries matched" if args.walks else "exits predicted"

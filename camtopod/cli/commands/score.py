@@ -17,8 +17,8 @@ from typing import Any, TypeVar
 
 from msgspec import Struct
 
-from camtopod.cli.commands.export import load
 from camtopod.cli.commands.predict import by_moment, matching, predicting
+from camtopod.cli.common import topology_of
 from camtopod.cli.events.event_lines import LineReader
 from camtopod.cli.exits import InputError
 from camtopod.cli.terminal import Progress
@@ -76,7 +76,7 @@ def add_parser(add: Any) -> None:
 
 def run(args: argparse.Namespace) -> None:
     """Print the scores. Raises `InputError`."""
-    topology = load(args.topology)
+    topology = topology_of(args.topology)
     reader = LineReader()
     events = sorted((line.event for line in reader.merged([args.events])), key=lambda one: one.t)
     if (summary := reader.summary()) is not None:
