@@ -100,10 +100,15 @@ class LineReader:
 
         Raises `InputError` for a table without the columns it needs.
         """
+        number = 0
+
+        def drop_label(error: Rejected) -> None:
+            self._drop_label(f"{path}:{number}", error)
+
         for number, text in messages(path, file):
             self.read += 1
             try:
-                event = event_from_json(text, partial(self._drop_label, f"{path}:{number}"))
+                event = event_from_json(text, drop_label)
             except Rejected as error:
                 self.reject(error.reason, f"{path}:{number}: {error}", text)
                 continue
