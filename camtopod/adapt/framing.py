@@ -84,14 +84,14 @@ def frames(
         # Lines that are messages, as they mostly are: all that have come.
         if stream.at_line and stream.is_new and b"{" in begins:
             stream.is_new = False
-            end = 0
+            size = 0
             for count, line in enumerate(bytes(text[: text.rfind(b"\n") + 1]).split(b"\n")):
                 if line[:1] != b"{" or len(line) > bytes_max or not codec.is_json(line):
                     break
                 yield stream.number + count, line.strip()
-                end += len(line) + 1
-            if end:
-                stream.drop(end)
+                size += len(line) + 1
+            if size:
+                stream.drop(size)
 
         # Skip what stands between.
         if not text.startswith(b"{"):

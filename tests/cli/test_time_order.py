@@ -194,6 +194,18 @@ def test_a_pipe_gives_each_answer_before_it_ends(
         assert b"".join([first, *rest]) == file.stdout
 
 
+def test_late_lines_of_a_pipe_are_answered_and_counted(topology: Path) -> None:
+    late = [Event("a", "exit", EVENTS[0].t - 100.0 - k) for k in range(3)]
+
+    done = subprocess.run(
+        command(topology, "-"), input=lines([*EVENTS, *late]), capture_output=True, check=True
+    )
+
+    wanted = sum(event.kind == "exit" for event in EVENTS) + len(late)
+    assert len(done.stdout.splitlines()) == wanted
+    assert done.stderr.startswith(b"camtopod: 3 lines came too late")
+
+
 def test_standard_input_that_is_a_file_is_one(topology: Path, tmp_path: Path) -> None:
     """Read from where it stands, unordered."""
     path = tmp_path / "events.jsonl"

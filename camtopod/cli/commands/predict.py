@@ -13,7 +13,7 @@ from typing import Any, TypeVar
 
 from msgspec.structs import replace
 
-from camtopod.cli.common import configuration, topology_of
+from camtopod.cli.common import configuration, counted, topology_of
 from camtopod.cli.events.event_lines import LineReader, open_input
 from camtopod.cli.events.time_order import Answers, Pipe, count_if_ordered
 from camtopod.cli.exits import InputError
@@ -99,6 +99,9 @@ def run(args: argparse.Namespace) -> None:
         out.writelines(given)
         out.flush()
 
+    if answers.late:
+        what = f"{counted(answers.late, 'line')} came too late for answers before"
+        print(f"camtopod: {what} ([learn] lateness_seconds); a file is sorted", file=sys.stderr)
     if (summary := reader.summary()) is not None:
         print(f"camtopod: {summary}", file=sys.stderr)
     if reader.read and not reader.events:

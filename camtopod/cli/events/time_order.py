@@ -42,8 +42,9 @@ class Answers:
         self._kind = kind
         self._lateness = lateness
         self._newest = -math.inf
-        self._late = 0
-        """Number of the last events in a row that came late."""
+        self.late = 0
+        """Number of events that came late."""
+        self._late_in_a_row = 0
         self._numbers = itertools.count()
         self._held: list[tuple[float, int, Event]] = []
         """Events that wait for earlier ones: a heap by time, then by number."""
@@ -88,13 +89,17 @@ class Answers:
         self._newest = max(self._newest, event.t)
         before = math.nextafter(self._newest, -math.inf)
         answered = min(self._newest - self._lateness, before)
-        self._late = self._late + 1 if event.t <= answered else 0
-        is_full = max(len(self._held), len(self._unanswered)) >= LINES_HELD_MAX
-        return self.rest() if is_full or self._late >= LATE_LINES_MAX else self._until(answered)
+        is_late = event.t <= answered
+        self.late += is_late
+        self._late_in_a_row = self._late_in_a_row + 1 if is_late else 0
+        held = max(len(self._held), len(self._unanswered))
+        if held >= LINES_HELD_MAX or self._late_in_a_row >= LATE_LINES_MAX:
+            return self.rest()
+        return self._until(answered)
 
     def rest(self) -> list[bytes]:
         """Return all remaining answers, without waiting for earlier events."""
-        self._newest, self._late = -math.inf, 0
+        self._newest, self._late_in_a_row = -math.inf, 0
         return self._until(math.inf)
 
     def _until(self, t: float) -> list[bytes]:
