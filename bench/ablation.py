@@ -174,7 +174,6 @@ CONSTANTS = (
     ("CHANCE_PRIOR", ("learn.next_camera.spurious",)),
     ("DEPARTURES_TO_TELL", ("learn.next_camera.spurious",)),
     ("FIRST_NOISE_SD", ("learn.next_camera.fit",)),
-    ("BET_SPARSITY", ("learn.links.cross_validation",)),
     ("FALSE_PROBABILITY", ("learn.long_paths",)),
     ("OVERLAP_FALSE", ("learn.association.screening",)),
 )

@@ -17,6 +17,7 @@ from msgspec.structs import replace
 from camtopod.arrays import Floats, Rows, rows_by_group
 from camtopod.event_time import MICROSECONDS
 from camtopod.learn.assemble import STAY_DECILES, zone_id
+from camtopod.learn.association import FOLLOWED_TRANSITIONS_MIN
 from camtopod.learn.changes import Change
 from camtopod.learn.links import NEXT_ZONES_MAX, MissedTransitions
 from camtopod.learn.next_camera import LEVELS, OverlappingViews, Posterior
@@ -56,8 +57,6 @@ that is less counts as this where a changed share is divided by it.
 """
 CONTEXT_DEPARTURES_MIN = 0.5
 """Least certain departures (see `next_camera.contexts`) of a listed context."""
-CONTEXT_TRANSITIONS_MIN = 0.05
-"""Least certain transitions of a context to a next zone that is listed."""
 
 
 def build_model(
@@ -346,7 +345,7 @@ def _contexts(
             to = {
                 ids[c.target[pair]]: round_significant(number)
                 for pair, number in zip(pairs.tolist(), moved.tolist(), strict=True)
-                if number > CONTEXT_TRANSITIONS_MIN
+                if number > FOLLOWED_TRANSITIONS_MIN
             }
             result.append(
                 Context(

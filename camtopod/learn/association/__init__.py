@@ -12,6 +12,7 @@ candidates first.
 """
 
 from camtopod.learn.association.candidates import (
+    CANDIDATES_AT_ONCE as CANDIDATES_AT_ONCE,
     RESPONSIBILITY_MAX as RESPONSIBILITY_MAX,
     Candidates as Candidates,
     departures_in_reach as departures_in_reach,
@@ -31,6 +32,7 @@ from camtopod.learn.association.em import (
 )
 from camtopod.learn.association.em_model import EmModel as EmModel
 from camtopod.learn.association.joint_fit import (
+    FOLLOWED_TRANSITIONS_MIN as FOLLOWED_TRANSITIONS_MIN,
     SPARSITY as SPARSITY,
     Fit as Fit,
     fit_jointly as fit_jointly,

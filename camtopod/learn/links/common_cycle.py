@@ -30,7 +30,7 @@ from camtopod.learn.association import (
 from camtopod.learn.lags import SMOOTHING_SD_BINS
 from camtopod.learn.links.link_table import TRANSITIONS_MIN
 from camtopod.learn.links.significance import PARTS
-from camtopod.learn.traffic import Departures
+from camtopod.learn.traffic import GAIN_NATS, Departures
 from camtopod.topology import lag_smoothing_matrix
 
 PERIOD_SECONDS = (20.0, 240.0)
@@ -49,8 +49,6 @@ PEAK_NATS = 20.0
 """Least significance of a period at each of two zones, as the negative log of a p-value, beside the
 number of periods that are looked at.
 """
-GAIN_NATS = 8.0
-"""Least evidence that a period could make of no way at all: with less, none would be published."""
 COPIES = (-3, -2, -1, 1, 2, 3)
 """The copies of the departures: whole periods by which they are moved."""
 EXCESS_SD = (1.0, 3.0)

@@ -18,6 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from camtopod.arrays import Floats, Longs, Rows, ranges_in_parts
+from camtopod.learn.association import CANDIDATES_AT_ONCE
 from camtopod.learn.lags import NOISE_SD, excess_sd
 from camtopod.learn.traffic import Departures
 from camtopod.topology import SMOOTHING_SD_BINS, LagBins, lag_smoothing_matrix, smooth
@@ -41,8 +42,6 @@ FALSE_PROBABILITY = 0.001
 OPEN_PAIRS_MAX = 3_000_000
 """Largest number of pairs of an exit and an open passage that are counted; the newest exits count.
 """
-OPEN_PAIRS_AT_ONCE = 1 << 18
-"""Number of such pairs that are in memory at one time."""
 
 
 class OverlappingViews(NamedTuple):
@@ -184,12 +183,12 @@ def _open(passages: Departures, exits: slice, shift: float) -> Iterator[tuple[Ro
     exits: slice of the passages whose exits are used.
     shift: seconds after the exit at which the passage is open.
 
-    Each part has about `OPEN_PAIRS_AT_ONCE` pairs, as two arrays of rows of ``passages``. A passage
+    Each part has about `CANDIDATES_AT_ONCE` pairs, as two arrays of rows of ``passages``. A passage
     is open from its entry to its exit.
     """
     exit_times = passages.t[exits]
     first, stop = (np.searchsorted(exit_times, t - shift) for t in (passages.since, passages.t))
-    pairs = ranges_in_parts(first, np.maximum(stop - first, 0), OPEN_PAIRS_AT_ONCE)
+    pairs = ranges_in_parts(first, np.maximum(stop - first, 0), CANDIDATES_AT_ONCE)
     for passage, at in pairs:
         yield at + exits.start, passage
 

@@ -27,7 +27,9 @@ HARMONICS = 2
 PAST_SECONDS = CYCLE_SECONDS[0]
 """Time constant with which the effect of an arrival decays: what lasts longer is a cycle."""
 GAIN_NATS = 8.0
-"""Least gain in log likelihood for which a zone has a rhythm, or a cycle among all frequencies."""
+"""Least gain in log likelihood for which a zone has a rhythm, or a cycle among all frequencies; and
+least evidence that a common cycle could make of no way at all: with less, none would be published.
+"""
 ITERATIONS = 50
 """Iterations of EM for the shares of the parts."""
 ACTIVITY_SECONDS = 20.0
