@@ -174,8 +174,6 @@ CONSTANTS = (
     ("CHANCE_PRIOR", ("learn.next_camera.spurious",)),
     ("DEPARTURES_TO_TELL", ("learn.next_camera.spurious",)),
     ("FIRST_NOISE_SD", ("learn.next_camera.fit",)),
-    ("FALSE_PROBABILITY", ("learn.long_paths",)),
-    ("OVERLAP_FALSE", ("learn.association.screening",)),
 )
 """Constants that are halved and doubled: name, and the modules that hold it."""
 FACTORS = (0.5, 2.0)

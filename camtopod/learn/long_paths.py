@@ -23,7 +23,7 @@ from camtopod.learn.clocks import (
     cache_friendly_order,
     null_expectation,
 )
-from camtopod.learn.lags import BIN_SECONDS, poisson_nats
+from camtopod.learn.lags import BIN_SECONDS, FALSE_PROBABILITY, poisson_nats
 from camtopod.learn.traffic import Arrivals, Departures
 
 LONG_SECONDS_MIN = 60.0
@@ -38,8 +38,6 @@ this share, as each is as wide.
 """
 WIDTHS_BINS = (5, 11, 25, 61)
 """Widths, in bins, of the windows of lags in which arrivals are counted."""
-FALSE_PROBABILITY = 0.01
-"""Probability of any false peak on a site without links."""
 
 
 def find_long_paths(

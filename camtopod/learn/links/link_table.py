@@ -25,7 +25,9 @@ TRANSITIONS_MIN = 2.0
 WEAK_TRANSITIONS_MIN = 0.2
 """Least expected number of transitions of a weak link."""
 NEXT_ZONES_MAX = 24
-"""Largest number of weak links from one zone, and of next zones that prediction reads."""
+"""Largest number of places that are considered next of one place: of weak links from one zone, next
+zones that prediction reads, paths from one camera, and overlaps with one view.
+"""
 MONTE_CARLO_SEED = 2011
 """Seed of the Monte Carlo observations, fixed so that versions are reproducible."""
 

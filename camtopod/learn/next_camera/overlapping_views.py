@@ -19,7 +19,8 @@ from numpy.typing import NDArray
 
 from camtopod.arrays import Floats, Longs, Rows, ranges_in_parts
 from camtopod.learn.association import CANDIDATES_AT_ONCE
-from camtopod.learn.lags import NOISE_SD, excess_sd
+from camtopod.learn.lags import FALSE_PROBABILITY, NOISE_SD, excess_sd
+from camtopod.learn.links import NEXT_ZONES_MAX
 from camtopod.learn.traffic import Departures
 from camtopod.topology import SMOOTHING_SD_BINS, LagBins, lag_smoothing_matrix, smooth
 
@@ -35,10 +36,6 @@ SCREENED_SD = 3.0
 """Least excess of the open passages of a pair of cameras over the null model, in standard
 deviations, for the pair to be tested.
 """
-SCREENED_PER_CAMERA_MAX = 16
-"""Largest number of pairs tested for each camera of the exits, those with the largest excess."""
-FALSE_PROBABILITY = 0.001
-"""Probability of any false overlap on a site without overlaps, if passages were independent."""
 OPEN_PAIRS_MAX = 3_000_000
 """Largest number of pairs of an exit and an open passage that are counted; the newest exits count.
 """
@@ -159,7 +156,7 @@ def _screened(excess: Floats) -> tuple[Rows, Rows]:
     excess (cameras, cameras): excess of open passages over the null model in standard deviations,
         by camera of the exit and camera of the passage.
     """
-    largest = np.argsort(-excess, axis=1, kind="stable")[:, :SCREENED_PER_CAMERA_MAX]
+    largest = np.argsort(-excess, axis=1, kind="stable")[:, :NEXT_ZONES_MAX]
     kept = np.zeros(excess.shape, np.bool_)
     np.put_along_axis(
         kept, largest, np.take_along_axis(excess, largest, axis=1) > SCREENED_SD, axis=1
