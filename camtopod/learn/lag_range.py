@@ -21,6 +21,7 @@ from camtopod.learn.association import (
     fit_jointly,
     newest_within_limit,
 )
+from camtopod.learn.lags import COVERED
 from camtopod.learn.limits import (
     LONGEST_SECONDS,
     RANGE_ARRIVALS_MAX,
@@ -49,9 +50,9 @@ Q_MAX = 0.01
 """False discovery rate of the links that count."""
 CONTRAST_MIN = 2.0
 """Least hazard at a lag that counts, over the median of the pair."""
-COVERED = 0.95
 STRAYS = 5.0
-"""Share of the links' transitions up to the longest lag that counts; so many may be beyond anyway.
+"""Transitions that may be beyond the longest lag that counts, if that is more than the usual share
+(`COVERED`).
 """
 SPARE = 3.0
 """The range over that lag. Where transit times vary most, evenly per second (an exponential

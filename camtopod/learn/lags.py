@@ -16,6 +16,8 @@ NOISE_SD = 0.5
 """Standard deviations of the null model that are subtracted from an excess over it, where whatever
 may be right is to be kept.
 """
+COVERED = 0.95
+"""Share of the transitions of a way that have come by its longest lag; the others are strays."""
 FALSE_PROBABILITY = 1e-3
 """Probability that chance alone shows anything of one kind in one window: a silence of a camera, or
 an overlap or a long path of any two.

@@ -46,6 +46,7 @@ from camtopod.learn.association.problem import (
     exposures as exposures,
 )
 from camtopod.learn.association.screening import (
+    LIKELY_MIN as LIKELY_MIN,
     PAIRS_FEW as PAIRS_FEW,
     CandidateScreen as CandidateScreen,
     FollowedSources as FollowedSources,

@@ -66,7 +66,7 @@ WIDE_BINS = 4
 SOURCES_PER_ZONE_MAX = 32
 """Largest number of zones of departure that are followed for one zone of arrival."""
 LIKELY_MIN = 0.001
-"""Probability, after weighing, up to which candidates are dropped."""
+"""Probability up to which candidates are dropped or do not count."""
 LIKELY_MAX = 3_000_000
 LIKELY_PER_ARRIVAL = 16
 """Limits of the candidates kept for the joint fit, the likeliest: in all, or for each arrival if

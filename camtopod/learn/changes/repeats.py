@@ -46,8 +46,6 @@ MATCHED = 0.9
 """Probability that an event of a recording has a match in an earlier play."""
 _CHANCE_NATS = math.log(KNOWN_MAX * JUDGED_MAX)
 """Evidence that chance reaches about once among all stretches and lags of a camera."""
-_WHOLE_SECONDS = 1e-3
-"""Deviation from whole seconds up to which times have no tenths that could be compared."""
 
 
 class _Matches(NamedTuple):
@@ -84,7 +82,7 @@ def repeats_of(t: Floats, entry: Bools, px: Indices, py: Indices) -> str:
     t (n, seconds): ascending.
     entry, px, py (n,): True for an entry, False for an exit; position in fixed point.
     """
-    if len(t) < 2 or np.abs(t - np.round(t)).max() < _WHOLE_SECONDS:
+    if len(t) < 2 or (t == np.round(t)).all():  # whole seconds have no tenths to compare
         return ""
     first = max(len(t) - JUDGED_MAX, 0)
     judged = t[first:]

@@ -50,7 +50,6 @@ from camtopod.learn.links.significance import (
     q_values as q_values,
     repeated_evidence as repeated_evidence,
 )
-from camtopod.learn.links.transit_time import WEIGHT_MIN as WEIGHT_MIN
 from camtopod.learn.links.visible_links import (
     passages_lasting as passages_lasting,
     visible_transitions as visible_transitions,
