@@ -55,8 +55,6 @@ SHARE_MIN = 1e-4
 """Least share of a listed next zone, and least mass of a listed entry kernel. A share in the window
 that is less counts as this where a changed share is divided by it.
 """
-CONTEXT_DEPARTURES_MIN = 0.5
-"""Least certain departures (see `next_camera.contexts`) of a listed context."""
 
 
 def build_model(
@@ -333,7 +331,7 @@ def _contexts(
     first = np.searchsorted(c.source, np.arange(len(ids)))
     result = []
     for name, level in zip(LEVELS, posterior.levels, strict=True):
-        for k in np.flatnonzero(level.departures >= CONTEXT_DEPARTURES_MIN).tolist():
+        for k in np.flatnonzero(level.departures >= FOLLOWED_TRANSITIONS_MIN).tolist():
             zone, part, block = level.keys[k].tolist()
 
             # Transitions, scaled to present shares.

@@ -28,6 +28,7 @@ from camtopod.learn.association.convergence import (
 from camtopod.learn.association.em import (
     NOTHING as NOTHING,
     START_FLOOR as START_FLOOR,
+    SWEEPS as SWEEPS,
     Em as Em,
 )
 from camtopod.learn.association.em_model import EmModel as EmModel

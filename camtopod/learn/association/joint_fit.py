@@ -28,7 +28,7 @@ Without the prior, arrivals from outside would be shared out among thousands of 
 """
 FOLLOWED_TRANSITIONS_MIN = 0.05
 """Least expected transitions of a pair of zones that is kept for the next run; and least certain
-ones of a context to a next zone that is listed.
+departures of a listed context, and transitions of it to a listed next zone.
 """
 
 
