@@ -16,6 +16,10 @@ NOISE_SD = 0.5
 """Standard deviations of the null model that are subtracted from an excess over it, where whatever
 may be right is to be kept.
 """
+CLEAR_NOISE_SD = 3.0
+"""The same where only what is clear is to count: in first hazards for prediction, and in what
+tells of clocks or of views that may overlap.
+"""
 COVERED = 0.95
 """Share of the transitions of a way that have come by its longest lag; the others are strays."""
 FALSE_PROBABILITY = 1e-3

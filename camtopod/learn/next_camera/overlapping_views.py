@@ -19,7 +19,8 @@ from numpy.typing import NDArray
 
 from camtopod.arrays import Floats, Longs, Rows, ranges_in_parts
 from camtopod.learn.association import CANDIDATES_AT_ONCE
-from camtopod.learn.lags import FALSE_PROBABILITY, NOISE_SD, excess_sd
+from camtopod.learn.lags import CLEAR_NOISE_SD, FALSE_PROBABILITY, NOISE_SD, excess_sd
+from camtopod.learn.limits import EVENT_PAIRS_MAX
 from camtopod.learn.links import NEXT_ZONES_MAX
 from camtopod.learn.traffic import Departures
 from camtopod.topology import SMOOTHING_SD_BINS, LagBins, lag_smoothing_matrix, smooth
@@ -32,13 +33,6 @@ the fewest transitions.
 """
 NULL_MIN = 0.02
 """Least number of passages that the null model expects in a bin, over all exits."""
-SCREENED_SD = 3.0
-"""Least excess of the open passages of a pair of cameras over the null model, in standard
-deviations, for the pair to be tested.
-"""
-OPEN_PAIRS_MAX = 3_000_000
-"""Largest number of pairs of an exit and an open passage that are counted; the newest exits count.
-"""
 
 
 class OverlappingViews(NamedTuple):
@@ -71,7 +65,7 @@ def find_overlapping(passages: Departures, cameras: int, bins: LagBins) -> list[
     """
     if len(passages.t) == 0:
         return []
-    newest = _newest(passages, OPEN_PAIRS_MAX)
+    newest = _newest(passages, EVENT_PAIRS_MAX)
     end = len(passages.t)
 
     # Select the pairs of cameras with more open passages than under the null model.
@@ -159,7 +153,7 @@ def _screened(excess: Floats) -> tuple[Rows, Rows]:
     largest = np.argsort(-excess, axis=1, kind="stable")[:, :NEXT_ZONES_MAX]
     kept = np.zeros(excess.shape, np.bool_)
     np.put_along_axis(
-        kept, largest, np.take_along_axis(excess, largest, axis=1) > SCREENED_SD, axis=1
+        kept, largest, np.take_along_axis(excess, largest, axis=1) > CLEAR_NOISE_SD, axis=1
     )
     source, target = np.nonzero(kept)
     return source, target
