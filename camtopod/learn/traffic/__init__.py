@@ -34,6 +34,7 @@ from camtopod.learn.traffic.labels import (
 )
 from camtopod.learn.traffic.rhythm import (
     GAIN_NATS as GAIN_NATS,
+    HARMONICS as HARMONICS,
     activity_rates as activity_rates,
 )
 from camtopod.learn.traffic.speed import (

@@ -22,8 +22,8 @@ from camtopod.learn.traffic.background_rate import local_rates
 
 CYCLE_SECONDS = (40.0, 150.0)
 """Shortest and longest cycle, those of traffic signals."""
-HARMONICS = 2
-"""Harmonics that describe the course of a cycle."""
+HARMONICS = 3
+"""Harmonics that describe the course of a cycle: platoons fill about a third of it."""
 PAST_SECONDS = CYCLE_SECONDS[0]
 """Time constant with which the effect of an arrival decays: what lasts longer is a cycle."""
 GAIN_NATS = 8.0
