@@ -235,7 +235,7 @@ CONSTANTS = (
     ("SPREAD", ("learn.next_camera.spurious",)),
     ("CHANCE_PRIOR", ("learn.next_camera.spurious",)),
     ("DEPARTURES_TO_TELL", ("learn.next_camera.spurious",)),
-    ("FIRST_NOISE_SD", ("learn.next_camera.fit",)),
+    ("CLEAR_NOISE_SD", ("learn.next_camera.fit", "learn.next_camera.overlapping_views")),
     ("SPARSITY", ("learn.association.joint_fit", "learn.links.cross_validation")),
     ("OUTSIDE_LEAST", ("learn.links.cross_validation", "learn.paths.path_fit")),
     ("OCCASION_SHARE_MAX", ("learn.links.significance",)),

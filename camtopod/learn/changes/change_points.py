@@ -29,6 +29,7 @@ from camtopod.arrays import Floats, rows_by_group
 from camtopod.learn.association import LIKELY_MIN, Fit, Problem
 from camtopod.learn.lags import COVERED
 from camtopod.learn.links import (
+    PARTS,
     TRANSITIONS_MIN,
     LinkTable,
     PublishingRule,
@@ -45,8 +46,6 @@ FACTORS = np.concatenate(([0.0], np.geomspace(0.01, 100.0, 27)))
 """Factors that are tried: share in a stretch of time over the share in the whole window."""
 SPLIT_DEPARTURES_MIN = 4
 """Least number of departures before a change, and after it."""
-BLOCKS = 16
-"""Number of blocks on either side of a change from whose counts the overdispersion is estimated."""
 RESPONSIBILITY_MAX = 0.99
 """Upper bound on the responsibility of an arrival, so that a single arrival does not prove that a
 path is open.
@@ -294,7 +293,7 @@ class _Table:
         # Squared deviations from a constant share on either side, and their expectation.
         square = chance = 0.0
         for low, high in ((begin, split), (split, end)):
-            edges = np.linspace(low, high, min(BLOCKS, high - low) + 1).astype(np.int64)
+            edges = np.linspace(low, high, min(PARTS // 2, high - low) + 1).astype(np.int64)
             each = self.moved(low, high)
             moved = np.concatenate(([0.0], np.cumsum(each)))
             count = np.diff(moved[self.at[edges] - self.at[low]])
