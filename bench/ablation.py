@@ -138,6 +138,7 @@ MECHANISMS = [
             "learn.next_camera.entry_kernels:ENTRY_PAIRS_MAX": (0, 0),
         },
     ),
+    Mechanism("overlapping views", {"learn.refit:find_overlapping": lambda *arguments: []}),
     Mechanism(
         "test of overlap",
         {
