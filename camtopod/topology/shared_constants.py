@@ -1,7 +1,9 @@
 """Limits that learning and prediction share, so that both treat a figure in the same way."""
 
 LEAVE_FLOOR = 0.02
-"""Smallest probability that an object which leaves a view leaves the site."""
+"""Smallest probability that an object which leaves a view leaves the site, or that one which enters
+a view comes from outside.
+"""
 UNKNOWN_DWELL_SECONDS = 10.0
 """Dwell time, in seconds, assumed for a view of unknown dwell times."""
 DWELL_SECONDS_MIN = 0.2
@@ -16,4 +18,6 @@ LAG_SECONDS_MIN = 2.0
 BACK_OFF_DEPARTURES = 5.0
 """Weight, in departures, of a coarser context of a departure beside a finer one."""
 MULTIPLIER_MAX = 100.0
-"""Largest factor by which a context raises a probability; the smallest factor is its inverse."""
+"""Largest factor by which a context, or the speed of an object, raises a probability; the smallest
+factor of a context is its inverse.
+"""

@@ -41,8 +41,6 @@ from camtopod.learn.traffic import (
 )
 from camtopod.topology import LEAVE_FLOOR, favours, smooth
 
-OUTSIDE_FLOOR = 0.01
-"""Lower bound on the share of the local rate of arrivals that comes from outside."""
 START_NOISE_SD = 2.0
 """Standard deviations of the null model that are subtracted from lag histograms for first hazards.
 """
@@ -60,7 +58,9 @@ DEAD_SHARE = 0.003
 out of the rest of a fit. These are most candidates.
 """
 SWEEPS = 3
-"""Number of E steps under given hazards, over which the messages settle."""
+"""Number of E steps under given hazards, and of sweeps in those of paths, over which the messages
+settle.
+"""
 FEW = 200_000
 """Number of candidates up to which none are left out."""
 NOTHING = 1e-30
@@ -398,7 +398,7 @@ class Em:
         zone = self.problem.arrivals.zone[self._arrived]
         explained = np.add.reduceat(self.responsibility, self._first, dtype=float)
         of_zone = np.bincount(zone, explained, minlength=self.problem.zones)
-        self.outside = np.clip(1.0 - of_zone / self.arrivals_of_zone, OUTSIDE_FLOOR, 1.0)
+        self.outside = np.clip(1.0 - of_zone / self.arrivals_of_zone, LEAVE_FLOOR, 1.0)
 
     def _count(self, shares: Singles) -> Floats:
         """Return the sum of shares (M,) of candidates by pair of zones and lag bin, (P, bins)."""

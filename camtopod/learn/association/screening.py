@@ -45,9 +45,9 @@ from camtopod.learn.association.candidates import (
 )
 from camtopod.learn.association.em import START_FLOOR
 from camtopod.learn.association.problem import Problem, exposures
-from camtopod.learn.lags import NOISE_SD, excess_sd
+from camtopod.learn.lags import FALSE_PROBABILITY, NOISE_SD, excess_sd
 from camtopod.learn.limits import (
-    JUDGED_MAX,
+    EVENT_PAIRS_MAX,
     WEIGHED_AT_ONCE,
     WEIGHED_MAX,
     ZONE_WEIGHED_AT_ONCE,
@@ -65,14 +65,11 @@ WIDE_BINS = 4
 """Lag bins in a wide bin. A look compares every two wide bins in a row with the null model."""
 SOURCES_PER_ZONE_MAX = 32
 """Largest number of zones of departure that are followed for one zone of arrival."""
-OVERLAP_FALSE = 0.05
-"""Probability that `negative_without_overlap` finds any overlap on a site without overlaps."""
 LIKELY_MIN = 0.001
-"""Probability, after weighing, up to which candidates are dropped."""
-LIKELY_MAX = 3_000_000
+"""Probability up to which candidates are dropped or do not count."""
 LIKELY_PER_ARRIVAL = 16
-"""Limits of the candidates kept for the joint fit, the likeliest: in all, or for each arrival if
-that is more.
+"""The likeliest candidates of each arrival that are kept for the joint fit, if that is more than
+`EVENT_PAIRS_MAX` in all.
 """
 
 
@@ -284,7 +281,7 @@ def _likely(traffic: Traffic, pairs: ZonePairs, block: Block) -> Block:
     share = weight / total[block.at]
 
     # Drop improbable candidates.
-    most = max(LIKELY_PER_ARRIVAL, LIKELY_MAX // len(arrivals.t)) * len(unrelated)
+    most = max(LIKELY_PER_ARRIVAL, EVENT_PAIRS_MAX // len(arrivals.t)) * len(unrelated)
     least = np.partition(share, -most)[-most] if len(share) > most else 0.0
     kept = share > max(least, LIKELY_MIN)
     at, departure, pair = block.at[kept], block.departure[kept], block.pair[kept]
@@ -295,15 +292,15 @@ def candidates_of_pairs(problem: Problem, candidates: Candidates, pairs: Rows) -
     """Return all candidates of the given pairs of zones, probable or not, as evidence for links.
 
     Screened candidates are biased as evidence: those that remain of a pair have similar lags,
-    whether there is a link or not. Beyond `JUDGED_MAX` candidates, those of the arrivals with the
-    fewest departures in reach are returned.
+    whether there is a link or not. Beyond `EVENT_PAIRS_MAX` candidates, those of the arrivals
+    with the fewest departures in reach are returned.
 
     candidates: the screened candidates, whose numbering of pairs is kept.
     pairs (k,): numbers of the pairs.
     """
     pairs = pairs[np.argsort(candidates.target[pairs], kind="stable")]
     listed = ZonePairs(problem, candidates.source[pairs], candidates.target[pairs])
-    departure, arrival, pair, lag = _joined(listed.blocks(JUDGED_MAX))
+    departure, arrival, pair, lag = _joined(listed.blocks(EVENT_PAIRS_MAX))
     return candidates._replace(
         departure=departure, arrival=arrival, pair=pairs[pair].astype(np.int32), lag=lag
     )
@@ -400,7 +397,7 @@ def negative_without_overlap(
     Such candidates are impossible: an object does not appear in the next view before it leaves the
     first one. Two views are taken to overlap if the search for overlapping views has found it, or
     if the candidates with a negative lag, over all zones of the two and in both directions, have
-    more evidence than the null model gives any pair of cameras with probability `OVERLAP_FALSE`.
+    more evidence than the null model gives any pair of cameras (`FALSE_PROBABILITY`).
 
     responsibility (M,): probability that the candidate is of one object.
     overlapping (cameras, cameras): True where the search found an overlap.
@@ -428,7 +425,7 @@ def negative_without_overlap(
     of_key = np.zeros(len(key), np.int64)
     of_key[number] = pair
     nats = np.bincount(of_key, -np.log1p(-arrival_share) - arrival_share, minlength=len(present))
-    overlaps = nats >= np.log(max(cameras * (cameras - 1) / 2, 1.0) / OVERLAP_FALSE)
+    overlaps = nats >= np.log(max(cameras * (cameras - 1) / 2, 1.0) / FALSE_PROBABILITY)
     overlaps |= (overlapping | overlapping.T)[present // cameras, present % cameras]
 
     result = np.zeros(len(c.lag), bool)

@@ -18,18 +18,16 @@ from numpy.typing import NDArray
 from scipy.ndimage import gaussian_filter1d, uniform_filter1d
 
 from camtopod.arrays import Floats, Ints, rows_by_group
+from camtopod.learn.lags import CLEAR_NOISE_SD
 
 Counts = NDArray[np.float32]
 Spectra = NDArray[np.complex64]
 
 LAGS = 1000
 """Largest lag, in bins, either way."""
-BLOCK = 2048
-"""Bins of departures in one Fourier block; arrivals are taken from half a block before to half a
-block after it.
-"""
 SPECTRA_MAX = 4096
-"""Limit of the blocks of all labels together; beyond, only the newest stretch of time counts.
+"""Limit of the blocks of all labels together; beyond, only the newest stretch of time counts. A
+block are the departures in twice `LAGS` bins, with arrivals from `LAGS` before to `LAGS` after it.
 
 Half as many transforms are kept in memory, departures and arrivals together (16 MB a thousand).
 Others are computed again when they are needed.
@@ -42,8 +40,6 @@ local, so that a rhythm common to all zones is part of the null model.
 """
 PEAK_BINS = 3.0
 """Standard deviation, in bins, of the smoothing of correlograms in which peaks are looked for."""
-NOISE_SD = 2.5
-"""Standard deviations of the null model subtracted from every peak; lower peaks count as none."""
 NEAR_BINS = 100.0
 """Lag in bins beyond which a peak weighs less, the less the longer its lag is."""
 
@@ -70,8 +66,8 @@ class Correlograms:
         # Bin the newest stretch of time.
         blocks = max(SPECTRA_MAX // labels, 1)
         last = max(departures[0][-1], arrivals[0][-1])
-        first = max(min(departures[0][0], arrivals[0][0]), last - blocks * BLOCK * bin_seconds)
-        self._blocks = int((last - first) / bin_seconds) // BLOCK + 1
+        first = max(min(departures[0][0], arrivals[0][0]), last - blocks * 2 * LAGS * bin_seconds)
+        self._blocks = int((last - first) / bin_seconds) // (2 * LAGS) + 1
         self._bins = []
         for t, label in (departures, arrivals):
             kept = slice(int(np.searchsorted(t, first)), None)
@@ -87,28 +83,27 @@ class Correlograms:
 
         source, target (P,): labels of the departures and of the arrivals.
         """
-        product = np.empty((len(source), BLOCK + 1), np.complex64)
+        product = np.empty((len(source), 2 * LAGS + 1), np.complex64)
         for row, u, v in zip(product, source.tolist(), target.tolist(), strict=True):
             np.sum(self._of_label(0, u) * self._of_label(1, v), axis=0, out=row)
-        lags = scipy.fft.irfft(product, 2 * BLOCK)
+        lags = scipy.fft.irfft(product, 4 * LAGS)
         counts: Counts = np.rint(np.concatenate((lags[:, -LAGS:], lags[:, : LAGS + 1]), axis=1))
         return counts
 
     def _of_label(self, side: int, label: int) -> Spectra:
         """Return the Fourier transforms (blocks, frequencies) of the events of one label.
 
-        side: 0 for departures in each block, conjugate; 1 for arrivals from half a block before to
-            half a block after it.
+        side: 0 for departures in each block, conjugate; 1 for arrivals from before to after it.
         """
         spectra = self._spectra.pop((side, label), None)
         if spectra is None:
             # Count the events by block and bin.
             bins = self._bins[side][label]
-            block = bins // BLOCK + np.array(((0,), (-1, 0, 1))[side])[:, None]
-            at = bins - block * BLOCK + BLOCK // 2
-            inside = (block >= 0) & (block < self._blocks) & (at >= 0) & (at < 2 * BLOCK)
-            cell = block[inside] * (2 * BLOCK) + at[inside]
-            present = np.bincount(cell, minlength=self._blocks * 2 * BLOCK).astype(np.float32)
+            block = bins // (2 * LAGS) + np.array(((0,), (-1, 0, 1))[side])[:, None]
+            at = bins - block * 2 * LAGS + LAGS
+            inside = (block >= 0) & (block < self._blocks) & (at >= 0) & (at < 4 * LAGS)
+            cell = block[inside] * 4 * LAGS + at[inside]
+            present = np.bincount(cell, minlength=self._blocks * 4 * LAGS).astype(np.float32)
 
             # Transform.
             spectra = scipy.fft.rfft(present.reshape(self._blocks, -1), overwrite_x=True)
@@ -150,12 +145,12 @@ def significant_peaks(counts: Counts, usual: Counts) -> Counts:
 
     counts, usual (P, lags): correlograms, and their expectations (`null_expectation`).
 
-    Heights are in standard deviations of the null model, of which `NOISE_SD` are subtracted. Lags
-    longer than `NEAR_BINS` weigh less.
+    Heights are in standard deviations of the null model, of which `CLEAR_NOISE_SD` are subtracted.
+    Lags longer than `NEAR_BINS` weigh less.
     """
     above = (counts - usual) / np.sqrt(usual)
     smooth = gaussian_filter1d(above, PEAK_BINS, axis=1, mode="constant", truncate=3.0)
-    noise = np.float32(NOISE_SD / np.sqrt(2.0 * np.sqrt(np.pi) * PEAK_BINS))
+    noise = np.float32(CLEAR_NOISE_SD / np.sqrt(2.0 * np.sqrt(np.pi) * PEAK_BINS))
     near = 1.0 / np.sqrt(1.0 + (np.arange(-LAGS, LAGS + 1) / NEAR_BINS) ** 2)
     peaks: Counts = np.maximum(smooth - noise, np.float32(0.0)) * near.astype(np.float32)
     return peaks

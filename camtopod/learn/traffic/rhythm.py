@@ -23,12 +23,14 @@ from camtopod.learn.traffic.background_rate import local_rates
 
 CYCLE_SECONDS = (40.0, 150.0)
 """Shortest and longest cycle, those of traffic signals."""
-HARMONICS = 2
-"""Harmonics that describe the course of a cycle."""
+HARMONICS = 3
+"""Harmonics that describe the course of a cycle: platoons fill about a third of it."""
 PAST_SECONDS = CYCLE_SECONDS[0]
 """Time constant with which the effect of an arrival decays: what lasts longer is a cycle."""
 GAIN_NATS = 8.0
-"""Least gain in log likelihood for which a zone has a rhythm, or a cycle among all frequencies."""
+"""Least gain in log likelihood for which a zone has a rhythm, or a cycle among all frequencies; and
+least evidence that a common cycle could make of no way at all: with less, none would be published.
+"""
 ITERATIONS = 50
 """Iterations of EM for the shares of the parts."""
 ACTIVITY_SECONDS = 20.0
