@@ -7,7 +7,7 @@ import numpy as np
 from camtopod.arrays import Longs
 from camtopod.event_time import MICROSECONDS, utc_text
 from camtopod.learn.changes import News, find_moves
-from camtopod.learn.limits import REFRESH_SHARE, ZONES_PER_CAMERA_MAX
+from camtopod.learn.limits import ZONES_PER_CAMERA_MAX
 from camtopod.learn.snapshot import CameraState, LearnerState, RetiredCamera
 from camtopod.learn.window import NONE, Window
 from camtopod.learn.zones import (
@@ -21,6 +21,8 @@ from camtopod.learn.zones import (
 
 MOVE_EVENTS = 25
 """New events of a camera after which it is tested again for having been turned."""
+ZONES_REFRESH_SHARE = 0.1
+"""Share of a camera's events in the window that must be new for its zones to be learned again."""
 
 
 def find_moved_cameras(state: LearnerState, window: Window) -> None:
@@ -84,7 +86,7 @@ def refresh_camera_zones(state: LearnerState, window: Window, anew: bool = False
 
         # A known camera.
         known = state.cameras[camera]
-        if anew or events - known.zoned_at >= REFRESH_SHARE * len(px):
+        if anew or events - known.zoned_at >= ZONES_REFRESH_SHARE * len(px):
             before = known.zones.zones + known.vanished
             sums = cell_sums(px, py)
             known.zones = (

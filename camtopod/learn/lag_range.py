@@ -21,7 +21,6 @@ from camtopod.learn.association import (
     fit_jointly,
     newest_within_limit,
 )
-from camtopod.learn.lags import COVERED
 from camtopod.learn.limits import (
     EVENT_PAIRS_MAX,
     LONGEST_SECONDS,
@@ -48,6 +47,8 @@ Q_MAX = 0.01
 """False discovery rate of the links that count."""
 CONTRAST_MIN = 2.0
 """Least hazard at a lag that counts, over the median of the pair."""
+COVERED = 0.95
+"""Share of the links' transitions up to the longest lag that counts; the others are strays."""
 SPARE = 3.0
 """The range over that lag. Where transit times vary most, evenly per second (an exponential
 distribution), 0.01 % are beyond three times their 95 % quantile; and a way may grow longer.

@@ -18,13 +18,11 @@ may be right is to be kept.
 """
 CLEAR_NOISE_SD = 3.0
 """The same where only what is clear is to count: in first hazards for prediction, and in what
-tells of clocks or of views that may overlap.
+tells of views that may overlap.
 """
-COVERED = 0.95
-"""Share of the transitions of a way that have come by its longest lag; the others are strays."""
 FALSE_PROBABILITY = 1e-3
 """Probability that chance alone shows anything of one kind in one window: a silence of a camera, or
-an overlap or a long path of any two.
+a view that overlaps or a long path of any two.
 """
 SMOOTHING_SD_BINS = (1.5, 3.0, 6.0)
 """Standard deviations, in lag bins, of the kernels with which histograms of lags are smoothed

@@ -38,10 +38,6 @@ PATH_CAMERAS_MAX = 128
 """Cameras of a site for which paths are learned: the search grows with the pairs of cameras."""
 ZONES_PER_CAMERA_MAX = 32
 """Zones of one camera; of more, those with the most events count."""
-REFRESH_SHARE = 0.2
-"""Share of the events in the window that must be new for clocks to be estimated again, or of those
-of a camera for its zones.
-"""
 ENTRY_PAIRS_MAX = (20_000, 600)
 """Entry kernels (`next_camera.entry_kernels`; see `of_site`). An entry kernel belongs to a pair of
 a zone of entry and a zone of the next appearance.

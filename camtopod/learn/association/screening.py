@@ -45,7 +45,7 @@ from camtopod.learn.association.candidates import (
 )
 from camtopod.learn.association.em import START_FLOOR
 from camtopod.learn.association.problem import Problem, exposures
-from camtopod.learn.lags import FALSE_PROBABILITY, NOISE_SD, excess_sd
+from camtopod.learn.lags import NOISE_SD, excess_sd
 from camtopod.learn.limits import (
     EVENT_PAIRS_MAX,
     WEIGHED_AT_ONCE,
@@ -65,6 +65,8 @@ WIDE_BINS = 4
 """Lag bins in a wide bin. A look compares every two wide bins in a row with the null model."""
 SOURCES_PER_ZONE_MAX = 32
 """Largest number of zones of departure that are followed for one zone of arrival."""
+OVERLAP_FALSE = 0.05
+"""Probability that `negative_without_overlap` finds any overlap on a site without overlaps."""
 LIKELY_MIN = 0.001
 """Probability up to which candidates are dropped or do not count."""
 LIKELY_PER_ARRIVAL = 16
@@ -397,7 +399,7 @@ def negative_without_overlap(
     Such candidates are impossible: an object does not appear in the next view before it leaves the
     first one. Two views are taken to overlap if the search for overlapping views has found it, or
     if the candidates with a negative lag, over all zones of the two and in both directions, have
-    more evidence than the null model gives any pair of cameras (`FALSE_PROBABILITY`).
+    more evidence than the null model gives any pair of cameras with probability `OVERLAP_FALSE`.
 
     responsibility (M,): probability that the candidate is of one object.
     overlapping (cameras, cameras): True where the search found an overlap.
@@ -425,7 +427,7 @@ def negative_without_overlap(
     of_key = np.zeros(len(key), np.int64)
     of_key[number] = pair
     nats = np.bincount(of_key, -np.log1p(-arrival_share) - arrival_share, minlength=len(present))
-    overlaps = nats >= np.log(max(cameras * (cameras - 1) / 2, 1.0) / FALSE_PROBABILITY)
+    overlaps = nats >= np.log(max(cameras * (cameras - 1) / 2, 1.0) / OVERLAP_FALSE)
     overlaps |= (overlapping | overlapping.T)[present // cameras, present % cameras]
 
     result = np.zeros(len(c.lag), bool)

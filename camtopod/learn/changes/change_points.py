@@ -27,7 +27,6 @@ from scipy.special import chdtri
 
 from camtopod.arrays import Floats, rows_by_group
 from camtopod.learn.association import LIKELY_MIN, Fit, Problem
-from camtopod.learn.lags import COVERED
 from camtopod.learn.links import (
     PARTS,
     TRANSITIONS_MIN,
@@ -46,6 +45,10 @@ FACTORS = np.concatenate(([0.0], np.geomspace(0.01, 100.0, 27)))
 """Factors that are tried: share in a stretch of time over the share in the whole window."""
 SPLIT_DEPARTURES_MIN = 4
 """Least number of departures before a change, and after it."""
+COME_SHARE = 0.99
+"""Share of a pair's transitions that have arrived when a departure counts: the newest departures
+may still arrive, but on a way of seconds that takes no longer because there is one of half an hour.
+"""
 RESPONSIBILITY_MAX = 0.99
 """Upper bound on the responsibility of an arrival, so that a single arrival does not prove that a
 path is open.
@@ -133,13 +136,10 @@ def find_changes(problem: Problem, fit: Fit, silences: list[list[Silence]]) -> l
 def _usual_longest(counts: Floats, bins: LagBins) -> Floats:
     """Return the lag (P, seconds), at least 0, by which nearly all transitions of a pair have come.
 
-    The newest departures may still arrive, but on a way of seconds that takes no longer because
-    there is one of half an hour.
-
     counts (P, bins): expected transitions by lag.
     """
     come = np.cumsum(counts, axis=1)
-    last = (come < COVERED * come[:, -1:]).sum(axis=1)
+    last = (come < COME_SHARE * come[:, -1:]).sum(axis=1)
     longest: Floats = np.maximum(np.array(bins.limits)[last + 1], 0.0)
     return longest
 

@@ -39,13 +39,15 @@ PLACE = 0.05 * POSITION_ONE
 AGREE_SECONDS = 0.4
 """Range of lags that count as the same: a grabber sees each event up to a frame later."""
 RHYTHM_SECONDS = 5.0
-"""Deviation from a lag within which all lags are equally likely without a loop; the least lag; and
-time within which events count as one: a group, a lamp, a short passage.
-"""
+"""Deviation from a lag within which all lags are equally likely without a loop; the least lag."""
+TOGETHER_SECONDS = 2.0
+"""Events within this time of each other count as one: a group, a lamp, a short passage."""
 MATCHED = 0.9
 """Probability that an event of a recording has a match in an earlier play."""
 _CHANCE_NATS = math.log(KNOWN_MAX * JUDGED_MAX)
 """Evidence that chance reaches about once among all stretches and lags of a camera."""
+_WHOLE_SECONDS = 1e-3
+"""Deviation from whole seconds up to which times have no tenths that could be compared."""
 
 
 class _Matches(NamedTuple):
@@ -82,11 +84,11 @@ def repeats_of(t: Floats, entry: Bools, px: Indices, py: Indices) -> str:
     t (n, seconds): ascending.
     entry, px, py (n,): True for an entry, False for an exit; position in fixed point.
     """
-    if len(t) < 2 or (t == np.round(t)).all():  # whole seconds have no tenths to compare
+    if len(t) < 2 or np.abs(t - np.round(t)).max() < _WHOLE_SECONDS:
         return ""
     first = max(len(t) - JUDGED_MAX, 0)
     judged = t[first:]
-    weight = 1.0 / _count_within(judged, RHYTHM_SECONDS)
+    weight = 1.0 / _count_within(judged, TOGETHER_SECONDS)
     matches = _matches(t, entry, px, py, first, weight)
     cost = -math.log(1.0 - MATCHED) * weight
     found = _separate([one for phase in (0.0, 0.5) for one in _repetitions(matches, cost, phase)])
@@ -195,10 +197,10 @@ def _is_rhythm(matches: _Matches, found: list[_Repetition], nearest: Floats) -> 
     for one in found:
         if np.count_nonzero(nearest[one.events] == one.lag) * 2 >= len(one.events):
             events += len(one.events)
-            rows = np.isin(matches.event, one.events) & (matches.lag < one.lag - RHYTHM_SECONDS)
+            rows = np.isin(matches.event, one.events) & (matches.lag < one.lag - TOGETHER_SECONDS)
             lags = np.sort(matches.lag[rows])
-            most = _count_within(lags, RHYTHM_SECONDS / 2).max(initial=0)
-            between += most - len(lags) * RHYTHM_SECONDS / one.lag
+            most = _count_within(lags, TOGETHER_SECONDS / 2).max(initial=0)
+            between += most - len(lags) * TOGETHER_SECONDS / one.lag
     return 2 * between >= events
 
 

@@ -18,7 +18,6 @@ from numpy.typing import NDArray
 from scipy.ndimage import gaussian_filter1d, uniform_filter1d
 
 from camtopod.arrays import Floats, Ints, rows_by_group
-from camtopod.learn.lags import CLEAR_NOISE_SD
 
 Counts = NDArray[np.float32]
 Spectra = NDArray[np.complex64]
@@ -40,6 +39,8 @@ local, so that a rhythm common to all zones is part of the null model.
 """
 PEAK_BINS = 3.0
 """Standard deviation, in bins, of the smoothing of correlograms in which peaks are looked for."""
+NOISE_SD = 2.5
+"""Standard deviations of the null model subtracted from every peak; lower peaks count as none."""
 NEAR_BINS = 100.0
 """Lag in bins beyond which a peak weighs less, the less the longer its lag is."""
 
@@ -145,12 +146,12 @@ def significant_peaks(counts: Counts, usual: Counts) -> Counts:
 
     counts, usual (P, lags): correlograms, and their expectations (`null_expectation`).
 
-    Heights are in standard deviations of the null model, of which `CLEAR_NOISE_SD` are subtracted.
-    Lags longer than `NEAR_BINS` weigh less.
+    Heights are in standard deviations of the null model, of which `NOISE_SD` are subtracted. Lags
+    longer than `NEAR_BINS` weigh less.
     """
     above = (counts - usual) / np.sqrt(usual)
     smooth = gaussian_filter1d(above, PEAK_BINS, axis=1, mode="constant", truncate=3.0)
-    noise = np.float32(CLEAR_NOISE_SD / np.sqrt(2.0 * np.sqrt(np.pi) * PEAK_BINS))
+    noise = np.float32(NOISE_SD / np.sqrt(2.0 * np.sqrt(np.pi) * PEAK_BINS))
     near = 1.0 / np.sqrt(1.0 + (np.arange(-LAGS, LAGS + 1) / NEAR_BINS) ** 2)
     peaks: Counts = np.maximum(smooth - noise, np.float32(0.0)) * near.astype(np.float32)
     return peaks

@@ -28,7 +28,6 @@ from camtopod.learn.clocks.correlogram import (
 )
 from camtopod.learn.clocks.two_way_paths import ROUNDS, find_two_way_paths
 from camtopod.learn.lags import BIN_SECONDS
-from camtopod.learn.limits import REFRESH_SHARE
 from camtopod.learn.traffic import EVENT_SD_SECONDS, Arrivals, Departures, Scene
 from camtopod.topology import LAG_SECONDS_MIN
 
@@ -59,6 +58,8 @@ degrees of freedom of Student's t in `solve_offsets`.
 """
 CLEAR_SD = 4.0
 """Least offset of a wrong clock, in standard deviations of the offset."""
+REFRESH_SHARE = 0.2
+"""Share of the window's events that must be new for a new estimate of the clocks."""
 DECIMALS = 3
 """Offsets are rounded to milliseconds, as the last bits differ between processors."""
 

@@ -13,6 +13,7 @@ from camtopod.learn.clocks.correlogram import (
     significant_peaks,
 )
 from camtopod.learn.clocks.offsets import (
+    REFRESH_SHARE,
     Clocks,
     ClockState,
     Difference,
@@ -22,7 +23,6 @@ from camtopod.learn.clocks.offsets import (
 )
 from camtopod.learn.clocks.two_way_paths import find_two_way_paths
 from camtopod.learn.learner import Learner
-from camtopod.learn.limits import REFRESH_SHARE
 from camtopod.learn.settings import Settings
 from camtopod.learn.traffic.events import Arrivals, Departures
 from camtopod.learn.traffic.labelled_events import Scene, ZoneRef
