@@ -92,8 +92,8 @@ def require_event(event: Event, kind: Kind | None = None) -> None:
     """
     if event.kind not in _KINDS:
         mistake = ": the kind of an event is entry or exit"
-    elif not T_MIN <= event.t < T_MAX:  # also true for NaN
-        mistake = f": {_NO_TIME}"
+    elif not math.isfinite(event.t):
+        mistake = ": t is no finite number of seconds"
     elif kind not in (None, event.kind):
         mistake = f" among what should be {kind} events"
     else:

@@ -201,9 +201,9 @@ def outlook(version: PreparedVersion, departure: Departure, seen: Seen | None = 
     chance = np.where(chance >= NEXT_PROBABILITY_MIN, chance, 0.0)
     total = leave + float(chance.sum())
     chance, leave = chance / total, leave / total
-    no_one = np.zeros(0)
-    found = Outlook(departure, table, mass, edges, early, chance, pace, no_one, (0, 0), leave)
-    return _with_elsewhere(version, found)
+    nowhere = np.zeros(0)
+    linked = Outlook(departure, table, mass, edges, early, chance, pace, nowhere, (0, 0), leave)
+    return _with_elsewhere(version, linked)
 
 
 def _with_elsewhere(version: PreparedVersion, linked: Outlook) -> Outlook:

@@ -1,9 +1,7 @@
 """Limits that learning and prediction share, so that both treat a figure in the same way."""
 
 LEAVE_FLOOR = 0.02
-"""Smallest probability that an object which leaves a view leaves the site, or that one which enters
-a view comes from outside.
-"""
+"""Smallest probability that an object which leaves a view leaves the site."""
 UNKNOWN_DWELL_SECONDS = 10.0
 """Dwell time, in seconds, assumed for a view of unknown dwell times."""
 DWELL_SECONDS_MIN = 0.2

@@ -41,6 +41,8 @@ from camtopod.learn.traffic import (
 )
 from camtopod.topology import LEAVE_FLOOR, favours, smooth
 
+OUTSIDE_FLOOR = 0.01
+"""Lower bound on the share of the local rate of arrivals that comes from outside."""
 START_NOISE_SD = 2.0
 """Standard deviations of the null model that are subtracted from lag histograms for first hazards.
 """
@@ -398,7 +400,7 @@ class Em:
         zone = self.problem.arrivals.zone[self._arrived]
         explained = np.add.reduceat(self.responsibility, self._first, dtype=float)
         of_zone = np.bincount(zone, explained, minlength=self.problem.zones)
-        self.outside = np.clip(1.0 - of_zone / self.arrivals_of_zone, LEAVE_FLOOR, 1.0)
+        self.outside = np.clip(1.0 - of_zone / self.arrivals_of_zone, OUTSIDE_FLOOR, 1.0)
 
     def _count(self, shares: Singles) -> Floats:
         """Return the sum of shares (M,) of candidates by pair of zones and lag bin, (P, bins)."""

@@ -27,9 +27,9 @@ NATS_TO_TELL = 3.0
 of its evidence per transition.
 """
 CHANCE_PRIOR = 0.1
-"""Prior odds of being spurious; and those of a path that leads back into the same view, compared
-with one into another.
-"""
+"""Prior odds of being spurious."""
+RETURN_SHARE = 0.15
+"""How likely a path that leads back into the same view is, compared with one into another."""
 DEPARTURES_TO_TELL = 10.0
 """Scale of the number of departures of a zone that are enough to find a link from there. n
 departures are enough with probability ``1 - exp(-n / DEPARTURES_TO_TELL)``.
@@ -93,7 +93,7 @@ def real_probability(
     nats = -0.5 * np.log(np.clip(each / usual, 1e-12, 1.0)) ** 2 / variance
     held_out = np.maximum(evidence, 0.0)
     likely = np.exp(np.minimum(nats + held_out, 0.0))
-    rare = np.exp(np.minimum(np.log(CHANCE_PRIOR) + held_out, 0.0))
+    rare = np.exp(np.minimum(np.log(RETURN_SHARE) + held_out, 0.0))
     likely = np.where(returns, likely * rare, likely)
 
     # Posterior probability, scaled to 1 at the usual value.

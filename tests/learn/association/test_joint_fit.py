@@ -176,7 +176,7 @@ def test_iterations_equal_their_slow_twin(
         0.5,
         sparsity,
         iterations,
-        (em.LEAVE_FLOOR, em.LEAVE_FLOOR, SMOOTHING_SD_BINS),
+        (em.LEAVE_FLOOR, em.OUTSIDE_FLOOR, SMOOTHING_SD_BINS),
     )
     assert fitter.responsibility == pytest.approx(np.array(responsibility), rel=SINGLE, abs=SINGLE)
     assert fitter.transitions() == pytest.approx(
