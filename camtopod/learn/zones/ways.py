@@ -45,6 +45,7 @@ _BACK = (6, 7, 8, 9, 10)
 within a group.
 """
 _RAYS_BACK = np.subtract.outer(np.arange(_DIRECTIONS), _BACK)
+_RAYS_BESIDE = np.subtract.outer(np.arange(_DIRECTIONS), (1, _DIRECTIONS - 1))
 _ANGLE = np.linspace(0.0, 2 * np.pi, _DIRECTIONS, endpoint=False)
 _RAYS = np.multiply.outer(np.arange(0.5, 4.5, 0.5), np.array((np.cos(_ANGLE), np.sin(_ANGLE))).T)
 _PLACES = np.concatenate((np.zeros((1, 2)), _RAYS.reshape(-1, 2)))
@@ -77,7 +78,7 @@ def way_contrast(cells: Cells, group: Floats, rates: Floats) -> float:
     here, rays = float(density[0]), density[1:].reshape(-1, _DIRECTIONS)
     way = rays[-1]
     for ring in rays[-2::-1]:
-        on = np.maximum(way, _BEND * np.maximum(np.roll(way, 1), np.roll(way, -1)))
+        on = np.maximum(way, _BEND * way[_RAYS_BESIDE].max(axis=1))
         way = np.where(ring > DENSER * here, ring, np.minimum(ring, on))
     through = float(np.minimum(way, way[_RAYS_BACK].max(axis=1)).max())
 
