@@ -20,8 +20,7 @@ its bin and the more chance is in it, so that only a very busy way could be told
 """
 EVENT_PAIRS_MAX = 4_000_000
 """Event pairs in one step of a fit: in which the range of lags or overlapping views are looked for,
-from which the evidence for links is estimated or paths are learned (`learn.paths`), and that
-screening leaves to the joint fit.
+and from which the evidence for links is estimated or paths are learned (`learn.paths`).
 """
 ZONE_PATH_CANDIDATES_MAX = 16_000_000
 """Event pairs from which the paths between zones are learned: platoons tell little each."""

@@ -69,9 +69,10 @@ OVERLAP_FALSE = 0.05
 """Probability that `negative_without_overlap` finds any overlap on a site without overlaps."""
 LIKELY_MIN = 0.001
 """Probability up to which candidates are dropped or do not count."""
+LIKELY_MAX = 3_000_000
 LIKELY_PER_ARRIVAL = 16
-"""The likeliest candidates of each arrival that are kept for the joint fit, if that is more than
-`EVENT_PAIRS_MAX` in all.
+"""Limits of the candidates kept for the joint fit, the likeliest: in all, or for each arrival if
+that is more.
 """
 
 
@@ -283,7 +284,7 @@ def _likely(traffic: Traffic, pairs: ZonePairs, block: Block) -> Block:
     share = weight / total[block.at]
 
     # Drop improbable candidates.
-    most = max(LIKELY_PER_ARRIVAL, EVENT_PAIRS_MAX // len(arrivals.t)) * len(unrelated)
+    most = max(LIKELY_PER_ARRIVAL, LIKELY_MAX // len(arrivals.t)) * len(unrelated)
     least = np.partition(share, -most)[-most] if len(share) > most else 0.0
     kept = share > max(least, LIKELY_MIN)
     at, departure, pair = block.at[kept], block.departure[kept], block.pair[kept]
