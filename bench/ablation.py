@@ -182,6 +182,10 @@ MECHANISMS = [
         },
     ),
     Mechanism(
+        "past of a zone by age",
+        {"learn.traffic.rhythm:_past_by_age": lambda t, zone, zones: np.zeros((0, len(t)))},
+    ),
+    Mechanism(
         "common cycle",
         {
             "learn.refit:without_cycle": lambda problem, fit: (
