@@ -883,9 +883,6 @@ class DaemonStatus(Status, frozen=True):
     learner: LearnerCounts = LearnerCounts()
     catching_up: CatchingUp | None = None
     predictions: Annotated[int, _metric("predictions_total", "Predictions published")] = 0
-    predictions_skipped: Annotated[
-        int, _metric("predictions_skipped_total", "Exits without a prediction for lack of time")
-    ] = 0
     matches_skipped: Annotated[
         int, _metric("matches_skipped_total", "Entries without a match for lack of time")
     ] = 0

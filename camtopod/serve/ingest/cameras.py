@@ -16,6 +16,7 @@ from collections.abc import Callable, Set
 from msgspec import Struct, field
 
 from camtopod.records import CameraFigures, Event
+from camtopod.serve.ingest.heard import Heard
 from camtopod.serve.ingest.names import listed
 from camtopod.serve.ingest.received import Received
 
@@ -48,10 +49,29 @@ class Pending(Struct):
     refused: int = 0
 
 
+class Seconds:
+    """The number of a camera's events by second of event time."""
+
+    def __init__(self) -> None:
+        self._counts: dict[int, int] = {}
+
+    def take(self, t: float) -> bool:
+        """Count an event at ``t`` (Unix seconds); return False if it is one of a flood."""
+        second = int(t)
+        count = self._counts.get(second, 0)
+        if count >= EVENTS_PER_SECOND_MAX:
+            return False
+        self._counts[second] = count + 1
+        if len(self._counts) > FLOOD_SECONDS_KEPT:
+            del self._counts[next(iter(self._counts))]
+        return True
+
+
 class CameraState(Struct):
     """State of one camera. Times without another unit are of the steady clock.
 
-    heard: when something of the camera was last received.
+    received: when something of the camera was last received.
+    heard, heard_seconds: its events that were heard or delivered.
     spooled: True if a grabber delivers it from a spool.
     hello: the number of the grabber's last hello.
     ahead (seconds): by how much its last event was ahead of this machine's clock.
@@ -65,7 +85,7 @@ class CameraState(Struct):
     """
 
     name: str
-    heard: float
+    received: float
     spooled: bool = False
     hello: str = ""
     ahead: float | None = None
@@ -76,6 +96,8 @@ class CameraState(Struct):
     nearest: float = math.inf
     stuck: float = 0.0
     pending: Pending | None = None
+    heard: Heard = field(default_factory=Heard)
+    heard_seconds: Seconds = field(default_factory=Seconds)
 
 
 class Counted(Struct):
@@ -83,12 +105,12 @@ class Counted(Struct):
 
     events: number of its events.
     newest (Unix seconds): event time of the newest one.
-    seconds: number of events by second of event time.
+    seconds: its events by second of event time.
     """
 
     events: int = 0
     newest: float = -math.inf
-    seconds: dict[int, int] = field(default_factory=dict)
+    seconds: Seconds = field(default_factory=Seconds)
 
 
 class Cameras:
@@ -120,7 +142,7 @@ class Cameras:
                 self._refused_at = now
                 return None
             camera = self._cameras[name] = CameraState(name, now)
-        camera.heard = now
+        camera.received = now
         camera.spooled |= spooled
         return camera
 
@@ -130,20 +152,17 @@ class Cameras:
         An event of a flood is not counted.
         """
         counted = self._counted.setdefault(event.camera, Counted())
-        second = int(event.t)
-        count = counted.seconds.get(second, 0)
-        if count >= EVENTS_PER_SECOND_MAX:
+        if not counted.seconds.take(event.t):
             return False
-        counted.seconds[second] = count + 1
-        if len(counted.seconds) > FLOOD_SECONDS_KEPT:
-            del counted.seconds[next(iter(counted.seconds))]
         counted.newest = max(counted.newest, event.t)
         counted.events += 1
         return True
 
     def forget(self, name: str) -> None:
-        """Forget what was counted of a camera."""
+        """Forget what was counted and heard of a camera."""
         self._counted.pop(name, None)
+        if (camera := self._cameras.get(name)) is not None:
+            camera.heard, camera.heard_seconds = Heard(), Seconds()
 
     def forget_all(self) -> None:
         """Forget what was counted."""
@@ -216,11 +235,11 @@ class Cameras:
             for one in self._cameras.values()
             if not one.waiting
             and one.pending is None
-            and (now - one.heard >= IDLE_SECONDS or (spooled and not one.spooled))
+            and (now - one.received >= IDLE_SECONDS or (spooled and not one.spooled))
         ]
         if not others:
             return False
-        gone = min(others, key=lambda one: (one.spooled, one.heard)).name
+        gone = min(others, key=lambda one: (one.spooled, one.received)).name
         del self._cameras[gone]
         self._counted.pop(gone, None)
         return True

@@ -56,8 +56,9 @@ def execute(
         # Put it in force.
         intake.names.state = names
         match command:
-            case Forget(camera):
-                cameras.forget(camera)
+            case Forget():
+                for name in names.forgotten:  # with its older names
+                    cameras.forget(name)
             case Rename(old, new):
                 cameras.rename(old, new)
             case Reset():
