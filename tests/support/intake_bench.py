@@ -93,13 +93,17 @@ class IntakeBench:
             event_clock,
             JournalWriter(self.journal, lambda: self.wall),
             self.limits,
-            hear=lambda event, is_delivered: self.heard.append(event),
+            hear=lambda event, is_delivered: self.hear(event, is_delivered),
             match=lambda is_busy: None,
             learn=self.learned.extend,
             rewind=lambda to: Rewind(to, "before", "after"),
             clock=lambda: self.wall,
             steady=lambda: self.now,
         )
+
+    def hear(self, event: Event, is_delivered: bool) -> None:
+        """Take an event for predictions."""
+        self.heard.append(event)
 
     def stop(self) -> None:
         """Stop as a killed process does: what is not stored is gone."""

@@ -176,6 +176,10 @@ class Cameras:
         """Return the states of all cameras. Any thread."""
         return list(self._cameras.copy().values())
 
+    def heard(self) -> set[str]:
+        """Return the cameras of which something was heard that has a number. Any thread."""
+        return {one.name for one in self.all() if one.heard}
+
     def refused_reason(self, now: float) -> str:
         """Return which camera is refused, as there are too many, and what to do; else "".
 

@@ -39,7 +39,7 @@ def execute(
         if isinstance(command, Reset):
             command = reset()
         cameras = intake.cameras
-        known = {*intake.numbers.cameras, *cameras.status()}
+        known = {*intake.numbers.cameras, *cameras.status(), *cameras.heard()}
         if topology is not None:
             known.update(camera.id for camera in topology.cameras)
         names, received, effect = intake.names.prepare(command, known)

@@ -22,6 +22,9 @@ class Heard:
         self._boots: dict[str, list[list[int]]] = {}
         """By boot, oldest first: ranges [first, last] by rising numbers, with gaps between."""
 
+    def __bool__(self) -> bool:
+        return bool(self._boots)
+
     def add(self, boot: str, seq: int) -> bool:
         """Add a number; return False if it was there."""
         ranges = self._boots.setdefault(boot, [])

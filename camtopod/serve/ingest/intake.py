@@ -58,8 +58,8 @@ EVENTS_MAX = 50_000
 """Most events in memory, received and not yet stored; further requests are answered ``busy``."""
 COMMIT_EVENTS_MAX = 2_000
 """Maximum number of events in one transaction of the journal."""
-HEARD_AT_ONCE_MAX = 100
-"""Most publications that are heard before the next event of a request: neither waits for long."""
+HEARD_AT_ONCE_MAX = 10
+"""Most publications that are taken before the next event of a request: neither waits for long."""
 TICK_SECONDS = 0.05
 """Longest wait of a thread for something to do."""
 
@@ -245,7 +245,7 @@ class Intake:
         self.merger.add(camera, events, wall)
         self.merger.note_request(camera, request.more, wall, now)
         answers.note_stored(name)
-        for one in events:
+        for one in events:  # what is published meanwhile waits for one of them, not for a backlog
             self._take_published(wall, now)
             if one.event is not None:
                 self._hear(camera, one.event, request.boot, one.entry.seq, wall, is_delivered=True)
