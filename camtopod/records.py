@@ -83,7 +83,8 @@ class Event(Struct, frozen=True, omit_defaults=True, gc=False):
     boot, seq: incarnation of the publisher, and a count without gaps within it and the camera; both
         or neither. With them an event that is delivered twice counts once.
     clock_sd (seconds): standard deviation of ``t``.
-    spooled: on the bus only, the publisher delivers this event by ``store/{camera}`` as well.
+    spooled: on the bus only, the publisher delivers this event by ``store/{camera}`` as well: the
+        daemon hears it, for predictions, and stores it then.
     label: class of the object, such as ``person`` or ``car``; never what tells one from another.
     """
 

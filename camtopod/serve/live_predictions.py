@@ -16,7 +16,6 @@ from itertools import takewhile
 
 from camtopod import codec
 from camtopod.predict import Predictor, Walks
-from camtopod.predict.walks import MEMORY_SECONDS
 from camtopod.records import Event, Match, Prediction, Recent, SeenEvent, Topology
 from camtopod.serve.bus import QueryError
 from camtopod.serve.hourly_counts import HourlyCounts
@@ -27,7 +26,7 @@ FRESH_SECONDS = 30.0
 Matches of older entries are not published either.
 """
 RECENT_SECONDS = 3600.0
-"""How long events are remembered for ``recent``."""
+"""How long events are remembered for ``recent``; older ones are no part of walks either."""
 RECENT_EVENTS_MAX = 50_000
 """Largest number of events that are remembered for ``recent``."""
 MATCHING_SHARE = 0.1
@@ -102,7 +101,7 @@ class Live:
             self._observe(event)
             if not is_backlog:
                 self._let_wait(event)
-            elif age < MEMORY_SECONDS:
+            elif age < RECENT_SECONDS:
                 self._observe_walk(event)
         if prediction is not None:
             self.counts["predictions"] += 1

@@ -14,11 +14,10 @@ from msgspec.structs import replace
 from camtopod.admin import Forget, TakeBack
 from camtopod.codec import to_msgpack
 from camtopod.config import Limits
-from camtopod.predict.walks import MEMORY_SECONDS
 from camtopod.records import Event, Match, Prediction
 from camtopod.serve.ingest import cameras, execute
 from camtopod.serve.ingest.heard import HEARD_BOOTS_MAX, HEARD_RANGES_MAX, Heard
-from camtopod.serve.live_predictions import FRESH_SECONDS, Live, Reader
+from camtopod.serve.live_predictions import FRESH_SECONDS, RECENT_SECONDS, Live, Reader
 from camtopod.serve.requests import Batch
 
 
@@ -187,7 +186,7 @@ def test_what_is_heard_is_predicted_however_old_it_says_it_is(scene: Scene) -> N
 
 
 def test_events_of_an_hour_ago_are_no_part_of_walks(scene: Scene) -> None:
-    events = [scene.event("a", seq, ago=MEMORY_SECONDS - 60.0 * (seq - 1)) for seq in (1, 2)]
+    events = [scene.event("a", seq, ago=RECENT_SECONDS - 60.0 * (seq - 1)) for seq in (1, 2)]
     scene.deliver(*events)
 
     assert [event.seq for event in scene.version.observed] == [1, 2]
