@@ -306,6 +306,7 @@ class Daemon:
             intake.writer.reason
             or intake.event_clock.reason(self._clock())
             or intake.cameras.refused_reason(self._steady())
+            or intake.cameras.behind_reason(self._clock(), self._steady())
         )
 
     def __enter__(self) -> Daemon:
@@ -428,6 +429,7 @@ class Daemon:
         """Publish the status at intervals until the daemon stops."""
         while not stopping.wait(self._config.limits.status_seconds):
             self.bus.publish(STATUS, self.status(), "status")
+            self._intake.cameras.log_behind(self._clock(), self._steady())
             beat()
 
     def _start_thread(

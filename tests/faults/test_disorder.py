@@ -149,6 +149,8 @@ def test_a_slow_catch_up_delays_no_prediction(quick_path: Path) -> None:
         bench.publish("live", kind="exit", boot="b1", seq=second, spooled=True)
         assert bench.heard[-1].camera == "live"
     assert len(bench.heard) == 2 * 420
+    reason = bench.intake.cameras.behind_reason(bench.wall, bench.now)
+    assert reason.startswith("camera slow catches up and is 60 min behind:")
     bench.stop()
 
 

@@ -10,6 +10,7 @@ a number and not learned.
 from __future__ import annotations
 
 import collections
+import logging
 import math
 from collections.abc import Callable, Set
 
@@ -20,6 +21,8 @@ from camtopod.serve.ingest.heard import Heard
 from camtopod.serve.ingest.names import listed
 from camtopod.serve.ingest.received import Received
 
+log = logging.getLogger(__name__)
+
 EVENTS_PER_SECOND_MAX = 200
 """Events of one camera within a second of event time; further ones are counted, not learned."""
 FLOOD_SECONDS_KEPT = 128
@@ -27,7 +30,9 @@ FLOOD_SECONDS_KEPT = 128
 IDLE_SECONDS = 3600.0
 """A camera that has been silent for longer can be replaced by another when there are too many."""
 SAID_SECONDS = 600.0
-"""How long the status mentions a camera that two programs deliver, or that was refused."""
+"""How long the status mentions a camera that was refused, or that caught up and then went away."""
+BEHIND_SECONDS_MIN = 60.0
+"""A camera with a backlog of which so much is still to come is named."""
 REFUSED_SECONDS = 1.0
 """How long publications of new cameras are refused without a further look, after one was."""
 
@@ -122,6 +127,7 @@ class Cameras:
         self._counted: dict[str, Counted] = {}
         self._refused = ""  # the camera that was refused last
         self._refused_at = -math.inf
+        self._logged: set[str] = set()  # cameras that are behind
 
     def __contains__(self, name: object) -> bool:
         return name in self._cameras
@@ -192,6 +198,40 @@ class Cameras:
             " reached: raise it, or stop the programs that send cameras which are not of this site;"
             " a camera that has been silent for an hour makes room"
         )
+
+    def behind_reason(self, wall: float, now: float) -> str:
+        """Return which cameras catch up, and what that means for the others; else "". Any thread.
+
+        wall: this machine's time, Unix seconds.
+        """
+        behind = self._behind(wall, now)
+        if not behind:
+            return ""
+        worst, seconds = max(behind.items(), key=lambda one: one[1])
+        others = f", {len(behind) - 1} more less" * (len(behind) > 1)
+        return (
+            f"camera {worst} catches up and is {math.ceil(seconds / 60.0)} min behind{others}:"
+            " others' events are predicted at once, and may be stored only when it has caught up"
+        )
+
+    def log_behind(self, wall: float, now: float) -> None:
+        """Log who catches up, when a camera begins to, and when all have done so."""
+        behind = self._behind(wall, now).keys()
+        if behind - self._logged:
+            log.warning("%s", self.behind_reason(wall, now))
+        elif self._logged and not behind:
+            log.info("no camera is behind any more")
+        self._logged = self._logged | behind if behind else set()
+
+    def _behind(self, wall: float, now: float) -> dict[str, float]:
+        """Return by how much (seconds) each camera is behind that still delivers a backlog."""
+        return {
+            one.name: wall - one.reached
+            for one in self.all()
+            if one.more
+            and now - one.asked <= SAID_SECONDS
+            and BEHIND_SECONDS_MIN < wall - one.reached < math.inf
+        }
 
     def fast_clocks_reason(self, seconds_max: float) -> str:
         """Return which cameras' clocks are too fast for their events to be learned; else "".
