@@ -30,7 +30,7 @@ FLOOD_SECONDS_KEPT = 128
 IDLE_SECONDS = 3600.0
 """A camera that has been silent for longer can be replaced by another when there are too many."""
 SAID_SECONDS = 600.0
-"""How long the status mentions a camera that was refused, or that caught up and then went away."""
+"""How long the status mentions a camera that was refused, or that has a backlog and went away."""
 BEHIND_SECONDS_MIN = 60.0
 """A camera with a backlog of which so much is still to come is named."""
 REFUSED_SECONDS = 1.0

@@ -9,8 +9,8 @@ from __future__ import annotations
 
 from bisect import bisect_right
 
-HEARD_BOOTS_MAX = 4
-"""Boots of a camera whose numbers are remembered, the newest."""
+HEARD_BOOTS_MAX = 16
+"""Boots of a camera whose numbers are remembered, those that came last."""
 HEARD_RANGES_MAX = 64
 """Ranges of numbers of a boot that are remembered, the highest."""
 
@@ -20,14 +20,14 @@ class Heard:
 
     def __init__(self) -> None:
         self._boots: dict[str, list[list[int]]] = {}
-        """By boot, oldest first: ranges [first, last] by rising numbers, with gaps between."""
+        """By boot, that of the last event last: ranges [first, last], rising, with gaps between."""
 
     def __bool__(self) -> bool:
         return bool(self._boots)
 
     def add(self, boot: str, seq: int) -> bool:
         """Add a number; return False if it was there."""
-        ranges = self._boots.setdefault(boot, [])
+        ranges = self._boots[boot] = self._boots.pop(boot, [])
         place = bisect_right(ranges, seq, key=lambda one: one[0])
         if place and seq <= ranges[place - 1][1]:
             return False

@@ -29,7 +29,7 @@ class Inbox:
 
     def __init__(self, known: Container[str]) -> None:
         self._known = known
-        self._requests: list[AskedFor] = []
+        self._requests: deque[AskedFor] = deque()
         self._published: deque[tuple[str, bytes, str]] = deque()
         """Camera, content, and whose room it takes."""
         self._taken: Counter[str] = Counter()  # number of publications by whose room they take
@@ -56,12 +56,9 @@ class Inbox:
             self._published.append((camera, content[: codec.EVENT_BYTES_MAX + 1], known))
             self._woken.set()
 
-    def take_requests(self) -> list[AskedFor]:
-        """Return all requests, which are then no longer here."""
-        with self._mutex:
-            requests = self._requests
-            self._requests = []
-        return requests
+    def take_request(self) -> AskedFor | None:
+        """Return the oldest request, which is then no longer here; None if there is none."""
+        return self._requests.popleft() if self._requests else None
 
     def take_published(self, most: int) -> list[tuple[str, bytes]]:
         """Return up to ``most`` publications (camera, content), which are then no longer here."""

@@ -58,6 +58,8 @@ EVENTS_MAX = 50_000
 """Most events in memory, received and not yet stored; further requests are answered ``busy``."""
 COMMIT_EVENTS_MAX = 2_000
 """Maximum number of events in one transaction of the journal."""
+TAKEN_AT_ONCE_MAX = 1_000
+"""Number of events after which no further request is taken before the next step."""
 HEARD_AT_ONCE_MAX = 10
 """Most publications that are taken before the next event of a request: neither waits for long."""
 TICK_SECONDS = 0.05
@@ -155,8 +157,9 @@ class Intake:
 
             # 1, 2. Take publications and requests.
             self._take_published(wall, now)
-            for camera, content, reply in self.inbox.take_requests():
-                self._take(camera, content, reply, wall, now)
+            enough = self.counts["received"] + TAKEN_AT_ONCE_MAX
+            while self.counts["received"] < enough and (asked := self.inbox.take_request()):
+                self._take(*asked, wall, now)
             self._answers.end_held(now)
 
             # 3. Merge by time.
@@ -260,7 +263,7 @@ class Intake:
                 self._reject_published(name, content, error)
                 continue
             camera = self.cameras.register(name, now)
-            if camera is not None:
+            if camera is not None and not (event.spooled and event.seq is None):
                 self._hear(camera, event, event.boot, event.seq, wall)
             if event.spooled:  # it is delivered as well
                 continue

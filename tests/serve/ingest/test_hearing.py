@@ -245,6 +245,11 @@ def test_what_is_published_waits_for_no_batch(scene: Scene) -> None:
 # --- checks, which count nothing ------------------------------------------------------------------
 
 
+def test_without_a_number_what_is_delivered_as_well_is_heard_then(scene: Scene) -> None:
+    scene.publish("a", spooled=True)
+    assert scene.version.observed == []
+
+
 def test_what_is_heard_counts_nothing(scene: Scene) -> None:
     before = scene.intake.counts.copy()
     scene.put(scene.event("a", 1))
