@@ -309,6 +309,22 @@ def predicting(state: Path, spool: Path) -> Iterator[tuple[Daemon, Publisher, De
         yield daemon, publisher, delays
 
 
+def test_exits_are_predicted_while_nothing_can_be_stored(
+    quick_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def refused(*_: object) -> None:
+        raise sqlite3.OperationalError("database or disk is full")
+
+    with predicting(quick_path / "state", quick_path / "spool") as (daemon, publisher, delays):
+        with monkeypatch.context() as fault:
+            fault.setattr(daemon._journal, "commit", refused)
+            delays.walk(publisher, SENDERS, 30, 1000.0)
+            assert len(delays.await_all()) == 30
+            assert publisher.waiting == 30
+        assert publisher.wait_stored(WAIT_SECONDS)
+        assert daemon.status().predictions == 10 + 30, "each once"
+
+
 @pytest.mark.campaign
 @pytest.mark.timeout(600)
 def test_exits_are_predicted_while_the_disk_is_full(small_disk: Path, tmp_path: Path) -> None:
