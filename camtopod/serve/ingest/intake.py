@@ -71,7 +71,7 @@ class Intake:
 
     Run `work` and `store`, each in a thread; or call `step` and `store_waiting`.
 
-    hear: observes an event, and predicts; True if it was delivered and not heard before.
+    hear: observes an event, and predicts; True says that it is delivered and was not heard before.
     match: matches entries that were heard, until a function returns True.
     learn: takes stored entries, in the journal's order. It must not block.
     rewind: returns the command that takes event time back to the given Unix seconds.
