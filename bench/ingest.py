@@ -3,10 +3,10 @@
     python -m bench ingest [--cameras 100] [--events 200000] [--rounds 5] [--json FILE]
 
 One process publishes, another receives. The receiver is the real `camtopod run`: it orders,
-journals, answers, learns and predicts (predictions are skipped when it lags, and counted). A
-round is valid only if every event published has been stored once. The site has learned before. ``no
-version due`` leaves out the learner's fits. ``a version a minute`` has them, by default settings:
-50 events of a camera stand for a second of event time, as with a backlog.
+journals, answers, learns and predicts. A round is valid only if every event published has been
+stored once. The site has learned before. ``no version due`` leaves out the learner's fits. ``a
+version a minute`` has them, by default settings: 50 events of a camera stand for a second of event
+time, as with a backlog.
 """
 
 from __future__ import annotations

@@ -83,7 +83,8 @@ class Event(Struct, frozen=True, omit_defaults=True, gc=False):
     boot, seq: incarnation of the publisher, and a count without gaps within it and the camera; both
         or neither. With them an event that is delivered twice counts once.
     clock_sd (seconds): standard deviation of ``t``.
-    spooled: on the bus only, the publisher delivers this event by ``store/{camera}`` as well.
+    spooled: on the bus only, the publisher delivers this event by ``store/{camera}`` as well: the
+        daemon hears it, for predictions, and stores it then.
     label: class of the object, such as ``person`` or ``car``; never what tells one from another.
     """
 
@@ -884,9 +885,6 @@ class DaemonStatus(Status, frozen=True):
     learner: LearnerCounts = LearnerCounts()
     catching_up: CatchingUp | None = None
     predictions: Annotated[int, _metric("predictions_total", "Predictions published")] = 0
-    predictions_skipped: Annotated[
-        int, _metric("predictions_skipped_total", "Exits without a prediction for lack of time")
-    ] = 0
     matches_skipped: Annotated[
         int, _metric("matches_skipped_total", "Entries without a match for lack of time")
     ] = 0

@@ -67,7 +67,6 @@ class Status(Struct):
     learner: Learned = Learned()
     version: int = 0
     predictions: int = 0
-    predictions_skipped: int = 0
     dropped: dict[str, int] = {}
 
 

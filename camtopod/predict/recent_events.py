@@ -27,7 +27,7 @@ class RecentState(Struct):
 
 
 class RecentEvents:
-    """The `RECENT_MAX` newest exits, or arrivals, in the order in which they were observed.
+    """The `RECENT_MAX` newest exits, or arrivals, by time; of equal times as they were observed.
 
     The columns are views of arrays with some room at the end; see `append`.
     """
@@ -67,10 +67,17 @@ class RecentEvents:
         """Add an event at corrected time ``t``, with its rate if it is an arrival."""
         if self._stop == len(self._t):
             self.load(self.save())
-        self._t[self._stop] = t
-        self._zone[self._stop] = zone
-        self._rate[self._stop] = rate
-        self._label[self._stop] = label
+        place = self._stop
+        if place and t < self._t[place - 1]:
+            place = self._first + int(self.t.searchsorted(t, "right"))
+        for column, value in (
+            (self._t, t),
+            (self._zone, zone),
+            (self._rate, rate),
+            (self._label, label),
+        ):
+            column[place + 1 : self._stop + 1] = column[place : self._stop]
+            column[place] = value
         self._stop += 1
 
     def save(self) -> RecentState:
@@ -86,13 +93,9 @@ class RecentEvents:
         self._label[: self._stop] = state.label
 
     def after(self, t: float) -> tuple[Floats, Ints, Ints]:
-        """Return times, zones and labels (n,) of the events from ``t`` on.
-
-        The result is exact if all events were added in order of time.
-        """
-        first = max(int(self._t[: self._stop].searchsorted(t)), self._first)
-        rows = slice(first, self._stop)
-        return self._t[rows], self._zone[rows], self._label[rows]
+        """Return times, zones and labels (n,) of the events from ``t`` on."""
+        first = int(self.t.searchsorted(t))
+        return self.t[first:], self.zone[first:], self.label[first:]
 
     def take_over(self, older: RecentEvents, moved: dict[int, int], labels: dict[int, int]) -> None:
         """Replace all events by those of an older version, except at zones that are gone.

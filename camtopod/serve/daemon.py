@@ -2,8 +2,8 @@
 
 Theory of operation. Besides the bus's own there are these threads:
 
-- *receive* decodes received events, merges them by time, and predicts from exits with the newest
-  version;
+- *receive* hears events, predicts from exits with the newest version, and merges by time what is to
+  be stored;
 - *store* owns the journal: it commits events, queues them for the learner, answers the grabbers'
   requests, and stores each version before it is published;
 - *learn* passes committed events, in the journal's order, to the learner, which runs in its own
@@ -257,7 +257,6 @@ class Daemon:
             learner=learning.progress.statistics,
             catching_up=learning.catching_up(min(self._clock(), newest)),
             predictions=self._live.counts["predictions"],
-            predictions_skipped=self._live.counts["predictions_skipped"],
             matches_skipped=self._live.counts["matches_skipped"],
             questions_refused=self._live.counts["questions_refused"],
             names=intake.names.status(),
@@ -307,6 +306,7 @@ class Daemon:
             intake.writer.reason
             or intake.event_clock.reason(self._clock())
             or intake.cameras.refused_reason(self._steady())
+            or intake.cameras.behind_reason(self._clock(), self._steady())
         )
 
     def __enter__(self) -> Daemon:
@@ -381,7 +381,7 @@ class Daemon:
             event_clock,
             JournalWriter(self._journal, self._clock),
             limits,
-            see=self._live.see,
+            hear=self._live.hear,
             match=self._live.match,
             learn=lambda _: self._learning.note_stored(),
             rewind=self._rewind,
@@ -429,6 +429,7 @@ class Daemon:
         """Publish the status at intervals until the daemon stops."""
         while not stopping.wait(self._config.limits.status_seconds):
             self.bus.publish(STATUS, self.status(), "status")
+            self._intake.cameras.log_behind(self._clock(), self._steady())
             beat()
 
     def _start_thread(

@@ -1,6 +1,6 @@
-"""Predict where objects appear next, as they leave and before their events are stored.
+"""Predict where objects appear next, as their exits are heard.
 
-Neither a fit nor a slow disk delays a prediction. Each entry is matched with earlier passages as
+Neither a fit nor a disk delays a prediction. Each entry is matched with earlier passages as
 well (`camtopod.predict.Walks`), while nothing else waits and in a share of the time: a site that is
 too busy has fewer matches, not later predictions. Passages are kept in memory only, for an hour at
 most.
@@ -19,12 +19,14 @@ from camtopod.predict import Predictor, Walks
 from camtopod.records import Event, Match, Prediction, Recent, SeenEvent, Topology
 from camtopod.serve.bus import QueryError
 from camtopod.serve.hourly_counts import HourlyCounts
-from camtopod.serve.ingest import Received
 
 FRESH_SECONDS = 30.0
-"""Age of an entry up to which its match is published; older ones are of a backlog."""
+"""Age of an event from which on, if it was not heard, it is one of a backlog: only observed.
+
+Matches of older entries are not published either.
+"""
 RECENT_SECONDS = 3600.0
-"""How long events are remembered for ``recent``."""
+"""How long events are remembered for ``recent``; older ones are no part of walks either."""
 RECENT_EVENTS_MAX = 50_000
 """Largest number of events that are remembered for ``recent``."""
 MATCHING_SHARE = 0.1
@@ -57,8 +59,7 @@ class Reader:
 class Live:
     """Publishes a prediction for each exit and a match for each entry, and answers queries.
 
-    Events have to be passed in the order in which they are stored. Queries may come from any
-    thread.
+    Events come in the order in which they are heard, each once. Queries may come from any thread.
 
     publish: called with each prediction and each match.
     clock: returns the present moment (Unix seconds).
@@ -84,34 +85,30 @@ class Live:
         self._allowed, self._allowed_at = MATCHING_SECONDS_MAX, time.monotonic()
         self.counts = {
             "predictions": 0,
-            "predictions_skipped": 0,
             "matches_skipped": 0,
             "questions_refused": 0,
         }
 
-    def see(self, batch: Sequence[Received], seconds_max: float) -> None:
-        """Predict the exits of a batch that is about to be stored, and observe its events.
+    def hear(self, event: Event, is_delivered: bool = False) -> None:
+        """Observe an event, and publish the prediction of an exit.
 
-        After ``seconds_max`` the rest of the batch is skipped, and its exits are counted.
+        is_delivered: it was not heard when it happened, so it may be one of a backlog.
         """
-        until = time.monotonic() + seconds_max
-        events = [one.event for one in batch if one.event is not None]
-        for number, event in enumerate(events):
-            if time.monotonic() >= until:
-                late = events[number:]
-                self.counts["predictions_skipped"] += sum(one.kind == "exit" for one in late)
-                return
-
-            # Predict an exit, observe the event, and publish the answer.
-            with self._mutex:
-                prediction = self._predict(event)
+        age = self._clock() - event.t
+        is_backlog = is_delivered and age >= FRESH_SECONDS
+        with self._mutex:
+            prediction = None if is_backlog else self._predict(event)
+            self._observe(event)
+            if not is_backlog:
                 self._let_wait(event)
-            if prediction is not None:
-                self.counts["predictions"] += 1
-                self._publish(prediction)
+            elif age < RECENT_SECONDS:
+                self._observe_walk(event)
+        if prediction is not None:
+            self.counts["predictions"] += 1
+            self._publish(prediction)
 
     def match(self, is_busy: Callable[[], bool]) -> None:
-        """Match the entries that were seen, and publish the matches, except those of a backlog.
+        """Match the entries that were heard, and publish the matches, except those of a backlog.
 
         It ends when all are matched, when others have work, or when its time is used up.
 
@@ -128,14 +125,21 @@ class Live:
             self._allowed -= self._used() - begun
 
     def _predict(self, event: Event) -> Prediction | None:
-        """Observe an event; return the prediction of an exit."""
-        reader = self._reader
-        self._remember(event, self._clock())
-        if reader is None:
+        """Return the prediction of an exit."""
+        if self._reader is None or event.kind != "exit":
             return None
-        prediction = reader.predictor.predict(event) if event.kind == "exit" else None
-        reader.predictor.observe(event)
-        return prediction
+        return self._reader.predictor.predict(event)
+
+    def _observe(self, event: Event) -> None:
+        """Observe an event for predictions and for ``recent``."""
+        self._remember(event, self._clock())
+        if self._reader is not None:
+            self._reader.predictor.observe(event)
+
+    def _observe_walk(self, event: Event) -> None:
+        """Observe an event for matches to come, without one for itself."""
+        if self._reader is not None and self._reader.walks is not None:
+            self._reader.walks.observe(event, is_matched=False)
 
     def _let_wait(self, event: Event) -> None:
         """Let an event wait to be matched; the oldest of too many is observed without a match."""
@@ -145,7 +149,7 @@ class Live:
         if len(self._unmatched) > UNMATCHED_MAX:
             oldest = self._unmatched.popleft()
             self.counts["matches_skipped"] += oldest.kind == "entry"
-            self._reader.walks.observe(oldest, is_matched=False)
+            self._observe_walk(oldest)
 
     def _match_next(self) -> tuple[list[Match], bool]:
         """Return the match of the oldest event that waits, and whether that was all.

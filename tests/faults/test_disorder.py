@@ -136,6 +136,24 @@ def test_any_order_gives_one_result(deliver: Deliver, quick_path: Path) -> None:
         assert deliver(quick_path / str(seed), random.Random(seed)), f"seed {seed}"
 
 
+def test_a_slow_catch_up_delays_no_prediction(quick_path: Path) -> None:
+    """An hour behind, at 1.05 times real time; other cameras' exits are heard as they come."""
+    bench = IntakeBench(quick_path)
+    bench.hello("slow")
+    began, reached = bench.wall, -3600.0
+    for second in range(1, 421):
+        bench.tick(1.0)
+        reached += 1.05
+        ago = reached - (bench.wall - began)
+        bench.send("slow", after=second - 1, times={second: ago}, more=10_000)
+        bench.publish("live", kind="exit", boot="b1", seq=second, spooled=True)
+        assert bench.heard[-1].camera == "live"
+    assert len(bench.heard) == 2 * 420
+    reason = bench.intake.cameras.behind_reason(bench.wall, bench.now)
+    assert reason.startswith("camera slow catches up and is 60 min behind:")
+    bench.stop()
+
+
 @pytest.mark.campaign
 @pytest.mark.timeout(3600)
 @pytest.mark.parametrize("deliver", [delayed, caught_up])

@@ -1,6 +1,7 @@
-"""The disk is full or fails, at any single operation, and under the daemon.
+"""The disk is full, slow or fails, at any single operation, and under the daemon.
 
 Nothing is acknowledged that is not stored, and writing continues by itself when there is room.
+Predictions wait for no disk.
 """
 
 from __future__ import annotations
@@ -11,19 +12,23 @@ import shutil
 import sqlite3
 import subprocess
 import sys
+import time
 from argparse import Namespace
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Literal
 
 import pytest
-from grabber import Grabber, stored
+from grabber import Delays, Grabber, learned_state, publisher_on, stored
 from powercut import Disk, Record, put
-from serving import wait_for
+from serving import WAIT_SECONDS, small_config, wait_for
 from sizes import size
 from vfs import EIO, FULL, Fault, Op, Vfs
 from written import FILES, Open, State, Written, WrittenJournal
 
+from camtopod.serve.bus import dial
+from camtopod.serve.daemon import Daemon
+from camtopod.serve.outbox.publisher import Publisher
 from camtopod.serve.storage import StateError
 
 Kind = Literal["full", "short", "eio"]
@@ -275,3 +280,90 @@ def test_a_daemon_on_a_full_file_system(small_disk: Path, tmp_path: Path) -> Non
         with full(small_disk), grabber.daemon() as daemon:
             assert daemon.status().state == "running", "it ended cleanly, and only reads"
         print(f"{acknowledged} of {grabber.made} acknowledged before the disk was full")
+
+
+# --- predictions meanwhile ------------------------------------------------------------------------
+
+SENDERS = [f"cam{number:04d}" for number in range(3)]
+PER_SECOND = 10
+SYNC_SECONDS = 1.5
+"""What each sync of a slow disk takes."""
+SOON_SECONDS = 0.05
+"""From an exit to its prediction, but for one in a hundred."""
+
+
+@contextlib.contextmanager
+def predicting(state: Path, spool: Path) -> Iterator[tuple[Daemon, Publisher, Delays]]:
+    """Yield a daemon that has learned, a publisher, and the delays of its predictions."""
+    learned_state(state, 20)
+    spool.mkdir()
+    with (
+        Daemon(small_config(state)) as daemon,
+        dial(small_config(spool, daemon.endpoint)) as bus,
+        publisher_on(bus, spool, SENDERS) as publisher,
+    ):
+        delays = Delays(bus)
+        delays.walk(publisher, SENDERS, 10, PER_SECOND)
+        delays.await_all()
+        assert publisher.wait_stored(WAIT_SECONDS)
+        yield daemon, publisher, delays
+
+
+def test_exits_are_predicted_while_nothing_can_be_stored(
+    quick_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def refused(*_: object) -> None:
+        raise sqlite3.OperationalError("database or disk is full")
+
+    with predicting(quick_path / "state", quick_path / "spool") as (daemon, publisher, delays):
+        with monkeypatch.context() as fault:
+            fault.setattr(daemon._journal, "commit", refused)
+            delays.walk(publisher, SENDERS, 30, 1000.0)
+            assert len(delays.await_all()) == 30
+            assert publisher.waiting == 30
+        assert publisher.wait_stored(WAIT_SECONDS)
+        assert daemon.status().predictions == 10 + 30, "each once"
+
+
+@pytest.mark.campaign
+@pytest.mark.timeout(600)
+def test_exits_are_predicted_while_the_disk_is_full(small_disk: Path, tmp_path: Path) -> None:
+    with predicting(small_disk / "state", tmp_path / "spool") as (daemon, publisher, delays):
+        with full(small_disk):
+
+            def degraded() -> bool:
+                delays.walk(publisher, SENDERS, 100, 1000.0)
+                return bool(daemon.status().state == "degraded")
+
+            wait_for(degraded, "it to notice")
+            delays.await_all()
+            waiting = publisher.waiting
+            delays.walk(publisher, SENDERS, 30, 2.0)
+            seconds = delays.await_all()
+            assert publisher.waiting == waiting + 30, "nothing was stored"
+        print(f"{len(seconds)} of 30 predicted, the latest after {max(seconds):.3f} s")
+        assert len(seconds) == 30
+        assert publisher.wait_stored(WAIT_SECONDS)
+
+
+@pytest.mark.campaign
+@pytest.mark.timeout(600)
+def test_exits_are_predicted_soon_while_each_sync_takes_long(
+    quick_path: Path, disk_watch: Vfs
+) -> None:
+    """Needs an idle machine."""
+    state = quick_path / "state"
+
+    def slow(op: Op) -> None:
+        if op.kind == "sync" and Path(op.path).parent == state:
+            time.sleep(SYNC_SECONDS)  # the fault
+
+    with (
+        disk_watch.watching(slow),
+        predicting(state, quick_path / "spool") as (_, publisher, delays),
+    ):
+        delays.walk(publisher, SENDERS, 300, PER_SECOND)
+        seconds = sorted(delays.await_all())
+    late = seconds[int(0.99 * len(seconds))]
+    print(f"{len(seconds)} exits: 50 % {seconds[150]:.4f} s, 99 % {late:.4f}, {seconds[-1]:.4f}")
+    assert late < SOON_SECONDS

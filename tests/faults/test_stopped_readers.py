@@ -9,25 +9,19 @@ from __future__ import annotations
 import contextlib
 import os
 import signal
-import threading
-import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import pytest
-from grabber import publisher_on
+from grabber import Delays, learned_state, publisher_on
 from puppets import HQ, Puppet, client
-from real_daemon import OPEN, RealDaemon, status_over
+from real_daemon import OPEN, RealDaemon
 from serving import WAIT_SECONDS, wait_for
 from site_keys import Keys
-from synthetic_topology import synthetic_topology
 
-from camtopod import codec
 from camtopod.config.settings import BusSettings, Config, SiteSettings
-from camtopod.records import Event, Prediction
 from camtopod.serve.bus import dial
 from camtopod.serve.bus.topology_subscriber import TopologySubscriber
-from camtopod.serve.storage.journal import Journal, StoredVersion
 
 SITE = SiteSettings("hq")
 SITE_CAMERAS = 150
@@ -45,13 +39,10 @@ QUESTIONS = 3
 
 
 class Scene:
-    """A daemon with a large topology, a publisher, and a reader that notes the predictions' delays.
-
-    delays: seconds from each exit to its prediction.
-    """
+    """A daemon with a large topology, a publisher, and a reader that notes the predictions' delays."""
 
     def __init__(self, folder: Path, secured: bool, stack: contextlib.ExitStack) -> None:
-        learned_state(folder / "daemon" / "state")
+        learned_state(folder / "daemon" / "state", SITE_CAMERAS)
         keys = Keys(folder / "keys")
         bus = OPEN
         if secured:
@@ -76,47 +67,28 @@ class Scene:
             stack.enter_context(dial(Config(bus=one, site=SITE))) for one in settings
         )
         self._publisher = stack.enter_context(publisher_on(box, folder, SENDERS))
-        self._mutex = threading.Lock()
-        self._put: dict[tuple[str, float], float] = {}
-        self.delays: list[float] = []
-        self.reader.subscribe("prediction/*", self._on_prediction)
+        self._delays = Delays(self.reader)
 
     def walk(self, seconds: float) -> None:
         """Publish exits at a steady rate."""
-        began = time.monotonic()
-        for number in range(int(seconds * PER_SECOND)):
-            due = began + number / PER_SECOND
-            time.sleep(max(0.0, due - time.monotonic()))  # the rate of the traffic
-            event = Event(SENDERS[number % len(SENDERS)], "exit", time.time(), 0.5, 0.5)
-            event = codec.event_from_msgpack(codec.to_msgpack(event))
-            with self._mutex:
-                self._put[event.camera, event.t] = time.monotonic()
-            self._publisher.publish(event)
+        self._delays.walk(self._publisher, SENDERS, int(seconds * PER_SECOND), PER_SECOND)
 
     def longest_delay(self) -> float:
         """Return that without stopped readers, which is the machine's own."""
 
         def is_heard() -> bool:
             self.walk(1.01 / PER_SECOND)
-            return bool(self.delays)
+            return bool(self._delays.seconds)
 
         wait_for(is_heard, "the first prediction")
         self.await_predictions()
-        self.delays.clear()
         self.walk(CONTROL_SECONDS)
-        self.await_predictions()
-        longest = max(self.delays)
-        self.delays.clear()
-        return longest
+        return max(self.await_predictions())
 
-    def await_predictions(self) -> None:
-        """Wait until each exit is stored, and has a prediction or was left out for lack of time."""
+    def await_predictions(self) -> list[float]:
+        """Wait until each exit is stored and has a prediction; return the delays."""
         assert self._publisher.wait_stored(WAIT_SECONDS)
-
-        def has_all() -> bool:
-            return len(self._put) <= int(status_over(self.reader)["predictions_skipped"])
-
-        wait_for(has_all, "a prediction for each exit")
+        return self._delays.await_all()
 
     def stopped_readers(self) -> list[Puppet]:
         """Return readers that subscribe, ask for the topology, and stop reading."""
@@ -129,23 +101,6 @@ class Scene:
             os.kill(puppet.pid, signal.SIGSTOP)
             puppets.append(puppet)
         return puppets
-
-    def _on_prediction(self, key: str, payload: bytes) -> None:
-        now, prediction = time.monotonic(), codec.read(Prediction, payload, pack=True)
-        with self._mutex:
-            put = self._put.pop((prediction.camera, prediction.t), None)
-            if put is not None:
-                self.delays.append(now - put)
-
-
-def learned_state(directory: Path) -> None:
-    """Make a state directory whose newest version is large."""
-    topology = synthetic_topology(SITE_CAMERAS)
-    journal = Journal(directory)
-    content = codec.to_json(topology)
-    version = StoredVersion(topology.epoch, topology.version, topology.digest, content)
-    journal.commit([], [version], now=time.time())
-    journal.close()
 
 
 def end(puppets: list[Puppet]) -> None:
@@ -173,13 +128,12 @@ def test_readers_that_stop_hold_up_nobody(
     stopped = scene.stopped_readers()
     try:
         scene.walk(SECONDS)
-        scene.await_predictions()
+        delays = scene.await_predictions()
     finally:
         end(stopped)
 
-    longest = max(scene.delays)
-    print(f"{len(scene.delays)} predictions, the latest after {longest:.2f} s, usually {usual:.2f}")
-    assert len(scene.delays) > SECONDS * PER_SECOND / 2, "most are not left out"
+    longest = max(delays)
+    print(f"{len(delays)} predictions, the latest after {longest:.2f} s, usually {usual:.2f}")
     assert longest < usual + LATE_SECONDS_MAX
     subscriber = TopologySubscriber(scene.reader)
     wait_for(lambda: subscriber.update() is not None, "the topology")

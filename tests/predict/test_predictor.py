@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import random
 from collections import Counter
 from functools import cache
 
@@ -266,6 +267,23 @@ def test_what_is_remembered_is_bounded(monkeypatch: pytest.MonkeyPatch) -> None:
 
     assert len(state.under_way) == len(state.arrivals.t) == len(state.exits.t) == 7
     assert len(predictor._open_passages._ended) == 7
+
+
+def test_what_is_remembered_is_in_order_of_time(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Whatever the order in which it comes."""
+    monkeypatch.setattr(recent_events, "RECENT_MAX", 7)
+    for seed in range(20):
+        chance = random.Random(seed)
+        times = [float(chance.randrange(40)) for _ in range(30)]
+        events = recent_events.RecentEvents()
+        for number, t in enumerate(times):
+            events.append(t, number, -number, rate=t / 2)
+        rows = list(zip(events.t, events.zone, events.label, events.rate, strict=True))
+
+        newest = sorted(enumerate(times), key=lambda one: one[1])[-7:]
+        assert rows == [(t, number, -number, t / 2) for number, t in newest]
+        since = chance.choice(times)
+        assert list(events.after(since)[0]) == [t for _, t in newest if t >= since]
 
 
 def test_a_newer_version_remembers_what_has_been_seen() -> None:

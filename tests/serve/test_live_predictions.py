@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import itertools
+from collections.abc import Sequence
 
 import pytest
 from msgspec.structs import replace
@@ -14,7 +15,6 @@ from camtopod.records import Event, LabelModel, Match, Prediction, Topology
 from camtopod.serve import live_predictions
 from camtopod.serve.bus import QueryError
 from camtopod.serve.hourly_counts import HOURS_MAX
-from camtopod.serve.ingest import Received
 from camtopod.serve.live_predictions import (
     FRESH_SECONDS,
     RECENT_SECONDS,
@@ -22,14 +22,14 @@ from camtopod.serve.live_predictions import (
     Reader,
     asked_exit,
 )
-from camtopod.serve.storage import Entry
 
 EVENTS = [*numbered(walkers(60)), closing_event()]
 EXIT = next(event for event in EVENTS if event.kind == "exit")
 
 
-def received(event: Event) -> Received:
-    return Received(Entry("event", event.camera, None, None, b""), event)
+def hear(live: Live, events: Sequence[Event]) -> None:
+    for event in events:
+        live.hear(event)
 
 
 @pytest.fixture(scope="module")
@@ -44,12 +44,12 @@ def learned() -> Topology:
 def test_exits_are_predicted_by_the_version_in_use(learned: Topology) -> None:
     made: list[Prediction | Match] = []
     live = Live(made.append, lambda: EXIT.t)
-    live.see([received(EXIT)], 60.0)
+    live.hear(EXIT)
     assert made == [], "no version is in use yet"
 
     for number in (1, 2):
         live.use(Reader(replace(learned, version=number), walks=False))
-        live.see([received(EXIT)], 60.0)
+        live.hear(EXIT)
 
     assert [one.version for one in made] == [1, 2]
 
@@ -64,7 +64,7 @@ def test_a_new_version_keeps_what_was_observed(learned: Topology) -> None:
     for number, event in enumerate(EVENTS[:-1]):
         if number == len(EVENTS) // 2:
             live.use(Reader(replace(learned, version=learned.version + 1), walks=False))
-        live.see([received(event)], 60.0)
+        live.hear(event)
         if event.kind == "exit":
             expected.append(alone.predict(event))
         alone.observe(event)
@@ -76,7 +76,7 @@ def test_entries_are_matched_and_those_of_a_backlog_are_not_published(learned: T
     now = EVENTS[-2].t
     live = Live(made.append, lambda: now, used=lambda: 0.0)
     live.use(Reader(learned, walks=True))
-    live.see([received(event) for event in EVENTS[:-1]], 60.0)
+    hear(live, EVENTS[:-1])
     assert not any(isinstance(one, Match) for one in made), "predictions come first"
     live.match(lambda: True)
     assert not any(isinstance(one, Match) for one in made), "others have work"
@@ -99,7 +99,7 @@ def test_entries_beyond_the_limit_have_no_match_and_are_known(
     events = EVENTS[:-1]
     live = Live(made.append, lambda: events[-1].t, used=lambda: 0.0)
     live.use(Reader(learned, walks=True))
-    live.see([received(event) for event in events], 60.0)
+    hear(live, events)
     live.match(lambda: False)
 
     exits = [event.t for event in events if event.kind == "exit"]
@@ -125,7 +125,7 @@ def test_matching_takes_no_more_than_its_time(learned: Topology) -> None:
     seconds = itertools.count()
     live = Live(made.append, lambda: EVENTS[-2].t, used=lambda: float(next(seconds)))
     live.use(Reader(learned, walks=True))
-    live.see([received(event) for event in EVENTS[-8:-1]], 60.0)
+    hear(live, EVENTS[-8:-1])
     live.match(lambda: False)  # one event, which takes a second
     made.clear()
     live.match(lambda: False)
@@ -157,7 +157,7 @@ def test_who_asks_for_what_came_since_the_answer_before_gets_each_event_once() -
     told = []
     for event in (Event("a", "entry", 7200.5), Event("b", "exit", 7190.0)):
         now += 1.0
-        live.see([received(event)], 60.0)
+        live.hear(event)
         answer = live.recent("recent", {"since": str(since)})
         since = answer.t
         told += answer.events
@@ -171,7 +171,7 @@ def test_entries_and_exits_are_counted_by_the_hour_for_a_day() -> None:
     now = 100.0 * hour + 60.0
     live = Live(lambda answer: None, lambda: now)
     live.remember([Event("a", "entry", now - hour), Event("a", "exit", now - hour + 1.0)])
-    live.see([received(Event("a", "exit", now)), received(Event("b", "entry", now))], 60.0)
+    hear(live, [Event("a", "exit", now), Event("b", "entry", now)])
     told = live.recent("recent", {"since": "inf", "hours": "1"})
 
     assert told.events == []
@@ -181,7 +181,7 @@ def test_entries_and_exits_are_counted_by_the_hour_for_a_day() -> None:
     assert told.hours.cameras == {"a": [[1, 1], [0, 1]], "b": [[0, 0], [1, 0]]}
 
     now += (HOURS_MAX - 1) * hour
-    live.see([received(Event("a", "entry", now)), received(Event("a", "entry", 9.0))], 60.0)
+    hear(live, [Event("a", "entry", now), Event("a", "entry", 9.0)])
     later = live.recent("recent", {"hours": "1"}).hours
     assert later is not None
     assert later.first == 100.0 * hour

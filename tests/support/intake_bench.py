@@ -57,6 +57,7 @@ class IntakeBench:
 
     wall, now: this machine's clock and the steady one, set by the test.
     learned: the entries that the learner has got, in order.
+    heard: the events that predictions have got, in order.
     """
 
     def __init__(
@@ -72,7 +73,7 @@ class IntakeBench:
         self.wall = wall
         self.now = now
         self.learned: list[Received] = []
-        self.predicted: list[Received] = []
+        self.heard: list[Event] = []
         self.start(settled)
 
     def start(self, settled: bool = True) -> None:
@@ -92,13 +93,17 @@ class IntakeBench:
             event_clock,
             JournalWriter(self.journal, lambda: self.wall),
             self.limits,
-            see=lambda ready, seconds: self.predicted.extend(ready),
+            hear=lambda event, is_delivered: self.hear(event, is_delivered),
             match=lambda is_busy: None,
             learn=self.learned.extend,
             rewind=lambda to: Rewind(to, "before", "after"),
             clock=lambda: self.wall,
             steady=lambda: self.now,
         )
+
+    def hear(self, event: Event, is_delivered: bool) -> None:
+        """Take an event for predictions."""
+        self.heard.append(event)
 
     def stop(self) -> None:
         """Stop as a killed process does: what is not stored is gone."""
@@ -117,7 +122,7 @@ class IntakeBench:
     def work(self) -> None:
         """Move everything on that can move on."""
         self.intake.step()
-        while self.intake.queue.waiting:
+        while self.intake.queue.waiting or self.intake.inbox.has_messages:
             assert self.intake.store_waiting(threading.Event(), seconds=0.0)
             self.intake.step()
 

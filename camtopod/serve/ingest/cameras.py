@@ -10,14 +10,18 @@ a number and not learned.
 from __future__ import annotations
 
 import collections
+import logging
 import math
 from collections.abc import Callable, Set
 
 from msgspec import Struct, field
 
 from camtopod.records import CameraFigures, Event
+from camtopod.serve.ingest.heard import Heard
 from camtopod.serve.ingest.names import listed
 from camtopod.serve.ingest.received import Received
+
+log = logging.getLogger(__name__)
 
 EVENTS_PER_SECOND_MAX = 200
 """Events of one camera within a second of event time; further ones are counted, not learned."""
@@ -26,7 +30,9 @@ FLOOD_SECONDS_KEPT = 128
 IDLE_SECONDS = 3600.0
 """A camera that has been silent for longer can be replaced by another when there are too many."""
 SAID_SECONDS = 600.0
-"""How long the status mentions a camera that two programs deliver, or that was refused."""
+"""How long the status mentions a camera that was refused, or that has a backlog and went away."""
+BEHIND_SECONDS_MIN = 60.0
+"""A camera with a backlog of which so much is still to come is named."""
 REFUSED_SECONDS = 1.0
 """How long publications of new cameras are refused without a further look, after one was."""
 
@@ -48,10 +54,29 @@ class Pending(Struct):
     refused: int = 0
 
 
+class Seconds:
+    """The number of a camera's events by second of event time."""
+
+    def __init__(self) -> None:
+        self._counts: dict[int, int] = {}
+
+    def take(self, t: float) -> bool:
+        """Count an event at ``t`` (Unix seconds); return False if it is one of a flood."""
+        second = int(t)
+        count = self._counts.get(second, 0)
+        if count >= EVENTS_PER_SECOND_MAX:
+            return False
+        self._counts[second] = count + 1
+        if len(self._counts) > FLOOD_SECONDS_KEPT:
+            del self._counts[next(iter(self._counts))]
+        return True
+
+
 class CameraState(Struct):
     """State of one camera. Times without another unit are of the steady clock.
 
-    heard: when something of the camera was last received.
+    received: when something of the camera was last received.
+    heard, heard_seconds: its events that were heard or delivered.
     spooled: True if a grabber delivers it from a spool.
     hello: the number of the grabber's last hello.
     ahead (seconds): by how much its last event was ahead of this machine's clock.
@@ -65,7 +90,7 @@ class CameraState(Struct):
     """
 
     name: str
-    heard: float
+    received: float
     spooled: bool = False
     hello: str = ""
     ahead: float | None = None
@@ -76,6 +101,8 @@ class CameraState(Struct):
     nearest: float = math.inf
     stuck: float = 0.0
     pending: Pending | None = None
+    heard: Heard = field(default_factory=Heard)
+    heard_seconds: Seconds = field(default_factory=Seconds)
 
 
 class Counted(Struct):
@@ -83,12 +110,12 @@ class Counted(Struct):
 
     events: number of its events.
     newest (Unix seconds): event time of the newest one.
-    seconds: number of events by second of event time.
+    seconds: its events by second of event time.
     """
 
     events: int = 0
     newest: float = -math.inf
-    seconds: dict[int, int] = field(default_factory=dict)
+    seconds: Seconds = field(default_factory=Seconds)
 
 
 class Cameras:
@@ -100,6 +127,7 @@ class Cameras:
         self._counted: dict[str, Counted] = {}
         self._refused = ""  # the camera that was refused last
         self._refused_at = -math.inf
+        self._logged: set[str] = set()  # cameras that are behind
 
     def __contains__(self, name: object) -> bool:
         return name in self._cameras
@@ -120,7 +148,7 @@ class Cameras:
                 self._refused_at = now
                 return None
             camera = self._cameras[name] = CameraState(name, now)
-        camera.heard = now
+        camera.received = now
         camera.spooled |= spooled
         return camera
 
@@ -130,20 +158,17 @@ class Cameras:
         An event of a flood is not counted.
         """
         counted = self._counted.setdefault(event.camera, Counted())
-        second = int(event.t)
-        count = counted.seconds.get(second, 0)
-        if count >= EVENTS_PER_SECOND_MAX:
+        if not counted.seconds.take(event.t):
             return False
-        counted.seconds[second] = count + 1
-        if len(counted.seconds) > FLOOD_SECONDS_KEPT:
-            del counted.seconds[next(iter(counted.seconds))]
         counted.newest = max(counted.newest, event.t)
         counted.events += 1
         return True
 
     def forget(self, name: str) -> None:
-        """Forget what was counted of a camera."""
+        """Forget what was counted and heard of a camera."""
         self._counted.pop(name, None)
+        if (camera := self._cameras.get(name)) is not None:
+            camera.heard, camera.heard_seconds = Heard(), Seconds()
 
     def forget_all(self) -> None:
         """Forget what was counted."""
@@ -157,6 +182,10 @@ class Cameras:
         """Return the states of all cameras. Any thread."""
         return list(self._cameras.copy().values())
 
+    def heard(self) -> set[str]:
+        """Return the cameras of which something was heard that has a number. Any thread."""
+        return {one.name for one in self.all() if one.heard}
+
     def refused_reason(self, now: float) -> str:
         """Return which camera is refused, as there are too many, and what to do; else "".
 
@@ -169,6 +198,40 @@ class Cameras:
             " reached: raise it, or stop the programs that send cameras which are not of this site;"
             " a camera that has been silent for an hour makes room"
         )
+
+    def behind_reason(self, wall: float, now: float) -> str:
+        """Return which cameras catch up, and what that means for the others; else "". Any thread.
+
+        wall: this machine's time, Unix seconds.
+        """
+        behind = self._behind(wall, now)
+        if not behind:
+            return ""
+        worst, seconds = max(behind.items(), key=lambda one: one[1])
+        others = f", {len(behind) - 1} more less" * (len(behind) > 1)
+        return (
+            f"camera {worst} catches up and is {math.ceil(seconds / 60.0)} min behind{others}:"
+            " others' events are predicted at once, and may be stored only when it has caught up"
+        )
+
+    def log_behind(self, wall: float, now: float) -> None:
+        """Log who catches up, when a camera begins to, and when all have done so."""
+        behind = self._behind(wall, now).keys()
+        if behind - self._logged:
+            log.warning("%s", self.behind_reason(wall, now))
+        elif self._logged and not behind:
+            log.info("no camera is behind any more")
+        self._logged = self._logged | behind if behind else set()
+
+    def _behind(self, wall: float, now: float) -> dict[str, float]:
+        """Return by how much (seconds) each camera is behind that still delivers a backlog."""
+        return {
+            one.name: wall - one.reached
+            for one in self.all()
+            if one.more
+            and now - one.asked <= SAID_SECONDS
+            and BEHIND_SECONDS_MIN < wall - one.reached < math.inf
+        }
 
     def fast_clocks_reason(self, seconds_max: float) -> str:
         """Return which cameras' clocks are too fast for their events to be learned; else "".
@@ -216,11 +279,11 @@ class Cameras:
             for one in self._cameras.values()
             if not one.waiting
             and one.pending is None
-            and (now - one.heard >= IDLE_SECONDS or (spooled and not one.spooled))
+            and (now - one.received >= IDLE_SECONDS or (spooled and not one.spooled))
         ]
         if not others:
             return False
-        gone = min(others, key=lambda one: (one.spooled, one.heard)).name
+        gone = min(others, key=lambda one: (one.spooled, one.received)).name
         del self._cameras[gone]
         self._counted.pop(gone, None)
         return True

@@ -39,7 +39,7 @@ def execute(
         if isinstance(command, Reset):
             command = reset()
         cameras = intake.cameras
-        known = {*intake.numbers.cameras, *cameras.status()}
+        known = {*intake.numbers.cameras, *cameras.status(), *cameras.heard()}
         if topology is not None:
             known.update(camera.id for camera in topology.cameras)
         names, received, effect = intake.names.prepare(command, known)
@@ -56,8 +56,9 @@ def execute(
         # Put it in force.
         intake.names.state = names
         match command:
-            case Forget(camera):
-                cameras.forget(camera)
+            case Forget():
+                for name in names.forgotten:  # with its older names
+                    cameras.forget(name)
             case Rename(old, new):
                 cameras.rename(old, new)
             case Reset():

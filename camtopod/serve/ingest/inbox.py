@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import threading
-from collections import Counter
+from collections import Counter, deque
 from collections.abc import Callable, Container
 
 from camtopod import codec
@@ -13,12 +13,12 @@ PUBLISHED_MAX = 1_000
 
 Reply = Callable[[bytes], None]
 """Sends the answer to a request."""
-Message = tuple[str, bytes, Reply | None]
-"""(camera, content, what answers it; None for a publication)."""
+AskedFor = tuple[str, bytes, Reply]
+"""A request: camera, content, and what answers it."""
 
 
 class Inbox:
-    """Requests and publications, in the order of their arrival. Thread-safe; nothing blocks.
+    """Requests, and publications, in the order of their arrival. Thread-safe; nothing blocks.
 
     Of requests there is one a camera (`camtopod.serve.outbox`); publications of a camera beyond
     `PUBLISHED_MAX` are dropped. All unknown cameras share the room of one, as names can be
@@ -29,8 +29,10 @@ class Inbox:
 
     def __init__(self, known: Container[str]) -> None:
         self._known = known
-        self._messages: list[Message] = []
-        self._published: Counter[str] = Counter()  # publications among them, by camera
+        self._requests: deque[AskedFor] = deque()
+        self._published: deque[tuple[str, bytes, str]] = deque()
+        """Camera, content, and whose room it takes."""
+        self._taken: Counter[str] = Counter()  # number of publications by whose room they take
         self._mutex = threading.Lock()
         self._woken = threading.Event()
         self.dropped: Counter[str] = Counter()
@@ -39,7 +41,7 @@ class Inbox:
     def on_request(self, key: str, content: bytes, reply: Reply) -> None:
         """Receive a request on ``store/{camera}``."""
         with self._mutex:
-            self._messages.append((key.removeprefix("store/"), content, reply))
+            self._requests.append((key.removeprefix("store/"), content, reply))
             self._woken.set()
 
     def on_event(self, key: str, content: bytes) -> None:
@@ -47,25 +49,30 @@ class Inbox:
         camera = key.removeprefix("event/")
         with self._mutex:
             known = camera if camera in self._known else ""
-            self._published[known] += 1
-            if self._published[known] > PUBLISHED_MAX:
+            if self._taken[known] >= PUBLISHED_MAX:
                 self.dropped[known] += 1
                 return
-            self._messages.append((camera, content[: codec.EVENT_BYTES_MAX + 1], None))
+            self._taken[known] += 1
+            self._published.append((camera, content[: codec.EVENT_BYTES_MAX + 1], known))
             self._woken.set()
 
-    def take(self) -> list[Message]:
-        """Return all messages and empty the inbox."""
+    def take_request(self) -> AskedFor | None:
+        """Return the oldest request, which is then no longer here; None if there is none."""
+        return self._requests.popleft() if self._requests else None
+
+    def take_published(self, most: int) -> list[tuple[str, bytes]]:
+        """Return up to ``most`` publications (camera, content), which are then no longer here."""
+        if not self._published:
+            return []
         with self._mutex:
-            messages = self._messages
-            self._messages = []
-            self._published.clear()
-        return messages
+            taken = [self._published.popleft() for _ in range(min(most, len(self._published)))]
+            self._taken -= Counter(room for _, _, room in taken)
+        return [(camera, content) for camera, content, _ in taken]
 
     @property
     def has_messages(self) -> bool:
-        """True if a message has come since the last `take`."""
-        return bool(self._messages)
+        """True if a message is here."""
+        return bool(self._requests or self._published)
 
     def wake(self) -> None:
         """End the present or the next `wait`, as something else may go on now."""
@@ -73,5 +80,6 @@ class Inbox:
 
     def wait(self, seconds: float) -> None:
         """Wait until a message has come, at most ``seconds``."""
-        self._woken.wait(seconds)
+        if not self.has_messages:
+            self._woken.wait(seconds)
         self._woken.clear()

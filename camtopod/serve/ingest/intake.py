@@ -1,15 +1,17 @@
-"""The path of an event from the bus into the journal: decode, merge, predict, store, answer.
+"""The path of an event from the bus into the journal: hear, decode, merge, store, answer.
 
 Events come in requests of grabbers' spools (`camtopod.serve.requests`), one at a time for each
-camera, or as publications of other programs. `Intake.step` moves events as far as the store
-queue, and `Intake.store_waiting` from there into the journal:
+camera, and as publications: by grabbers, of what their spools deliver as well, and by other
+programs. `Intake.step` moves events as far as the store queue, and `Intake.store_waiting` from
+there into the journal:
 
-1. a request is admitted, and its events are decoded; an invalid event is stored under its number,
+1. an event is heard, once, for predictions: where it comes first, by a publication or by its
+   delivery. That waits for nothing but what was heard before, and counts nothing;
+2. a request is admitted, and its events are decoded; an invalid event is stored under its number,
    so that the spool can drop it, and is not learned;
-2. events of all cameras are merged by time (`merge`);
-3. forgotten and renamed cameras are looked after (`names`), floods are cut (`cameras`), and event
+3. events of all cameras are merged by time (`merge`);
+4. forgotten and renamed cameras are looked after (`names`), floods are cut (`cameras`), and event
    time follows the clock when no events come (`event_clock`);
-4. predictions are made. They do not wait for the disk, as they promise nothing;
 5. the events are committed to the journal, many in one transaction, and handed to the learner;
 6. each request whose events are all stored is answered (`answers`).
 
@@ -32,8 +34,9 @@ from camtopod import codec
 from camtopod.admin import Rewind
 from camtopod.config import Limits
 from camtopod.learn.settings import TopologySettings
+from camtopod.records import Event
 from camtopod.serve.ingest.answers import Answers
-from camtopod.serve.ingest.cameras import Cameras, Pending
+from camtopod.serve.ingest.cameras import Cameras, CameraState, Pending
 from camtopod.serve.ingest.event_clock import EventClock
 from camtopod.serve.ingest.inbox import PUBLISHED_MAX, Inbox, Reply
 from camtopod.serve.ingest.merge import Merger
@@ -55,12 +58,10 @@ EVENTS_MAX = 50_000
 """Most events in memory, received and not yet stored; further requests are answered ``busy``."""
 COMMIT_EVENTS_MAX = 2_000
 """Maximum number of events in one transaction of the journal."""
-PREDICT_SECONDS_MAX = 0.25
-"""Longest time for the predictions of one step; the exits after that get none."""
-PREDICT_SECONDS_BUSY = 0.002
-"""The same while many events wait: storing comes first, and late predictions help nobody."""
-BUSY_EVENTS = 1_000
-"""Number of events from which on many wait."""
+TAKEN_AT_ONCE_MAX = 1_000
+"""Number of events after which no further request is taken before the next step."""
+HEARD_AT_ONCE_MAX = 10
+"""Most publications that are taken before the next event of a request: neither waits for long."""
 TICK_SECONDS = 0.05
 """Longest wait of a thread for something to do."""
 
@@ -70,8 +71,8 @@ class Intake:
 
     Run `work` and `store`, each in a thread; or call `step` and `store_waiting`.
 
-    see: predicts from entries about to be stored, within a number of seconds.
-    match: matches entries that were seen, until a function returns True.
+    hear: observes an event, and predicts; True says that it is delivered and was not heard before.
+    match: matches entries that were heard, until a function returns True.
     learn: takes stored entries, in the journal's order. It must not block.
     rewind: returns the command that takes event time back to the given Unix seconds.
     steady: a clock that never steps.
@@ -86,7 +87,7 @@ class Intake:
         event_clock: EventClock,
         writer: JournalWriter,
         limits: Limits,
-        see: Callable[[list[Received], float], None],
+        hear: Callable[[Event, bool], None],
         match: Callable[[Callable[[], bool]], None],
         learn: Callable[[list[Received]], None],
         rewind: Callable[[float], Rewind],
@@ -100,7 +101,7 @@ class Intake:
         self.event_clock = event_clock
         self.writer = writer
         self.limits = limits
-        self._see = see
+        self._hear_event = hear
         self._match = match
         self._learn = learn
         self._rewind_to = rewind
@@ -154,30 +155,24 @@ class Intake:
             if self.event_clock.was_set_back(wall, now):
                 self._rewind(wall)
 
-            # 1. Take requests and publications.
-            for camera, content, reply in self.inbox.take():
-                if reply is None:
-                    self._take_published(camera, content, wall, now)
-                else:
-                    self._take(camera, content, reply, wall, now)
+            # 1, 2. Take publications and requests.
+            self._take_published(wall, now)
+            enough = self.counts["received"] + TAKEN_AT_ONCE_MAX
+            while self.counts["received"] < enough and (asked := self.inbox.take_request()):
+                self._take(*asked, wall, now)
             self._answers.end_held(now)
 
-            # 2. Merge by time.
+            # 3. Merge by time.
             released = self.merger.release(wall, now, 2 * COMMIT_EVENTS_MAX - self.queue.waiting)
 
-            # 3. Names, floods, and time that passes without events.
+            # 4. Names, floods, and time that passes without events.
             named = [one for received in released for one in self.names.apply(received)]
             ready = [one for received in named for one in self._cut_flood(received)]
             if ready:
                 self.event_clock.note_released(ready, now)
             elif not self.merger.waiting:
                 ready = self.event_clock.note_quiet(wall, now)
-
-            # 4. Predict, and leave the rest to `store_waiting`.
-            busy = self.merger.waiting > BUSY_EVENTS
-            self._see(ready, PREDICT_SECONDS_BUSY if busy else PREDICT_SECONDS_MAX)
-            if ready:
-                self.queue.put(ready)
+            self.queue.put(ready)
 
     def store_waiting(
         self, stopping: threading.Event, beat: Beat = no_beat, seconds: float = TICK_SECONDS
@@ -253,14 +248,60 @@ class Intake:
         self.merger.add(camera, events, wall)
         self.merger.note_request(camera, request.more, wall, now)
         answers.note_stored(name)
+        for one in events:  # what is published meanwhile waits for one of them, not for a backlog
+            self._take_published(wall, now)
+            if one.event is not None:
+                self._hear(camera, one.event, request.boot, one.entry.seq, wall, is_delivered=True)
 
-    def _take_published(self, name: str, content: bytes, wall: float, now: float) -> None:
-        """Take a publication, unless a spool delivers it as well."""
-        try:
-            event = event_of(name, content, self.rejects)
-            if event.spooled:
-                return
+    def _take_published(self, wall: float, now: float) -> None:
+        """Take publications."""
+        for name, content in self.inbox.take_published(HEARD_AT_ONCE_MAX):
+            labels: list[codec.Rejected] = []
+            try:
+                event = event_of(name, content, labels.append)
+            except codec.Rejected as error:
+                self._reject_published(name, content, error)
+                continue
             camera = self.cameras.register(name, now)
+            if camera is not None and not (event.spooled and event.seq is None):
+                self._hear(camera, event, event.boot, event.seq, wall)
+            if event.spooled:  # it is delivered as well
+                continue
+            for label in labels:
+                self.rejects.add(label.reason, f"event/{name}", str(label), content)
+            self._store_published(name, content, event, camera, wall)
+
+    def _hear(
+        self,
+        camera: CameraState,
+        event: Event,
+        boot: str | None,
+        seq: int | None,
+        wall: float,
+        is_delivered: bool = False,
+    ) -> None:
+        """Pass an event on for predictions, unless it was heard before or is not to be learned."""
+        renamed = self.names.renamed(event)
+        if renamed is None or event.t - wall > self.limits.future_seconds_max:
+            return
+        if boot is not None and seq is not None and not camera.heard.add(boot, seq):
+            return
+        if camera.heard_seconds.take(event.t):
+            self._hear_event(renamed, is_delivered)
+
+    def _reject_published(self, name: str, content: bytes, error: codec.Rejected) -> None:
+        """Count a publication that is not taken."""
+        self.counts["received"] += 1
+        self.rejects.add(error.reason, f"event/{name}", str(error), content)
+
+    def _store_published(
+        self, name: str, content: bytes, event: Event, camera: CameraState | None, wall: float
+    ) -> None:
+        """Take an event that nobody delivers.
+
+        camera: None if there are too many.
+        """
+        try:
             if camera is None:
                 raise codec.Rejected("too-many-cameras", "limits.cameras_max is reached")
             if reason := self.event_clock.reason(wall):
@@ -271,8 +312,7 @@ class Intake:
                 self.inbox.dropped[name] += 1
                 return
         except codec.Rejected as error:
-            self.counts["received"] += 1
-            self.rejects.add(error.reason, f"event/{name}", str(error), content)
+            self._reject_published(name, content, error)
             return
         self.counts["received"] += 1
         boot, seq = event.boot, event.seq

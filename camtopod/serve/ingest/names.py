@@ -221,23 +221,29 @@ class Names:
         comes the entry by which the old name is forgotten.
         """
         event = received.event
-        state = self.state
         if event is None:
             return [received]
-        if state.since is not None and event.t < state.since:
-            return self._refuse(received, "")
+        renamed = self.renamed(event)
+        if renamed is None:
+            return self._refuse(received, event)
+        if renamed is not event:
+            entry = replace(received.entry, raw=codec.to_msgpack(renamed))
+            return [replace(received, entry=entry, event=renamed)]
+        if event.camera in self.state.aliases.values():
+            return [*self._end_aliases(event), received]
+        return [received]
+
+    def renamed(self, event: Event) -> Event | None:
+        """Return an event under its camera's present name; None if it is refused."""
+        state = self.state
+        if self._is_before_reset(event):
+            return None
         name = state.aliases.get(event.camera)
         if event.camera in state.forgotten:
             name, until = state.ended.get(event.camera, (None, 0.0))
             if name is None or event.t >= until:
-                return self._refuse(received, event.camera)
-        if name is not None:
-            event = replace(event, camera=name)
-            entry = replace(received.entry, raw=codec.to_msgpack(event))
-            return [replace(received, entry=entry, event=event)]
-        if event.camera in state.aliases.values():
-            return [*self._end_aliases(event), received]
-        return [received]
+                return None
+        return event if name is None else replace(event, camera=name)
 
     def present(self, names: Iterable[str]) -> set[str]:
         """Return the present names of cameras, without forgotten ones. Any thread."""
@@ -254,8 +260,13 @@ class Names:
             before_reset=refused[""],
         )
 
-    def _refuse(self, received: Received, name: str) -> list[Received]:
+    def _is_before_reset(self, event: Event) -> bool:
+        """Return True if an event is from before the reset."""
+        return self.state.since is not None and event.t < self.state.since
+
+    def _refuse(self, received: Received, event: Event) -> list[Received]:
         """Count a refused event, and return its entry."""
+        name = "" if self._is_before_reset(event) else event.camera
         self.refused[name] += 1
         if self.refused[name] == 1:
             what = "from before the reset are refused"

@@ -54,14 +54,12 @@ def request_of(camera: str, content: bytes) -> Hello | Batch:
     return read_request(content)
 
 
-def event_of(camera: str, content: bytes, rejects: Rejects) -> Event:
-    """Return an event on a key of ``camera``; an invalid label is counted and left out.
+def event_of(camera: str, content: bytes, on_label: codec.OnLabel) -> Event:
+    """Return an event on a key of ``camera``; an invalid label is passed on and left out.
 
     Raises `codec.Rejected`.
     """
-    event = codec.event_from_bytes(
-        content, lambda error: rejects.add(error.reason, f"event/{camera}", str(error), content)
-    )
+    event = codec.event_from_bytes(content, on_label)
     if event.camera != camera:
         raise codec.Rejected("wrong-camera", f"says camera {event.camera!r}")
     return event
@@ -69,8 +67,12 @@ def event_of(camera: str, content: bytes, rejects: Rejects) -> Event:
 
 def spooled_event(camera: str, boot: str, seq: int, raw: bytes, rejects: Rejects) -> Received:
     """Return the entry of an event from a camera's spool; invalid ones are counted."""
-    try:
-        return Received(Entry("event", camera, boot, seq, raw), event_of(camera, raw, rejects))
-    except codec.Rejected as error:
+
+    def reject(error: codec.Rejected) -> None:
         rejects.add(error.reason, f"store/{camera}", str(error), raw)
+
+    try:
+        return Received(Entry("event", camera, boot, seq, raw), event_of(camera, raw, reject))
+    except codec.Rejected as error:
+        reject(error)
         return Received(Entry("refused", camera, boot, seq, raw[: codec.EVENT_BYTES_MAX]))

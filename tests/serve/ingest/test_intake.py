@@ -33,7 +33,7 @@ def test_a_batch_is_answered_when_it_is_on_disk_and_repetitions_count_once(
 
     assert bench.stored == [("event", "a", 1), ("event", "a", 2), ("event", "a", 3)]
     assert [one.entry.seq for one in bench.learned] == [1, 2, 3]
-    assert [one.entry.seq for one in bench.predicted] == [1, 2, 3]
+    assert len(bench.heard) == 3
     assert bench.intake.counts["duplicate"] == 2
 
 
@@ -176,8 +176,7 @@ def test_an_event_with_an_invalid_label_is_stored_and_the_label_counted(
     bench.publish("a", label="Car", boot="b1", seq=2)
 
     assert bench.stored == [("event", "a", 1), ("event", "a", 2)]
-    told = [one.event.label for one in bench.predicted if one.event is not None]
-    assert told == [None, "car"]
+    assert [event.label for event in bench.heard] == [None, "car"]
     assert bench.intake.rejects.counts == {"bad-label": 1}
 
 
@@ -317,6 +316,42 @@ def test_idle_time_advances_for_the_learner(bench: IntakeBench) -> None:
 
 
 # --- the merge ------------------------------------------------------------------------------------
+
+
+def test_who_catches_up_is_named_and_logged_once(
+    bench: IntakeBench, caplog: pytest.LogCaptureFixture
+) -> None:
+    caplog.set_level("INFO")
+
+    def reason() -> str:
+        bench.intake.cameras.log_behind(bench.wall, bench.now)
+        return bench.intake.cameras.behind_reason(bench.wall, bench.now)
+
+    bench.hello("a")
+    bench.send("a", times={1: -50.0}, more=1)
+    assert reason() == ""
+    for number, camera in enumerate("bc", 1):
+        bench.hello(camera)
+        bench.send(camera, times={1: -3600.0 * number}, more=1)
+    for _ in range(3):
+        assert reason().startswith(
+            "camera c catches up and is 120 min behind, 1 more less: others'"
+        )
+        assert len(caplog.messages) == 1
+
+    for camera in "bc":
+        bench.send(camera, after=1, times={2: -1.0})
+    assert reason() == ""
+    assert len(caplog.messages) == 2
+
+
+def test_a_camera_that_goes_away_amid_its_backlog_is_named_for_a_while(bench: IntakeBench) -> None:
+    bench.hello("a")
+    bench.send("a", times={1: -3600.0}, more=1)
+    bench.tick(cameras.SAID_SECONDS)
+    assert bench.intake.cameras.behind_reason(bench.wall, bench.now)
+    bench.tick(60.0)
+    assert bench.intake.cameras.behind_reason(bench.wall, bench.now) == ""
 
 
 def test_a_camera_that_promises_more_and_dies_is_waited_for_five_seconds(
