@@ -863,6 +863,37 @@ class JournalStatus(Struct, frozen=True):
     ] = []
 
 
+class BetweenPair(Struct, frozen=True, rename={"from_": "from"}):
+    """Objects expected between two cameras: they left ``from_`` and will appear next at ``to``.
+
+    number: expected number. low, high: ends of an interval of 80 %.
+    """
+
+    from_: str
+    to: str
+    number: float
+    low: int
+    high: int
+
+
+class Between(Struct, frozen=True):
+    """How many objects are expected between cameras at ``t``.
+
+    They have left a camera, will appear again within an hour, and have not yet.
+
+    since: objects that left earlier do not count.
+    number: expected number. low, high: ends of an interval of 80 %.
+    pairs: by pair of cameras, those with most objects first.
+    """
+
+    t: float
+    since: float
+    number: float
+    low: int
+    high: int
+    pairs: list[BetweenPair] = []
+
+
 class DaemonStatus(Status, frozen=True):
     """State of the daemon, as published on ``status/daemon``.
 
