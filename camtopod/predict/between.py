@@ -22,7 +22,7 @@ from camtopod.arrays import Floats, Rows
 from camtopod.records import Between, BetweenPair, Match, Prediction
 
 HORIZON_SECONDS = 3600.0
-"""Time within which an object is expected to appear, seconds; older exits are forgotten."""
+"""Time within which objects are expected to appear, seconds; older exits are forgotten."""
 EXITS_MAX = 20_000
 """Largest number of exits that are remembered."""
 APPEARANCES_MAX = 200_000
@@ -115,8 +115,10 @@ class BetweenCameras:
             one.probability[np.isin(one.to, numbers)] = 0.0
         self._appearances = sum(len(one.to) for _, one in kept)
 
-    def expected(self, now: float, pairs_max: int | None = None) -> Between:
-        """Return how many are between cameras, and will be seen within `HORIZON_SECONDS`.
+    def expected(
+        self, now: float, pairs_max: int | None = None, horizon: float = HORIZON_SECONDS
+    ) -> Between:
+        """Return how many are between cameras, and will be seen within ``horizon`` seconds.
 
         now (Unix seconds): moment of the question; later than what has been observed.
         pairs_max: number of pairs of cameras, those with most objects; None for all.
@@ -133,7 +135,7 @@ class BetweenCameras:
         chance = np.concatenate([one.probability for one in exits])
         window = np.concatenate([one.window for one in exits])
         later = chance * share_later(window, age[exit_])
-        too_late = chance * share_later(window, age[exit_] + HORIZON_SECONDS)
+        too_late = chance * share_later(window, age[exit_] + horizon)
         against = [one.gone + sum(one.claims.values()) for one in exits]
         unseen = np.array(against) + np.bincount(exit_, later, len(exits))
         probability = (later - too_late) / np.maximum(unseen[exit_], 1e-300)

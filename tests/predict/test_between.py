@@ -7,8 +7,7 @@ from collections import defaultdict
 import naive
 import numpy as np
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
+from hypothesis import given, strategies as st
 
 from camtopod.predict import between
 from camtopod.predict.between import HORIZON_SECONDS, BetweenCameras, central_moments, interval
@@ -145,7 +144,7 @@ def test_earlier_exits_and_forgotten_cameras_do_not_count() -> None:
 def test_memory_is_bounded(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(between, "EXITS_MAX", 10)
     counted = BetweenCameras(T)
-    for k in range(30):
+    for _ in range(30):
         counted.left(exit_at("lobby", T, ("hall", 0.5, 10, 20, 60), ("yard", 0.5, 10, 20, 60)))
     assert counted.expected(T).number == pytest.approx(10.0)
 
