@@ -888,7 +888,7 @@ class Between(Struct, frozen=True):
 
     t: float
     since: float
-    number: float
+    number: Annotated[float, _metric("between_cameras", "Objects expected between cameras")]
     low: int
     high: int
     pairs: list[BetweenPair] = []
@@ -902,6 +902,8 @@ class DaemonStatus(Status, frozen=True):
     rejects, reject_samples: rejected input by reason.
     dropped: publications dropped for lack of room, by camera.
     catching_up: None if the learner is up to date.
+    between: objects between cameras, of at most a hundred pairs unless all are asked for; None
+        without matches, and while nothing has been learned.
     warnings: what somebody should look at, though it works: a sentence each.
     """
 
@@ -924,6 +926,7 @@ class DaemonStatus(Status, frozen=True):
     questions_refused: int = 0
     score: SelfScore | None = None
     alarms: list[Alarm] = []
+    between: Between | None = None
     names: NamesStatus = NamesStatus()
     journal: JournalStatus = JournalStatus()
     cameras: dict[str, CameraFigures] = {}

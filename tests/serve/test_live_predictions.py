@@ -10,7 +10,8 @@ from serving import closing_event, numbered, walkers
 
 from camtopod.learn.learner import Learner
 from camtopod.predict import Predictor, Walks
-from camtopod.records import Event, LabelModel, Match, Prediction, Topology
+from camtopod.predict.between import BetweenCameras
+from camtopod.records import Between, Event, LabelModel, Match, Prediction, Topology
 from camtopod.serve import live_predictions
 from camtopod.serve.bus import QueryError
 from camtopod.serve.hourly_counts import HOURS_MAX
@@ -18,6 +19,7 @@ from camtopod.serve.ingest import Received
 from camtopod.serve.live_predictions import (
     FRESH_SECONDS,
     RECENT_SECONDS,
+    REVISED_AT_ONCE_MAX,
     Live,
     Reader,
     asked_exit,
@@ -131,6 +133,45 @@ def test_matching_takes_no_more_than_its_time(learned: Topology) -> None:
     live.match(lambda: False)
     assert made == []
     assert next(seconds) == 2
+
+
+def test_objects_between_cameras_are_counted_from_the_start(
+    learned: Topology, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    now = EVENTS[0].t
+    live = Live(lambda answer: None, lambda: now, used=lambda: 0.0)
+    assert live.between(None) is None, "no version is in use yet"
+    live.use(Reader(learned, walks=False))
+    assert live.between(None) is None, "nobody knows who has been seen again"
+    live.use(Reader(learned, walks=True))
+    counted, walks, predictor = BetweenCameras(now), Walks(learned), Predictor(learned)
+    for event in EVENTS[:60]:
+        now = event.t
+        live.see([received(event)], 60.0)
+        live.match(lambda: False)
+        if event.kind == "exit":
+            counted.left(predictor.predict(event))
+        predictor.observe(event)
+        for match in [walks.observe(event), *walks.revised(now, REVISED_AT_ONCE_MAX)]:
+            if match is not None:
+                counted.entered(match)
+        assert live.between(None) == counted.expected(now)
+    assert counted.expected(now).number > 0.0
+
+    live.forget_cameras({EVENTS[0].camera})
+    counted.forget_cameras({EVENTS[0].camera})
+    assert live.between(1) == counted.expected(now, 1)
+    live.forget()
+    assert live.between(None) == Between(now, now, 0.0, 0, 0)
+
+    # Without a match of every entry it would be too many.
+    live.see([received(EVENTS[60])], -1.0)
+    assert (left := live.between(None)) is not None
+    monkeypatch.setattr(live_predictions, "UNMATCHED_MAX", 0)
+    now += 5.0
+    live.see([received(EVENTS[61])], 60.0)
+    assert (after := live.between(None)) is not None
+    assert (left.since, after.since, after.number) == (now - 5.0, now, 0.0)
 
 
 def test_recent_events_are_told_without_tracks(learned: Topology) -> None:
