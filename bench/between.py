@@ -29,8 +29,8 @@ from bench.support.jobs import map_tasks
 from bench.support.recordings import Recording, load
 from camtopod.arrays import Floats
 from camtopod.learn.learner import Learner
-from camtopod.predict import Predictor, Walks
-from camtopod.predict.between import HORIZON_SECONDS, BetweenCameras
+from camtopod.predict import BetweenCameras, Predictor, Walks
+from camtopod.predict.between import HORIZON_SECONDS
 from camtopod.records import Between, Topology
 
 STEP_SECONDS = 600.0

@@ -15,8 +15,7 @@ from collections.abc import Callable, Collection, Sequence
 from itertools import takewhile
 
 from camtopod import codec
-from camtopod.predict import Predictor, Walks
-from camtopod.predict.between import BetweenCameras
+from camtopod.predict import BetweenCameras, Predictor, Walks
 from camtopod.records import Between, Event, Match, Prediction, Recent, SeenEvent, Topology
 from camtopod.serve.bus import QueryError
 from camtopod.serve.hourly_counts import HourlyCounts
