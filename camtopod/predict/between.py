@@ -28,7 +28,11 @@ EXITS_MAX = 20_000
 APPEARANCES_MAX = 200_000
 """Largest number of next appearances of these exits that are remembered."""
 PROBABILITY_MIN = 1e-3
-"""Least probability of an appearance that counts, and of an exit that is remembered."""
+"""Least probability of an appearance that counts, and least number of a pair that is told."""
+SETTLED_MAX = 1e-5
+"""Probability of being between cameras below which an exit is forgotten."""
+CLAIMS_MAX = 20
+"""Number of the newest entries that may be of an exit and are kept by name, for a second match."""
 SURE_MAX = 1.0 - 1e-6
 """Largest probability that an entry continues an exit."""
 SPAN_SECONDS_MIN = 1e-3
@@ -56,12 +60,12 @@ class _Exit:
         self.window = np.array([(row.q10, row.q50, row.q90) for row in rows]).reshape(-1, 3)
         later = self.probability @ share_later(self.window, np.zeros(len(rows)))
         self.gone = 1.0 - float(later)
-        """Probability, at the exit, that it is not to come: it leaves, or has been seen already."""
+        """Odds that it is not to come: it leaves, or has been seen already."""
         self.claims: dict[ExitKey, float] = {}
-        """Odds that it is the object of an entry, on the scale of these probabilities."""
+        """Odds that it is the object of each of the newest entries."""
 
-    def unseen(self, t: float) -> float:
-        """Return the probability of not having appeared since, by a time (Unix seconds)."""
+    def unclaimed(self, t: float) -> float:
+        """Return the odds of all but the newest entries, at a time (Unix seconds)."""
         age = np.full(len(self.to), max(t - self.t, 0.0))
         return self.gone + float(self.probability @ share_later(self.window, age))
 
@@ -102,18 +106,18 @@ class BetweenCameras:
             for one in exits:
                 probability = min(passage.probability / len(exits), SURE_MAX)
                 one.claims.pop(entry, None)
-                others = one.unseen(match.t) + sum(one.claims.values())
+                others = one.unclaimed(match.t) + sum(one.claims.values())
                 one.claims[entry] = others * probability / (1.0 - probability)
+                if len(one.claims) > CLAIMS_MAX:
+                    one.gone += one.claims.pop(next(iter(one.claims)))
 
     def forget_cameras(self, cameras: Collection[str]) -> None:
         """Forget the exits from cameras, and that objects may appear there."""
         numbers = [self._numbers[name] for name in cameras if name in self._numbers]
         kept = [(key, one) for key, one in self._in_order if one.camera not in numbers]
-        self._in_order, self._exits = deque(kept), {}
-        for key, one in kept:
-            self._exits.setdefault(key, []).append(one)
+        self._keep(kept)
+        for _, one in kept:
             one.probability[np.isin(one.to, numbers)] = 0.0
-        self._appearances = sum(len(one.to) for _, one in kept)
 
     def expected(
         self, now: float, pairs_max: int | None = None, horizon: float = HORIZON_SECONDS
@@ -125,7 +129,7 @@ class BetweenCameras:
         """
         while self._in_order and now - self._in_order[0][1].t > HORIZON_SECONDS:
             self._forget_oldest()
-        exits = [one for _, one in self._in_order if one.t <= now]
+        exits = [one for _, one in self._in_order if one.t <= now <= one.t + HORIZON_SECONDS]
         if not exits:
             return Between(now, self.since, 0.0, 0, 0, [])
 
@@ -139,6 +143,11 @@ class BetweenCameras:
         against = [one.gone + sum(one.claims.values()) for one in exits]
         unseen = np.array(against) + np.bincount(exit_, later, len(exits))
         probability = (later - too_late) / np.maximum(unseen[exit_], 1e-300)
+
+        # Forget those who have almost certainly been seen again, or left.
+        settled = np.bincount(exit_, later, len(exits)) < SETTLED_MAX * unseen
+        over = {id(exits[k]) for k in np.flatnonzero(settled)}
+        self._keep([row for row in self._in_order if id(row[1]) not in over])
 
         # By pair of cameras, where an exit counts once, and in all.
         cameras = len(self._numbers)
@@ -166,6 +175,13 @@ class BetweenCameras:
                 ends = interval(number, variance, skew)
                 rows.append(BetweenPair(left, to, round(number, 3), *ends))
         return sorted(rows, key=lambda row: (-row.number, row.from_, row.to))
+
+    def _keep(self, kept: list[tuple[ExitKey, _Exit]]) -> None:
+        """Forget all exits but these, which are in order."""
+        self._in_order, self._exits = deque(kept), {}
+        for key, one in kept:
+            self._exits.setdefault(key, []).append(one)
+        self._appearances = sum(len(one.to) for _, one in kept)
 
     def _number(self, camera: str) -> int:
         return self._numbers.setdefault(camera, len(self._numbers))

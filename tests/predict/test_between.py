@@ -71,7 +71,7 @@ def test_the_number_is_that_of_each_exit_by_itself(left, came, now) -> None:
 
     by_pair: dict[tuple[str, str], float] = defaultdict(float)
     for k, (camera, t, rows) in enumerate(left):
-        if now - t > HORIZON_SECONDS:
+        if T + now > T + t + HORIZON_SECONDS:
             continue
         chances = naive.still_to_come(
             T + t, [(p, *window) for _, p, window in rows], claims[k], T + now, HORIZON_SECONDS
@@ -147,6 +147,18 @@ def test_memory_is_bounded(monkeypatch: pytest.MonkeyPatch) -> None:
     for _ in range(30):
         counted.left(exit_at("lobby", T, ("hall", 0.5, 10, 20, 60), ("yard", 0.5, 10, 20, 60)))
     assert counted.expected(T).number == pytest.approx(10.0)
+
+    # Entries that may be of one exit are added up.
+    few, many = BetweenCameras(T), BetweenCameras(T)
+    for one in (few, many):
+        one.left(exit_at("lobby", T, ("hall", 0.9, 10, 20, 60)))
+    for k in range(15):
+        few.entered(entry("hall", T + k, ("lobby", T, 0.2, None)))
+    monkeypatch.setattr(between, "CLAIMS_MAX", 2)
+    for k in range(15):
+        many.entered(entry("hall", T + k, ("lobby", T, 0.2, None)))
+    assert many.expected(T + 15) == few.expected(T + 15)
+    assert 0.0 < few.expected(T + 15).number < 0.1
 
     monkeypatch.setattr(between, "APPEARANCES_MAX", 6)
     counted.left(exit_at("lobby", T, ("hall", 0.5, 10, 20, 60), ("yard", 0.5, 10, 20, 60)))
