@@ -5,9 +5,10 @@ match of an entry says which exits it may continue. By Bayes' rule an object is 
 the odds of its next appearances that are later than now, against leaving, and against the entries
 that may be of it.
 
-The number is a sum of independent yes-or-no questions, one an exit: its distribution is Poisson
-binomial. Intervals are by the first three moments (Hong, Computational Statistics & Data Analysis
-59, 2013).
+By the outlooks the number is a sum of independent yes-or-no questions, one an exit: its distribution
+is Poisson binomial (Hong, Computational Statistics & Data Analysis 59, 2013). Outlooks are off,
+too, for all exits of a site alike, so the expected number is itself taken as gamma distributed.
+Intervals are by the first three moments of both.
 """
 
 from __future__ import annotations
@@ -37,6 +38,12 @@ SURE_MAX = 1.0 - 1e-6
 """Largest probability that an entry continues an exit."""
 SPAN_SECONDS_MIN = 1e-3
 """Least length of a span between two quantiles, seconds."""
+OUTLOOK_ERROR = 1.55
+"""Standard error of an expected number as a share of it.
+
+With it, intervals of 80 % hold the truth at 80 % of the moments of `bench between` in the mean over
+recordings; with the one found without a kind of recordings, at 75 % of the moments of that kind.
+"""
 QUANTILE_Z = 1.2815515655446004
 """0.9 quantile of the standard normal distribution: one end of an interval of 80 %."""
 
@@ -222,11 +229,19 @@ def central_moments(probability: Floats) -> tuple[Floats, Floats, Floats]:
     return probability, variance, variance * (1.0 - 2.0 * probability)
 
 
-def interval(mean: float, variance: float, skew: float) -> tuple[int, int]:
-    """Return the 0.1 and 0.9 quantiles of a number, by its first three central moments.
+def interval(
+    mean: float, variance: float, skew: float, error: float = OUTLOOK_ERROR
+) -> tuple[int, int]:
+    """Return the 0.1 and 0.9 quantiles of a number.
+
+    mean, variance, skew: its first three central moments, if the mean were certain.
+    error: standard error of the mean, as a share of it.
 
     They are those of the normal distribution, corrected for skewness (Cornish and Fisher 1938).
     """
+    off = (error * mean) ** 2
+    skew += 3.0 * error**2 * mean * variance + 2.0 * error**2 * mean * off
+    variance += off
     spread = math.sqrt(max(variance, 1e-12))
     shift = skew / spread**2 * (QUANTILE_Z**2 - 1.0) / 6.0 - 0.5
     low, high = (mean + shift + z * spread for z in (-QUANTILE_Z, QUANTILE_Z))

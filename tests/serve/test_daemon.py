@@ -281,7 +281,7 @@ def test_the_status_says_how_many_are_between_cameras_since_the_start(site: Site
     assert told is not None
     assert (told.t, told.since) == (NOW + 3.0, NOW)
     assert 1.5 < told.number < 2.0
-    assert (told.low, told.high) == (1, 2)
+    assert told.low < told.number < told.high
     assert {(one.from_, one.to) for one in told.pairs[:2]} == {("a", "b"), ("a", "c")}
     [one] = daemon.status(pairs_max=1).between.pairs  # type: ignore[union-attr]
     [(_, raw)] = bus.query("status/daemon", {"pairs": "all"})
