@@ -1009,14 +1009,6 @@ def still_to_come(t, appearances, claims, now, horizon):
     ]
 
 
-def poisson_binomial_cdf(probabilities):
-    """Return the probability of at most 0, 1, 2 ... of independent events, each with its own."""
-    mass = np.ones(1)
-    for p in probabilities:
-        mass = np.convolve(mass, [1.0 - p, p])
-    return np.cumsum(mass)
-
-
 # --- common_cycle (moved copies against their definition) ---
 
 

@@ -11,7 +11,12 @@ import scipy.stats
 from hypothesis import given, strategies as st
 
 from camtopod.predict import between
-from camtopod.predict.between import HORIZON_SECONDS, BetweenCameras, central_moments, interval
+from camtopod.predict.between import (
+    HORIZON_SECONDS,
+    PREDICTION_ERROR,
+    BetweenCameras,
+    intervals,
+)
 from camtopod.records import Match, MatchedPassage, NextCamera, Prediction
 
 T = 1_700_000_000.0
@@ -85,25 +90,11 @@ def test_the_number_is_that_of_each_exit_by_itself(left, came, now) -> None:
         assert pairs.get(pair, 0.0) == pytest.approx(number, abs=2e-3)
 
 
-@given(st.lists(st.floats(0.0, 1.0), max_size=40))
-def test_the_interval_is_about_that_of_the_exact_distribution(probabilities) -> None:
-    moments = (float(one.sum()) for one in central_moments(np.array(probabilities)))
-    low, high = interval(*moments, error=0.0)
-    below = naive.poisson_binomial_cdf(probabilities)
-    first, last = (int(np.searchsorted(below, q - 1e-9)) for q in (0.1, 0.9))
-    assert abs(low - first) <= 1
-    assert abs(high - last) <= 1
-    assert low <= high
-
-
-@given(st.floats(0.0, 300.0), st.floats(0.01, 0.5))
-def test_the_interval_has_room_for_what_outlooks_are_off_by(mean, error) -> None:
-    """Poisson numbers whose mean is gamma distributed are negative binomial."""
-    low, high = interval(mean, mean, mean, error)
-    shape = error**-2
-    first, last = scipy.stats.nbinom.ppf((0.1, 0.9), shape, shape / (shape + mean))
-    assert low == pytest.approx(first, abs=1.0, rel=0.03)
-    assert high == pytest.approx(last, abs=1.0, rel=0.03)
+def test_intervals_are_those_of_a_negative_binomial_number() -> None:
+    mean = np.append(0.0, np.geomspace(1e-6, 5000.0, 200))
+    shape = PREDICTION_ERROR**-2
+    exact = scipy.stats.nbinom.ppf([[0.1], [0.9]], shape, shape / (shape + mean))
+    assert [*intervals(mean)] == np.maximum(exact, 0.0).tolist()
 
 
 def test_who_has_been_seen_again_is_between_no_more() -> None:
