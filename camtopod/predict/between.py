@@ -16,7 +16,6 @@ from collections import deque
 from collections.abc import Callable, Collection
 
 import numpy as np
-from scipy.special import nbdtrik
 
 from camtopod.arrays import Floats, Rows
 from camtopod.records import Between, BetweenPair, Match, Prediction
@@ -37,8 +36,6 @@ SURE_MAX = 1.0 - 1e-6
 """Largest probability that an entry continues an exit."""
 SPAN_SECONDS_MIN = 1e-3
 """Least length of a span between two quantiles, seconds."""
-NUMBER_MIN = 1e-9
-"""Least expected number of an interval."""
 PREDICTION_ERROR = 2.0
 """Standard error of an expected number as a share of it.
 
@@ -159,25 +156,25 @@ class BetweenCameras:
         cameras = len(self._numbers)
         to = np.concatenate([one.to for one in exits])
         pair = np.array([one.camera for one in exits])[exit_] * cameras + to
-        by_pair = self._pairs(pair, probability)
-        [low], [high] = intervals(probability.sum(keepdims=True))
-        number = round(float(probability.sum()), 3)
-        return Between(now, self.since, number, low, high, by_pair[:pairs_max])
+        by_pair = self._pairs(pair, probability, pairs_max)
+        number = float(probability.sum())
+        return Between(now, self.since, round(number, 3), *interval(number), by_pair)
 
-    def _pairs(self, pair: Rows, probability: Floats) -> list[BetweenPair]:
+    def _pairs(self, pair: Rows, probability: Floats, pairs_max: int | None) -> list[BetweenPair]:
         """Return the pairs of cameras, those with most objects first.
 
         pair, probability: of each appearance; a pair is a number of two cameras.
         """
         codes, at = np.unique(pair, return_inverse=True)
         number = np.bincount(at, probability).astype(float)
-        some = np.flatnonzero(number >= PROBABILITY_MIN)
-        some = some[np.argsort(-number[some], kind="stable")]
+        order = np.argsort(-number, kind="stable")[:pairs_max]
         names = list(self._numbers)
-        columns = (codes[some].tolist(), number[some].tolist(), *intervals(number[some]))
         return [
-            BetweenPair(names[code // len(names)], names[code % len(names)], round(mean, 3), *ends)
-            for code, mean, *ends in zip(*columns, strict=True)
+            BetweenPair(
+                names[code // len(names)], names[code % len(names)], round(mean, 3), *interval(mean)
+            )
+            for code, mean in zip(codes[order].tolist(), number[order].tolist(), strict=True)
+            if mean >= PROBABILITY_MIN
         ]
 
     def _keep(self, kept: list[tuple[ExitKey, _Exit]]) -> None:
@@ -220,9 +217,12 @@ def _part(age: Floats, begin: Floats, end: Floats) -> Floats:
     return part
 
 
-def intervals(mean: Floats) -> tuple[list[int], list[int]]:
-    """Return the 0.1 and 0.9 quantiles of numbers (n,) of which the mean is expected."""
+def interval(mean: float) -> tuple[int, int]:
+    """Return the 0.1 and 0.9 quantiles of a number whose mean is expected."""
     shape = PREDICTION_ERROR**-2
-    success = shape / (shape + np.maximum(mean, NUMBER_MIN))
-    low, high = (np.ceil(nbdtrik(share, shape, success)) for share in (0.1, 0.9))
-    return low.astype(int).tolist(), high.astype(int).tolist()
+    success = shape / (shape + mean)
+    number = np.arange(int(4.0 * mean) + 10)  # well beyond the 0.9 quantile
+    ratio = (number + shape) / (number + 1.0) * (1.0 - success)  # of the mass to that before
+    below = (success**shape * np.cumprod(np.append(1.0, ratio))).cumsum()
+    low, high = np.searchsorted(below, (0.1, 0.9)).tolist()
+    return low, high
