@@ -59,7 +59,7 @@ export async function pairPanel(app, a, b) {
 // How many objects are between the cameras now.
 function underWay(app, from, to) {
   const told = app.between?.pairs.find((one) => one.from === from && one.to === to);
-  return told ? h("p", { class: "quiet" }, `On the way now: ${howMany(told)} in eight cases of ten.`) : null;
+  return told ? h("p", { class: "quiet" }, `On the way now: ${howMany(told)} in eight of ten cases.`) : null;
 }
 
 // What the panel shows of the link between two zones.
