@@ -1,17 +1,20 @@
 """Measure the worth of each mechanism of the learner: all figures with it and without it.
 
     python -m bench ablation [--data FOLDER] [--constants] [--mechanisms a,b] [--regimes a,b]
-                             [--seeds N] [--scale X] [--jobs 2] [--json FILE]
+                             [--controls a,b] [--seeds N] [--scale X] [--labels car:.80,van:.12]
+                             [--jobs 2] [--json FILE]
 
-The networks are the real ones of `bench real` (skipped without data) and simulated ones of
-`support.regimes`. Each is learned in one fit of its first 70 % and scored on the rest. A difference
-is paired by network: without the mechanism, less with all. For log loss and
-calibration error a positive difference is worse, for links and top-1 a negative one. A mechanism
-earns its place if leaving it out costs more than two standard errors on the real networks, or more
-than `REGIME_COST` and more than two standard errors on one kind of simulated network.
+The networks are the real ones of `bench real` (skipped without data), simulated ones of
+`support.regimes`, and those of `bench controls`, whose links are all known. Each of the first two
+is learned in one fit of its first 70 % and scored on the rest. A difference is paired by network:
+without the mechanism, less with all. For log loss, calibration error and false links a positive
+difference is worse, for links and top-1 a negative one. A mechanism earns its place if leaving it
+out costs more than two standard errors on the real networks, or more than `REGIME_COST` and more
+than two standard errors on one kind of simulated network.
 
 With ``--constants`` no mechanism is left out; each constant is halved and doubled in turn. The last
-table cross-validates the choice: each real network gets the value that is best on the others.
+table cross-validates the choice: each kind of real network gets the value that is best on the other
+kinds. With ``--labels`` the identities of the real networks draw labels, as in `bench real`.
 """
 
 from __future__ import annotations
@@ -32,30 +35,43 @@ from unittest.mock import patch
 import numpy as np
 from msgspec import Struct
 
-from bench import real
+from bench import controls, real
 from bench.support.jobs import map_tasks
 from bench.support.measure import measure as measure_regime
 from bench.support.real_figures import calibration_error
+from bench.support.real_options import Options, label_shares
 from bench.support.regimes import REGIMES
+from camtopod.learn.lag_range import UNSEARCHED_SECONDS
 from camtopod.learn.prediction_model import missed_shares
 from camtopod.learn.traffic.speed import NO_PERSISTENCE
+from camtopod.topology import LagBins
 
 REAL = "real"
 """Kind of the real networks."""
+CONTROLS = "controls, "
+"""What the kinds of `bench controls` are called after."""
+KINDS = {
+    "burrow": "closed",
+    "cages": "closed",
+    "concourse": "hall",
+    "forum": "hall",
+    "junction": "street",
+}
+"""Kind of a real network by the first part of its name, where that is not its kind."""
 DEFAULT_REGIMES = "hall,crowd,walkway,road,short,dense,faulty"
 REGIME_COST = 0.01
 """Least cost that counts on simulated networks, in the figure's unit."""
 TOLD_NATS = 6.0
 """Evidence from which the events are considered able to tell a link, nats."""
-FIGURES = ("log loss", "leave", "calibration", "top-1", "links")
+FIGURES = ("log loss", "leave", "calibration", "top-1", "links", "false")
 """Figures of the table.
 
 Log loss, and its part about leaving the site, are above those of an oracle (a chain that is given
 the identities); calibration error is of the first guess; top-1 is relative to the oracle's; links
-are the found ones of those the events can tell (real networks), or F1 of links or camera pairs
-(simulated ones).
+are the found ones of those the events can tell (real networks), F1 of links or camera pairs
+(simulated ones), or the number of right ways (controls); false is the number of false links.
 """
-WORSE = (1.0, 1.0, 1.0, -1.0, -1.0)
+WORSE = (1.0, 1.0, 1.0, -1.0, -1.0, 1.0)
 """Sign of a difference that is worse, by figure."""
 
 
@@ -76,6 +92,7 @@ class Task(Struct, frozen=True):
     kind: str
     network: str
     scale: float
+    labels: dict[str, float] = {}
 
 
 def _without_levels(*levels: int) -> Callable[..., Any]:
@@ -121,6 +138,7 @@ MECHANISMS = [
             "learn.next_camera.entry_kernels:ENTRY_PAIRS_MAX": (0, 0),
         },
     ),
+    Mechanism("overlapping views", {"learn.refit:find_overlapping": lambda *arguments: []}),
     Mechanism(
         "test of overlap",
         {
@@ -141,10 +159,55 @@ MECHANISMS = [
         "missed detections, links",
         {"learn.links.publishing:own_transitions": lambda table, missed: table.transit.total},
     ),
+    Mechanism(
+        "range of lags is found",
+        {
+            "learn.refit:find_lag_bins": lambda *arguments: LagBins(
+                *np.multiply(UNSEARCHED_SECONDS, (-1, 1))
+            )
+        },
+    ),
+    Mechanism(
+        "labels", {"learn.association.em:estimate_label_persistence": lambda *arguments: 0.0}
+    ),
+    Mechanism("ways through zones", {"learn.zones.partition:way_contrast": lambda *a: math.inf}),
+    Mechanism(
+        "rhythm", {"learn.traffic.labelled_events:rhythm_rates": lambda t, zone, even, n: even}
+    ),
+    Mechanism(
+        "activity of the site",
+        {
+            f"learn.{module}:activity_rates": lambda t, zone, camera, rate: rate
+            for module in ("links.cross_validation", "paths.camera_lags")
+        },
+    ),
+    Mechanism(
+        "common cycle",
+        {
+            "learn.refit:without_cycle": lambda problem, fit: (
+                fit,
+                np.full(len(fit.counts), np.nan),
+            )
+        },
+    ),
+    Mechanism(
+        "one occasion tells little",
+        {
+            f"learn.links.{module}:repeated": lambda nats: nats.sum(axis=-1)
+            for module in ("significance", "cross_validation")
+        },
+    ),
     Mechanism("changes", {"learn.refit:find_changes": lambda *arguments: []}),
     Mechanism("over-relaxed EM", {"learn.association.em:STRIDE": 1.0}),
     Mechanism("sparse prior", {"learn.association.joint_fit:SPARSITY": 0.0}),
     Mechanism("second opinion", {"learn.refit:is_wanted": lambda *arguments: False}),
+    Mechanism(
+        "second opinion between zones", {"learn.paths.opinion:_has_platoons": lambda scene: False}
+    ),
+    Mechanism(
+        "second opinion on links",
+        {"learn.refit:with_second_opinion": lambda table, *arguments: table},
+    ),
     Mechanism("anywhere", {"predict.anywhere:surplus": lambda *arguments: 0.0}),
     Mechanism("long paths", {"learn.long_paths:find_long_paths": lambda *arguments: []}),
     Mechanism(
@@ -173,10 +236,17 @@ CONSTANTS = (
     ("SPREAD", ("learn.next_camera.spurious",)),
     ("CHANCE_PRIOR", ("learn.next_camera.spurious",)),
     ("DEPARTURES_TO_TELL", ("learn.next_camera.spurious",)),
-    ("FIRST_NOISE_SD", ("learn.next_camera.fit",)),
-    ("BET_SPARSITY", ("learn.links.cross_validation",)),
-    ("FALSE_PROBABILITY", ("learn.long_paths",)),
-    ("OVERLAP_FALSE", ("learn.association.screening",)),
+    ("CLEAR_NOISE_SD", ("learn.next_camera.fit", "learn.next_camera.overlapping_views")),
+    ("SPARSITY", ("learn.association.joint_fit", "learn.links.cross_validation")),
+    ("OUTSIDE_LEAST", ("learn.links.cross_validation", "learn.paths.path_fit")),
+    ("OCCASION_SHARE_MAX", ("learn.links.significance",)),
+    ("PEAK_NATS", ("learn.links.common_cycle",)),
+    ("ACTIVITY_SECONDS", ("learn.traffic.rhythm",)),
+    ("CONTRAST_MIN", ("learn.lag_range",)),
+    ("SPARE", ("learn.lag_range",)),
+    ("WAY_CONTRAST", ("learn.zones.partition",)),
+    ("DEPARTURES_PER_ZONE", ("learn.paths.opinion",)),
+    ("PLATOON_NATS", ("learn.paths.opinion",)),
 )
 """Constants that are halved and doubled: name, and the modules that hold it."""
 FACTORS = (0.5, 2.0)
@@ -228,12 +298,20 @@ def main(argv: Sequence[str]) -> int:
         for kind in filter(None, arguments.regimes.split(","))
         for seed in range(arguments.seeds)
     ]
+    networks += [
+        (CONTROLS + kind, f"{title}|{seed}")
+        for kind in filter(None, arguments.controls.split(","))
+        for title in controls.controls()[kind]
+        for seed in range(arguments.seeds)
+    ]
     if not folders:
         print("bench ablation: no real networks are measured (set --data or CAMTOPOD_REAL_DATA)")
 
     # Measure.
     tasks = [
-        Task(name, kind, network, arguments.scale) for kind, network in networks for name in names
+        Task(name, kind, network, arguments.scale, arguments.labels)
+        for kind, network in networks
+        for name in names
     ]
     figures = {
         (task.mechanism, task.kind, task.network): np.array(row)
@@ -262,7 +340,11 @@ def measure(task: Task) -> list[float]:
     """Return the `FIGURES` of one network without one mechanism; nan where one does not apply."""
     with without(task.mechanism):
         if task.kind == REAL:
-            return _real(Path(task.network))
+            return _real(Path(task.network), task.labels)
+        if task.kind.startswith(CONTROLS):
+            title, _, seed = task.network.rpartition("|")
+            found = controls.run(controls.Task(task.kind.removeprefix(CONTROLS), title, int(seed)))
+            return [*[math.nan] * 4, float(found.right), float(len(found.false))]
         regime = REGIMES[task.kind]
         events, truth = regime.make(int(task.network), task.scale)
         [record] = measure_regime(
@@ -270,19 +352,20 @@ def measure(task: Task) -> list[float]:
         )
     links = record.get("f1") if not math.isnan(record.get("f1")) else record.get("pair_f1")
     error, top1 = record.get("first_calibration_error"), record.get("top1_ratio")
-    return [record.get("log_loss_above"), math.nan, error, top1, links]
+    false = record.get("false_links")
+    return [record.get("log_loss_above"), math.nan, error, top1, links, false]
 
 
-def _real(folder: Path) -> list[float]:
-    """Return the `FIGURES` of a real network."""
-    found = real.measure(real.Task(folder, beside=False))
+def _real(folder: Path, labels: dict[str, float]) -> list[float]:
+    """Return the `FIGURES` of a real network, whose identities draw labels."""
+    found = real.measure(real.Task(folder, Options(labels=labels), beside=False))
     links = (
         found.links.found[TOLD_NATS] / found.links.can_be_told[TOLD_NATS]
         if found.links.can_be_told[TOLD_NATS]
         else math.nan
     )
     if found.ours is None or found.told is None:
-        return [math.nan, math.nan, math.nan, math.nan, links]
+        return [*[math.nan] * 4, links, float(found.links.false)]
     ours, told = found.ours, found.told
     error = calibration_error(ours.confidence, ours.right)
     return [
@@ -291,6 +374,7 @@ def _real(folder: Path) -> list[float]:
         error,
         ours.top1 / told.top1,
         links,
+        float(found.links.false),
     ]
 
 
@@ -356,25 +440,37 @@ def table(
 
 
 def chosen_on_the_others(figures: dict[tuple[str, str, str], Any]) -> list[str]:
-    """Return one row a constant: the cost of choosing its value on the other real networks.
+    """Return one row a constant: the cost of choosing its value on the other kinds of networks.
 
-    The cost is the log loss of each real network with the value that is best for the others, less
-    that with the present value.
+    The cost is the mean log loss of each kind of real network with the value that is best for the
+    other kinds, less that with the present value. Its standard error is that over kinds.
     """
-    networks = [network for name, kind, network in figures if kind == REAL and name == ""]
-    lines = ["", _row("real, one network left out", "log loss")]
+    networks: dict[str, list[str]] = defaultdict(list)
+    for name, kind, network in figures:
+        if kind == REAL and name == "":
+            networks[kind_of(network)].append(network)
+    lines = ["", _row("real, one kind left out", "log loss")]
     for constant, _ in CONSTANTS:
         names = ["", *(_times(constant, factor) for factor in FACTORS)]
-        if len(networks) < 2 or any((name, REAL, networks[0]) not in figures for name in names):
+        if len(networks) < 2 or not {*names} <= {name for name, *_ in figures}:
             continue
         loss = np.array(
-            [[figures[name, REAL, network][0] for network in networks] for name in names]
+            [
+                [_mean([figures[name, REAL, one][0] for one in some]) for some in networks.values()]
+                for name in names
+            ]
         )
         others = loss.sum(axis=1, keepdims=True) - loss
         apart = loss[others.argmin(axis=0), np.arange(len(networks))] - loss[0]
         error = float(apart.std(ddof=1) / math.sqrt(len(networks)))
         lines.append(_row(constant, f"{apart.mean():+.3f} ({error:.3f})"))
     return lines
+
+
+def kind_of(network: str) -> str:
+    """Return the kind of a real network, by its folder: those of one kind are alike."""
+    first = Path(network).name.partition("-")[0]
+    return KINDS.get(first, first)
 
 
 def _mean(values: Sequence[float]) -> float:
@@ -404,6 +500,12 @@ def _parse(argv: Sequence[str]) -> argparse.Namespace:
     )
     parser.add_argument(
         "--regimes", default=DEFAULT_REGIMES, help=f"comma-separated (default: {DEFAULT_REGIMES})"
+    )
+    parser.add_argument(
+        "--controls", default="", help="kinds of `bench controls`, comma-separated (default: none)"
+    )
+    parser.add_argument(
+        "--labels", type=label_shares, default={}, help="labels drawn, as for `bench real`"
     )
     parser.add_argument("--seeds", type=int, default=3, help="networks per regime (default 3)")
     parser.add_argument(

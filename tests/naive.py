@@ -224,6 +224,18 @@ def own_past(t, zone, seconds):
     ]
 
 
+def past_by_age(t, zone, ages):
+    """Compute `camtopod.learn.traffic.rhythm._past_by_age`, comparing all arrivals."""
+    return [
+        [
+            sum(zone[j] == zone[k] and low < t[k] - t[j] <= high for j in range(len(t)))
+            / (high - low)
+            for k in range(len(t))
+        ]
+        for low, high in itertools.pairwise(ages)
+    ]
+
+
 def around(t, group, seconds):
     """Compute `camtopod.learn.traffic.rhythm._around`, comparing all arrivals."""
     n = len(t)

@@ -43,8 +43,8 @@ DOORS: dict[str, Callable[[Event], object]] = {
 def test_what_is_no_event_is_refused(door: str) -> None:
     with pytest.raises(ValueError, match=r"an enter of a at .*: the kind of an event is entry or"):
         DOORS[door](replace(ENTRY, kind="enter"))
-    for t in (math.nan, math.inf, ENTRY.t * 1e3):
-        with pytest.raises(ValueError, match=r"an entry of a at .*: t is no number of seconds"):
+    for t in (math.nan, math.inf, -math.inf):
+        with pytest.raises(ValueError, match=r"an entry of a at .*: t is no finite number of s"):
             DOORS[door](replace(ENTRY, t=t))
 
 

@@ -37,6 +37,8 @@ class _Stream:
         """Number of the line in which it begins."""
         self.at_line = True
         """It begins with a line."""
+        self.is_new = False
+        """Something has come since this was set to False."""
         self._pieces = iter(pieces)
         self._max = bytes_max
         self._returned = False
@@ -48,6 +50,7 @@ class _Stream:
         if self._returned and piece.startswith(b"\n"):
             piece = piece[1:]
         self._returned = piece.endswith(b"\r")
+        self.is_new = True
         self.text += piece.replace(b"\r\n", b"\n").replace(b"\r", b"\n")
         return True
 
@@ -78,6 +81,18 @@ def frames(
     text = stream.text
     begin = re.compile(b"[" + begins + b"\n]")
     while True:
+        # Lines that are messages, as they mostly are: all that have come.
+        if stream.at_line and stream.is_new and b"{" in begins:
+            stream.is_new = False
+            size = 0
+            for count, line in enumerate(bytes(text[: text.rfind(b"\n") + 1]).split(b"\n")):
+                if line[:1] != b"{" or len(line) > bytes_max or not codec.is_json(line):
+                    break
+                yield stream.number + count, line.strip()
+                size += len(line) + 1
+            if size:
+                stream.drop(size)
+
         # Skip what stands between.
         if not text.startswith(b"{"):
             if (between := _BETWEEN.match(text)) and between[0]:

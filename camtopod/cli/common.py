@@ -21,6 +21,7 @@ from camtopod import codec, files
 from camtopod.cli import exits
 from camtopod.cli.exits import CommandError, InputError
 from camtopod.config import Config, ConfigError, StateSettings, config_file, secret_files
+from camtopod.records import Topology
 from camtopod.redact import redact
 from camtopod.serve.runtime import Progress, systemd
 from camtopod.visible import visible, visible_lines
@@ -82,6 +83,18 @@ def with_options(args: argparse.Namespace, loaded: Config) -> Config:
     if getattr(args, "state", None):
         loaded = replace(loaded, state=StateSettings(args.state))
     return loaded
+
+
+def topology_of(path: str) -> Topology:
+    """Return a topology from a JSON file ('-': standard input).
+
+    Raises `OSError`, `InputError`.
+    """
+    raw = sys.stdin.buffer.read() if path == "-" else Path(path).read_bytes()
+    try:
+        return codec.decode_topology(raw)
+    except codec.Rejected as error:
+        raise InputError(f"{path} is not a topology: {error}") from None
 
 
 def counted(number: int, thing: str) -> str:

@@ -1,7 +1,7 @@
 """Association priors for multi-camera tracking, from the learned topology.
 
-An object that leaves a zone appears next at some zone after some lag, or is not seen again, with
-the odds and transit times that prediction uses (thesis 4.5, 4.6). An object that appears has left
+An object that leaves a zone appears next at some zone after some lag, or is not seen again, as
+predictions say (thesis 4.5, 4.6; `camtopod.predict.outlook`). An object that appears has left
 another zone before, or comes from outside, at a constant rate. All values are logarithms:
 
     gate(...)      ln of 1/s   an object that left there appears next here at this time
@@ -77,8 +77,8 @@ class Gate:
             overlap, ``t_entry`` may be before ``t_exit``.
 
         Integrated over ``t_entry`` the density is the probability of appearing there next. It is a
-        step function, constant within a bin of some percent of the lag, and -inf where this version
-        of the topology has no link with this lag.
+        step function, constant within a bin of some percent of the lag. Where no link has this lag
+        it is what may appear anywhere, or -inf.
 
         Raises ValueError for times that are not finite; `UnknownPlace` (a KeyError) for a zone or
         camera that this version does not have. Zones come and go with versions: for events prefer
@@ -134,8 +134,9 @@ class Gate:
         now: corrected time (seconds) up to which entries are complete, so that objects still under
             way do not count as gone. Default: the newest of the given times.
 
-        -inf means that no link has this lag; use ``np.maximum(odds, -20)`` if other evidence may
-        overrule that. 0 means no information: this version does not know a camera.
+        -inf means that no link has this lag, nor may the object appear anywhere by then; use
+        ``np.maximum(odds, -20)`` if other evidence may overrule that. 0 means no information: this
+        version does not know a camera.
 
         Raises ValueError for an entry among the exits, an exit among the entries, or an invalid
         time.

@@ -22,18 +22,18 @@ from camtopod.learn.association import (
     newest_within_limit,
 )
 from camtopod.learn.limits import (
+    EVENT_PAIRS_MAX,
     LONGEST_SECONDS,
     RANGE_ARRIVALS_MAX,
-    RANGE_CANDIDATES_MAX,
 )
 from camtopod.learn.links import (
     TRANSITIONS_MIN,
     q_values,
     repeated_evidence,
 )
-from camtopod.learn.long_paths import LONG_SHARE_MAX, SHARP_SHARE_MAX
+from camtopod.learn.long_paths import LONG_SHARE_MAX
 from camtopod.learn.traffic import Scene
-from camtopod.topology import LagBins
+from camtopod.topology import LAG_STEP, LagBins
 
 SHORTEST_SECONDS = (5.0, 60.0)
 """Least range of lags before the exit, and after it."""
@@ -43,16 +43,12 @@ before the exit, and after it.
 """
 REACH_STEP = 0.7
 """Factor on the longest lag while too few of the newest events are within the limits."""
-LEAD_SHARE = 1.0 / 3.0
-"""Lags before the exit that are looked at, as a share of those after it."""
 Q_MAX = 0.01
 """False discovery rate of the links that count."""
 CONTRAST_MIN = 2.0
 """Least hazard at a lag that counts, over the median of the pair."""
 COVERED = 0.95
-STRAYS = 5.0
-"""Share of the links' transitions up to the longest lag that counts; so many may be beyond anyway.
-"""
+"""Share of the links' transitions up to the longest lag that counts; the others are strays."""
 SPARE = 3.0
 """The range over that lag. Where transit times vary most, evenly per second (an exponential
 distribution), 0.01 % are beyond three times their 95 % quantile; and a way may grow longer.
@@ -75,7 +71,7 @@ def find_lag_bins(scene: Scene, ranges: LagRanges | None = None) -> LagBins:
     seconds = np.array(extremes(problem, fit_jointly(problem, find_candidates(problem))))
     shortest = np.array(SHORTEST_SECONDS)
     if ranges is not None:  # a peak at lag 0 has two sides
-        shortest[0] = max(shortest[0], SHARP_SHARE_MAX * float(ranges.delay.max()))
+        shortest[0] = max(shortest[0], LAG_STEP * float(ranges.delay.max()))
     return _bins(*np.clip(SPARE * seconds, shortest, LONGEST_SECONDS).tolist())
 
 
@@ -98,9 +94,9 @@ def newest_stretch(scene: Scene, ranges: LagRanges | None = None) -> Problem:
     ahead, longest = LONGEST_SECONDS
     shortest = SHORTEST_SECONDS[1]
     while True:
-        bins = LagBins(-min(ahead, LEAD_SHARE * longest), longest)
+        bins = LagBins(-min(ahead, longest), longest)
         problem = Problem(departures, arrivals, bins, len(scene.zones), scene.last, ranges)
-        problem = newest_within_limit(problem, RANGE_CANDIDATES_MAX)
+        problem = newest_within_limit(problem, EVENT_PAIRS_MAX)
         begin = problem.arrivals.t[:1]
         stretch = float(scene.last - begin[0]) if len(begin) else 0.0
         if longest <= max(shortest, LONG_SHARE_MAX * stretch):
@@ -158,7 +154,7 @@ def _quantiles(lag: Floats, weight: Floats) -> tuple[float, float]:
     """
     order = np.argsort(lag, kind="stable")
     below = np.cumsum(weight[order], dtype=float)
-    strays = min(max((1.0 - COVERED) * below[-1], STRAYS), 0.5 * below[-1])
+    strays = (1.0 - COVERED) * below[-1]
     at = np.searchsorted(below, (strays, below[-1] - strays))
     low, high = lag[order[np.minimum(at, len(lag) - 1)]]
     return float(low), float(high)

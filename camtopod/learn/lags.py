@@ -16,6 +16,14 @@ NOISE_SD = 0.5
 """Standard deviations of the null model that are subtracted from an excess over it, where whatever
 may be right is to be kept.
 """
+CLEAR_NOISE_SD = 3.0
+"""The same where only what is clear is to count: in first hazards for prediction, and in what
+tells of views that may overlap.
+"""
+FALSE_PROBABILITY = 1e-3
+"""Probability that chance alone shows anything of one kind in one window: a silence of a camera, or
+a view that overlaps or a long path of any two.
+"""
 SMOOTHING_SD_BINS = (1.5, 3.0, 6.0)
 """Standard deviations, in lag bins, of the kernels with which histograms of lags are smoothed
 before they are compared, as the spread of transit times differs between links.

@@ -18,9 +18,15 @@ LONGEST_SECONDS = (120.0, 2160.0)
 more than half an hour has rarely been on one way all the time; and the longer the lag, the wider
 its bin and the more chance is in it, so that only a very busy way could be told.
 """
-RANGE_CANDIDATES_MAX = 2_000_000
+EVENT_PAIRS_MAX = 4_000_000
+"""Event pairs in one step of a fit: in which the range of lags or overlapping views are looked for,
+from which the evidence for links is estimated or paths are learned (`learn.paths`), and that
+screening leaves to the joint fit.
+"""
+ZONE_PATH_CANDIDATES_MAX = 16_000_000
+"""Event pairs from which the paths between zones are learned: platoons tell little each."""
 RANGE_ARRIVALS_MAX = 4_000
-"""Event pairs and arrivals, of the newest events, in which the range of lags is looked for."""
+"""Arrivals, the newest, in which the range of lags is looked for."""
 WEIGHED_MAX = 128_000_000
 """Event pairs that screening weighs in one fit, over all followed pairs of zones."""
 WEIGHED_AT_ONCE = 1_000_000
@@ -28,12 +34,6 @@ ZONE_WEIGHED_AT_ONCE = 8_000_000
 """Event pairs that screening lists together, at 100 bytes each: those of several zones of arrival,
 and at most those of one.
 """
-JUDGED_MAX = 6_000_000
-"""Event pairs from which cross-validation estimates the evidence for links in one fit."""
-PATH_CANDIDATES_MAX = 4_000_000
-"""Event pairs from which the paths between cameras are learned (`learn.paths`)."""
-ZONE_PATH_CANDIDATES_MAX = 16_000_000
-"""Event pairs from which the paths between zones are learned."""
 PATH_CAMERAS_MAX = 128
 """Cameras of a site for which paths are learned: the search grows with the pairs of cameras."""
 ZONES_PER_CAMERA_MAX = 32

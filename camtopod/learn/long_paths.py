@@ -23,8 +23,9 @@ from camtopod.learn.clocks import (
     cache_friendly_order,
     null_expectation,
 )
-from camtopod.learn.lags import BIN_SECONDS, poisson_nats
+from camtopod.learn.lags import BIN_SECONDS, FALSE_PROBABILITY, poisson_nats
 from camtopod.learn.traffic import Arrivals, Departures
+from camtopod.topology import LAG_STEP
 
 LONG_SECONDS_MIN = 60.0
 """Least lag of a long path; the lag bins are fine enough for shorter ones."""
@@ -32,14 +33,8 @@ LONG_SHARE_MAX = 0.25
 """Largest lag of a long path, as a share of the duration of the window, so that a path is observed
 more than once.
 """
-SHARP_SHARE_MAX = 0.1
-"""Largest half width of a peak, as a share of its lag. Two paths count as equally long within twice
-this share, as each is as wide.
-"""
 WIDTHS_BINS = (5, 11, 25, 61)
 """Widths, in bins, of the windows of lags in which arrivals are counted."""
-FALSE_PROBABILITY = 0.01
-"""Probability of any false peak on a site without links."""
 
 
 def find_long_paths(
@@ -121,7 +116,7 @@ def clearest_peaks(counts: Counts, longest: float) -> tuple[Floats, Floats]:
         nats = poisson_nats(observed, expected) / np.maximum(dispersion, 1.0)
 
         # The highest peak, be it at a short lag or at a long one.
-        sharp = width * BIN_SECONDS <= 2 * SHARP_SHARE_MAX * lag
+        sharp = width * BIN_SECONDS <= 2 * LAG_STEP * lag  # as wide as two lag bins
         far = sharp & (lag > 0) & (lag <= longest)
         peaks = np.where((near | far) & in_both, nats, 0.0)
         at = peaks.argmax(axis=1)
@@ -151,7 +146,7 @@ def _is_over(lag: Floats, dwell: Floats, source: int, target: int) -> bool:
     over = lag[source] + dwell + lag[:, target]
     ahead = (lag[source] > 0) & (lag[:, target] > 0)
     apart = np.abs(over - lag[source, target])
-    return bool(np.any(ahead & (apart <= 2 * SHARP_SHARE_MAX * lag[source, target])))
+    return bool(np.any(ahead & (apart <= 2 * LAG_STEP * lag[source, target])))
 
 
 def long_ranges(problem: Problem, camera: Ints, candidates_max: int) -> LagRanges | None:

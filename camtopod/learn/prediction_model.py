@@ -17,6 +17,7 @@ from msgspec.structs import replace
 from camtopod.arrays import Floats, Rows, rows_by_group
 from camtopod.event_time import MICROSECONDS
 from camtopod.learn.assemble import STAY_DECILES, zone_id
+from camtopod.learn.association import FOLLOWED_TRANSITIONS_MIN
 from camtopod.learn.changes import Change
 from camtopod.learn.links import NEXT_ZONES_MAX, MissedTransitions
 from camtopod.learn.next_camera import LEVELS, OverlappingViews, Posterior
@@ -54,10 +55,6 @@ SHARE_MIN = 1e-4
 """Least share of a listed next zone, and least mass of a listed entry kernel. A share in the window
 that is less counts as this where a changed share is divided by it.
 """
-CONTEXT_DEPARTURES_MIN = 0.5
-"""Least certain departures (see `next_camera.contexts`) of a listed context."""
-CONTEXT_TRANSITIONS_MIN = 0.05
-"""Least certain transitions of a context to a next zone that is listed."""
 
 
 def build_model(
@@ -334,7 +331,7 @@ def _contexts(
     first = np.searchsorted(c.source, np.arange(len(ids)))
     result = []
     for name, level in zip(LEVELS, posterior.levels, strict=True):
-        for k in np.flatnonzero(level.departures >= CONTEXT_DEPARTURES_MIN).tolist():
+        for k in np.flatnonzero(level.departures >= FOLLOWED_TRANSITIONS_MIN).tolist():
             zone, part, block = level.keys[k].tolist()
 
             # Transitions, scaled to present shares.
@@ -346,7 +343,7 @@ def _contexts(
             to = {
                 ids[c.target[pair]]: round_significant(number)
                 for pair, number in zip(pairs.tolist(), moved.tolist(), strict=True)
-                if number > CONTEXT_TRANSITIONS_MIN
+                if number > FOLLOWED_TRANSITIONS_MIN
             }
             result.append(
                 Context(

@@ -51,7 +51,7 @@ from camtopod.learn.clocks import Clocks
 from camtopod.learn.declarations import zone_weights
 from camtopod.learn.lag_range import find_lag_bins, shortest_bins
 from camtopod.learn.links import (
-    WEAK_TRANSITIONS_MIN,
+    FAINT_TRANSITIONS,
     LinkShortfall,
     LinkTable,
     MissedTransitions,
@@ -371,7 +371,7 @@ def predict_next(
         return associated.between, model, []
 
     # The posterior's table of pairs of zones.
-    transitions = transitions_of(posterior.fit, WEAK_TRANSITIONS_MIN)
+    transitions = transitions_of(posterior.fit, FAINT_TRANSITIONS)
     exposed = exposed_departures(problem)
     likely_pairs = tabulate(transitions, exposed, bins, problem.zones, ranges=problem.ranges)
     no_counts = np.zeros((len(likely_pairs.source), 0))  # they take most of the memory

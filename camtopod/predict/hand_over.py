@@ -76,12 +76,12 @@ class HandOver:
 
             # Odds of each open passage against all others and against none of them.
             weights = [odds[self._bins.bin_of(other.t - passage.t)] for _, other in tracks]
-            if labels and tracks:
-                there, zones = zip(
-                    *((other.label, other.entry) for _, other in tracks), strict=True
-                )
-                agreement = labels.agreement(passage.label, there, zones)
-                weights = [w * a for w, a in zip(weights, agreement.tolist(), strict=True)]
+            if labels:
+                label = passage.label
+                weights = [
+                    weight * labels.of_two(label, other.label, other.entry)
+                    for weight, (_, other) in zip(weights, tracks, strict=True)
+                ]
             total = 1.0 - share + sum(weights)
             for (track, other), weight in zip(tracks, weights, strict=True):
                 if weight > PROBABILITY_MIN * total:

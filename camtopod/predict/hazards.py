@@ -92,7 +92,13 @@ class Hazards:
 
         The results are columns (m,): which of the n sources, row in its `outcomes`, hazard (1/s).
         """
-        which, row = self._rows_of(sources, target)
+        is_source = self._is_source.get(target)
+        if is_source is None:
+            is_source = self._is_source[target] = np.zeros(self._zones, np.bool_)
+            is_source[self.sources(target)] = True
+        [some] = is_source.take(sources).nonzero()
+        which, row = self._rows_of(sources.take(some), target)
+        which = some.take(which)
         first = self._first_row.take(sources.take(which))
         return which, row - first, self._at(row, lag.take(which))
 
@@ -296,6 +302,8 @@ class Hazards:
             np.append(key[self._order], after_all), return_index=True, return_counts=True
         )
         self._sources: dict[int, list[int]] = {}
+        self._is_source: dict[int, Bools] = {}
+        """By target that was asked for: mask (zones,) of its sources."""
         for zone, to in sorted({*zip(source.tolist(), target.tolist(), strict=True)}):
             self._sources.setdefault(to, []).append(zone)
         self._limits = np.array(self.bins.limits)

@@ -56,15 +56,15 @@ class Labels:
         number = self.number(label)
         return None if number == UNKNOWN_LABEL else self.names[number]
 
-    def agreement(self, left: Numbers, came: Numbers, zone: Numbers) -> Floats:
-        """Return the likelihood ratio (n,) of one object over two.
+    def agreement(self, left: Numbers, came: Numbers, zone: Numbers) -> Floats | float:
+        """Return the likelihood ratio (n,) of one object over two; 1.0 if there are no labels.
 
         left, came (n,): labels of a passage and of an arrival.
         zone (n,): zone of the arrival.
         """
+        if not self.names:
+            return 1.0
         left, came, zone = np.asarray(left), np.asarray(came), np.asarray(zone)
-        if not self:
-            return np.ones(np.broadcast(left, came).shape)
         ratio = self._persistence * (left == came) / self._share[zone, came] + (
             1.0 - self._persistence
         )

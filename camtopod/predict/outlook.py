@@ -178,7 +178,9 @@ def outlook(version: PreparedVersion, departure: Departure, seen: Seen | None = 
     multiplier, leave = version.contexts.multipliers(
         zone, outcomes, departure.block, begun.entry, begun.previous, begun.sure
     )
-    before = None if seen is None else seen.take(np.flatnonzero(seen.before))
+    before = seen
+    if seen is not None and departure.elapsed:
+        before = seen.take(np.flatnonzero(seen.before))
     mass, edges = _odds(version, table, departure._replace(elapsed=0.0), before)
     early = np.zeros(len(mass))
     if seen is None and passage is not None:
@@ -199,9 +201,9 @@ def outlook(version: PreparedVersion, departure: Departure, seen: Seen | None = 
     chance = np.where(chance >= NEXT_PROBABILITY_MIN, chance, 0.0)
     total = leave + float(chance.sum())
     chance, leave = chance / total, leave / total
-    no_one = np.zeros(0)
-    found = Outlook(departure, table, mass, edges, early, chance, pace, no_one, (0, 0), leave)
-    return _with_elsewhere(version, found)
+    nowhere = np.zeros(0)
+    linked = Outlook(departure, table, mass, edges, early, chance, pace, nowhere, (0, 0), leave)
+    return _with_elsewhere(version, linked)
 
 
 def _with_elsewhere(version: PreparedVersion, linked: Outlook) -> Outlook:
@@ -286,6 +288,8 @@ def _own_rate(
     the latter (`Predictor`). This part is subtracted to get the rate of all other causes.
     """
     # What follows from the entry, by the label that the entry had.
+    if not len(seen.t):
+        return entered
     labels, hazards = version.labels, version.hazards
     label = (departure.passage or UNKNOWN).label
     entered = entered * labels.agreement(label, seen.label, seen.zone)

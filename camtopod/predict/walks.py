@@ -266,6 +266,8 @@ class Walks:
             if step in (left := self._left.get(step.zone, deque())):
                 left.remove(step)
             step.edges, step.told, step.claims, step.before = [], [], {}, None
+        while self._given and self._given[0].is_forgotten:
+            self._given.popleft()
 
     # --- Matching ---
 

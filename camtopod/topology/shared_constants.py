@@ -16,4 +16,6 @@ LAG_SECONDS_MIN = 2.0
 BACK_OFF_DEPARTURES = 5.0
 """Weight, in departures, of a coarser context of a departure beside a finer one."""
 MULTIPLIER_MAX = 100.0
-"""Largest factor by which a context raises a probability; the smallest factor is its inverse."""
+"""Largest factor by which a context, or the speed of an object, raises a probability; the smallest
+factor of a context is its inverse.
+"""

@@ -7,6 +7,7 @@ from importlib import import_module
 from pathlib import Path
 
 import pytest
+from paths import ROOT
 from serving import AT_ONCE, program
 
 from bench import soak
@@ -43,6 +44,7 @@ def test_the_same_network_at_every_rate() -> None:
         ("latency", ["--rate", "100", "--seconds", "1"]),
         ("router", ["--events", "300", "--readers", "1", "--cameras", "4", "--rounds", "1"]),
         ("memory", ["--events", "300", "--cameras", "4"]),
+        ("predict", ["--base", str(ROOT), "--events", "300", "--cameras", "4"]),
     ],
 )
 def test_its_tables_have_costs(

@@ -153,6 +153,37 @@ def test_mechanisms_that_can_be_left_out_exist() -> None:
             assert (fit.FAINT_TRANSITIONS == 0.0) == (mechanism.name == "faint transitions")
 
 
+def test_a_constant_is_chosen_on_the_other_kinds_of_networks() -> None:
+    """Halved, it suits the walkways; doubled, the town."""
+    [(constant, _), *_] = ablation.CONSTANTS
+    losses = {
+        "walkway-a": (0.0, -3.0, 0.0),
+        "walkway-b": (0.0, -5.0, 0.0),
+        "town": (0.0, 1.0, -2.0),
+    }
+    figures = {
+        (name, ablation.REAL, network): np.array([loss])
+        for network, row in losses.items()
+        for name, loss in zip(("", f"{constant} x 0.5", f"{constant} x 2"), row, strict=True)
+    }
+
+    *_, row = ablation.chosen_on_the_others(figures)
+
+    assert row.split() == [
+        constant,
+        "+0.500",
+        "(0.500)",
+    ]  # walkways as in town, town as on walkways
+
+
+def test_false_links_of_controls_are_counted(capsys: pytest.CaptureFixture[str]) -> None:
+    arguments = ["--regimes", "", "--controls", "sites", "--seeds", "1", "--jobs", "1"]
+
+    assert ablation.main([*arguments, "--mechanisms", "changes"]) == 0
+
+    assert "controls, sites, 1 networks" in capsys.readouterr().out
+
+
 def test_what_is_never_found_takes_for_ever() -> None:
     found = [Found(True, 50.0, 90.0, needed, needed < math.inf) for needed in (10, 30)]
     lost = [Found(True, 50.0, 90.0, math.nan, False)] * 2

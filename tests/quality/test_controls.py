@@ -13,7 +13,7 @@ import pytest
 from support.synthetic_events import learned_from, passage
 
 from bench.controls import Outcome, judge
-from bench.support.control_recordings import BEGINNING, Traffic, TwoSites
+from bench.support.control_recordings import BEGINNING, Street, Traffic, TwoSites
 from camtopod.records import Event
 
 SEED = 11
@@ -55,6 +55,16 @@ def test_a_group_that_walks_past_two_cameras_once_is_no_link() -> None:
             t += traffic.stay + 10.0 + chance.normal(0.0, 0.5)
 
     assert outcome(sorted(events, key=lambda event: event.t)).false == []
+
+
+def test_a_street_with_lights_that_drift_has_its_ways_only() -> None:
+    street = Street("drift")
+    events = street.record(102)
+
+    learned = judge(learned_from(events), street.ways, len(events))
+
+    assert learned.false == []
+    assert learned.right == len(street.ways)
 
 
 def test_two_sites_have_their_own_ways_and_none_between_them() -> None:

@@ -4,14 +4,10 @@ from __future__ import annotations
 
 import argparse
 import sys
-from pathlib import Path
 from typing import Any
 
-from camtopod.cli import exits
-from camtopod.cli.common import open_output
-from camtopod.codec import Rejected, decode_topology
+from camtopod.cli.common import open_output, topology_of
 from camtopod.export import FORMATS, camera_numbers, with_weak_links
-from camtopod.records import Topology
 
 
 def add_parser(add: Any) -> None:
@@ -36,7 +32,7 @@ def add_parser(add: Any) -> None:
 
 def run(args: argparse.Namespace) -> None:
     """Write the export. Raises `exits.InputError` if the topology cannot be read."""
-    topology = load(args.topology)
+    topology = topology_of(args.topology)
     if args.weak:
         topology = with_weak_links(topology)
     with open_output(args.out) as file:
@@ -45,15 +41,3 @@ def run(args: argparse.Namespace) -> None:
         numbers = camera_numbers(topology).items()
         shown = ", ".join(f"{number} is {name}" for name, number in numbers)
         print(f"export: cameras are numbered in this format: {shown}", file=sys.stderr)
-
-
-def load(path: str) -> Topology:
-    """Return a topology from a JSON file ('-': standard input).
-
-    Raises `OSError`, `exits.InputError`.
-    """
-    raw = sys.stdin.buffer.read() if path == "-" else Path(path).read_bytes()
-    try:
-        return decode_topology(raw)
-    except Rejected as error:
-        raise exits.InputError(f"{path} is not a topology: {error}") from None

@@ -8,25 +8,30 @@ from __future__ import annotations
 import argparse
 import itertools
 import sys
-from collections.abc import Iterator
-from typing import Any
+from collections.abc import Callable, Iterable, Iterator
+from typing import Any, TypeVar
 
 from msgspec.structs import replace
 
-from camtopod.cli.commands.export import load
-from camtopod.cli.events.event_lines import LineReader
+from camtopod.cli.common import configuration, counted, topology_of
+from camtopod.cli.events.event_lines import LineReader, open_input
+from camtopod.cli.events.time_order import Answers, Pipe, count_if_ordered
 from camtopod.cli.exits import InputError
 from camtopod.cli.terminal import Progress
 from camtopod.codec import to_json
 from camtopod.predict import Predictor, Walks
-from camtopod.records import Event, Match, Prediction, Topology
+from camtopod.records import Event, Kind, Match, Prediction, Topology
+
+AnswerT = TypeVar("AnswerT")
 
 
 def add_parser(add: Any) -> None:
     """Add `predict`."""
     parser = add(
         description="Predicts for each exit of recorded events where the object appears next, and "
-        "prints one prediction per line.",
+        "prints one prediction per line, in the order of the input. A pipe is answered as it is "
+        "read: an exit when a line that is later by [learn] lateness_seconds has come, or no line "
+        "comes for two seconds.",
         epilog="example: camtopod predict topology.json events.jsonl --top 3 > predictions.jsonl",
     )
     parser.add_argument(
@@ -39,7 +44,7 @@ def add_parser(add: Any) -> None:
         "topology", metavar="TOPOLOGY.json", help="topology as `camtopod learn` writes it"
     )
     parser.add_argument(
-        "events", metavar="EVENTS", help="file of event lines ('-': standard input)"
+        "events", metavar="EVENTS", help="file or pipe of event lines ('-': standard input)"
     )
     parser.add_argument(
         "--top",
@@ -58,65 +63,94 @@ def _count(text: str) -> int:
 
 
 def run(args: argparse.Namespace) -> None:
-    """Print a line for each exit (or entry) line, in input order; each uses only earlier events."""
-    topology = load(args.topology)
-    reader = LineReader()
-    lines = list(reader.merged([args.events]))
-    if reader.read and not lines:
-        print(f"camtopod: {reader.summary()}", file=sys.stderr)
-        raise InputError(f"no event lines in {args.events}: nothing to predict")
+    """Print a line for each exit (or entry) line, in input order; each uses only earlier events.
 
-    # Answer in the order of time.
-    by_time = sorted(range(len(lines)), key=lambda k: lines[k].event.t)
-    events = [lines[k].event for k in by_time]
-    answering = matches(topology, events) if args.walks else predictions(topology, events)
+    A pipe is answered as it is read, and so is a file in order of time; another file is sorted
+    first.
+    """
+    topology = topology_of(args.topology)
+    kind: Kind = "entry" if args.walks else "exit"
+    answer = matching(topology) if args.walks else predicting(topology)
     done = "entries matched" if args.walks else "exits predicted"
-    answers: dict[int, bytes] = {}
-    with Progress() as progress:
-        for k, answer in zip(by_time, answering, strict=True):
-            if answer is not None:
-                answers[k] = to_json(shortened(answer, args.top))
-            progress.show(f"%d {done} of %d lines", len(answers), len(lines))
+    reader = LineReader()
+    out = sys.stdout.buffer
+    lines: int | None = None
+    count = 0
+    with open_input(args.events) as file, Progress() as progress:
 
-    # Print in the order of the input.
-    for k in sorted(answers):
-        sys.stdout.buffer.write(answers[k] + b"\n")
-    sys.stdout.buffer.flush()
+        def texts(moment: list[Event]) -> list[bytes]:
+            nonlocal count
+            count += sum(event.kind == kind for event in moment)
+            progress.show(f"%d {done} of %d lines", count, lines or reader.read)
+            every = (one and shortened(one, args.top) for one in answer(moment))
+            return [to_json(one) + b"\n" if one else b"" for one in every]
+
+        if file.seekable():
+            answers = Answers(texts, kind, 0.0)
+            begin = file.tell()
+            lines = count_if_ordered(args.events, file)
+            file.seek(begin)
+            events = (line.event for line in reader.lines(args.events, file))
+            given = answers.of(events) if lines is not None else answers.of_unordered(events)
+        else:
+            answers = Answers(texts, kind, configuration(args).learn.lateness_seconds)
+            pipe = Pipe(file, out.flush, lambda: out.writelines(answers.rest()))
+            given = answers.of(line.event for line in reader.lines(args.events, pipe))
+        out.writelines(given)
+        out.flush()
+
+    if answers.late:
+        what = f"{counted(answers.late, 'line')} came too late for answers before"
+        print(f"camtopod: {what} ([learn] lateness_seconds); a file is sorted", file=sys.stderr)
     if (summary := reader.summary()) is not None:
         print(f"camtopod: {summary}", file=sys.stderr)
+    if reader.read and not reader.events:
+        raise InputError(f"no event lines in {args.events}: nothing to predict")
 
 
-def predictions(topology: Topology, events: list[Event]) -> Iterator[Prediction | None]:
-    """Yield the prediction of each exit, None for each entry.
+def predicting(topology: Topology) -> Callable[[list[Event]], list[Prediction | None]]:
+    """Return what answers the events of one moment after the other: the exits with predictions.
 
-    events: in order of time. Those of one moment become known when time has moved on.
+    Those of one moment become known when time has moved on.
     """
     predictor = Predictor(topology)
-    for _, moment in itertools.groupby(events, key=lambda event: event.t):
-        simultaneous = list(moment)
-        for event in simultaneous:
-            yield predictor.predict(event) if event.kind == "exit" else None
-        for event in simultaneous:
+
+    def answer(moment: list[Event]) -> list[Prediction | None]:
+        answers = [predictor.predict(one) if one.kind == "exit" else None for one in moment]
+        for event in moment:
             predictor.observe(event)
+        return answers
+
+    return answer
 
 
-def matches(topology: Topology, events: list[Event]) -> Iterator[Match | None]:
-    """Yield the match of each entry, None for each exit.
+def matching(topology: Topology) -> Callable[[list[Event]], list[Match | None]]:
+    """Return what answers the events of one moment after the other: the entries with matches.
 
-    events: in order of time. Of one moment, exits that end earlier passages count before entries.
+    Of one moment, exits that end earlier passages count before entries.
     """
     walks = Walks(topology)
-    for _, moment in itertools.groupby(events, key=lambda event: event.t):
-        simultaneous = list(moment)
-        begun = {(one.camera, one.track) for one in simultaneous if one.kind == "entry"}
-        ending = [
-            one.kind == "exit" and (one.camera, one.track) not in begun for one in simultaneous
-        ]
-        for event, first in zip(simultaneous, ending, strict=True):
+
+    def answer(moment: list[Event]) -> list[Match | None]:
+        begun = {(one.camera, one.track) for one in moment if one.kind == "entry"}
+        ending = [one.kind == "exit" and (one.camera, one.track) not in begun for one in moment]
+        for event, first in zip(moment, ending, strict=True):
             if first:
                 walks.observe(event)
-        for event, first in zip(simultaneous, ending, strict=True):
-            yield None if first else walks.observe(event)
+        return [
+            None if first else walks.observe(event)
+            for event, first in zip(moment, ending, strict=True)
+        ]
+
+    return answer
+
+
+def by_moment(
+    answer: Callable[[list[Event]], Iterable[AnswerT]], events: Iterable[Event]
+) -> Iterator[AnswerT]:
+    """Yield the answers to events, which are in order of time."""
+    for _, moment in itertools.groupby(events, key=lambda event: event.t):
+        yield from answer(list(moment))
 
 
 def shortened(answer: Prediction | Match, most: int | None) -> Prediction | Match:

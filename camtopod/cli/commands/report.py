@@ -7,8 +7,7 @@ from collections import deque
 from pathlib import Path
 from typing import Any
 
-from camtopod.cli.commands.export import load
-from camtopod.cli.common import configuration, open_output
+from camtopod.cli.common import configuration, open_output, topology_of
 from camtopod.cli.exits import InputError
 from camtopod.codec import Rejected, decode_topology
 from camtopod.records import Topology
@@ -50,7 +49,7 @@ def add_parser(add: Any) -> None:
 
 def run(args: argparse.Namespace) -> None:
     """Write the report. Raises `CommandError`."""
-    topology = load(args.topology)
+    topology = topology_of(args.topology)
     if args.pictures is not None and not args.pictures.is_dir():
         raise InputError(f"--pictures {args.pictures}: no such directory")
     older = _older(args.updates, topology) if args.updates else []

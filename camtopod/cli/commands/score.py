@@ -17,8 +17,8 @@ from typing import Any, TypeVar
 
 from msgspec import Struct
 
-from camtopod.cli.commands.export import load
-from camtopod.cli.commands.predict import matches, predictions
+from camtopod.cli.commands.predict import by_moment, matching, predicting
+from camtopod.cli.common import topology_of
 from camtopod.cli.events.event_lines import LineReader
 from camtopod.cli.exits import InputError
 from camtopod.cli.terminal import Progress
@@ -76,7 +76,7 @@ def add_parser(add: Any) -> None:
 
 def run(args: argparse.Namespace) -> None:
     """Print the scores. Raises `InputError`."""
-    topology = load(args.topology)
+    topology = topology_of(args.topology)
     reader = LineReader()
     events = sorted((line.event for line in reader.merged([args.events])), key=lambda one: one.t)
     if (summary := reader.summary()) is not None:
@@ -92,9 +92,9 @@ def run(args: argparse.Namespace) -> None:
         print("camtopod: these events were learned: the scores are too good", file=sys.stderr)
         begin = -math.inf
     lines = link_lines(topology, passages.values())
-    every = list(_given(predictions(topology, events), len(events), "predicted"))
+    every = list(_given(by_moment(predicting(topology), events), len(events), "predicted"))
     lines += prediction_lines(every, passages, begin, end)
-    every_match = _given(matches(topology, events), len(events), "matched")
+    every_match = _given(by_moment(matching(topology), events), len(events), "matched")
     found = [one for one in every_match if one.t > begin]
     print("\n".join([*lines, *match_lines(found, passages, window)]))
 

@@ -16,7 +16,8 @@ from collections import Counter
 from collections.abc import Iterable, Iterator
 from contextlib import ExitStack
 from functools import partial
-from typing import BinaryIO, NamedTuple
+from io import BufferedReader
+from typing import BinaryIO, NamedTuple, Protocol
 
 from camtopod.adapt import LINE_BYTES_MAX, Adapter, frames
 from camtopod.cli.events import csv_rows
@@ -42,6 +43,13 @@ _OTHER_FORMS = {
     rb"(\0[^\0]){2}": f"{_UTF_16}BE",
 }
 """Beginnings of files that hold text in another form, and what to do."""
+
+
+class Readable(Protocol):
+    """A file, or what stands before one."""
+
+    def read1(self, size: int, /) -> bytes:
+        """Wait for something, and return at most ``size`` bytes of what has come; none: the end."""
 
 
 class Line(NamedTuple):
@@ -87,20 +95,20 @@ class LineReader:
         except (OSError, ValueError):  # not seekable; closed, or no file of the system
             return None
 
-    def lines(self, path: str, file: BinaryIO) -> Iterator[Line]:
+    def lines(self, path: str, file: Readable) -> Iterator[Line]:
         """Yield the events of a file, lines of JSON or a table, in order; blank lines are skipped.
 
         Raises `InputError` for a table without the columns it needs.
         """
-        rest = pieces(path, file)
-        beginning = next(rest, b"")
-        whole = itertools.chain([beginning], rest)
-        is_table = csv_rows.is_table(beginning)
-        lines = csv_rows.rows(whole, path) if is_table else frames(whole, EVENT_BYTES_MAX)
-        for number, text in lines:
+        number = 0
+
+        def drop_label(error: Rejected) -> None:
+            self._drop_label(f"{path}:{number}", error)
+
+        for number, text in messages(path, file):
             self.read += 1
             try:
-                event = event_from_json(text, partial(self._drop_label, f"{path}:{number}"))
+                event = event_from_json(text, drop_label)
             except Rejected as error:
                 self.reject(error.reason, f"{path}:{number}: {error}", text)
                 continue
@@ -173,13 +181,26 @@ class LineReader:
         return "; ".join(parts) or None
 
 
-def pieces(path: str, file: BinaryIO) -> Iterator[bytes]:
+def messages(path: str, file: Readable) -> Iterator[tuple[int, bytes]]:
+    """Yield each line of a file that should be an event, as JSON, with its number (from 1).
+
+    Raises `InputError` for a table without the columns it needs.
+    """
+    rest = pieces(path, file)
+    beginning = next(rest, b"")
+    whole = itertools.chain([beginning], rest)
+    if csv_rows.is_table(beginning):
+        return csv_rows.rows(whole, path)
+    return frames(whole, EVENT_BYTES_MAX)
+
+
+def pieces(path: str, file: Readable) -> Iterator[bytes]:
     """Yield the content of a file as soon as it arrives.
 
     Raises `InputError` for a file that is no text in UTF-8 or ASCII.
     """
     number = 0
-    while piece := file.read1(_PIECE_BYTES):  # type: ignore[attr-defined]
+    while piece := file.read1(_PIECE_BYTES):
         number += 1
         for magic, form in _OTHER_FORMS.items():
             if number == 1 and re.match(magic, piece):
@@ -187,10 +208,10 @@ def pieces(path: str, file: BinaryIO) -> Iterator[bytes]:
         yield piece
 
 
-def open_input(path: str) -> BinaryIO:
+def open_input(path: str) -> BufferedReader:
     """Open a file for reading bytes; ``-`` is standard input. Raises `InputError`."""
     if path == "-":
-        return sys.stdin.buffer
+        return sys.stdin.buffer  # type: ignore[return-value]
     try:
         return open(path, "rb")
     except OSError as error:

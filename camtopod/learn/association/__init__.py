@@ -12,6 +12,7 @@ candidates first.
 """
 
 from camtopod.learn.association.candidates import (
+    CANDIDATES_AT_ONCE as CANDIDATES_AT_ONCE,
     RESPONSIBILITY_MAX as RESPONSIBILITY_MAX,
     Candidates as Candidates,
     departures_in_reach as departures_in_reach,
@@ -27,10 +28,12 @@ from camtopod.learn.association.convergence import (
 from camtopod.learn.association.em import (
     NOTHING as NOTHING,
     START_FLOOR as START_FLOOR,
+    SWEEPS as SWEEPS,
     Em as Em,
 )
 from camtopod.learn.association.em_model import EmModel as EmModel
 from camtopod.learn.association.joint_fit import (
+    FOLLOWED_TRANSITIONS_MIN as FOLLOWED_TRANSITIONS_MIN,
     SPARSITY as SPARSITY,
     Fit as Fit,
     fit_jointly as fit_jointly,
@@ -44,6 +47,7 @@ from camtopod.learn.association.problem import (
     exposures as exposures,
 )
 from camtopod.learn.association.screening import (
+    LIKELY_MIN as LIKELY_MIN,
     PAIRS_FEW as PAIRS_FEW,
     CandidateScreen as CandidateScreen,
     FollowedSources as FollowedSources,

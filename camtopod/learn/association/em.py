@@ -60,7 +60,9 @@ DEAD_SHARE = 0.003
 out of the rest of a fit. These are most candidates.
 """
 SWEEPS = 3
-"""Number of E steps under given hazards, over which the messages settle."""
+"""Number of E steps under given hazards, and of sweeps in those of paths, over which the messages
+settle.
+"""
 FEW = 200_000
 """Number of candidates up to which none are left out."""
 NOTHING = 1e-30

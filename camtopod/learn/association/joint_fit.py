@@ -27,7 +27,9 @@ SPARSITY = 1.0
 Without the prior, arrivals from outside would be shared out among thousands of pairs.
 """
 FOLLOWED_TRANSITIONS_MIN = 0.05
-"""Least expected number of transitions of a pair of zones that is kept for the next run."""
+"""Least expected transitions of a pair of zones that is kept for the next run; and least certain
+departures of a listed context, and transitions of it to a listed next zone.
+"""
 
 
 class Fit(NamedTuple):

@@ -47,7 +47,7 @@ from camtopod.learn.association.em import START_FLOOR
 from camtopod.learn.association.problem import Problem, exposures
 from camtopod.learn.lags import NOISE_SD, excess_sd
 from camtopod.learn.limits import (
-    JUDGED_MAX,
+    EVENT_PAIRS_MAX,
     WEIGHED_AT_ONCE,
     WEIGHED_MAX,
     ZONE_WEIGHED_AT_ONCE,
@@ -68,11 +68,10 @@ SOURCES_PER_ZONE_MAX = 32
 OVERLAP_FALSE = 0.05
 """Probability that `negative_without_overlap` finds any overlap on a site without overlaps."""
 LIKELY_MIN = 0.001
-"""Probability, after weighing, up to which candidates are dropped."""
-LIKELY_MAX = 3_000_000
+"""Probability up to which candidates are dropped or do not count."""
 LIKELY_PER_ARRIVAL = 16
-"""Limits of the candidates kept for the joint fit, the likeliest: in all, or for each arrival if
-that is more.
+"""The likeliest candidates of each arrival that are kept for the joint fit, if that is more than
+`EVENT_PAIRS_MAX` in all.
 """
 
 
@@ -284,7 +283,7 @@ def _likely(traffic: Traffic, pairs: ZonePairs, block: Block) -> Block:
     share = weight / total[block.at]
 
     # Drop improbable candidates.
-    most = max(LIKELY_PER_ARRIVAL, LIKELY_MAX // len(arrivals.t)) * len(unrelated)
+    most = max(LIKELY_PER_ARRIVAL, EVENT_PAIRS_MAX // len(arrivals.t)) * len(unrelated)
     least = np.partition(share, -most)[-most] if len(share) > most else 0.0
     kept = share > max(least, LIKELY_MIN)
     at, departure, pair = block.at[kept], block.departure[kept], block.pair[kept]
@@ -295,15 +294,15 @@ def candidates_of_pairs(problem: Problem, candidates: Candidates, pairs: Rows) -
     """Return all candidates of the given pairs of zones, probable or not, as evidence for links.
 
     Screened candidates are biased as evidence: those that remain of a pair have similar lags,
-    whether there is a link or not. Beyond `JUDGED_MAX` candidates, those of the arrivals with the
-    fewest departures in reach are returned.
+    whether there is a link or not. Beyond `EVENT_PAIRS_MAX` candidates, those of the arrivals
+    with the fewest departures in reach are returned.
 
     candidates: the screened candidates, whose numbering of pairs is kept.
     pairs (k,): numbers of the pairs.
     """
     pairs = pairs[np.argsort(candidates.target[pairs], kind="stable")]
     listed = ZonePairs(problem, candidates.source[pairs], candidates.target[pairs])
-    departure, arrival, pair, lag = _joined(listed.blocks(JUDGED_MAX))
+    departure, arrival, pair, lag = _joined(listed.blocks(EVENT_PAIRS_MAX))
     return candidates._replace(
         departure=departure, arrival=arrival, pair=pairs[pair].astype(np.int32), lag=lag
     )

@@ -26,10 +26,10 @@ from numpy.typing import NDArray
 from scipy.special import chdtri
 
 from camtopod.arrays import Floats, rows_by_group
-from camtopod.learn.association import Fit, Problem
+from camtopod.learn.association import LIKELY_MIN, Fit, Problem
 from camtopod.learn.links import (
+    PARTS,
     TRANSITIONS_MIN,
-    WEIGHT_MIN,
     LinkTable,
     PublishingRule,
     log_likelihood_ratio,
@@ -45,8 +45,6 @@ FACTORS = np.concatenate(([0.0], np.geomspace(0.01, 100.0, 27)))
 """Factors that are tried: share in a stretch of time over the share in the whole window."""
 SPLIT_DEPARTURES_MIN = 4
 """Least number of departures before a change, and after it."""
-BLOCKS = 16
-"""Number of blocks on either side of a change from whose counts the overdispersion is estimated."""
 COME_SHARE = 0.99
 """Share of a pair's transitions that have arrived when a departure counts: the newest departures
 may still arrive, but on a way of seconds that takes no longer because there is one of half an hour.
@@ -189,7 +187,7 @@ def transitions_by_pair(
     c = fit.candidates
     is_asked = np.zeros(len(c.source), bool)
     is_asked[pairs] = True
-    kept = np.flatnonzero(is_asked[c.pair] & (fit.responsibility > WEIGHT_MIN))
+    kept = np.flatnonzero(is_asked[c.pair] & (fit.responsibility > LIKELY_MIN))
 
     # Merge those of one pair and one arrival: sum of responsibilities, mean time of departure.
     key = c.pair[kept].astype(np.int64) * len(arrivals.t) + c.arrival[kept]
@@ -295,7 +293,7 @@ class _Table:
         # Squared deviations from a constant share on either side, and their expectation.
         square = chance = 0.0
         for low, high in ((begin, split), (split, end)):
-            edges = np.linspace(low, high, min(BLOCKS, high - low) + 1).astype(np.int64)
+            edges = np.linspace(low, high, min(PARTS // 2, high - low) + 1).astype(np.int64)
             each = self.moved(low, high)
             moved = np.concatenate(([0.0], np.cumsum(each)))
             count = np.diff(moved[self.at[edges] - self.at[low]])

@@ -13,9 +13,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from camtopod.arrays import Floats, rows_by_group
+from camtopod.learn.lags import FALSE_PROBABILITY
 
-FALSE_ALARM = 1e-3
-"""Probability that a camera has any false silence in one window."""
 EVENTS_PER_PASSAGE = 2.0
 """Events per passage. The two are not independent, so a gap counts half its number of events."""
 LONGER_THAN_BEFORE = 2.0
@@ -69,7 +68,8 @@ def _silences(t: Floats, own: NDArray[np.intp]) -> CameraSilences:
     # probability, given the camera's share of the traffic, is below the limit.
     gaps = np.diff(np.append(own, len(t))) - 1
     share = min(len(own) / (len(own) + int(gaps.sum())), 0.5)
-    silent = -math.log1p(-share) * gaps / EVENTS_PER_PASSAGE > math.log(len(own) / FALSE_ALARM)
+    least = math.log(len(own) / FALSE_PROBABILITY)
+    silent = -math.log1p(-share) * gaps / EVENTS_PER_PASSAGE > least
 
     # Convert gaps to intervals.
     ends = np.append(t[own[1:]], np.inf)

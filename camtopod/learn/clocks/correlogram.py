@@ -24,12 +24,9 @@ Spectra = NDArray[np.complex64]
 
 LAGS = 1000
 """Largest lag, in bins, either way."""
-BLOCK = 2048
-"""Bins of departures in one Fourier block; arrivals are taken from half a block before to half a
-block after it.
-"""
 SPECTRA_MAX = 4096
-"""Limit of the blocks of all labels together; beyond, only the newest stretch of time counts.
+"""Limit of the blocks of all labels together; beyond, only the newest stretch of time counts. A
+block are the departures in twice `LAGS` bins, with arrivals from `LAGS` before to `LAGS` after it.
 
 Half as many transforms are kept in memory, departures and arrivals together (16 MB a thousand).
 Others are computed again when they are needed.
@@ -70,8 +67,8 @@ class Correlograms:
         # Bin the newest stretch of time.
         blocks = max(SPECTRA_MAX // labels, 1)
         last = max(departures[0][-1], arrivals[0][-1])
-        first = max(min(departures[0][0], arrivals[0][0]), last - blocks * BLOCK * bin_seconds)
-        self._blocks = int((last - first) / bin_seconds) // BLOCK + 1
+        first = max(min(departures[0][0], arrivals[0][0]), last - blocks * 2 * LAGS * bin_seconds)
+        self._blocks = int((last - first) / bin_seconds) // (2 * LAGS) + 1
         self._bins = []
         for t, label in (departures, arrivals):
             kept = slice(int(np.searchsorted(t, first)), None)
@@ -87,28 +84,27 @@ class Correlograms:
 
         source, target (P,): labels of the departures and of the arrivals.
         """
-        product = np.empty((len(source), BLOCK + 1), np.complex64)
+        product = np.empty((len(source), 2 * LAGS + 1), np.complex64)
         for row, u, v in zip(product, source.tolist(), target.tolist(), strict=True):
             np.sum(self._of_label(0, u) * self._of_label(1, v), axis=0, out=row)
-        lags = scipy.fft.irfft(product, 2 * BLOCK)
+        lags = scipy.fft.irfft(product, 4 * LAGS)
         counts: Counts = np.rint(np.concatenate((lags[:, -LAGS:], lags[:, : LAGS + 1]), axis=1))
         return counts
 
     def _of_label(self, side: int, label: int) -> Spectra:
         """Return the Fourier transforms (blocks, frequencies) of the events of one label.
 
-        side: 0 for departures in each block, conjugate; 1 for arrivals from half a block before to
-            half a block after it.
+        side: 0 for departures in each block, conjugate; 1 for arrivals from before to after it.
         """
         spectra = self._spectra.pop((side, label), None)
         if spectra is None:
             # Count the events by block and bin.
             bins = self._bins[side][label]
-            block = bins // BLOCK + np.array(((0,), (-1, 0, 1))[side])[:, None]
-            at = bins - block * BLOCK + BLOCK // 2
-            inside = (block >= 0) & (block < self._blocks) & (at >= 0) & (at < 2 * BLOCK)
-            cell = block[inside] * (2 * BLOCK) + at[inside]
-            present = np.bincount(cell, minlength=self._blocks * 2 * BLOCK).astype(np.float32)
+            block = bins // (2 * LAGS) + np.array(((0,), (-1, 0, 1))[side])[:, None]
+            at = bins - block * 2 * LAGS + LAGS
+            inside = (block >= 0) & (block < self._blocks) & (at >= 0) & (at < 4 * LAGS)
+            cell = block[inside] * 4 * LAGS + at[inside]
+            present = np.bincount(cell, minlength=self._blocks * 4 * LAGS).astype(np.float32)
 
             # Transform.
             spectra = scipy.fft.rfft(present.reshape(self._blocks, -1), overwrite_x=True)

@@ -29,6 +29,7 @@ from camtopod.learn.clocks.correlogram import (
 from camtopod.learn.clocks.two_way_paths import ROUNDS, find_two_way_paths
 from camtopod.learn.lags import BIN_SECONDS
 from camtopod.learn.traffic import EVENT_SD_SECONDS, Arrivals, Departures, Scene
+from camtopod.topology import LAG_SECONDS_MIN
 
 SCREENING_BIN_SECONDS = 4.0
 """Width of the bins of the correlograms of camera pairs, by which large networks are screened."""
@@ -43,12 +44,9 @@ average over paths.
 """
 SPREAD_SHARE_MAX = 0.75
 """Largest standard deviation of transit times, as a share of the transit time. Beyond, there are
-several paths, which need not be used equally in both directions.
-"""
-SHORT_SECONDS = 2.0
-"""Least transit time in seconds that `SPREAD_SHARE_MAX` refers to; shorter ones count as this long.
-So do negative ones, which overlapping views have: a negative lag that varies is the dwell time in
-both views, which differs from one direction to the other.
+several paths, which need not be used equally in both directions. Transit times below
+`LAG_SECONDS_MIN` count as that. So do negative ones, which overlapping views have: a negative lag
+that varies is the dwell time in both views, which differs from one direction to the other.
 """
 RIGHT_WEIGHT = 0.01
 """Cost of a second of clock offset in the first estimate (`_least_disagreement`), in standard
@@ -196,7 +194,7 @@ def find_differences(
 
         # Their two-way paths.
         for path in find_two_way_paths(pair_counts.between(u, v), pair_counts.between(v, u)):
-            if path.spread > SPREAD_SHARE_MAX * max(path.transit, SHORT_SECONDS / BIN_SECONDS):
+            if path.spread > SPREAD_SHARE_MAX * max(path.transit, LAG_SECONDS_MIN / BIN_SECONDS):
                 continue
             sd = max(path.sd * BIN_SECONDS, EVENT_SD_SECONDS)
             found.append(Difference(a, b, path.ahead * BIN_SECONDS, sd, path.transit * BIN_SECONDS))

@@ -20,10 +20,10 @@ from camtopod.learn.links.cross_validation import (
     link_evidence as link_evidence,
 )
 from camtopod.learn.links.link_table import (
+    FAINT_TRANSITIONS as FAINT_TRANSITIONS,
     MONTE_CARLO_SEED as MONTE_CARLO_SEED,
     NEXT_ZONES_MAX as NEXT_ZONES_MAX,
     TRANSITIONS_MIN as TRANSITIONS_MIN,
-    WEAK_TRANSITIONS_MIN as WEAK_TRANSITIONS_MIN,
     LinkTable as LinkTable,
     PathEvidence as PathEvidence,
     concatenate_transitions as concatenate_transitions,
@@ -44,13 +44,13 @@ from camtopod.learn.links.publishing import (
     PublishingRule as PublishingRule,
 )
 from camtopod.learn.links.significance import (
+    PARTS as PARTS,
     evidence_against_unrelated as evidence_against_unrelated,
     expected_by_part as expected_by_part,
     log_likelihood_ratio as log_likelihood_ratio,
     q_values as q_values,
     repeated_evidence as repeated_evidence,
 )
-from camtopod.learn.links.transit_time import WEIGHT_MIN as WEIGHT_MIN
 from camtopod.learn.links.visible_links import (
     passages_lasting as passages_lasting,
     visible_transitions as visible_transitions,

@@ -30,15 +30,11 @@ from camtopod.learn.association import (
 from camtopod.learn.lags import SMOOTHING_SD_BINS
 from camtopod.learn.links.link_table import TRANSITIONS_MIN
 from camtopod.learn.links.significance import PARTS
-from camtopod.learn.traffic import Departures
+from camtopod.learn.traffic import GAIN_NATS, HARMONICS, Departures
 from camtopod.topology import lag_smoothing_matrix
 
 PERIOD_SECONDS = (20.0, 240.0)
 """Shortest and longest period: of lifts and bells, and of the slowest lights."""
-HARMONICS = 3
-"""Harmonics of a cycle that count: platoons fill about a third of it."""
-STEP_SECONDS = 2.0
-"""Width of the time bins of a spectrum: three for the fastest harmonic."""
 BLOCK_SECONDS = 7200.0
 """Length of a block of time, within which a cycle has to keep its phase."""
 NEIGHBOURS = 65
@@ -49,8 +45,6 @@ PEAK_NATS = 20.0
 """Least significance of a period at each of two zones, as the negative log of a p-value, beside the
 number of periods that are looked at.
 """
-GAIN_NATS = 8.0
-"""Least evidence that a period could make of no way at all: with less, none would be published."""
 COPIES = (-3, -2, -1, 1, 2, 3)
 """The copies of the departures: whole periods by which they are moved."""
 EXCESS_SD = (1.0, 3.0)
@@ -70,10 +64,11 @@ def common_periods(problem: Problem, fit: Fit) -> Floats:
     first = min(departures.t[0], arrivals.t[0])
     seconds = problem.until - first
     blocks = max(round(seconds / BLOCK_SECONDS), 1)
-    steps = int(seconds / blocks / STEP_SECONDS) + 1
-    size = next_fast_len(4 * steps, real=True)
-    span = size * STEP_SECONDS
     shortest, longest = PERIOD_SECONDS
+    step = shortest / (4 * HARMONICS)  # four time bins for a wave of the fastest harmonic
+    steps = int(seconds / blocks / step) + 1
+    size = next_fast_len(4 * steps, real=True)
+    span = size * step
     # Seven periods at least: the departures and all copies differ.
     longest = min(longest, max(problem.until - departures.t[0], 1.0) / (1 + len(COPIES)))
     period = span / np.arange(int(span / longest) + 1, int(span / shortest) + 1)
@@ -90,9 +85,9 @@ def common_periods(problem: Problem, fit: Fit) -> Floats:
         rows = rows_by_group(zone, problem.zones)
         table = np.zeros((2, len(some), len(period)))
         for power, line, each in zip(*table, some.tolist(), strict=True):
-            step = ((t[rows[each]] - first) / STEP_SECONDS).astype(np.int64)
-            step = step[step < blocks * steps]  # by a wrong clock, some are after the window
-            counts = np.bincount(step, minlength=blocks * steps).reshape(blocks, steps)
+            at = ((t[rows[each]] - first) / step).astype(np.int64)
+            at = at[at < blocks * steps]  # by a wrong clock, some are after the window
+            counts = np.bincount(at, minlength=blocks * steps).reshape(blocks, steps)
             waves = np.abs(rfft(counts - counts.mean(axis=1, keepdims=True), size)) ** 2
             power += waves.sum(axis=0)[harmonics].sum(axis=0)
             power *= gammaincinv(noise, 0.5) / max(float(np.median(power)), 1e-9)

@@ -44,10 +44,6 @@ from camtopod.learn.traffic import activity_rates
 
 STRETCH_LAGS = 16.0
 """Length of a stretch, in multiples of the longest transit time, unless the window is too short."""
-BET_SPARSITY = 0.5
-"""Transitions that the sparse prior takes off each pair of zones in the fit for a bet. They are
-fewer than in the fit of the whole window, as half of the window has fewer transitions.
-"""
 OUTSIDE_LEAST = 0.5
 """Least share of the local rate of arrivals that counts as from outside when a bet is judged."""
 
@@ -231,9 +227,12 @@ class Halves:
 
 
 def _fitted(fitter: Em) -> Singles:
-    """Return hazards (P, bins) fitted from scratch, with the sparse prior in the last run only."""
+    """Return hazards (P, bins) fitted from scratch, with the sparse prior in the last run only.
+
+    Half of the window has half of the transitions, so the prior takes off half as many, too.
+    """
     hazard = fitter.run(fitter.start())
-    fitter.model = fitter.model._replace(sparsity=BET_SPARSITY)
+    fitter.model = fitter.model._replace(sparsity=SPARSITY / 2)
     result = np.zeros_like(hazard)
     left = fitter.keep(fitter.live())
     result[left] = fitter.run(hazard[left])

@@ -22,10 +22,14 @@ from camtopod.topology import LagBins, smooth
 
 TRANSITIONS_MIN = 2.0
 """Least expected number of transitions of a published link."""
-WEAK_TRANSITIONS_MIN = 0.2
-"""Least expected number of transitions of a weak link."""
+FAINT_TRANSITIONS = 0.2
+"""Transitions that the fit for prediction adds to every pair of zones, and least expected number of
+those of a weak link.
+"""
 NEXT_ZONES_MAX = 24
-"""Largest number of weak links from one zone, and of next zones that prediction reads."""
+"""Largest number of places that are considered next of one place: of weak links from one zone, next
+zones that prediction reads, paths from one camera, and overlaps with one view.
+"""
 MONTE_CARLO_SEED = 2011
 """Seed of the Monte Carlo observations, fixed so that versions are reproducible."""
 
@@ -286,7 +290,7 @@ def select_weak_links(likely: LinkTable, published: LinkTable, zones: int) -> Li
     likely = likely._replace(probability=np.minimum(likely.probability * scale[likely.source], 1.0))
 
     # Order the unpublished pairs by source and probability, and keep the first of each source.
-    rows = np.flatnonzero(~known & (likely.transit.total >= WEAK_TRANSITIONS_MIN))
+    rows = np.flatnonzero(~known & (likely.transit.total >= FAINT_TRANSITIONS))
     rows = rows[np.lexsort((likely.target[rows], -likely.probability[rows], likely.source[rows]))]
     source = likely.source[rows]
     starts = np.diff(source, prepend=-1) != 0

@@ -15,7 +15,9 @@ from camtopod.arrays import Floats, Ints, Longs, Rows
 from camtopod.learn.association import RESPONSIBILITY_MAX
 
 PARTS = 32
-"""Parts of the window with as many events each; two in a row are taken for one occasion."""
+"""Parts of the window with as many events each; two in a row are taken for one occasion. There
+are half as many on either side of a change, whose counts tell the overdispersion.
+"""
 OCCASION_SHARE_MAX = 1.0 / 3.0
 """Evidence of one occasion that counts, as a share of that of all others."""
 

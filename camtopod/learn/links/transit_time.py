@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from scipy.special import ndtri
 
 from camtopod.arrays import Floats
+from camtopod.learn.association import LIKELY_MIN
 from camtopod.learn.traffic import EVENT_SD_SECONDS
 from camtopod.topology import LagBins
 
@@ -23,10 +24,6 @@ QUANTILES = (0.1, 0.5, 0.9)
 """Quantiles of the transit time that are published."""
 QUARTILES = (0.25, 0.5, 0.75)
 """Quartiles, from which median and spread are estimated."""
-WEIGHT_MIN = 1e-3
-"""Responsibility up to which a transition does not count for quantiles, if its pair of zones has
-others.
-"""
 NORMAL_QUARTILES = float(np.diff(ndtri((0.25, 0.75)))[0])
 """Distance between the quartiles of a normal distribution, in standard deviations."""
 MEDIAN_ERROR = math.sqrt(math.pi / 2.0)
@@ -119,7 +116,7 @@ def weighted_quantiles(
         weight is reached.
     """
     # Leave out improbable transitions, unless a pair has no others.
-    likely = weight > WEIGHT_MIN
+    likely = weight > LIKELY_MIN
     some_likely = np.bincount(pair[likely], minlength=pairs) > 0
     rows = np.flatnonzero(likely | ((weight > 0.0) & ~some_likely[pair]))
     result = np.full((pairs, len(shares)), np.nan)

@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 from scipy.sparse import csr_array
 
 from camtopod.arrays import Floats, Longs, Singles
-from camtopod.learn.association import NOTHING, Candidates, Problem
+from camtopod.learn.association import LIKELY_MIN, NOTHING, Candidates, Problem
 from camtopod.learn.limits import CONTEXT_CELLS_MAX, of_site
 from camtopod.topology import BACK_OFF_DEPARTURES, MULTIPLIER_MAX
 
@@ -29,8 +29,6 @@ LEVELS = ("entry+block", "previous")
 """Levels of context; each backs off to the one before. ``entry``: zone of entry. ``block``: block
 of the image where the object left. ``previous``: camera that the object came from.
 """
-PREVIOUS_RESPONSIBILITY_MIN = 0.02
-"""Least responsibility of candidates from which the previous camera is determined."""
 
 
 class ContextLevel(NamedTuple):
@@ -237,7 +235,7 @@ class Contexts:
         """
         c = candidates
         d = self.departures
-        likely = np.flatnonzero(responsibility > PREVIOUS_RESPONSIBILITY_MIN)
+        likely = np.flatnonzero(responsibility > LIKELY_MIN)
         key = c.arrival[likely].astype(np.int64) * self.cameras + d.camera[c.departure[likely]]
         present, number = np.unique(key, return_inverse=True)
         mass = np.bincount(number, responsibility[likely], minlength=len(present))

@@ -29,7 +29,8 @@ from camtopod.learn.association import (
     negative_without_overlap,
     result,
 )
-from camtopod.learn.links import LinkTable
+from camtopod.learn.lags import CLEAR_NOISE_SD
+from camtopod.learn.links import FAINT_TRANSITIONS, LinkTable
 from camtopod.learn.next_camera.contexts import ContextCounts, ContextLevel, Contexts, multipliers
 from camtopod.learn.next_camera.entry_kernels import EntryKernels
 from camtopod.learn.next_camera.prior import Prior
@@ -40,17 +41,9 @@ from camtopod.learn.next_camera.spurious import (
 )
 from camtopod.topology import LEAVE_FLOOR
 
-FIRST_NOISE_SD = 3.0
-"""Standard deviations of the null model that are subtracted from lag histograms for first hazards.
-"""
 FIRST_ROUNDS = 3
 """Rounds of EM without contexts; after each round, unlikely candidates are left out and speed is
 estimated.
-"""
-FAINT_TRANSITIONS = 0.2
-"""Transitions of every pair of zones that are added in iterations with contexts, spread evenly over
-the lag bins after the exit. With little data a converged fit is overconfident, as it reinforces its
-own first guesses.
 """
 
 
@@ -154,11 +147,11 @@ class PosteriorFitter:
         overlapping (cameras, cameras): True where two views are known to overlap.
         """
         # First hazards and entry kernels, from the excess over the null model.
-        self.entering.start(FIRST_NOISE_SD)
-        self.hazard = self.em.start(FIRST_NOISE_SD)
+        self.entering.start(CLEAR_NOISE_SD)
+        self.hazard = self.em.start(CLEAR_NOISE_SD)
         if self.problem.arrivals.label is not None:
             self.em.learn_speed(self.hazard)
-            self.hazard = self.em.start(FIRST_NOISE_SD)
+            self.hazard = self.em.start(CLEAR_NOISE_SD)
 
         # Rounds without contexts; impossible candidates are left out as soon as they show.
         for before in range(FIRST_ROUNDS):
@@ -214,7 +207,11 @@ class PosteriorFitter:
                     self._learn_contexts()
 
     def _with_faint(self) -> Singles:
-        """Return the hazards (P, bins) with `FAINT_TRANSITIONS` of every pair of zones added."""
+        """Return the hazards (P, bins) with `FAINT_TRANSITIONS` of every pair of zones added.
+
+        They are spread evenly over the lag bins after the exit. With little data a converged fit is
+        overconfident, as it reinforces its own first guesses.
+        """
         em = self.em
         bins = self.problem.bins
         after = bins.edges[1:] > 0

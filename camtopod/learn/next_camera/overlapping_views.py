@@ -18,7 +18,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from camtopod.arrays import Floats, Longs, Rows, ranges_in_parts
-from camtopod.learn.lags import NOISE_SD, excess_sd
+from camtopod.learn.association import CANDIDATES_AT_ONCE
+from camtopod.learn.lags import CLEAR_NOISE_SD, FALSE_PROBABILITY, NOISE_SD, excess_sd
+from camtopod.learn.limits import EVENT_PAIRS_MAX
+from camtopod.learn.links import NEXT_ZONES_MAX
 from camtopod.learn.traffic import Departures
 from camtopod.topology import SMOOTHING_SD_BINS, LagBins, lag_smoothing_matrix, smooth
 
@@ -30,19 +33,6 @@ the fewest transitions.
 """
 NULL_MIN = 0.02
 """Least number of passages that the null model expects in a bin, over all exits."""
-SCREENED_SD = 3.0
-"""Least excess of the open passages of a pair of cameras over the null model, in standard
-deviations, for the pair to be tested.
-"""
-SCREENED_PER_CAMERA_MAX = 16
-"""Largest number of pairs tested for each camera of the exits, those with the largest excess."""
-FALSE_PROBABILITY = 0.001
-"""Probability of any false overlap on a site without overlaps, if passages were independent."""
-OPEN_PAIRS_MAX = 3_000_000
-"""Largest number of pairs of an exit and an open passage that are counted; the newest exits count.
-"""
-OPEN_PAIRS_AT_ONCE = 1 << 18
-"""Number of such pairs that are in memory at one time."""
 
 
 class OverlappingViews(NamedTuple):
@@ -75,7 +65,7 @@ def find_overlapping(passages: Departures, cameras: int, bins: LagBins) -> list[
     """
     if len(passages.t) == 0:
         return []
-    newest = _newest(passages, OPEN_PAIRS_MAX)
+    newest = _newest(passages, EVENT_PAIRS_MAX)
     end = len(passages.t)
 
     # Select the pairs of cameras with more open passages than under the null model.
@@ -160,10 +150,10 @@ def _screened(excess: Floats) -> tuple[Rows, Rows]:
     excess (cameras, cameras): excess of open passages over the null model in standard deviations,
         by camera of the exit and camera of the passage.
     """
-    largest = np.argsort(-excess, axis=1, kind="stable")[:, :SCREENED_PER_CAMERA_MAX]
+    largest = np.argsort(-excess, axis=1, kind="stable")[:, :NEXT_ZONES_MAX]
     kept = np.zeros(excess.shape, np.bool_)
     np.put_along_axis(
-        kept, largest, np.take_along_axis(excess, largest, axis=1) > SCREENED_SD, axis=1
+        kept, largest, np.take_along_axis(excess, largest, axis=1) > CLEAR_NOISE_SD, axis=1
     )
     source, target = np.nonzero(kept)
     return source, target
@@ -184,12 +174,12 @@ def _open(passages: Departures, exits: slice, shift: float) -> Iterator[tuple[Ro
     exits: slice of the passages whose exits are used.
     shift: seconds after the exit at which the passage is open.
 
-    Each part has about `OPEN_PAIRS_AT_ONCE` pairs, as two arrays of rows of ``passages``. A passage
+    Each part has about `CANDIDATES_AT_ONCE` pairs, as two arrays of rows of ``passages``. A passage
     is open from its entry to its exit.
     """
     exit_times = passages.t[exits]
     first, stop = (np.searchsorted(exit_times, t - shift) for t in (passages.since, passages.t))
-    pairs = ranges_in_parts(first, np.maximum(stop - first, 0), OPEN_PAIRS_AT_ONCE)
+    pairs = ranges_in_parts(first, np.maximum(stop - first, 0), CANDIDATES_AT_ONCE)
     for passage, at in pairs:
         yield at + exits.start, passage
 

@@ -18,10 +18,8 @@ from camtopod.learn.association import Candidates
 
 RETURNING = 10.0
 """Number of additional departures of each zone that go where its arrivals come from, if all paths
-are two-way.
+are two-way; and weight, in transitions, of the assumption that they are.
 """
-TWO_WAY_TRANSITIONS = 20.0
-"""Prior weight, in transitions, of the assumption that all paths are two-way."""
 
 
 class Prior:
@@ -50,4 +48,4 @@ class Prior:
         returned = np.where(self.back < 0, 0.0, transitions[self.back])
         both = float(np.minimum(transitions, returned).sum())
         total = float(transitions.sum())
-        return RETURNING * (both + TWO_WAY_TRANSITIONS) / (total + TWO_WAY_TRANSITIONS)
+        return RETURNING * (both + RETURNING) / (total + RETURNING)

@@ -11,7 +11,7 @@ from typing import NamedTuple
 import numpy as np
 
 from camtopod.arrays import Floats, Ints, Longs, Rows, Singles, ranges
-from camtopod.learn.limits import PATH_CANDIDATES_MAX, ZONE_PATH_CANDIDATES_MAX
+from camtopod.learn.limits import EVENT_PAIRS_MAX, ZONE_PATH_CANDIDATES_MAX
 from camtopod.learn.traffic import (
     Arrivals,
     Departures,
@@ -103,7 +103,7 @@ def camera_lags(
     by_zone: bool = False,
     label_persistence: float = 0.0,
 ) -> CameraLags:
-    """Return the candidates of a window, `PATH_CANDIDATES_MAX` at most, of its newest events.
+    """Return the candidates of a window, `EVENT_PAIRS_MAX` at most, of its newest events.
 
     cameras: number of cameras.
     lag_min (seconds): least lag; an arrival is not before the entry of the departing object either.
@@ -115,8 +115,8 @@ def camera_lags(
     if by_zone:
         lag_min = 0.0
     span = max(until - float(min(departures.t[0], arrivals.t[0])), 1.0)
+    most = ZONE_PATH_CANDIDATES_MAX if by_zone else EVENT_PAIRS_MAX
     lag_max = min(ZONE_LAG_SECONDS_MAX if by_zone else LAG_SECONDS_MAX, 0.5 * span)
-    most = ZONE_PATH_CANDIDATES_MAX if by_zone else PATH_CANDIDATES_MAX
 
     # Arrivals in reach of each departure, of the newest departures.
     first, end = _reach(departures, arrivals, lag_min, lag_max)

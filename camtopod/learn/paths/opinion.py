@@ -7,7 +7,7 @@ import numpy as np
 from camtopod.arrays import Floats
 from camtopod.learn.assemble import zone_id
 from camtopod.learn.limits import PATH_CAMERAS_MAX
-from camtopod.learn.links import PathEvidence
+from camtopod.learn.links import NEXT_ZONES_MAX, PathEvidence
 from camtopod.learn.paths.camera_lags import camera_lags
 from camtopod.learn.paths.dictionary import find_peaks
 from camtopod.learn.paths.path_fit import PathFit
@@ -23,8 +23,6 @@ between zones: signals make platoons, which tell paths worse than their bins res
 """
 PLATOON_DEPARTURES_PER_ZONE = 150.0
 """Departures per zone from which platoons need no second opinion."""
-PATHS_PER_CAMERA_MAX = 32
-"""Paths of one camera that are published, the likeliest first."""
 
 
 def is_wanted(scene: Scene, cameras: int) -> bool:
@@ -89,7 +87,7 @@ def second_opinion(
     rows = []
     order = np.argsort(-share, kind="stable")
     for camera, name in enumerate(cameras):
-        likely = order[pair[order] // len(cameras) == camera][:PATHS_PER_CAMERA_MAX]
+        likely = order[pair[order] // len(cameras) == camera][:NEXT_ZONES_MAX]
         rows += [
             CameraPath(
                 name,

@@ -15,7 +15,14 @@ import numpy as np
 from scipy.special import digamma
 
 from camtopod.arrays import Floats, Longs, Rows, Singles
-from camtopod.learn.association import ITERATIONS, ConvergenceMonitor, answers, claims, offers
+from camtopod.learn.association import (
+    ITERATIONS,
+    SWEEPS,
+    ConvergenceMonitor,
+    answers,
+    claims,
+    offers,
+)
 from camtopod.learn.lags import BIN_SECONDS
 from camtopod.learn.links import (
     OUTSIDE_LEAST,
@@ -28,8 +35,6 @@ from camtopod.learn.paths.camera_lags import CameraLags
 from camtopod.learn.paths.dictionary import log_density
 from camtopod.topology import DEGREES, LEAVE_FLOOR, REACH_WIDTHS, student_density
 
-SWEEPS = 2
-"""Sweeps of messages in each iteration."""
 PATH_ITERATIONS = 15
 """Largest number of EM iterations of a run with all paths of the dictionary."""
 SPARSE_NATS = (0.3, 0.6, 1.0, 1.5, 2.0, 2.5, 3.0)

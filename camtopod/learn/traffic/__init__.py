@@ -32,7 +32,11 @@ from camtopod.learn.traffic.labels import (
     label_shares as label_shares,
     label_table as label_table,
 )
-from camtopod.learn.traffic.rhythm import activity_rates as activity_rates
+from camtopod.learn.traffic.rhythm import (
+    GAIN_NATS as GAIN_NATS,
+    HARMONICS as HARMONICS,
+    activity_rates as activity_rates,
+)
 from camtopod.learn.traffic.speed import (
     NO_PERSISTENCE as NO_PERSISTENCE,
     SURE_RESPONSIBILITY as SURE_RESPONSIBILITY,

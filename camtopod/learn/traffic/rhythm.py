@@ -7,8 +7,9 @@ strongest cycle, and the zone's own past arrivals, each of which raises the rate
 self-exciting process). Their shares are fitted to the arrivals by expectation maximisation. A
 platoon then explains itself, but for its beginning.
 
-`activity_rates` adds what other cameras tell of the site's activity. It judges links only: in the
-fit, the activity would take what true ways explain.
+`activity_rates` adds what other cameras tell of the site's activity, and what a zone's own past
+tells at any age: where a light has no fixed cycle, the next platoon comes some cycle after this
+one. It judges links only: in the fit, both would take what true ways explain.
 """
 
 from __future__ import annotations
@@ -22,16 +23,20 @@ from camtopod.learn.traffic.background_rate import local_rates
 
 CYCLE_SECONDS = (40.0, 150.0)
 """Shortest and longest cycle, those of traffic signals."""
-HARMONICS = 2
-"""Harmonics that describe the course of a cycle."""
+HARMONICS = 3
+"""Harmonics that describe the course of a cycle: platoons fill about a third of it."""
 PAST_SECONDS = CYCLE_SECONDS[0]
 """Time constant with which the effect of an arrival decays: what lasts longer is a cycle."""
 GAIN_NATS = 8.0
-"""Least gain in log likelihood for which a zone has a rhythm, or a cycle among all frequencies."""
+"""Least gain in log likelihood for which a zone has a rhythm, or a cycle among all frequencies; and
+least evidence that a common cycle could make of no way at all: with less, none would be published.
+"""
 ITERATIONS = 50
 """Iterations of EM for the shares of the parts."""
 ACTIVITY_SECONDS = 20.0
 """Time constant of the activity at other cameras around an arrival."""
+PAST_AGES = np.arange(ACTIVITY_SECONDS, CYCLE_SECONDS[1] + ACTIVITY_SECONDS, ACTIVITY_SECONDS)
+"""Limits of the ages at which earlier arrivals at the zone count apart, up to a cycle, seconds."""
 ACTIVITY_PRIOR_EVENTS = 0.1
 """Weight of the usual activity, in events: few cameras tell little."""
 
@@ -52,7 +57,7 @@ def rhythm_rates(t: Floats, zone: Ints, even: Floats, zones: int) -> Floats:
 
 
 def activity_rates(t: Floats, zone: Ints, camera: Ints, rate: Floats) -> Floats:
-    """Return the rate (n, 1/s) at each arrival if arrivals also follow the activity of the site.
+    """Return the rate (n, 1/s) at each arrival if it also follows the site, and its own past.
 
     t (n,): times of arrivals in seconds, ascending.
     zone, camera (n,): their zones and cameras.
@@ -60,7 +65,7 @@ def activity_rates(t: Floats, zone: Ints, camera: Ints, rate: Floats) -> Floats:
 
     When a lecture ends, many arrive at all cameras, though none comes from another camera. The
     activity is the rate of arrivals at other cameras around an arrival, relative to the usual rate
-    there, and its share at each zone is the likeliest one.
+    there. Its share at each zone, and that of earlier arrivals by their age, are the likeliest.
     """
     zones = int(zone.max(initial=-1)) + 1
     cameras = int(camera.max(initial=-1)) + 1
@@ -69,7 +74,7 @@ def activity_rates(t: Floats, zone: Ints, camera: Ints, rate: Floats) -> Floats:
     usual = local_rates(t, every, 1) - local_rates(t, camera, cameras)
     prior = ACTIVITY_PRIOR_EVENTS / ACTIVITY_SECONDS
     relative = (np.maximum(around, 0.0) + prior) / (np.maximum(usual, 0.0) + prior)
-    parts = np.stack((rate, rate * relative))
+    parts = np.stack((rate, rate * relative, *_past_by_age(t, zone, zones)))
     return np.maximum(rate, _mixed(parts, zone, zones))
 
 
@@ -153,4 +158,17 @@ def _own_past(t: Floats, zone: Ints, zones: int) -> Floats:
     for rows in rows_by_group(zone, zones):
         log_sum = np.logaddexp.accumulate(since[rows])
         rate[rows[1:]] = np.exp(log_sum[:-1] - since[rows[1:]]) / PAST_SECONDS
+    return rate
+
+
+def _past_by_age(t: Floats, zone: Ints, zones: int) -> Floats:
+    """Return the rates (ages, n, 1/s) that earlier arrivals at the zone of each arrival make.
+
+    Each of them adds an even rate while its age is between two of `PAST_AGES`.
+    """
+    rate = np.zeros((len(PAST_AGES) - 1, len(t)))
+    for rows in rows_by_group(zone, zones):
+        at = t[rows]
+        before = np.array([at.searchsorted(at - age) for age in PAST_AGES])
+        rate[:, rows] = (before[:-1] - before[1:]) / np.diff(PAST_AGES)[:, None]
     return rate

@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from camtopod.arrays import Floats, Ints, Longs, Rows
-from camtopod.topology import DWELL_SECONDS_MIN, LAG_SECONDS_MIN, SLOWNESS_MAX
+from camtopod.topology import DWELL_SECONDS_MIN, LAG_SECONDS_MIN, MULTIPLIER_MAX, SLOWNESS_MAX
 
 USUAL_PASSAGES_MIN = 5
 """Least number of passages between two zones for their median dwell time to count as usual."""
@@ -29,8 +29,6 @@ slope in `_scaling`.
 """
 SIGNIFICANT_SD = 2.0
 """Standard errors subtracted from each estimate, so that only a significant one has an effect."""
-AGREEMENT_MAX = 1e9
-"""Largest likelihood ratio by which two slownesses speak for one object."""
 
 
 class Persistence(NamedTuple):
@@ -179,5 +177,5 @@ def agreement(before: Floats, after: Floats, p: Persistence) -> Floats:
     v = after / p.sd
     r = p.correlation
     exponent = (2.0 * r * u * v - r * r * (u * u + v * v)) / (2.0 * (1.0 - r * r))
-    ratio: Floats = np.exp(np.minimum(exponent, np.log(AGREEMENT_MAX))) / np.sqrt(1.0 - r * r)
-    return np.where(np.isfinite(ratio), np.minimum(ratio, AGREEMENT_MAX), 1.0)
+    ratio: Floats = np.exp(np.minimum(exponent, np.log(MULTIPLIER_MAX))) / np.sqrt(1.0 - r * r)
+    return np.where(np.isfinite(ratio), np.minimum(ratio, MULTIPLIER_MAX), 1.0)

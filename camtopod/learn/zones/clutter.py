@@ -35,7 +35,8 @@ WIDTH = 4.0
 """Standard deviation, grid steps, of the kernel that averages clutter; larger than a zone."""
 DENSER = 2.0
 """A cell counts as clutter up to this multiple of the local rate of clutter, plus three standard
-deviations of Poisson noise and one event.
+deviations of Poisson noise and one event; and a way ends in a place this many times as dense as a
+group on it.
 """
 EVENTS_ALIKE = 30.0
 """Weight, in events, of the rate of the whole image in the local rate of clutter."""

@@ -13,6 +13,7 @@ from scipy.spatial.distance import cdist
 
 from camtopod.arrays import Floats
 from camtopod.learn.zones.cells import Cells
+from camtopod.learn.zones.clutter import DENSER
 from camtopod.learn.zones.marginal_likelihood import covariance, moments
 from camtopod.topology import GRID_COLUMNS, GRID_ROWS
 
@@ -28,8 +29,6 @@ _ROUNDER = 0.2
 """Share of the sum of a group's variances that is added along both axes, as ways are bent."""
 _KERNEL = 0.7
 """Standard deviation of the kernel that measures density, in those of the group."""
-_DENSER = 2.0
-"""A way ends in a place this many times as dense as the group."""
 _REACH = 1.75
 """Distance from the border of the view, in standard deviations, within which a group reaches it: an
 even strip along the border has its centre at 1.73.
@@ -79,7 +78,7 @@ def way_contrast(cells: Cells, group: Floats, rates: Floats) -> float:
     way = rays[-1]
     for ring in rays[-2::-1]:
         on = np.maximum(way, _BEND * np.maximum(np.roll(way, 1), np.roll(way, -1)))
-        way = np.where(ring > _DENSER * here, ring, np.minimum(ring, on))
+        way = np.where(ring > DENSER * here, ring, np.minimum(ring, on))
     through = float(np.minimum(way, way[_RAYS_BACK].max(axis=1)).max())
 
     # The expected clutter under the kernel, whose area is in cells.

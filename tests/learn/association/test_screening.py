@@ -122,7 +122,7 @@ def in_reach(departures: Departures, arrivals: Arrivals) -> int:
 def test_what_is_kept_are_candidates(seed: int, left: int, came: int, most: int) -> None:
     ends = anything(seed, left, came)
     with pytest.MonkeyPatch.context() as limits:
-        limits.setattr(module, "LIKELY_MAX", 0)
+        limits.setattr(module, "EVENT_PAIRS_MAX", 0)
         limits.setattr(module, "LIKELY_PER_ARRIVAL", most)
         found = found_by(CandidateScreen(), ends, in_reach(*ends) - 1, 6)
     assert len(found.lag) <= most * came
@@ -144,7 +144,7 @@ def true_ones(found: Candidates) -> list[bool]:
 
 def test_the_true_ones_among_many_are_kept(monkeypatch: pytest.MonkeyPatch) -> None:
     """Of 300,000 candidates nearly all are spurious."""
-    monkeypatch.setattr(module, "LIKELY_MAX", 0)
+    monkeypatch.setattr(module, "EVENT_PAIRS_MAX", 0)
     ends = site(2)
     every, found = (
         find_candidates(problem_of(ends, 40)),
@@ -156,7 +156,7 @@ def test_the_true_ones_among_many_are_kept(monkeypatch: pytest.MonkeyPatch) -> N
 
 def test_a_zone_in_several_blocks_keeps_the_true_ones(monkeypatch: pytest.MonkeyPatch) -> None:
     """Each block has some of the arrivals at a zone, beside the null model of all of them."""
-    monkeypatch.setattr(module, "LIKELY_MAX", 0)
+    monkeypatch.setattr(module, "EVENT_PAIRS_MAX", 0)
     ends = site(2)
     every = true_ones(find_candidates(problem_of(ends, 40)))
     monkeypatch.setattr(module, "ZONE_WEIGHED_AT_ONCE", 8000)

@@ -125,7 +125,7 @@ def slow_gain(given: Trials) -> float:
 def test_the_quick_search_finds_what_the_slow_one_does(
     seed: int, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(change_points, "BLOCKS", 1)  # no overdispersion, which has no slow twin
+    monkeypatch.setattr(change_points, "PARTS", 2)  # no overdispersion, which has no slow twin
     given = trials(two(0.6, 0.1 * seed, 120, 40), seed)
     slow = slow_gain(given)
     found = latest_change(given, 0.7 * slow)

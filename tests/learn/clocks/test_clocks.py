@@ -56,11 +56,11 @@ def test_lags_are_counted_one_by_one(bin_seconds: float) -> None:
 
 
 def test_beyond_the_limit_the_newest_time_counts(monkeypatch: pytest.MonkeyPatch) -> None:
-    t = np.arange(0.0, 10 * correlogram.BLOCK, 50.0)
+    t = np.arange(0.0, 20 * LAGS, 50.0)
     zone = np.zeros(len(t), np.int32)
     monkeypatch.setattr(correlogram, "SPECTRA_MAX", 2)
     found = Correlograms((t, zone), (t, zone), 1, 1.0).between(zone[:1], zone[:1])
-    assert found[0, LAGS] == np.sum(t >= t[-1] - 2 * correlogram.BLOCK)
+    assert found[0, LAGS] == np.sum(t >= t[-1] - 4 * LAGS)
 
 
 def test_what_stands_out_is_the_peak_and_not_the_rhythm() -> None:

@@ -9,9 +9,9 @@ from hypothesis import given, strategies as st
 from synthetic_events import Views
 
 from camtopod.learn.links.link_table import (
+    FAINT_TRANSITIONS,
     NEXT_ZONES_MAX,
     TRANSITIONS_MIN,
-    WEAK_TRANSITIONS_MIN,
     LinkTable,
     Transitions,
     exposed_departures,
@@ -151,7 +151,7 @@ def test_weak_links_are_the_likeliest_of_the_rest(seed: int) -> None:
             for k in range(len(likely.source))
             if likely.source[k] == zone
             and (zone, int(likely.target[k])) not in done
-            and likely.transit.total[k] >= WEAK_TRANSITIONS_MIN
+            and likely.transit.total[k] >= FAINT_TRANSITIONS
         ]
         found = weak.target[weak.source == zone].tolist()
         assert found == [target for _, target in sorted(rest)][:NEXT_ZONES_MAX]

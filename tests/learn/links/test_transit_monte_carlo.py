@@ -8,8 +8,9 @@ import pytest
 import scipy.stats
 from hypothesis import given, strategies as st
 
+from camtopod.learn.association import LIKELY_MIN
 from camtopod.learn.links import mahalanobis, monte_carlo
-from camtopod.learn.links.transit_time import WEIGHT_MIN, peak, transit_figures, weighted_quantiles
+from camtopod.learn.links.transit_time import peak, transit_figures, weighted_quantiles
 from camtopod.topology.lag_bins import LagBins
 
 BINS = LagBins(-20.0, 120.0)
@@ -27,7 +28,7 @@ def telling(weight: np.ndarray) -> np.ndarray:
 
     Unlikely transitions count only if there are no others.
     """
-    likely = np.where(weight > WEIGHT_MIN, weight, 0.0)
+    likely = np.where(weight > LIKELY_MIN, weight, 0.0)
     return likely if likely.any() else weight
 
 

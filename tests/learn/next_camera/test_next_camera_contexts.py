@@ -76,7 +76,7 @@ def test_counts_and_back_off_equal_their_slow_twin(seed: int, n: int) -> None:
         gone,
         leave,
         module.BACK_OFF_DEPARTURES,
-        module.PREVIOUS_RESPONSIBILITY_MIN,
+        module.LIKELY_MIN,
     )
     assert after == pytest.approx(slow[1], abs=SINGLE)
     assert leaving == pytest.approx(slow[2])

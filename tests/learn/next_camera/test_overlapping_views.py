@@ -40,7 +40,7 @@ def passages_of(camera: np.ndarray, entered: np.ndarray, left: np.ndarray) -> De
 def test_open_passages_equal_a_double_loop(seed: int, n: int, shift: float) -> None:
     passages = made(seed, n)
     with pytest.MonkeyPatch.context() as limits:
-        limits.setattr(overlapping_views, "OPEN_PAIRS_AT_ONCE", 5)
+        limits.setattr(overlapping_views, "CANDIDATES_AT_ONCE", 5)
         found = [
             (exit_, passage)
             for part in overlapping_views._open(passages, slice(0, n), shift)

@@ -10,8 +10,9 @@ from synthetic_events import Views, fit_posterior
 
 from camtopod.learn.association.candidates import Candidates, find_candidates
 from camtopod.learn.association.joint_fit import fit_jointly
+from camtopod.learn.links import FAINT_TRANSITIONS
 from camtopod.learn.next_camera import fit as module
-from camtopod.learn.next_camera.fit import FAINT_TRANSITIONS, Posterior, PosteriorFitter
+from camtopod.learn.next_camera.fit import Posterior, PosteriorFitter
 from camtopod.learn.traffic.events import Arrivals, Departures
 from camtopod.topology.lag_bins import LagBins
 

@@ -10,7 +10,7 @@ from synthetic_events import Views, fit_posterior
 
 from camtopod.learn.association.candidates import find_candidates
 from camtopod.learn.next_camera.fit import PosteriorFitter
-from camtopod.learn.next_camera.prior import RETURNING, TWO_WAY_TRANSITIONS, Prior
+from camtopod.learn.next_camera.prior import RETURNING, Prior
 from camtopod.topology.lag_bins import LagBins
 
 SHORT = LagBins(-3.0, 8.0)
@@ -40,7 +40,7 @@ def test_it_equals_its_slow_twins(seed: int) -> None:
     counts, rates = np.random.default_rng(seed).random((2, len(named), SHORT.size))
     returning = naive.returning(dict(zip(named, rates, strict=True)))
     number = dict(zip(named, counts.sum(axis=1).tolist(), strict=True))
-    back = RETURNING * naive.two_way(number, TWO_WAY_TRANSITIONS)
+    back = RETURNING * naive.two_way(number, RETURNING)
     expected = [returning[pair] for pair in named]
     found = np.where(prior.back[:, None] < 0, 0.0, rates[prior.back])
     assert found == pytest.approx(np.array(expected).reshape(-1, SHORT.size))

@@ -11,9 +11,11 @@ from camtopod.arrays import Floats
 from camtopod.learn.traffic import local_rates
 from camtopod.learn.traffic.rhythm import (
     ACTIVITY_SECONDS,
+    PAST_AGES,
     PAST_SECONDS,
     _around,
     _own_past,
+    _past_by_age,
     activity_rates,
     rhythm_rates,
 )
@@ -42,6 +44,8 @@ def test_past_and_surroundings_equal_their_slow_twins(seed: int, n: int) -> None
     assert _own_past(t, zone, zones) == pytest.approx(
         naive.own_past(t, zone, PAST_SECONDS), abs=1e-12
     )
+    slow = np.reshape(naive.past_by_age(t, zone, PAST_AGES), (len(PAST_AGES) - 1, n))
+    assert _past_by_age(t, zone, zones) == pytest.approx(slow, abs=1e-12)
 
 
 def test_arrivals_at_any_time_have_no_rhythm() -> None:
@@ -83,3 +87,17 @@ def test_a_batch_at_all_cameras_explains_itself_and_other_arrivals_do_not() -> N
     assert np.median(ratio[zone < 3]) > 2.0
     assert np.median(ratio[zone == 3]) < 1.1
     assert len(activity_rates(came[:0], zone[:0], zone[:0], even[:0])) == 0
+
+
+def test_behind_a_light_that_drifts_a_platoon_tells_of_the_next() -> None:
+    """Its cycle has no fixed length, so that no phase is kept; other arrivals have no such past."""
+    green = np.cumsum(RNG.uniform(70.0, 100.0, 120))
+    t = [(green[:, None] + RNG.uniform(0.0, 15.0, (120, 5))).ravel()]
+    t.append(RNG.uniform(0.0, green[-1], 600))
+    zone = np.repeat(np.arange(2), 600).astype(np.int32)
+    order = np.argsort(np.concatenate(t), kind="stable")
+    came, zone = np.concatenate(t)[order], zone[order]
+    even = local_rates(came, zone, 2)
+    gain = np.log(activity_rates(came, zone, zone, even) / even)
+    assert gain[zone == 0].mean() > 0.3
+    assert gain[zone == 1].mean() < 0.05

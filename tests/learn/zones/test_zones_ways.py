@@ -126,7 +126,7 @@ def test_contrast_equals_its_slow_twin(seed: int) -> None:
         ways_module._LONG,
         ways_module._BEND,
         ways_module._KERNEL,
-        ways_module._DENSER,
+        ways_module.DENSER,
         ways_module._DIRECTIONS,
         ways_module._BACK,
         ways_module._REACH,
