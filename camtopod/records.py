@@ -864,6 +864,37 @@ class JournalStatus(Struct, frozen=True):
     ] = []
 
 
+class BetweenPair(Struct, frozen=True, rename={"from_": "from"}):
+    """Objects expected between two cameras: they left ``from_`` and will appear next at ``to``.
+
+    number: expected number. low, high: ends of an interval of 80 %.
+    """
+
+    from_: str
+    to: str
+    number: float
+    low: int
+    high: int
+
+
+class Between(Struct, frozen=True):
+    """How many objects are expected between cameras at ``t``.
+
+    They have left a camera, will appear again within an hour, and have not yet.
+
+    since: objects that left earlier do not count.
+    number: expected number. low, high: ends of an interval of 80 %.
+    pairs: by pair of cameras, those with most objects first.
+    """
+
+    t: float
+    since: float
+    number: Annotated[float, _metric("between_cameras", "Objects expected between cameras")]
+    low: int
+    high: int
+    pairs: list[BetweenPair] = []
+
+
 class DaemonStatus(Status, frozen=True):
     """State of the daemon, as published on ``status/daemon``.
 
@@ -872,6 +903,8 @@ class DaemonStatus(Status, frozen=True):
     rejects, reject_samples: rejected input by reason.
     dropped: publications dropped for lack of room, by camera.
     catching_up: None if the learner is up to date.
+    between: objects between cameras, of at most a hundred pairs unless all are asked for; None
+        without matches, and while nothing has been learned.
     warnings: what somebody should look at, though it works: a sentence each.
     """
 
@@ -891,6 +924,7 @@ class DaemonStatus(Status, frozen=True):
     questions_refused: int = 0
     score: SelfScore | None = None
     alarms: list[Alarm] = []
+    between: Between | None = None
     names: NamesStatus = NamesStatus()
     journal: JournalStatus = JournalStatus()
     cameras: dict[str, CameraFigures] = {}

@@ -987,6 +987,40 @@ def matching_marginals(weights, nobody, outside):
     return found / total
 
 
+# --- between (each exit by itself, and every number of objects) ---
+
+
+def later_than(age, q10, q50, q90):
+    """Return the share of appearances later than an age (seconds since the exit)."""
+    if age >= q90:
+        return 0.1 * 0.2 ** ((age - q90) / max(q90 - q50, 1e-3))
+    knots = [min(q10, 0.0), q10, q50, q90]
+    return float(np.interp(age, knots, [1.0, 0.9, 0.5, 0.1]))
+
+
+def still_to_come(t, appearances, claims, now, horizon):
+    """Return the probability of each appearance of an exit at t that it comes within the horizon.
+
+    appearances: rows of probability, q10, q50, q90. claims: of entries, in the order in which they
+    were told: the entry, its time, and the probability that it is of this exit.
+    """
+
+    def expected(moment):
+        return [p * later_than(max(moment - t, 0.0), *window) for p, *window in appearances]
+
+    gone = 1.0 - sum(expected(t))
+    odds = {}
+    for entry, at, probability in claims:
+        odds.pop(entry, None)
+        rest = gone + sum(expected(at)) + sum(odds.values())
+        odds[entry] = rest * probability / (1.0 - probability)
+    total = gone + sum(expected(now)) + sum(odds.values())
+    return [
+        (soon - late) / total
+        for soon, late in zip(expected(now), expected(now + horizon), strict=True)
+    ]
+
+
 # --- common_cycle (moved copies against their definition) ---
 
 

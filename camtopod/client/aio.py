@@ -4,7 +4,7 @@
         async for prediction in site.predictions():
             print(prediction.camera, "->", prediction)
 
-Waiting does not occupy a thread.
+Waiting does not occupy a thread, but in `Site.between`.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from typing import TypeVar
 from camtopod.client.answer_queue import AnswerQueue, AnswerT
 from camtopod.client.site_view import Settings, SiteView
 from camtopod.client.wakeup import ChangeSignal
-from camtopod.records import Match, Prediction, Topology
+from camtopod.records import Between, Match, Prediction, Topology
 
 T = TypeVar("T")
 
@@ -85,6 +85,10 @@ class Site(SiteView):
     def walks(self, camera: str | None = None, seconds: float | None = None) -> Answers[Match]:
         """Subscribe to the daemon's matches. See `camtopod.client.Site.walks`."""
         return self._opened(lambda bus: Answers(bus, Match, camera, seconds))
+
+    async def between(self) -> Between | None:
+        """Ask how many objects are between cameras. See `camtopod.client.Site.between`."""
+        return await asyncio.to_thread(self._between)
 
 
 class Answers(AnswerQueue[AnswerT], contextlib.AbstractAsyncContextManager["Answers[AnswerT]"]):

@@ -8,7 +8,7 @@ from functools import partial
 
 from camtopod.client.answer_queue import AnswerQueue, AnswerT
 from camtopod.client.site_view import Settings, SiteView
-from camtopod.records import Match, Prediction, Topology
+from camtopod.records import Between, Match, Prediction, Topology
 
 
 class Site(SiteView, contextlib.AbstractContextManager["Site"]):
@@ -98,6 +98,19 @@ class Site(SiteView, contextlib.AbstractContextManager["Site"]):
         comes once more after ten seconds. Arguments and errors are those of `predictions`.
         """
         return self._opened(lambda bus: Answers(bus, Match, camera, seconds))
+
+    def between(self) -> Between | None:
+        """Ask the daemon how many objects are between cameras: by pair of cameras, and in all.
+
+            if (between := site.between()) is not None:
+                print(f"{between.number:.0f} objects, {between.low} to {between.high}")
+
+        Returns None if no daemon answers within two seconds, and if it has not learned anything
+        yet or matches no entries (``[site] walks = false``).
+
+        Raises `BusError` if closed.
+        """
+        return self._between()
 
     def __exit__(self, *_: object) -> None:
         self.close()

@@ -24,11 +24,12 @@ from camtopod.client.gate import Gate
 from camtopod.client.wakeup import ChangeSignal
 from camtopod.config import Config, config_file, secret_files
 from camtopod.predict import Predictor, PreparedVersion
-from camtopod.records import Event, Prediction, Topology
+from camtopod.records import Between, DaemonStatus, Event, Prediction, Topology
 from camtopod.serve.bus import (
     QUERY_SECONDS,
     Bus,
     BusError,
+    QueryError,
     TopologySubscriber,
     dial,
     guard,
@@ -199,6 +200,14 @@ class SiteView:
         """Return `Gate.affinity` of the version held; raise `NothingLearned`, ValueError."""
         return self._now().affinity(exits, entries, now)
 
+    def _between(self) -> Between | None:
+        """Do what `camtopod.client.Site.between` does."""
+        self._require_open()
+        with contextlib.suppress(QueryError):
+            for _, payload in self._bus.query("status/daemon", {"pairs": "all"}, one=True):
+                return codec.read(DaemonStatus, payload, pack=True).between
+        return None
+
     def close(self) -> None:
         """Leave the bus and release all waiters; the version held stays usable.
 
@@ -218,12 +227,15 @@ class SiteView:
     def _opened(self, opened: Callable[[Bus], QueueT]) -> QueueT:
         """Open a subscription that `close` closes. Raises `BusError` if this is closed already."""
         with self._mutex:
-            if self._closing.is_set():
-                raise BusError(f"the topology of site {self.site} has been closed: connect again")
+            self._require_open()
             queue = opened(self._bus)
             still_open = [one for one in self._queues if not one.closed]
             self._queues = [*still_open, queue]
         return queue
+
+    def _require_open(self) -> None:
+        if self._closing.is_set():
+            raise BusError(f"the topology of site {self.site} has been closed: connect again")
 
     def _now(self) -> Gate:
         if self._gate is None:

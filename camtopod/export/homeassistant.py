@@ -50,6 +50,12 @@ SITE_ENTITIES = (
         more={"unit_of_measurement": "%", "state_class": "measurement"},
     ),
     Entity("alarm", "Alarm", topic="alarm"),
+    Entity(
+        "between",
+        "Between cameras",
+        topic="between",
+        more={"state_class": "measurement", "icon": "mdi:transit-connection-variant"},
+    ),
 )
 CAMERA_ENTITIES = (
     Entity("online", "Online", component="binary_sensor", more={"device_class": "connectivity"}),
@@ -137,10 +143,15 @@ def site_state(
                 "version": newest.version,
                 "at": _iso(newest.t),
             }
+    between: dict[str, Any] = dict.fromkeys(("between", "low", "high", "since", "pairs"))
+    if alive and (told := status.between) is not None:
+        ends = {"low": told.low, "high": told.high, "since": _iso(told.since)}
+        between = {"between": round(told.number, 1), **ends, "pairs": told.pairs}
     return {
         topics.daemon: ("offline", "online")[alive],
         topics.topic_of("", "state"): _json(state),
         topics.topic_of("", "alarm"): _json(alarm),
+        topics.topic_of("", "between"): _json(between),
     }
 
 

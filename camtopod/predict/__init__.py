@@ -7,9 +7,11 @@ version says: `hazards` (rates of appearing by lag), `contexts` (the effect of a
 `anywhere` (what neither explains). `recent_events` and `open_passages` store the observed events,
 by which `reporting` tells the cameras that are silent. `zone_lookup` finds the zone of an event,
 and `hand_over` the other cameras that see the object at the exit. `walks` tells which passages are
-of one object, by the outlook from each exit.
+of one object, by the outlook from each exit; from both follows how many objects are `between`
+cameras.
 """
 
+from camtopod.predict.between import BetweenCameras as BetweenCameras
 from camtopod.predict.hand_over import seen_now as seen_now, sum_by_camera as sum_by_camera
 from camtopod.predict.open_passages import Passage as Passage
 from camtopod.predict.outlook import (

@@ -69,6 +69,8 @@ NAMES_SECONDS = 600.0
 """Time after a start after which names of [topology] that no camera has are warned of."""
 STATUS_ALARMS = 10
 """Number of newest alarms in ``status/daemon``; the topology lists more."""
+STATUS_PAIRS = 100
+"""Number of pairs of cameras in ``between`` of ``status/daemon``; a query may ask for all."""
 
 
 class Daemon:
@@ -224,8 +226,11 @@ class Daemon:
             reasons.append(f"the bus at {self._bus.endpoint} is not reached")
         return [redact(reason) for reason in reasons] + self.failing()
 
-    def status(self) -> DaemonStatus:
-        """Return the contents of ``status/daemon``: state, reason and counters."""
+    def status(self, pairs_max: int | None = STATUS_PAIRS) -> DaemonStatus:
+        """Return the contents of ``status/daemon``: state, reason and counters.
+
+        pairs_max: number of pairs of cameras in ``between``; None for all.
+        """
         intake = self._intake
         learning = self._learning
         counted = self._figures()
@@ -259,6 +264,7 @@ class Daemon:
             predictions=self._live.counts["predictions"],
             matches_skipped=self._live.counts["matches_skipped"],
             questions_refused=self._live.counts["questions_refused"],
+            between=self._live.between(pairs_max),
             names=intake.names.status(),
             journal=replace(self._journal.status(), damaged=self._learning.damaged),
             cameras=counted,
@@ -401,11 +407,15 @@ class Daemon:
         bus.answer_queries("admin/*", self._administer, "done")
         bus.answer_queries("predict/*", self._live.answer, "prediction")
         bus.answer_queries("recent", self._live.recent, "recent")
-        bus.answer_queries(STATUS, lambda key, parameters: self.status(), "status")
+        bus.answer_queries(STATUS, self._asked_status, "status")
         bus.subscribe("event/*", self._intake.inbox.on_event)
         bus.watch_alive("grabber", self._intake.on_alive)
         bus.answer_requests("store/*", self._intake.inbox.on_request)
         self._rivals.appear()
+
+    def _asked_status(self, key: str, parameters: dict[str, str]) -> DaemonStatus:
+        """Answer a query on the status; ``pairs=all`` asks for all pairs of cameras."""
+        return self.status(None if parameters.get("pairs") == "all" else STATUS_PAIRS)
 
     def _administer(self, key: str, parameters: dict[str, str]) -> Done:
         """Execute the operator's command of a query. Raises `QueryError`."""

@@ -14,9 +14,11 @@ from collections import deque
 from collections.abc import Callable, Collection, Sequence
 from itertools import takewhile
 
+from msgspec.structs import replace
+
 from camtopod import codec
-from camtopod.predict import Predictor, Walks
-from camtopod.records import Event, Match, Prediction, Recent, SeenEvent, Topology
+from camtopod.predict import BetweenCameras, Predictor, Walks
+from camtopod.records import Between, Event, Match, Prediction, Recent, SeenEvent, Topology
 from camtopod.serve.bus import QueryError
 from camtopod.serve.hourly_counts import HourlyCounts
 
@@ -49,6 +51,10 @@ class Reader:
         self.predictor = Predictor(topology)
         self.walks = Walks(topology, self.predictor.prepared) if walks else None
 
+    def published(self, prediction: Prediction) -> Prediction:
+        """Return a prediction as it is published: without walks, nothing joins two passages."""
+        return prediction if self.walks is not None else replace(prediction, in_view=None)
+
     def take_over(self, older: Reader) -> None:
         """Take over the observed events from the reader of an older version; this must be new."""
         self.predictor.take_over(older.predictor)
@@ -79,6 +85,8 @@ class Live:
         self._recent: deque[tuple[float, SeenEvent]] = deque(maxlen=RECENT_EVENTS_MAX)
         """With the moment of each event's receipt."""
         self._hours = HourlyCounts(clock())
+        self._between = BetweenCameras(clock())
+        """It begins anew when exits are not predicted, or entries not matched."""
         self._unmatched: deque[Event] = deque()
         """Events that wait to be matched, oldest first."""
         self._used = used
@@ -128,7 +136,9 @@ class Live:
         """Return the prediction of an exit."""
         if self._reader is None or event.kind != "exit":
             return None
-        return self._reader.predictor.predict(event)
+        prediction = self._reader.predictor.predict(event)
+        self._between.left(prediction)
+        return self._reader.published(prediction)
 
     def _observe(self, event: Event) -> None:
         """Observe an event for predictions and for ``recent``."""
@@ -150,6 +160,7 @@ class Live:
             oldest = self._unmatched.popleft()
             self.counts["matches_skipped"] += oldest.kind == "entry"
             self._observe_walk(oldest)
+            self._between = BetweenCameras(self._clock())
 
     def _match_next(self) -> tuple[list[Match], bool]:
         """Return the match of the oldest event that waits, and whether that was all.
@@ -159,10 +170,15 @@ class Live:
         walks = None if self._reader is None else self._reader.walks
         if walks is None:
             return [], True
-        if not self._unmatched:
-            return walks.revised(self._clock(), REVISED_AT_ONCE_MAX), True
-        match = walks.observe(self._unmatched.popleft())
-        return [] if match is None else [match], False
+        is_done = not self._unmatched
+        if is_done:
+            matches = walks.revised(self._clock(), REVISED_AT_ONCE_MAX)
+        else:
+            first = walks.observe(self._unmatched.popleft())
+            matches = [] if first is None else [first]
+        for match in matches:
+            self._between.entered(match)
+        return matches, is_done
 
     def _seconds_for_matching(self) -> float:
         """Return the processor time that matching may take at present, seconds."""
@@ -201,6 +217,7 @@ class Live:
             kept = [one for one in self._recent if one[1].camera not in cameras]
             self._recent = deque(kept, maxlen=RECENT_EVENTS_MAX)
             self._hours.forget_cameras(cameras)
+            self._between.forget_cameras(cameras)
             self._unmatched = deque(one for one in self._unmatched if one.camera not in cameras)
             if self._reader is not None and self._reader.walks is not None:
                 self._reader.walks.forget_cameras(cameras)
@@ -211,6 +228,7 @@ class Live:
             self._recent.clear()
             self._unmatched.clear()
             self._hours = HourlyCounts(self._clock())
+            self._between = BetweenCameras(self._clock())
             if self._reader is not None:
                 self._reader.predictor.forget()
                 if self._reader.walks is not None:
@@ -222,6 +240,16 @@ class Live:
             if self._reader is not None:
                 reader.take_over(self._reader)
             self._reader = reader
+
+    def between(self, pairs_max: int | None) -> Between | None:
+        """Return how many objects are between cameras; None without matches.
+
+        pairs_max: number of pairs of cameras, those with most objects; None for all.
+        """
+        with self._mutex:
+            if self._reader is None or self._reader.walks is None:
+                return None
+            return self._between.expected(self._clock(), pairs_max)
 
     def recent(self, key: str, parameters: dict[str, str]) -> Recent:
         """Answer a query on ``recent``: the events of the last hour.

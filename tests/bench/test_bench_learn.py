@@ -10,9 +10,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from bench import ablation, zones
+from bench import ablation, between, zones
 from bench.change import Found, summary
-from bench.support.recordings import load, tellable
+from bench.support.recordings import Passage, Recording, load, tellable
 from bench.support.regimes import REGIMES
 from camtopod.codec import to_json
 from camtopod.learn.next_camera import fit
@@ -88,6 +88,44 @@ def test_others_are_measured_beside_us(
     ours, rule, told = (float(cell.partition("/")[0]) for cell in row.split()[2:])
     assert max(ours, told) < rule
     assert "lower than that of ours: rule 0 of 1; rule, told " in tables
+
+
+def test_objects_between_cameras_are_counted(
+    recordings: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert between.main(["--data", str(recordings), "--jobs", "1"]) == 0
+
+    [row] = [line.split() for line in capsys.readouterr().out.splitlines() if "walks" in line]
+    moments, truth, said, ours, balance, zero, *coverage = map(float, row[1:])
+    assert moments == 10
+    assert 0.0 < truth == zero <= balance
+    assert abs(said - truth) <= ours + 0.01
+    assert all(0.0 <= share <= 1.0 for share in coverage)
+
+
+def test_the_truth_between_cameras_is_who_no_camera_sees_and_one_will() -> None:
+    seen = {"a": [(0, 10), (50, 60), (5000, 5010)], "b": [(0, 30), (20, 40)], "c": [(95, 99)]}
+    passages = [
+        [Passage(f"{name}{k}", "x", came, left) for k, (came, left) in enumerate(rows)]
+        for name, rows in seen.items()
+    ]
+    events = [
+        Event("x", kind, t)
+        for each in passages
+        for one in each
+        for kind, t in (("entry", one.came), ("exit", one.left))
+    ]
+    events.sort(key=lambda event: event.t)
+    recording = Recording("r", events, {}, passages, 0.0, 5010.0, 180.0)
+    moments = np.array([5.0, 10.0, 25.0, 45.0, 50.0, 100.0, 1500.0, 5005.0])
+
+    truth = between.truly_between(recording, 0.0, moments)
+    since = between.truly_between(recording, 30.0, moments)
+    balance = between.exits_less_arrivals(recording, 40.0, moments)
+
+    assert truth.tolist() == [0, 1, 1, 1, 0, 0, 1, 0]
+    assert since.tolist() == [0, 0, 0, 0, 0, 0, 1, 0], "seen since the replay began"
+    assert balance.tolist() == [0, 0, 0, 1, 0, 1, 1, 0]
 
 
 def test_a_slow_site_tells_as_much_as_the_same_at_speed(recordings: Path) -> None:

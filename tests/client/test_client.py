@@ -140,6 +140,19 @@ def test_a_prediction_is_the_daemons(learned_daemon: LearnedDaemon, site: Site) 
     )
 
 
+def test_how_many_are_between_cameras_is_what_the_daemon_says(
+    learned_daemon: LearnedDaemon, site: Site
+) -> None:
+    between = site.between()
+    assert between is not None
+    told = learned_daemon.daemon.status(None).between
+    assert told is not None
+    assert msgspec.structs.replace(between, t=told.t) == told
+    site.close()
+    with pytest.raises(BusError, match="closed"):
+        site.between()
+
+
 def test_priors_are_those_of_the_version_held(site: Site) -> None:
     assert site.gate("a/2", NOW, "b", NOW + 9.0) > site.gate_new("b") + site.gate_gone("a/2")
     odds = site.affinity(

@@ -31,6 +31,7 @@ def test_asyncio_has_the_same(learned_daemon: LearnedDaemon) -> None:
                 assert [prediction async for prediction in predictions] == []
             async with site.walks("b", seconds=0.05) as matches:
                 assert [match async for match in matches] == []
+            assert await site.between() is not None
         assert [one.version async for one in site.versions()] == []
 
     asyncio.run(main())

@@ -26,6 +26,8 @@ from camtopod.export.homeassistant import Topics
 from camtopod.records import (
     TOPOLOGY_SCHEMA,
     Alarm,
+    Between,
+    BetweenPair,
     Camera,
     CameraFigures,
     DaemonStatus,
@@ -74,11 +76,32 @@ def arrival(camera: str, *passages: MatchedPassage) -> Passing:
 # --- what is published ----------------------------------------------------------------------------
 
 
+BETWEEN = Between(T0, T0 - 60.0, 3.26, 2, 5, [BetweenPair("lobby", "hall", 3.26, 2, 5)])
+
+
+def test_objects_between_cameras_are_unknown_while_nobody_counts() -> None:
+    def told(alive: bool, status: DaemonStatus) -> Any:
+        states = homeassistant.site_state(TOPICS, alive, status, TOPOLOGY)
+        return decoded(states)["camtopod/hq/daemon/between"]
+
+    counted = told(True, DaemonStatus("running", between=BETWEEN))
+    assert counted == {
+        "between": 3.3,
+        "low": 2,
+        "high": 5,
+        "since": "2023-11-14T22:12:20+00:00",
+        "pairs": [{"from": "lobby", "to": "hall", "number": 3.26, "low": 2, "high": 5}],
+    }
+    assert set(told(True, DaemonStatus("running")).values()) == {None}
+    assert set(told(False, DaemonStatus("running", between=BETWEEN)).values()) == {None}
+
+
 def test_every_entity_finds_its_figure() -> None:
     """Its topic is published and has the field that its template takes."""
     cameras = ["lobby", "north.gate", "a_b", "a.b"]
     announced = decoded(homeassistant.discovery(TOPICS, cameras))
-    states = homeassistant.site_state(TOPICS, True, DaemonStatus("running"), TOPOLOGY)
+    status = DaemonStatus("running", between=BETWEEN)
+    states = homeassistant.site_state(TOPICS, True, status, TOPOLOGY)
     for camera in cameras:
         states |= homeassistant.camera_state(TOPICS, camera, CameraFigures(), None, 3)
         states |= homeassistant.prediction_state(

@@ -29,7 +29,15 @@ from serving import (
 from camtopod import codec
 from camtopod.learn.learner import Learner
 from camtopod.learn.settings import TopologySettings
-from camtopod.records import CameraFigures, Event, Match, Prediction, Topology
+from camtopod.records import (
+    Between,
+    CameraFigures,
+    DaemonStatus,
+    Event,
+    Match,
+    Prediction,
+    Topology,
+)
 from camtopod.serve import bus as buses, daemon as daemons
 from camtopod.serve.bus import Bus, BusError, QueryError
 from camtopod.serve.bus.topology_subscriber import TopologySubscriber
@@ -256,6 +264,33 @@ def test_a_walk_goes_on_after_a_start_and_is_not_told_again(site: Site) -> None:
     kept = [path.read_bytes() for path in (site.directory / "state").rglob("*") if path.is_file()]
     assert not any(matches[0].walk.encode() in content for content in kept), "in memory only"
     assert any(b"track\xa1q" in content for content in kept), "the event is stored"
+
+
+def test_the_status_says_how_many_are_between_cameras_since_the_start(site: Site) -> None:
+    daemon = site.daemon()
+    bus = site.client(daemon)
+    assert daemon.status().between is None, "nothing has been learned yet"
+    put(bus, *(events := [*numbered(walkers(60)), closing_event()]))
+    wait_for(lambda: all_out(daemon, len(events)), "what it learned to be used")
+    assert daemon.status().between == Between(site.now, site.now, 0.0, 0, 0), "that was before"
+
+    site.now = NOW + 3.0
+    put(bus, *(Event("a", "exit", NOW + 1.0 + k, 0.9, 0.5, str(k)) for k in range(2)))
+    stored(daemon, len(events) + 2)
+    told = daemon.status().between
+    assert told is not None
+    assert (told.t, told.since) == (NOW + 3.0, NOW)
+    assert 1.5 < told.number < 2.0
+    assert told.low < told.number < told.high
+    assert {(one.from_, one.to) for one in told.pairs[:2]} == {("a", "b"), ("a", "c")}
+    [one] = daemon.status(pairs_max=1).between.pairs  # type: ignore[union-attr]
+    [(_, raw)] = bus.query("status/daemon", {"pairs": "all"})
+    asked = codec.read(DaemonStatus, raw, pack=True).between
+    assert asked is not None
+    assert asked.pairs[0] == one
+
+    daemon.stop()
+    assert site.daemon().status().between == Between(site.now, site.now, 0.0, 0, 0)
 
 
 def test_every_exit_is_predicted_and_questions_are_answered(site: Site) -> None:

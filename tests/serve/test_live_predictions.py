@@ -11,13 +11,15 @@ from serving import closing_event, numbered, walkers
 
 from camtopod.learn.learner import Learner
 from camtopod.predict import Predictor, Walks
-from camtopod.records import Event, LabelModel, Match, Prediction, Topology
+from camtopod.predict.between import BetweenCameras
+from camtopod.records import Between, Event, InView, LabelModel, Match, Prediction, Topology
 from camtopod.serve import live_predictions
 from camtopod.serve.bus import QueryError
 from camtopod.serve.hourly_counts import HOURS_MAX
 from camtopod.serve.live_predictions import (
     FRESH_SECONDS,
     RECENT_SECONDS,
+    REVISED_AT_ONCE_MAX,
     Live,
     Reader,
     asked_exit,
@@ -133,6 +135,45 @@ def test_matching_takes_no_more_than_its_time(learned: Topology) -> None:
     assert next(seconds) == 2
 
 
+def test_objects_between_cameras_are_counted_from_the_start(
+    learned: Topology, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    now = EVENTS[0].t
+    live = Live(lambda answer: None, lambda: now, used=lambda: 0.0)
+    assert live.between(None) is None, "no version is in use yet"
+    live.use(Reader(learned, walks=False))
+    assert live.between(None) is None, "nobody knows who has been seen again"
+    live.use(Reader(learned, walks=True))
+    counted, walks, predictor = BetweenCameras(now), Walks(learned), Predictor(learned)
+    for event in EVENTS[:60]:
+        now = event.t
+        live.hear(event)
+        live.match(lambda: False)
+        if event.kind == "exit":
+            counted.left(predictor.predict(event))
+        predictor.observe(event)
+        for match in [walks.observe(event), *walks.revised(now, REVISED_AT_ONCE_MAX)]:
+            if match is not None:
+                counted.entered(match)
+        assert live.between(None) == counted.expected(now)
+    assert counted.expected(now).number > 0.0
+
+    live.forget_cameras({EVENTS[0].camera})
+    counted.forget_cameras({EVENTS[0].camera})
+    assert live.between(1) == counted.expected(now, 1)
+    live.forget()
+    assert live.between(None) == Between(now, now, 0.0, 0, 0)
+
+    # Without a match of every entry it would be too many.
+    live.hear(EVENTS[60])
+    assert (left := live.between(None)) is not None
+    monkeypatch.setattr(live_predictions, "UNMATCHED_MAX", 0)
+    now += 5.0
+    live.hear(EVENTS[61])
+    assert (after := live.between(None)) is not None
+    assert (left.since, after.since, after.number) == (now - 5.0, now, 0.0)
+
+
 def test_recent_events_are_told_without_tracks(learned: Topology) -> None:
     now = EVENTS[-2].t
     live = Live(lambda answer: None, lambda: now)
@@ -207,3 +248,10 @@ def test_a_question_may_give_the_label() -> None:
     event, now = asked_exit("a", {"label": "Bus", "x": "0.5", "y": "0.5"}, 7.0)
 
     assert (event.label, event.t, now) == ("bus", 7.0, None)
+
+
+def test_without_walks_no_prediction_names_a_passage_of_another_camera(learned: Topology) -> None:
+    passage = InView("b", "7", 1.7e9, 0.9)
+    prediction = Prediction("a", "a/1", 1.7e9, "1", 1, 1.0, [], in_view=[passage])
+    assert Reader(learned, walks=True).published(prediction) == prediction
+    assert Reader(learned, walks=False).published(prediction).in_view is None

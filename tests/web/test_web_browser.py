@@ -149,6 +149,24 @@ def test_the_map_shows_what_was_learned(site: Site, shown: Browser) -> None:
     )
 
 
+def test_edges_say_how_many_are_on_their_way(site: Site, shown: Browser) -> None:
+    with site.client() as bus:
+        for seq in range(8):
+            leave(site, bus, seq=300 + seq)
+        shown.wait(
+            lambda: shown.run(
+                "return [...document.querySelectorAll('.labels .time')].some((text) => /· [1-9]/.test(text.textContent))"
+            ),
+            "a number on an edge",
+        )
+        shown.go("#/pair/a/c")
+        shown.wait(
+            lambda: "On the way now: about" in shown.text(".panel"), "the number of the pair"
+        )
+    shown.go("#/health")
+    shown.wait(lambda: "Between cameras" in shown.text(".figures.wide"), "that of the site")
+
+
 def test_keys_open_a_camera_and_its_link(site: Site, shown: Browser) -> None:
     shown.run("document.querySelector('nav a:last-child').focus()")
     shown.press("TAB")

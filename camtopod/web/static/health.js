@@ -4,7 +4,7 @@ import { fact } from "./camera.js";
 import { fill, h, more, say } from "./dom.js";
 import { link } from "./place.js";
 import { logOut } from "./source.js";
-import { ago, count, goneSince, plural, seconds, stateClass, troubled } from "./words.js";
+import { ago, clock, count, goneSince, howMany, plural, seconds, stateClass, troubled } from "./words.js";
 
 const ROWS = 200;
 
@@ -53,6 +53,7 @@ export class Health {
   #draw() {
     if (!this.app.health) return;
     const { daemon, live, now, cameras, login } = this.app.health;
+    const { between } = this.app;
     this.leave.hidden = !login;
     const events = daemon.events ?? {};
     const rejected = Object.values(daemon.rejects ?? {}).reduce((sum, n) => sum + n, 0);
@@ -85,6 +86,9 @@ export class Health {
             .join(", ") || null,
         ),
         fact("Predictions since start", count(daemon.predictions)),
+        between
+          ? fact("Between cameras", howMany(between), `By those who left a camera since ${clock(between.since)}`)
+          : null,
       ),
     );
     const wanted = cameras.filter((row) => `${row.id} ${row.state} ${row.reason}`.toLowerCase().includes(this.#text));

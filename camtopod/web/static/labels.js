@@ -1,5 +1,5 @@
 // Names and transit times on the map, as many as fit, none upon another: names of busy cameras first, then times, those
-// of published and busy edges first.
+// of published and busy edges first; after a time, how many objects are between the two cameras.
 
 import { s } from "./dom.js";
 import { seconds } from "./words.js";
@@ -127,11 +127,11 @@ function placeNames(map, chosen, found, taken, measure) {
 function placeTimes(map, chosen, taken, measure) {
   const { clientWidth: width, clientHeight: height } = map.svg;
   const lines = [];
-  for (const { a, b, edge, width: thick } of map.edges.values()) {
+  for (const { key, a, b, edge, width: thick } of map.edges.values()) {
     const [ax, ay] = map.view.toScreen(a.x, a.y);
     const [bx, by] = map.view.toScreen(b.x, b.y);
     if (Math.max(ax, bx) < 0 || Math.max(ay, by) < 0 || Math.min(ax, bx) > width || Math.min(ay, by) > height) continue;
-    lines.push({ a, b, edge, ax, ay, dx: bx - ax, dy: by - ay, length: Math.hypot(bx - ax, by - ay), thick });
+    lines.push({ key, a, b, edge, ax, ay, dx: bx - ax, dy: by - ay, length: Math.hypot(bx - ax, by - ay), thick });
   }
   const rank = ({ a, b, edge }) =>
     (chosen.has(a.id) && chosen.has(b.id) ? 2e12 : 0) + (edge.provisional ? 0 : 1e12) + edge.transitions;
@@ -141,7 +141,8 @@ function placeTimes(map, chosen, taken, measure) {
   const wanted = [];
   for (const line of long) {
     if (wanted.length >= TIMES_MAX) break;
-    const text = edgeText(line);
+    const number = Math.round(map.between(line.key));
+    const text = number ? `${edgeText(line)} · ${number}` : edgeText(line);
     const kind = `time ${line.edge.relation}`;
     const { half, height: tall, above } = measure(text, kind);
     const [on, beside, further] = placesOf(line, half, tall, map);

@@ -5,7 +5,7 @@ import { axisX, axisY, points, scale, ticks } from "./chart.js";
 import { h, s } from "./dom.js";
 import { link } from "./place.js";
 import { NotThere } from "./source.js";
-import { count, percent, scientific, seconds, span, transit } from "./words.js";
+import { count, howMany, percent, scientific, seconds, span, transit } from "./words.js";
 
 const WIDTH = 420;
 const HEIGHT = 250;
@@ -42,6 +42,7 @@ export async function pairPanel(app, a, b) {
         [other, one],
       ].map(([from, to]) => [
         h("h3", {}, `${from} → ${to}`),
+        underWay(app, from, to),
         linkList(towards(to), (each) => each.to, "No link is published in this direction."),
       ]),
       story.weak.length
@@ -53,6 +54,12 @@ export async function pairPanel(app, a, b) {
         : null,
     ],
   };
+}
+
+// How many objects are between the cameras now.
+function underWay(app, from, to) {
+  const told = app.between?.pairs.find((one) => one.from === from && one.to === to);
+  return told ? h("p", { class: "quiet" }, `On the way now: ${howMany(told)} in eight of ten cases.`) : null;
 }
 
 // What the panel shows of the link between two zones.

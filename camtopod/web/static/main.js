@@ -148,6 +148,11 @@ class App {
     this.network.coveredBy(plan.panel);
   }
 
+  // How many objects are between cameras; undefined or null while nobody counts.
+  get between() {
+    return this.health?.live.live ? this.health.daemon.between : null;
+  }
+
   // Ask for the health of the daemon and of every camera.
   async askHealth() {
     try {
@@ -182,6 +187,7 @@ class App {
     const gone = those((row) => row.state === "gone");
     this.network.health(those((row) => troubled(row.state)), gone);
     this.overlays.tellGone(gone);
+    this.network.showBetween(this.between?.pairs ?? []);
     if (!this.map) this.network.tellEvents([...this.rows.values()].map((row) => row.events ?? 0));
     this.#shown?.onHealth?.(this.rows);
   }

@@ -29,6 +29,7 @@ const DIRECTIONS = { ArrowLeft: [-1, 0], ArrowRight: [1, 0], ArrowUp: [0, -1], A
 export class NetworkMap {
   nodes = new Map(); // id -> {id, x, y, camera, element}
   edges = new Map(); // "a b" -> {key, a, b, edge, width, element}
+  #between = new Map(); // "a b" -> how many objects are between these cameras
   #frame = 0;
   #focused = null;
   #chosen = [];
@@ -222,6 +223,20 @@ export class NetworkMap {
     this.#ill = ill;
     this.#gone = gone;
     for (const node of this.nodes.values()) this.tell(node);
+  }
+
+  // Show how many objects are between cameras; pairs: as in the daemon's status.
+  showBetween(pairs) {
+    this.#between = new Map();
+    for (const { from, to, number } of pairs) {
+      const key = [from, to].sort().join(" ");
+      this.#between.set(key, this.between(key) + number);
+    }
+    this.redraw();
+  }
+
+  between(key) {
+    return this.#between.get(key) ?? 0;
   }
 
   // Say of a node what is seen of it.

@@ -74,6 +74,11 @@ export function ago(age) {
   return age < 172800 ? `${(age / 3600).toFixed(0)} h ago` : `${(age / 86400).toFixed(0)} days ago`;
 }
 
+// How many objects are expected between cameras.
+export function howMany({ number, low, high }) {
+  return `about ${number.toFixed(number < 10 ? 1 : 0)}, ${low} to ${high}`;
+}
+
 // Since when a camera is gone: its last event.
 export function goneSince({ newest }) {
   return newest ? `gone since ${clock(newest)}` : "gone";

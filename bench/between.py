@@ -1,0 +1,172 @@
+"""Measure how many objects are between cameras, on real networks with known identities.
+
+    python -m bench between [--data FOLDER] [--networks a,b] [--jobs 2]
+
+Networks and cut are those of `bench.real`. The first 70 % of the events are learned. Then the
+events from an hour before the cut on are replayed as the daemon hears them: every exit is
+predicted, every entry matched, and once more ten seconds later. From the cut on it is asked every
+ten minutes how many objects are between cameras; a recording with less than ten such moments is
+asked at ten equal intervals instead. The last moment is a lag window before the end.
+
+The truth at a moment are the identities that have been seen since the replay began, that no camera
+sees, and that some camera sees again within an hour, or before the recording ends. Compared are the
+exits less the arrivals since the replay began, but not less than zero, and zero. The figures are
+the mean absolute error, and the share of moments at which the truth lies within the interval of
+80 %, or is the very number that is compared (coverage).
+"""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+from msgspec import Struct
+
+from bench.real import networks_parser
+from bench.support.jobs import map_tasks
+from bench.support.recordings import Recording, load
+from camtopod.arrays import Floats
+from camtopod.learn.learner import Learner
+from camtopod.predict import BetweenCameras, Predictor, Walks
+from camtopod.predict.between import HORIZON_SECONDS
+from camtopod.records import Between, Topology
+
+STEP_SECONDS = 600.0
+"""Time from one moment to the next, seconds."""
+MOMENTS_MIN = 10
+"""Least number of moments of a recording."""
+
+
+_WAYS = f"{'ours':>11}{'balance':>11}{'zero':>11}"
+
+
+class Result(Struct):
+    """Figures of one network: means over its moments.
+
+    truth: objects between cameras. said: those expected.
+    error, coverage: absolute error, and whether the truth is covered: each of ours, of exits less
+        arrivals, and of zero.
+    """
+
+    name: str
+    moments: int
+    truth: float
+    said: float
+    error: tuple[float, float, float]
+    coverage: tuple[float, float, float]
+
+
+def main(argv: Sequence[str]) -> int:
+    """Measure, print the table and return the exit status."""
+    given = networks_parser("between", "objects between cameras").parse_args(argv)
+    folders = sorted(p.parent for p in given.data.glob("*/identities.csv")) if given.data else []
+    if given.networks:
+        folders = [folder for folder in folders if folder.name in given.networks.split(",")]
+    if not folders:
+        print("bench between: skipped, no recordings found (set --data or CAMTOPOD_REAL_DATA)")
+        return 0
+    os.environ.setdefault("OMP_NUM_THREADS", "1")  # two workers share two cores
+
+    results = map_tasks(measure, folders, given.jobs)
+    print(f"{'':46}{'mean absolute error':>33}{'coverage':>33}")
+    print(f"{'network':20}{'moments':>8}{'truth':>9}{'expected':>9}" + 2 * _WAYS)
+    for one in results:
+        print(f"{one.name:20}{one.moments:8}{one.truth:9.2f}{one.said:9.2f}", end="")
+        print("".join(f"{figure:11.2f}" for figure in one.error + one.coverage))
+    figures = np.array([one.error + one.coverage for one in results])
+    print(f"{'mean':46}" + "".join(f"{mean:11.2f}" for mean in figures.mean(axis=0)))
+    if len(results) > 1:
+        errors = figures.std(axis=0, ddof=1) / np.sqrt(len(results))
+        print(f"{'standard error':46}" + "".join(f"{error:11.2f}" for error in errors))
+    return 0
+
+
+def measure(folder: Path) -> Result:
+    """Learn one network, and score the numbers between its cameras."""
+    recording = load(folder)
+    learner = Learner(only_last=True)
+    for event in recording.events:
+        if event.t < recording.cut:
+            learner.receive(event)
+    learner.flush()
+    assert learner.topology is not None
+
+    moments = moments_of(recording)
+    since = recording.cut - HORIZON_SECONDS
+    said = replayed(learner.topology, recording, since, moments)
+    truth = truly_between(recording, since, moments)
+    expected = np.array([one.number for one in said])
+    inside = [one.low <= n <= one.high for one, n in zip(said, truth, strict=True)]
+    balance = exits_less_arrivals(recording, since, moments)
+    off = [np.abs(number - truth) for number in (expected, balance, np.zeros(len(moments)))]
+    error, balance_error, zero_error = (float(one.mean()) for one in off)
+    _, balance_right, zero_right = (float(np.mean(one == 0.0)) for one in off)
+    return Result(
+        recording.name,
+        len(moments),
+        float(truth.mean()),
+        float(expected.mean()),
+        (error, balance_error, zero_error),
+        (float(np.mean(inside)), balance_right, zero_right),
+    )
+
+
+def moments_of(recording: Recording) -> Floats:
+    """Return the moments (n,) at which it is asked, seconds."""
+    last = recording.end - recording.window
+    step = min(STEP_SECONDS, (last - recording.cut) / MOMENTS_MIN)
+    return np.arange(recording.cut, last, step)
+
+
+def replayed(
+    topology: Topology, recording: Recording, since: float, moments: Floats
+) -> list[Between]:
+    """Return how many are expected at each moment (n,), by the events before it."""
+    predictor = Predictor(topology)
+    walks = Walks(topology, predictor.prepared)
+    between = BetweenCameras(since)
+    answers: list[Between] = []
+    for event in recording.events:
+        if event.t < since:
+            continue
+        while len(answers) < len(moments) and (now := float(moments[len(answers)])) < event.t:
+            horizon = min(HORIZON_SECONDS, recording.end - now)
+            answers.append(between.expected(now, pairs_max=0, horizon=horizon))
+        if len(answers) == len(moments):
+            break
+        for match in walks.revised(event.t):
+            between.entered(match)
+        if event.kind == "exit":
+            between.left(predictor.predict(event))
+        predictor.observe(event)
+        if (first := walks.observe(event)) is not None:
+            between.entered(first)
+    return answers
+
+
+def truly_between(recording: Recording, since: float, moments: Floats) -> Floats:
+    """Return how many identities are between cameras at each moment (n,)."""
+    number = np.zeros(len(moments))
+    for passages in recording.by_identity:
+        left = -np.inf
+        for one in passages:
+            if left >= since and one.came > left:
+                number += (
+                    (left <= moments)
+                    & (moments < one.came)
+                    & (one.came - moments <= HORIZON_SECONDS)
+                )
+            left = max(left, one.left)
+    return number
+
+
+def exits_less_arrivals(recording: Recording, since: float, moments: Floats) -> Floats:
+    """Return the exits less the arrivals up to each moment (n,), but not less than zero."""
+    events = [event for event in recording.events if event.t >= since]
+    times = np.array([event.t for event in events])
+    balance = np.cumsum([1 if event.kind == "exit" else -1 for event in events])
+    before = np.searchsorted(times, moments, "right")
+    number: Floats = np.maximum(np.append(0, balance)[before], 0).astype(float)
+    return number
