@@ -137,7 +137,7 @@ def _valley_ratio(positions, grid, b, c, f, g):
 
 def way_contrast(sums, n, mean, cov, rates, constants):
     """Return the density of a group by that of the densest way through it (`zones/ways`)."""
-    least_way, rounder, long, bend, kernel, denser, directions, back, reach = constants
+    nats, least_way, rounder, long, bend, kernel, denser, directions, back, reach = constants
     xx, xy, yy = cov
     for at, variance in zip(mean, (xx - xy**2 / yy, yy - xy**2 / xx), strict=True):
         if at - reach * variance**0.5 < 0 or at + reach * variance**0.5 > 1:
@@ -177,7 +177,8 @@ def way_contrast(sums, n, mean, cov, rates, constants):
     area = 2 * np.pi * kernel**2 * np.sqrt(np.linalg.det(root @ root.T)) * rates.size
     row, column = min(int(mean[1] * rows), rows - 1), min(int(mean[0] * columns), columns - 1)
     through = max(through - area * rates[row, column] / 2, 0) + least_way * sums[0].sum()
-    return centre * (1 - 1 / n**0.5) / through
+    told = n * np.log(centre / through) - n + n * through / centre if centre > through else 0.0
+    return min(told / nats, 1.0) * centre * (1 - 1 / n**0.5) / through
 
 
 def gaussian_density(points, mean, cov):

@@ -121,6 +121,7 @@ def test_contrast_equals_its_slow_twin(seed: int) -> None:
     cells = cells_of_view(view(seed, BORDER, [0.25] * 4, 0.3, 0.3))
     rates = np.random.default_rng(seed).uniform(0.1, 2, (30, 24))
     constants = (
+        ways_module.WAY_NATS,
         ways_module.LEAST_WAY,
         ways_module._ROUNDER,
         ways_module._LONG,

@@ -37,6 +37,9 @@ class Noting:
     def predict(self, event: Event) -> Prediction:
         return Prediction(event.camera, None, event.t, event.track, 1, 1.0, [])
 
+    def published(self, prediction: Prediction) -> Prediction:
+        return prediction
+
     def zone_id_of(self, event: Event) -> None: ...
 
     def name(self, label: object) -> None: ...
@@ -52,7 +55,7 @@ class NotingWalks:
         self.observed.append(event)
         if event.kind == "exit" or not is_matched:
             return None
-        return Match(event.camera, event.t, 1, 1.0, "", [], event.track)
+        return Match(event.camera, event.t, 1, [], 1.0, "", event.track)
 
     def revised(self, now: float, entries_max: int) -> list[Match]:
         return []
