@@ -58,7 +58,10 @@ _NO_TIME = f"t is no number of seconds between 1970 and 3000 (milliseconds, or t
 _AT_LABEL = " - at `$.label"
 """In the mistake of an event whose label is of the wrong type, or too long."""
 _CUT_OFF = "Input data was truncated"
-"""msgspec's message for input that ends too early."""
+_NOT_UTF8 = "Invalid UTF-8 encoded string"
+"""msgspec's messages for input that ends too early, and for text that is not UTF-8 (before 0.23 it
+let Python's own error through).
+"""
 
 
 class Rejected(ValueError):
@@ -213,7 +216,7 @@ def in_words(error: msgspec.ValidationError) -> str:
 def _rejection(error: Exception) -> Rejected:
     if isinstance(error, msgspec.ValidationError):
         return Rejected("bad-value", in_words(error))
-    if isinstance(error, UnicodeDecodeError):  # not wrapped by msgspec (msgspec#714)
+    if isinstance(error, UnicodeDecodeError) or str(error) == _NOT_UTF8:
         return Rejected("not-utf8", "text is not UTF-8")
     if isinstance(error, RecursionError):
         return Rejected("too-deep", "nested too deeply")
