@@ -10,7 +10,7 @@ another zone before, or comes from outside, at a constant rate. All values are l
 
 ``gate - gate_new - gate_gone`` is the log odds that an exit and an entry belong to one object
 rather than to two. `Gate.affinity` computes it for many; the matching with the largest sum is the
-most likely of all.
+most likely of all. There, what may appear anywhere tells no pair, unless nobody leaves the site.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from camtopod.arrays import Floats
+from camtopod.arrays import Floats, Rows
 from camtopod.client.errors import zone_at, zones_of
 from camtopod.codec import require_event
 from camtopod.predict import (
@@ -77,8 +77,8 @@ class Gate:
             overlap, ``t_entry`` may be before ``t_exit``.
 
         Integrated over ``t_entry`` the density is the probability of appearing there next. It is a
-        step function, constant within a bin of some percent of the lag. Where no link has this lag
-        it is what may appear anywhere, or -inf.
+        step function, constant within a bin of some percent of the lag. At a lag that links hardly
+        have, it is that of what may appear anywhere, or -inf.
 
         Raises ValueError for times that are not finite; `UnknownPlace` (a KeyError) for a zone or
         camera that this version does not have. Zones come and go with versions: for events prefer
@@ -91,8 +91,11 @@ class Gate:
         if not math.isfinite(lag):
             raise ValueError(f"t_exit {t_exit} and t_entry {t_entry}: finite numbers of seconds")
         answer = outlook(self.prepared, Departure(source))
-        densities = log_density(self.prepared, answer, zones, np.full(len(zones), lag))
-        return float(np.logaddexp.reduce(densities))
+        lags = np.full(len(zones), lag)
+        linked = self._log_density(answer, zones, lags)
+        every = log_density(self.prepared, answer, zones, lags)
+        by_link = linked > every - math.log(2.0)
+        return float(np.logaddexp.reduce(np.where(by_link, linked, every)))
 
     def gate_new(self, to_camera: str, to_zone: str | None = None) -> float:
         """Return ln of the rate (1/s) at which objects from outside appear at a camera or zone.
@@ -134,9 +137,8 @@ class Gate:
         now: corrected time (seconds) up to which entries are complete, so that objects still under
             way do not count as gone. Default: the newest of the given times.
 
-        -inf means that no link has this lag, nor may the object appear anywhere by then; use
-        ``np.maximum(odds, -20)`` if other evidence may overrule that. 0 means no information: this
-        version does not know a camera.
+        -inf means that no link has this lag; use ``np.maximum(odds, -20)`` if other evidence may
+        overrule that. 0 means no information: this version does not know a camera.
 
         Raises ValueError for an entry among the exits, an exit among the entries, or an invalid
         time.
@@ -174,11 +176,16 @@ class Gate:
                 passage = None if entry is None else self._passage(entry)
                 block = block_of(event.x, event.y)
                 answer = outlook(self.prepared, Departure(zone, left[row], passage, block))
-                density = log_density(self.prepared, answer, to, came - left[row])
+                density = self._log_density(answer, to, came - left[row])
                 odds[row, known] = density - new - _log_unseen(answer, until - left[row])
                 label = labels.number(event.label or (entry or event).label)
                 odds[row, known] += np.log(labels.agreement(label, entry_labels, to))
         return odds
+
+    def _log_density(self, answer: Outlook, zones: Rows, lag: Floats) -> Floats:
+        """Return `log_density` by links and, where nobody leaves, of what may appear anywhere."""
+        linked = not self.prepared.anywhere.nobody_leaves
+        return log_density(self.prepared, answer, zones, lag, linked)
 
     def _corrected(self, event: Event) -> float:
         """Return the corrected time of an event; minus infinity for an unknown camera."""

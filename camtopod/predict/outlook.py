@@ -324,10 +324,13 @@ def _expected_early(version: PreparedVersion, targets: Rows, departure: Departur
     return np.array(expected)
 
 
-def log_density(version: PreparedVersion, alone: Outlook, zones: Rows, lag: Floats) -> Floats:
+def log_density(
+    version: PreparedVersion, alone: Outlook, zones: Rows, lag: Floats, linked: bool = False
+) -> Floats:
     """Return ln of the density (1/s) of appearing at zones (m,) with lags (m,) in seconds.
 
     alone: outlook of an exit that is seen alone.
+    linked: True to leave out what may appear anywhere.
     """
     # Density by lag bin.
     hazards, bins = version.hazards, version.hazards.bins
@@ -351,7 +354,8 @@ def log_density(version: PreparedVersion, alone: Outlook, zones: Rows, lag: Floa
             density[before] += scale[row] * entered
 
     # What may appear anywhere, after no particular lag.
-    density += anywhere_rates(version, alone)[zones] * ((lag > 0) & (lag <= bins.lag_max))
+    if not linked:
+        density += anywhere_rates(version, alone)[zones] * ((lag > 0) & (lag <= bins.lag_max))
     with np.errstate(divide="ignore"):
         return np.log(density)
 
