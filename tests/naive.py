@@ -137,7 +137,7 @@ def _valley_ratio(positions, grid, b, c, f, g):
 
 def way_contrast(sums, n, mean, cov, rates, constants):
     """Return the density of a group by that of the densest way through it (`zones/ways`)."""
-    nats, least_way, rounder, long, bend, kernel, denser, directions, back, reach = constants
+    nats, few, least_way, rounder, long, bend, kernel, denser, directions, back, reach = constants
     xx, xy, yy = cov
     for at, variance in zip(mean, (xx - xy**2 / yy, yy - xy**2 / xx), strict=True):
         if at - reach * variance**0.5 < 0 or at + reach * variance**0.5 > 1:
@@ -178,7 +178,8 @@ def way_contrast(sums, n, mean, cov, rates, constants):
     row, column = min(int(mean[1] * rows), rows - 1), min(int(mean[0] * columns), columns - 1)
     through = max(through - area * rates[row, column] / 2, 0) + least_way * sums[0].sum()
     told = n * np.log(centre / through) - n + n * through / centre if centre > through else 0.0
-    return min(told / nats, 1.0) * centre * (1 - 1 / n**0.5) / through
+    part = min(told / nats, 1.0) if n < few * sums[0].sum() else 1.0
+    return part * centre * (1 - 1 / n**0.5) / through
 
 
 def gaussian_density(points, mean, cov):

@@ -20,8 +20,10 @@ from camtopod.topology import GRID_COLUMNS, GRID_ROWS
 WAY_CONTRAST = 4.0
 """Least ratio of a zone's density to the density of the ways through it."""
 WAY_NATS = 30.0
-"""Evidence that a group is denser than the way through it, up to which its ratio counts in part: a
-few events on a way are close together by chance somewhere.
+FEW_SHARE = 0.05
+"""Evidence that a group is denser than the way through it, up to which its ratio counts in part, if
+it has less than this share of the camera's events: a few events on a way are close together by
+chance somewhere.
 """
 LEAST_WAY = 0.0005
 """Least density of a way, as a share of the camera's events under the kernel: a way on which few
@@ -64,8 +66,9 @@ def way_contrast(cells: Cells, group: Floats, rates: Floats) -> float:
     A way runs outwards, on a ray or aside to the next one, up to a denser zone or to four
     deviations, and is as dense as its least dense place. It needs two rays that are roughly
     opposite, and the sparser one counts, less half of the expected clutter, plus `LEAST_WAY`. The
-    density of the group is taken one standard error lower, and the ratio counts in part while its
-    evidence is below `WAY_NATS`. It is infinite for a group at the border.
+    density of the group is taken one standard error lower, and the ratio of a group of few events
+    (`FEW_SHARE`) counts in part while its evidence is below `WAY_NATS`. It is infinite for a group
+    at the border.
     """
     mean, scatter = moments(group)
     xx, xy, yy = covariance(group[0], scatter) + CELL_SPREAD[:, 0]
@@ -91,6 +94,8 @@ def way_contrast(cells: Cells, group: Floats, rates: Floats) -> float:
     column, row = (mean * (GRID_COLUMNS, GRID_ROWS)).astype(np.intp)
     even = area * rates[min(row, GRID_ROWS - 1), min(column, GRID_COLUMNS - 1)]
     through = max(through - even / 2, 0.0) + LEAST_WAY * float(cells.sums[0].sum())
-    ratio = max(here / through, 1.0)
-    nats = group[0] * (np.log(ratio) - 1 + 1 / ratio)
-    return float(min(nats / WAY_NATS, 1.0) * (1 - group[0] ** -0.5) * here / through)
+    contrast = (1 - group[0] ** -0.5) * here / through
+    if group[0] < FEW_SHARE * cells.sums[0].sum():
+        ratio = max(here / through, 1.0)
+        contrast *= min(group[0] * (np.log(ratio) - 1 + 1 / ratio) / WAY_NATS, 1.0)
+    return float(contrast)

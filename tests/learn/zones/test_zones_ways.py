@@ -122,6 +122,7 @@ def test_contrast_equals_its_slow_twin(seed: int) -> None:
     rates = np.random.default_rng(seed).uniform(0.1, 2, (30, 24))
     constants = (
         ways_module.WAY_NATS,
+        ways_module.FEW_SHARE,
         ways_module.LEAST_WAY,
         ways_module._ROUNDER,
         ways_module._LONG,
