@@ -28,7 +28,7 @@ from bench.real import networks_parser
 from bench.support.jobs import map_tasks
 from bench.support.recordings import Recording, load
 from camtopod.arrays import Floats
-from camtopod.learn.learner import Learner
+from camtopod.learn.recording import learn_topology
 from camtopod.predict import BetweenCameras, Predictor, Walks
 from camtopod.predict.between import HORIZON_SECONDS
 from camtopod.records import Between, Topology
@@ -86,16 +86,11 @@ def main(argv: Sequence[str]) -> int:
 def measure(folder: Path) -> Result:
     """Learn one network, and score the numbers between its cameras."""
     recording = load(folder)
-    learner = Learner(only_last=True)
-    for event in recording.events:
-        if event.t < recording.cut:
-            learner.receive(event)
-    learner.flush()
-    assert learner.topology is not None
+    topology = learn_topology(event for event in recording.events if event.t < recording.cut)
 
     moments = moments_of(recording)
     since = recording.cut - HORIZON_SECONDS
-    said = replayed(learner.topology, recording, since, moments)
+    said = replayed(topology, recording, since, moments)
     truth = truly_between(recording, since, moments)
     expected = np.array([one.number for one in said])
     inside = [one.low <= n <= one.high for one, n in zip(said, truth, strict=True)]

@@ -33,7 +33,7 @@ from bench.support.jobs import map_tasks
 from bench.support.match_figures import oracle_odds
 from bench.support.real_figures import calibration_error
 from bench.support.recordings import Recording, load
-from camtopod.learn.learner import Learner
+from camtopod.learn.recording import learn_topology
 from camtopod.predict import Predictor, Walks
 from camtopod.records import Event, Match, Topology
 
@@ -95,24 +95,19 @@ def main(argv: Sequence[str]) -> int:
 def measure(folder: Path) -> Result:
     """Learn one network, match its entries and score the walks."""
     recording = load(folder)
-    learner = Learner(only_last=True)
-    for event in recording.events:
-        if event.t < recording.cut:
-            learner.receive(event)
-    learner.flush()
-    assert learner.topology is not None
+    topology = learn_topology(event for event in recording.events if event.t < recording.cut)
     walk_of, continued = true_walks(recording)
     judged = {
         str(event.track)
         for event in recording.events
         if event.kind == "entry" and event.t >= recording.cut and str(event.track) in walk_of
     }
-    first, later = matches(learner.topology, recording.events)
+    first, later = matches(topology, recording.events)
     truth = pairs(walk_of, judged)
     ways = {
         "at once": scored(first, walk_of, judged, truth),
         "after 10 s": scored(later, walk_of, judged, truth),
-        "told": compared(oracle_edges(learner.topology, recording), walk_of, judged, truth),
+        "told": compared(oracle_edges(topology, recording), walk_of, judged, truth),
         "nearest": compared(nearest_edges(recording), walk_of, judged, truth),
     }
     return Result(recording.name, len(judged), len(judged & continued), ways)

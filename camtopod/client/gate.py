@@ -10,7 +10,7 @@ another zone before, or comes from outside, at a constant rate. All values are l
 
 ``gate - gate_new - gate_gone`` is the log odds that an exit and an entry belong to one object
 rather than to two. `Gate.affinity` computes it for many; the matching with the largest sum is the
-most likely of all. There, what may appear anywhere tells no pair, unless nobody leaves the site.
+most likely of all. `affinity` uses links only, except on a site that nobody leaves.
 """
 
 from __future__ import annotations
@@ -77,8 +77,8 @@ class Gate:
             overlap, ``t_entry`` may be before ``t_exit``.
 
         Integrated over ``t_entry`` the density is the probability of appearing there next. It is a
-        step function, constant within a bin of some percent of the lag. At a lag that links hardly
-        have, it is that of what may appear anywhere, or -inf.
+        step function, constant within a bin of some percent of the lag. At lags without a link it
+        is the density of objects that may appear anywhere, or -inf if there are none.
 
         Raises ValueError for times that are not finite; `UnknownPlace` (a KeyError) for a zone or
         camera that this version does not have. Zones come and go with versions: for events prefer
@@ -183,7 +183,7 @@ class Gate:
         return odds
 
     def _log_density(self, answer: Outlook, zones: Rows, lag: Floats) -> Floats:
-        """Return `log_density` by links and, where nobody leaves, of what may appear anywhere."""
+        """Return the `log_density` of links; on a site that nobody leaves, of all appearances."""
         linked = not self.prepared.anywhere.nobody_leaves
         return log_density(self.prepared, answer, zones, lag, linked)
 

@@ -17,8 +17,8 @@ NOISE_SD = 0.5
 may be right is to be kept.
 """
 CLEAR_NOISE_SD = 3.0
-"""The same where only what is clear is to count: in first hazards for prediction, and in what
-tells of views that may overlap.
+"""The same for clear excesses only: the initial hazards for prediction, and the screening of views
+that may overlap.
 """
 FALSE_PROBABILITY = 1e-3
 """Probability that chance alone shows anything of one kind in one window: a silence of a camera, or

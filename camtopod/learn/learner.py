@@ -129,8 +129,7 @@ class Learner:
     def receive(self, event: Event) -> str:
         """Receive one event, process the ticks that it completes, and return the verdict.
 
-        The verdict is ``accepted``, ``duplicate``, ``late`` or ``refused`` (too many cameras).
-        Raise ValueError for an event that is neither entry nor exit, or without a time.
+        It is accepted, duplicate, late or refused (too many cameras). Raises as `require_event`.
         """
         require_event(event)
         if (

@@ -49,7 +49,7 @@ class Readable(Protocol):
     """A file, or what stands before one."""
 
     def read1(self, size: int, /) -> bytes:
-        """Wait for something, and return at most ``size`` bytes of what has come; none: the end."""
+        """Read at most ``size`` bytes; block until there are some. Empty at the end of input."""
 
 
 class Line(NamedTuple):

@@ -22,7 +22,7 @@ LINES_HELD_MAX = 10_000
 LATE_LINES_MAX = 20
 """Most late lines in a row; then the newest line had a wrong time, or another recording begins."""
 SORTING_BYTES_MAX = 4 << 20
-"""Size of each cache of SQLite for sorting, in bytes; what is more is in a temporary file."""
+"""Size of the SQLite cache of each sort, in bytes. Larger sorts use a temporary file."""
 SILENT_SECONDS = 2.0
 """Time without anything new in a pipe after which nothing earlier is waited for."""
 
@@ -135,7 +135,7 @@ class Pipe:
         self._silent = silent
 
     def read1(self, size: int) -> bytes:
-        """Return what has come, at most ``size`` bytes; wait for it if there is nothing."""
+        """Read at most ``size`` bytes; block while the pipe is empty."""
         if not self._ready(0.0):
             self._pause()
             if not self._ready(SILENT_SECONDS):
