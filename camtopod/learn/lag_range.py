@@ -2,7 +2,8 @@
 
 It is found in the newest stretch of the window (`find_lag_bins`): a joint fit over a far wider
 range than is needed, and the lags of the transitions along its links. A site whose ways take
-seconds gets a short range, as a long one costs time and lets chance in.
+seconds gets a short range, as a long one costs time and lets chance in. Before an exit, an object
+is elsewhere only where views overlap, and no longer than it stays in the view that it leaves.
 """
 
 from __future__ import annotations
@@ -48,7 +49,9 @@ Q_MAX = 0.01
 CONTRAST_MIN = 2.0
 """Least hazard at a lag that counts, over the median of the pair."""
 COVERED = 0.95
-"""Share of the links' transitions up to the longest lag that counts; the others are strays."""
+"""Share of the links' transitions up to the longest lag that counts, and of the stays in views that
+overlap; the others are strays.
+"""
 SPARE = 3.0
 """The range over that lag. Where transit times vary most, evenly per second (an exponential
 distribution), 0.01 % are beyond three times their 95 % quantile; and a way may grow longer.
@@ -57,9 +60,11 @@ NEWEST_SHARE = 0.25
 """Share of the stretch that must be covered as well as the whole: a way may just have changed."""
 
 
-def find_lag_bins(scene: Scene, ranges: LagRanges | None = None) -> LagBins:
+def find_lag_bins(scene: Scene, overlap: Bools, ranges: LagRanges | None = None) -> LagBins:
     """Return the bins of the lags between views, of a range that covers the links of a window.
 
+    overlap (cameras, cameras): True where an object that leaves the first view may be in the second
+        (`overlap_table`).
     ranges: delays of long paths, from which their lags count; None without.
     """
     zones = len(scene.zones)
@@ -70,6 +75,10 @@ def find_lag_bins(scene: Scene, ranges: LagRanges | None = None) -> LagBins:
     problem = newest_stretch(scene, ranges)
     seconds = np.array(extremes(problem, fit_jointly(problem, find_candidates(problem))))
     shortest = np.array(SHORTEST_SECONDS)
+    overlapped = np.isin(scene.departures.camera, np.nonzero(overlap)[0])
+    stays = (scene.departures.t - scene.departures.since)[overlapped]
+    if np.isfinite(stays).any():
+        shortest[0] = max(shortest[0], np.quantile(stays[np.isfinite(stays)], COVERED))
     if ranges is not None:  # a peak at lag 0 has two sides
         shortest[0] = max(shortest[0], LAG_STEP * float(ranges.delay.max()))
     return _bins(*np.clip(SPARE * seconds, shortest, LONGEST_SECONDS).tolist())

@@ -30,7 +30,7 @@ from typing import NamedTuple
 import numpy as np
 from msgspec.structs import replace
 
-from camtopod.arrays import Floats
+from camtopod.arrays import Bools, Floats
 from camtopod.event_time import MICROSECONDS
 from camtopod.learn.association import (
     CandidateScreen,
@@ -195,13 +195,13 @@ def refit(
     silent = silent_odds(silences, seconds[0], seconds[-1])[[zone.camera for zone in scene.zones]]
     views = Views(through, silent)
     repeats = find_repeats(window)
-    problem = _problem(scene, settings)
+    overlapping = find_overlapping(scene.departures.passages(), len(window.cameras), offset_bins())
+    overlap = overlap_table(overlapping, len(window.cameras))
+    problem = _problem(scene, overlap, settings)
     bins = problem.bins
-    offsets = offset_bins(bins.scale, bins.step)
-    overlapping = find_overlapping(scene.departures.passages(), len(window.cameras), offsets)
 
     # 3. to 7. Links between views, and the prediction model.
-    associated = associate(scene, problem, silences, overlapping, window, known, settings, on_step)
+    associated = associate(scene, problem, silences, overlap, window, known, settings, on_step)
     on_step("prediction")
     associated, paths = with_paths(associated, scene, window.cameras)
     all_pairs, changes = associated.between, associated.changes
@@ -235,15 +235,18 @@ def refit(
     )
 
 
-def _problem(scene: Scene, settings: Settings) -> Problem:
-    """Return the departures and arrivals of a window, with the range of their lags."""
+def _problem(scene: Scene, overlap: Bools, settings: Settings) -> Problem:
+    """Return the departures and arrivals of a window, with the range of their lags.
+
+    overlap (cameras, cameras): as for `find_lag_bins`.
+    """
     zones = len(scene.zones)
     view = np.array([zone.camera for zone in scene.zones], np.int32)
     problem = Problem(scene.departures, scene.arrivals, shortest_bins(), zones, scene.last)
     ranges = long_ranges(problem, view, settings.candidates_max)
-    problem = problem._replace(bins=find_lag_bins(scene, ranges), ranges=ranges)
+    problem = problem._replace(bins=find_lag_bins(scene, overlap, ranges), ranges=ranges)
     if ranges is not None and CandidateScreen.is_needed(problem, settings.candidates_max):
-        return problem._replace(bins=find_lag_bins(scene), ranges=None)
+        return problem._replace(bins=find_lag_bins(scene, overlap), ranges=None)
     return problem
 
 
@@ -272,7 +275,7 @@ def associate(
     scene: Scene,
     problem: Problem,
     silences: list[CameraSilences],
-    overlapping: list[OverlappingViews],
+    overlap: Bools,
     window: Window,
     known: Known,
     settings: Settings,
@@ -282,6 +285,8 @@ def associate(
 
     The candidates take most of a refit's memory; all but the likely ones are given up before the
     fits.
+
+    overlap (cameras, cameras): views that overlap (`overlap_table`).
     """
     if not (len(scene.departures.t) and len(scene.arrivals.t)):
         between = tabulate(
@@ -303,7 +308,6 @@ def associate(
         settings.candidates_max,
         everywhere=known.everywhere,
     )
-    overlap = overlap_table(overlapping, len(window.cameras))
 
     # 4. The joint fits: each arrival has one cause at most, each departure one effect at most.
     on_step("joint fit")

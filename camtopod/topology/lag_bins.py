@@ -108,7 +108,7 @@ def dwell_bins() -> LagBins:
     return LagBins(0.0, DWELL_SECONDS_MAX)
 
 
-def offset_bins(scale: float, step: float) -> LagBins:
+def offset_bins(scale: float = LAG_SCALE_SECONDS, step: float = LAG_STEP) -> LagBins:
     """Return bins for offsets: seconds by which one passage begins later than another.
 
     scale, step: as for `LagBins`.

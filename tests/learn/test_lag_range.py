@@ -89,6 +89,21 @@ def test_an_overlap_is_within_the_range_before_the_exit() -> None:
     assert -90.0 < model.lag_min < -40.0
 
 
+def test_before_the_exit_the_range_covers_the_stays_in_views_that_overlap(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """People stand about where two views overlap, and no link stands out yet."""
+    monkeypatch.setattr(lag_range, "extremes", lambda problem, fit: (0.0, 0.0))
+    chance, events = np.random.default_rng(5), list[Event]()
+    for k, t in enumerate(np.sort(chance.uniform(T0, T0 + HOUR, 400)).tolist()):
+        stay = chance.exponential(30.0)
+        events += passage("a", t, stay, str(k))
+        events += passage("b", t + chance.uniform(0.0, 2.0), stay, f"b{k}")
+    model = learned_from(sorted(events, key=lambda event: event.t)).model
+    assert model is not None
+    assert -110.0 < model.lag_min < -75.0, "of exponential stays, 95 % are shorter than 90 s"
+
+
 def test_a_range_ends_at_the_edges_of_bins() -> None:
     for after in (61.3, 180.0, 777.7, LONGEST_SECONDS[1]):
         bins = lag_range._bins(5.0, after)
