@@ -12,12 +12,14 @@ from typing import Any
 from urllib.parse import quote
 
 import msgspec
+import numpy as np
 import pytest
 from chromium import Browser
 from page_fixture import Shown, opened
 from synthetic_topology import synthetic_topology
 
-from camtopod.records import Camera, Link, SeenEvent, Topology
+from camtopod.records import Camera, Histogram, Link, SeenEvent, Topology, Transit
+from camtopod.topology import LagBins
 from camtopod.web import report
 from camtopod.web.single_file import page
 
@@ -69,6 +71,31 @@ def test_a_cameras_page_follows_the_versions_and_keeps_its_events(browser: Brows
         browser.wait(lambda: "777,777" in browser.text(".panel table"), "the newer figures")
 
         assert browser.count(".event.exit") == 1
+
+
+def test_a_way_grows_longer_than_the_longest_that_was_looked_for(browser: Browser) -> None:
+    bins = LagBins(-120.0, 900.0)
+    at = bins.first + int(bins.index(np.array([600.0]))[0])
+    longer = msgspec.structs.replace(
+        PATH,
+        transit=Transit(600.0, 600.0, 9.0, 590.0, 600.0, 610.0, 0.1, 0.1),
+        histogram=Histogram(at, [90.0]),
+    )
+    links = [longer if link == PATH else link for link in SITE.links]
+    shown = Shown(SITE)
+    with shown.serving():
+        opened(browser, shown, place_of(PATH))
+        curve = "return document.querySelector('.panel svg')?.textContent ?? ''"
+        browser.wait(lambda: browser.run(curve) != "", "the transit times")
+        before = browser.run(curve)
+        assert SITE.model is not None
+        shown.publish(
+            newer(2, links=links, model=msgspec.structs.replace(SITE.model, lag_max=900.0))
+        )
+        browser.wait(lambda: "600" in browser.run(curve), "the longer way")
+        assert "600" not in before
+        browser.go("#/versions")
+        browser.wait(lambda: "900 s" in browser.text(".page .figures"), "the longest way")
 
 
 def test_who_uses_keys_stays_where_they_are(browser: Browser) -> None:
