@@ -79,13 +79,13 @@ def clutter_rates(count: Counts) -> Floats:
     n = np.asarray(count, dtype=np.float64)
     mean = clutter_rate(count)
     rate = np.full(n.shape, DENSER * mean)
-    kept = np.zeros(n.shape, dtype=np.bool_)
+    mask = np.zeros(n.shape, dtype=np.bool_)
     for _ in range(ROUNDS_MAX):
-        before = kept
-        kept = n <= DENSER * rate + 3 * np.sqrt(rate) + 1
-        if (kept == before).all():
+        before = mask
+        mask = n <= DENSER * rate + 3 * np.sqrt(rate) + 1
+        if (mask == before).all():
             break
-        weight, around = _WIDE_ROWS @ np.array((kept, kept * n)) @ _WIDE_COLUMNS
+        weight, around = _WIDE_ROWS @ np.array((mask, mask * n)) @ _WIDE_COLUMNS
         rate = np.minimum(rate, (around + EVENTS_ALIKE) / (weight + EVENTS_ALIKE / mean))
     return rate
 
@@ -117,14 +117,14 @@ def daspec_groups(dense: Floats) -> Labels:
     groups = 0
     while dense.any():
         # Keep the groups of the cells that the eigenvectors of this run reach.
-        found = data_spectroscopy(dense, width)
-        entry = found.vectors[np.arange(len(found.cells)), found.labels]
-        reached = entry > found.vectors.max(axis=0)[found.labels] * max(1 / dense.sum(), 1e-3)
-        labels[found.cells[reached]] = found.labels[reached] + groups
-        groups += found.groups
+        spectra = data_spectroscopy(dense, width)
+        entry = spectra.vectors[np.arange(len(spectra.cells)), spectra.labels]
+        mask = entry > spectra.vectors.max(axis=0)[spectra.labels] * max(1 / dense.sum(), 1e-3)
+        labels[spectra.cells[mask]] = spectra.labels[mask] + groups
+        groups += spectra.groups
 
         # Run again on the other cells.
-        dense.ravel()[found.cells[reached]] = 0
-        if not reached.any():
+        dense.ravel()[spectra.cells[mask]] = 0
+        if not mask.any():
             break
     return labels

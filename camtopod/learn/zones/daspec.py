@@ -98,9 +98,9 @@ def data_spectroscopy(counts: NDArray[np.generic], bandwidth: float) -> Spectrum
     # Keep the eigenvectors that do not change sign.
     peaks = np.abs(vectors).argmax(axis=0)
     vectors = vectors * np.sign(vectors[peaks, np.arange(len(peaks))])
-    kept = vectors.min(axis=0) >= -vectors.max(axis=0) / n
-    values = values[kept]
-    vectors = vectors[:, kept]
+    mask = vectors.min(axis=0) >= -vectors.max(axis=0) / n
+    values = values[mask]
+    vectors = vectors[:, mask]
 
     # A cell belongs to the group of its largest eigenvector.
     labels = np.abs(vectors).argmax(axis=1)
@@ -125,9 +125,9 @@ def bandwidth(counts: NDArray[np.generic]) -> float:
     r, c = np.divmod(cells, grid.shape[1])
     distances = (r[:, None] - r) ** 2 + (c[:, None] - c) ** 2
     order = distances.argsort(axis=1, kind="stable")
-    reached = np.cumsum(weights[order], axis=1)
-    wanted = min(max(SHARE_NEAR * weights.sum(), POINTS_NEAR_MIN), float(weights.sum()))
-    last = (reached >= wanted - 1e-9).argmax(axis=1)
+    cumulative = np.cumsum(weights[order], axis=1)
+    weight_needed = min(max(SHARE_NEAR * weights.sum(), POINTS_NEAR_MIN), float(weights.sum()))
+    last = (cumulative >= weight_needed - 1e-9).argmax(axis=1)
     radius = np.sqrt(np.take_along_axis(distances, order, axis=1)[np.arange(len(cells)), last])
 
     # The 95 % quantile of the radii, over points.

@@ -71,21 +71,21 @@ _DIRECTIONS = np.array([(np.cos(angle), np.sin(angle)) for angle in np.arange(6)
 
 
 def partition(
-    cells: Cells, count: NDArray[np.int64], rates: Floats, held: Labels | None = None
+    cells: Cells, count: NDArray[np.int64], rates: Floats, start: Labels | None = None
 ) -> Labels:
     """Return the zone of each occupied cell (m,), counted from 0, or -1 for clutter.
 
     cells: the occupied cells.
     count (rows, columns): number of events of each cell of the grid.
     rates (rows, columns): expected events of clutter in each cell (`clutter_rates`).
-    held (m,): an earlier partition, which is changed only where the evidence is clear (`HOLD`);
+    start (m,): an earlier partition, which is changed only where the evidence is clear (`HOLD`);
         None to start from nothing.
     """
     one_zone = np.zeros(len(cells.index), dtype=np.intp)
     if count.sum() < POINTS_NEAR_MIN:
         return one_zone
 
-    labels = _Partition(cells, one_zone - 1 if held is None else held, rates).improve()
+    labels = _Partition(cells, one_zone - 1 if start is None else start, rates).improve()
     return labels if labels.max() >= 0 else one_zone
 
 
@@ -100,7 +100,7 @@ class _Partition:
     density (cells of the grid,): expected clutter in each cell over its mean.
     hold: `HOLD` if the first partition is held, else 1.
     valleys: cached results of `_valley_between`, by the sums of the two groups.
-    uncut: sums of groups that could not be split.
+    whole_zones: sums of groups that could not be split.
     contrasts: cached results of `_contrast`, by the sums of the group.
     """
 
@@ -117,11 +117,11 @@ class _Partition:
         self.grids = np.zeros((len(self.density), 2))
         self.grids[:, 0] = self.density
         self.grids[cells.index, 1] = cells.sums[0]
-        self.weighed = cells.sums[0] * self.log_density
+        self.log_mass = cells.sums[0] * self.log_density
 
         self.total = float(cells.sums[0].sum())
         self.valleys: dict[bytes, float] = {}
-        self.uncut: set[bytes] = set()
+        self.whole_zones: set[bytes] = set()
         self.contrasts: dict[bytes, float] = {}
         self._set(labels)
 
@@ -140,7 +140,7 @@ class _Partition:
         ) @ self.cells.sums.T
         self.mean, self.scatter = moments(self.zones.T)
         self.cov = covariance(self.zones[:, 0], self.scatter)
-        self.as_clutter = np.bincount(self.labels + 1, self.weighed, len(self.zones) + 1)[1:]
+        self.as_clutter = np.bincount(self.labels + 1, self.log_mass, len(self.zones) + 1)[1:]
         self.clutter = self.total - float(self.zones[:, 0].sum())
 
     def improve(self) -> Labels:
@@ -169,17 +169,17 @@ class _Partition:
         outside = self.labels < 0
         count = np.zeros(self.rates.shape)
         count.flat[self.cells.index[outside]] = self.cells.sums[0, outside]
-        known = len(self.zones)
+        zone_count = len(self.zones)
         dense = dense_cells(count, self.rates)
         if not dense.any():
-            if known:
+            if zone_count:
                 return False
             dense = count
 
         # Add their groups, and remove those that are not zones.
         groups = daspec_groups(dense)[self.cells.index]
-        self._set(np.where(groups >= 0, groups + known, self.labels))
-        for k in range(len(self.zones) - 1, known - 1, -1) if known else ():
+        self._set(np.where(groups >= 0, groups + zone_count, self.labels))
+        for k in range(len(self.zones) - 1, zone_count - 1, -1) if zone_count else ():
             if (
                 self.zones[k, 0] < ZONE_EVENTS_MIN
                 or self._drop_gain(np.array([k]), self.hold)[0] >= 0
@@ -187,20 +187,20 @@ class _Partition:
                 or self._is_tail(k)
             ):
                 self._remove(k)
-        return len(self.zones) > known
+        return len(self.zones) > zone_count
 
     def _is_tail(self, k: int) -> bool:
         """Return True if there is no valley between zone ``k`` and some bigger zone.
 
         Then the events of zone ``k`` are a heavy tail of the bigger zone, however far away it is.
         """
-        others = np.flatnonzero(self.zones[:, 0] > self.zones[k, 0])
+        larger_zones = np.flatnonzero(self.zones[:, 0] > self.zones[k, 0])
         return any(
             self._valley_between(
                 self.zones[j], self.zones[k], (self.labels == j) | (self.labels == k)
             )
             < VALLEY_MIN
-            for j in others
+            for j in larger_zones
         )
 
     def _join(self, a: int, b: int) -> None:
@@ -221,17 +221,19 @@ class _Partition:
             zones = np.arange(len(self.zones))
             a, b = np.nonzero(zones[:, None] < zones)
             two = np.stack((a, b))
-            both = self.zones.T[:, two].sum(axis=1)
-            gain, unlike = self._two_zones_gain(self.zones[two, 0], self.scatter[:, two], both)
+            joint_sums = self.zones.T[:, two].sum(axis=1)
+            gain, unlike = self._two_zones_gain(
+                self.zones[two, 0], self.scatter[:, two], joint_sums
+            )
 
             # The pair with the least gain that is not two zones.
             for pair in gain.argsort(kind="stable"):
                 i, j = int(a[pair]), int(b[pair])
                 inside = (self.labels == i) | (self.labels == j)
-                wanted = (VALLEY_MIN if gain[pair] > 0 else VALLEY_ALONE) / self.hold
+                least = (VALLEY_MIN if gain[pair] > 0 else VALLEY_ALONE) / self.hold
                 if (
                     not unlike[pair]
-                    and self._valley_between(self.zones[i], self.zones[j], inside) < wanted
+                    and self._valley_between(self.zones[i], self.zones[j], inside) < least
                 ):
                     break
             else:
@@ -257,28 +259,28 @@ class _Partition:
                 return
             self._remove(k)
 
-    def _drop_gain(self, which: Labels, hold: float) -> Floats:
+    def _drop_gain(self, zones: Labels, hold: float) -> Floats:
         """Return the gain (z,) of log posterior if a group became clutter, for each of some groups.
 
-        which (z,): the groups.
+        zones (z,): the groups.
         hold: factor on `EXCESS_MIN`.
 
         The gain is negative if the group stands out from the clutter around it by more than
         ``hold`` times `EXCESS_MIN`.
         """
         # The marginal likelihoods.
-        n = self.zones[which, 0]
+        n = self.zones[zones, 0]
         count = len(self.zones)
         total = np.array(self.total)
         gain = (
             log_zones(count - 1, total)
             - log_zones(count, total)
-            - log_zone(n, self.scatter[:, which])
+            - log_zone(n, self.scatter[:, zones])
         )
-        gain += gammaln(self.clutter + n + 1) - gammaln(self.clutter + 1) + self.as_clutter[which]
+        gain += gammaln(self.clutter + n + 1) - gammaln(self.clutter + 1) + self.as_clutter[zones]
 
         # The log likelihood ratio that the Poisson mean of the events there is beyond the expected.
-        n, expected = self._inside(which)
+        n, expected = self._inside(zones)
         surplus = (n * np.log(n / expected) - n + expected) * np.sign(n - expected)
         return np.where(gain > 0, np.minimum(gain, EXCESS_MIN * hold - surplus), gain)
 
@@ -298,12 +300,12 @@ class _Partition:
             dense = places[:, [self.cells.sums[0, inside].argmax()]]
             core = np.hypot(*(places - dense)) < _CORE
             sums = self.cells.sums[:, inside[core]].sum(axis=1)
-            rest = way_contrast(self.cells, sums, self.rates) < WAY_CONTRAST
-            labels[inside[rest | ~core]] = -1
-        changed = bool((labels != self.labels).any())
-        if changed:
+            is_even = way_contrast(self.cells, sums, self.rates) < WAY_CONTRAST
+            labels[inside[is_even | ~core]] = -1
+        is_changed = bool((labels != self.labels).any())
+        if is_changed:
             self._set(labels)
-        return changed
+        return is_changed
 
     def _contrast(self, k: int) -> float:
         """Return the `way_contrast` of zone ``k``; results are cached."""
@@ -312,26 +314,26 @@ class _Partition:
             self.contrasts[key] = way_contrast(self.cells, self.zones[k], self.rates)
         return self.contrasts[key]
 
-    def _inside(self, which: Labels) -> tuple[Floats, Floats]:
+    def _inside(self, zones: Labels) -> tuple[Floats, Floats]:
         """Return the number of events around each of some zones, and the expected clutter, (z,).
 
-        which (z,): the zones.
+        zones (z,): the zones.
 
         Events count within two standard deviations of the zone's centre, unless in another zone.
         """
         # The cells around each zone (z, cells of the grid).
-        xx, xy, yy = (self.cov[:, which] + CELL_SPREAD)[:, :, None, None]
-        x, y = self.mean[:, which, None, None]
+        xx, xy, yy = (self.cov[:, zones] + CELL_SPREAD)[:, :, None, None]
+        x, y = self.mean[:, zones, None, None]
         dx = CELL_X - x
         dy = CELL_Y - y
         square = yy * dx * dx - 2 * xy * dx * dy + xx * dy * dy
-        inside = (square < 4 * (xx * yy - xy * xy)).reshape(len(which), -1)
+        inside = (square < 4 * (xx * yy - xy * xy)).reshape(len(zones), -1)
 
         # Leave out cells of other zones.
         labels = np.full(len(self.density), -1)
         labels[self.cells.index] = self.labels
         free = labels < 0
-        inside &= free | (labels == which[:, None])
+        inside &= free | (labels == zones[:, None])
 
         # The events there, and the expected ones from the density of clutter in all free cells.
         expected, n = (inside.astype(np.float64) @ self.grids).T
@@ -339,22 +341,22 @@ class _Partition:
         return np.maximum(n, 1e-9), np.maximum(expected, self.density.min()) * scale
 
     def _two_zones_gain(
-        self, n: Floats, scatter: Floats, both: Floats
+        self, n: Floats, scatter: Floats, joint_sums: Floats
     ) -> tuple[Floats, NDArray[np.bool_]]:
         """Return the gain of log posterior of two zones over one, and where no valley is needed.
 
         n (2, ..., m): number of events of the two groups of each pair.
         scatter (3, 2, ..., m): `moments` of the two groups of each pair.
-        both (6, m): sums of the two groups together.
+        joint_sums (6, m): sums of the two groups together.
 
         No valley is needed if the gain per event of the smaller group exceeds
         `UNLIKE_GAIN_PER_EVENT`. Both results are (..., m).
         """
         # Terms of the prior that are the same for one and two zones are left out.
-        weight = 1 / (1 + both[0] / PAIR_EVENTS)
+        weight = 1 / (1 + joint_sums[0] / PAIR_EVENTS)
         count = len(self.zones)
         total = self.total * weight
-        whole = log_zone(both[0] * weight, moments(both * weight)[1])
+        whole = log_zone(joint_sums[0] * weight, moments(joint_sums * weight)[1])
         whole += log_zones(count, total) - log_zones(count + 1, total)
         first, second = log_zone(n * weight, scatter * weight)
         gain = first + second - whole
@@ -397,28 +399,28 @@ class _Partition:
 
         # Compare the zones with each other and with the clutter.
         score = score @ self.cells.average
-        explained = score.max(axis=0) > np.log(self.clutter + 1) + self.log_density
-        labels = np.where(explained, score.argmax(axis=0), -1)
-        changed = bool((labels != self.labels).any())
-        if changed:
+        in_zone = score.max(axis=0) > np.log(self.clutter + 1) + self.log_density
+        labels = np.where(in_zone, score.argmax(axis=0), -1)
+        is_changed = bool((labels != self.labels).any())
+        if is_changed:
             self._set(labels)
-        return changed
+        return is_changed
 
     def _split(self) -> bool:
         """Split every group that is two zones; return True if there is any."""
         labels = self.labels.copy()
         keys = [zone.tobytes() for zone in self.zones]
-        uncertain = [k for k in range(len(keys)) if keys[k] not in self.uncut]
+        uncertain = [k for k in range(len(keys)) if keys[k] not in self.whole_zones]
         for k in uncertain:
             part = self._cut(k)
             if part is None:
-                self.uncut.add(keys[k])
+                self.whole_zones.add(keys[k])
             else:
                 labels[part] = labels.max() + 1
-        changed = bool((labels != self.labels).any())
-        if changed:
+        is_changed = bool((labels != self.labels).any())
+        if is_changed:
             self._set(labels)
-        return changed
+        return is_changed
 
     def _cut(self, zone: int) -> NDArray[np.intp] | None:
         """Return the cells beyond the best straight cut that makes two zones of one; None if none.
@@ -432,15 +434,15 @@ class _Partition:
         # The sums on both sides of every cut: sides (6, 2, directions, cuts). Across each
         # direction, there is a cut after each cell but the last one.
         order = cells[(_DIRECTIONS @ self.cells.average[1:3, cells]).argsort(axis=1, kind="stable")]
-        both = self.zones[zone][:, None]
+        joint_sums = self.zones[zone][:, None]
         first = np.cumsum(self.cells.sums[:, order], axis=2)[:, :, :-1]
-        sides = np.stack((first, both[:, None] - first), axis=1)
+        sides = np.stack((first, joint_sums[:, None] - first), axis=1)
 
         # The best cut, if it makes two zones.
-        gain, unlike = self._two_zones_gain(sides[0], moments(sides)[1], both)
+        gain, unlike = self._two_zones_gain(sides[0], moments(sides)[1], joint_sums)
         angle, at = np.unravel_index(int(gain.argmax()), gain.shape)
-        wanted = (VALLEY_MIN if gain[angle, at] > 0 else VALLEY_ALONE) * self.hold
+        least = (VALLEY_MIN if gain[angle, at] > 0 else VALLEY_ALONE) * self.hold
         left, right = sides[:, :, angle, at].T
-        if unlike[angle, at] or self._valley_between(left, right, self.labels == zone) >= wanted:
+        if unlike[angle, at] or self._valley_between(left, right, self.labels == zone) >= least:
             return order[angle, at + 1 :]
         return None

@@ -107,10 +107,10 @@ def valley_between(
     tube = (outside) & (along > 0) & (along < apart) & (np.abs(aside) < 2 * width)
 
     # The valley along the line, from two standard deviations before to two behind the centres.
-    chosen = np.flatnonzero(inside | tube)
-    n = cells.sums[0, chosen] * weight
-    sd = sd_along(cells.spread[:, chosen], line)
-    return valley_log_ratio(n, along[chosen], sd, -2 * sd_a, apart + 2 * sd_b)
+    rows = np.flatnonzero(inside | tube)
+    n = cells.sums[0, rows] * weight
+    sd = sd_along(cells.spread[:, rows], line)
+    return valley_log_ratio(n, along[rows], sd, -2 * sd_a, apart + 2 * sd_b)
 
 
 def valley_log_ratio(n: Floats, position: Floats, sd: Floats, low: float, high: float) -> float:

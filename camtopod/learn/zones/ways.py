@@ -75,18 +75,18 @@ def way_contrast(cells: Cells, group: Floats, rates: Floats) -> float:
     across = np.sqrt((xx - xy * xy / yy, yy - xy * xy / xx))  # with the other coordinate given
     if (np.minimum(mean, 1 - mean) < _REACH * across).any():
         return np.inf
-    more = _ROUNDER * (xx + yy)
-    root = np.linalg.cholesky(np.array([[xx + more, xy], [xy, yy + more]]))
+    rounding = _ROUNDER * (xx + yy)
+    root = np.linalg.cholesky(np.array([[xx + rounding, xy], [xy, yy + rounding]]))
     root *= min(1.0, _LONG / np.sqrt(max(xx, yy)))
     events = np.linalg.solve(root, cells.average[1:3] - mean[:, None]).T
     density = np.exp(cdist(_PLACES, events, "sqeuclidean") / (-2 * _KERNEL**2)) @ cells.sums[0]
 
     # The way out along each ray, from its end inwards, and the two rays of the densest way.
-    here, rays = float(density[0]), density[1:].reshape(-1, _DIRECTIONS)
+    centre_density, rays = float(density[0]), density[1:].reshape(-1, _DIRECTIONS)
     way = rays[-1]
     for ring in rays[-2::-1]:
         on = np.maximum(way, _BEND * way[_RAYS_BESIDE].max(axis=1))
-        way = np.where(ring > DENSER * here, ring, np.minimum(ring, on))
+        way = np.where(ring > DENSER * centre_density, ring, np.minimum(ring, on))
     through = float(np.minimum(way, way[_RAYS_BACK].max(axis=1)).max())
 
     # The expected clutter under the kernel, whose area is in cells.
@@ -94,8 +94,8 @@ def way_contrast(cells: Cells, group: Floats, rates: Floats) -> float:
     column, row = (mean * (GRID_COLUMNS, GRID_ROWS)).astype(np.intp)
     even = area * rates[min(row, GRID_ROWS - 1), min(column, GRID_COLUMNS - 1)]
     through = max(through - even / 2, 0.0) + LEAST_WAY * float(cells.sums[0].sum())
-    contrast = (1 - group[0] ** -0.5) * here / through
+    contrast = (1 - group[0] ** -0.5) * centre_density / through
     if group[0] < FEW_SHARE * cells.sums[0].sum():
-        ratio = max(here / through, 1.0)
+        ratio = max(centre_density / through, 1.0)
         contrast *= min(group[0] * (np.log(ratio) - 1 + 1 / ratio) / WAY_NATS, 1.0)
     return float(contrast)

@@ -55,34 +55,34 @@ def find_zones(
     sums: Longs,
     previous: tuple[ZoneShape, ...] = (),
     next_number: int = 1,
-    held: NDArray[np.int16] | None = None,
+    start: NDArray[np.int16] | None = None,
 ) -> ZoneMap:
     """Find the zones of a camera from its sums (`cell_sums`); without events there are none.
 
     previous: earlier zones of the camera; a new zone at the place of one of them gets its number.
         Vanished zones may be among them.
     next_number: number of the first zone that is at the place of no earlier one.
-    held (rows, columns): an earlier map (`ZoneMap.cells`), which is changed only where the evidence
-        is clear; None to learn from nothing.
+    start (rows, columns): an earlier map (`ZoneMap.cells`), which is changed only where the
+        evidence is clear; None to learn from nothing.
     """
     # The cells that have events.
     count = sums[0]
     flat = sums.reshape(len(sums), CELLS)
-    occupied = np.flatnonzero(flat[0])
-    if not len(occupied):
+    cell_rows = np.flatnonzero(flat[0])
+    if not len(cell_rows):
         return ZoneMap((), np.full((GRID_ROWS, GRID_COLUMNS), -1, dtype=np.int16), next_number)
 
     # Assign these cells to groups, of which at most `ZONES_PER_CAMERA_MAX` become zones.
-    filled = flat[:, occupied]
-    so_far = None if held is None else held.ravel()[occupied].astype(np.intp)
+    cell_columns = flat[:, cell_rows]
+    so_far = None if start is None else start.ravel()[cell_rows].astype(np.intp)
     rates = clutter_rates(count)
     labels = _largest(
-        partition(Cells.of(filled / _SCALE, occupied), count, rates, so_far), filled[0]
+        partition(Cells.of(cell_columns / _SCALE, cell_rows), count, rates, so_far), cell_columns[0]
     )
 
     # Make zones from the exact sums (groups, 6), and number them like earlier zones in their place.
-    groups = (labels == np.arange(labels.max() + 1)[:, None]).astype(np.int64) @ filled.T
-    events = int(filled[0].sum())
+    groups = (labels == np.arange(labels.max() + 1)[:, None]).astype(np.int64) @ cell_columns.T
+    events = int(cell_columns[0].sum())
     total = int(groups[:, 0].sum())
     zones, next_number = match_zones(
         previous, [_shape(group, total) for group in groups.tolist()], next_number
@@ -93,19 +93,20 @@ def find_zones(
     return ZoneMap(zones, classify_cells(zones, clutter), next_number, events)
 
 
-def refresh_zones(sums: Longs, old: ZoneMap, gone: tuple[ZoneShape, ...] = ()) -> ZoneMap:
+def refresh_zones(sums: Longs, old: ZoneMap, vanished_zones: tuple[ZoneShape, ...] = ()) -> ZoneMap:
     """Return the map ``old`` adapted to the present sums where the evidence for a change is clear.
 
-    gone: vanished zones of the camera; a zone at the place of one of them gets its number back.
+    vanished_zones: vanished zones of the camera; a zone at the place of one of them gets its number
+        back.
 
     While events are few (`ANEW_EVENTS_MAX`), the zones are learned from nothing whenever the number
     of events has doubled, so that early errors do not persist.
     """
-    known = old.zones + gone
+    zones_before = old.zones + vanished_zones
     events = int(sums[0].sum())
     if events >= 2 * old.events and old.events < ANEW_EVENTS_MAX:
-        return find_zones(sums, known, old.next_number)
-    return replace(find_zones(sums, known, old.next_number, old.cells), events=old.events)
+        return find_zones(sums, zones_before, old.next_number)
+    return replace(find_zones(sums, zones_before, old.next_number, old.cells), events=old.events)
 
 
 def _largest(labels: NDArray[np.intp], events: Longs) -> NDArray[np.intp]:
@@ -117,10 +118,10 @@ def _largest(labels: NDArray[np.intp], events: Longs) -> NDArray[np.intp]:
     number = np.bincount(labels + 1, events)[1:]
     if len(number) <= ZONES_PER_CAMERA_MAX:
         return labels
-    kept = np.sort(np.argsort(-number, kind="stable")[:ZONES_PER_CAMERA_MAX])
-    renamed = np.full(len(number) + 1, -1, np.intp)  # the last is for clutter
-    renamed[kept] = np.arange(len(kept))
-    return renamed[labels]
+    largest_groups = np.sort(np.argsort(-number, kind="stable")[:ZONES_PER_CAMERA_MAX])
+    new_label = np.full(len(number) + 1, -1, np.intp)  # the last is for clutter
+    new_label[largest_groups] = np.arange(len(largest_groups))
+    return new_label[labels]
 
 
 def _shape(sums: list[int], total: int) -> ZoneShape:
@@ -169,10 +170,10 @@ def match_zones(
         next_number += 1
 
     # Sort by number.
-    numbered = [
+    result = [
         ZoneShape(number[k], zone.x, zone.y, zone.cov, zone.weight) for k, zone in enumerate(new)
     ]
-    return tuple(sorted(numbered, key=lambda zone: zone.number)), next_number
+    return tuple(sorted(result, key=lambda zone: zone.number)), next_number
 
 
 def _distances(old: tuple[ZoneShape, ...], new: list[ZoneShape]) -> Floats:
@@ -183,13 +184,13 @@ def _distances(old: tuple[ZoneShape, ...], new: list[ZoneShape]) -> Floats:
     """
     (ax, ay, *a) = _figures(old)[:, :, None]
     (bx, by, *b) = _figures(new)[:, None, :]
-    xx, xy, yy = ((one + other) / 2 for one, other in zip(a, b, strict=True))
+    xx, xy, yy = ((cov_a + cov_b) / 2 for cov_a, cov_b in zip(a, b, strict=True))
     determinant = xx * yy - xy * xy
     dx = ax - bx
     dy = ay - by
-    squared = (yy * dx * dx - 2 * xy * dx * dy + xx * dy * dy) / determinant
+    square = (yy * dx * dx - 2 * xy * dx * dy + xx * dy * dy) / determinant
     spread = (a[0] * a[2] - a[1] * a[1]) * (b[0] * b[2] - b[1] * b[1])
-    return np.asarray(np.sqrt(squared + 2 * np.maximum(np.log(determinant**2 / spread), 0.0)))
+    return np.asarray(np.sqrt(square + 2 * np.maximum(np.log(determinant**2 / spread), 0.0)))
 
 
 def _figures(zones: Sequence[ZoneShape]) -> Floats:

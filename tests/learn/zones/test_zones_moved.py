@@ -45,7 +45,7 @@ def test_a_turned_camera_is_seen_within_a_hundred_events(seed: int, n: int) -> N
     assert move is not None
     assert abs(move.first - n) <= 20
     assert move.outside > 0.8
-    assert move.left < 0.2
+    assert move.stay_share < 0.2
 
 
 def test_cameras_tested_together_do_not_disturb_each_other() -> None:
