@@ -81,11 +81,11 @@ def common_periods(problem: Problem, fit: Fit) -> Floats:
         The first are relative to the usual power of all frequencies, the others also to that of the
         frequencies around each.
         """
-        some, row = np.unique(zones, return_inverse=True)
+        distinct_zones, row = np.unique(zones, return_inverse=True)
         rows = rows_by_group(zone, problem.zones)
-        table = np.zeros((2, len(some), len(period)))
-        for power, line, each in zip(*table, some.tolist(), strict=True):
-            at = ((t[rows[each]] - first) / step).astype(np.int64)
+        table = np.zeros((2, len(distinct_zones), len(period)))
+        for power, line, place in zip(*table, distinct_zones.tolist(), strict=True):
+            at = ((t[rows[place]] - first) / step).astype(np.int64)
             at = at[at < blocks * steps]  # by a wrong clock, some are after the window
             counts = np.bincount(at, minlength=blocks * steps).reshape(blocks, steps)
             waves = np.abs(rfft(counts - counts.mean(axis=1, keepdims=True), size)) ** 2
@@ -100,15 +100,17 @@ def common_periods(problem: Problem, fit: Fit) -> Floats:
     if len(period) == 0 or len(pairs) == 0:
         return result
     c = fit.candidates
-    left = powers(departures.t, departures.zone, c.source[pairs])
-    come = powers(arrivals.t, arrivals.zone, c.target[pairs])
-    best = np.arange(len(pairs)), np.minimum(left, come)[0].argmax(axis=1)
-    left, come = left[1][best], come[1][best]
-    nats = -np.log(np.maximum(gammaincc(noise, np.minimum(left, come)), 1e-300))
+    departure_powers = powers(departures.t, departures.zone, c.source[pairs])
+    arrival_powers = powers(arrivals.t, arrivals.zone, c.target[pairs])
+    best = np.arange(len(pairs)), np.minimum(departure_powers, arrival_powers)[0].argmax(axis=1)
+    departure_powers, arrival_powers = departure_powers[1][best], arrival_powers[1][best]
+    nats = -np.log(
+        np.maximum(gammaincc(noise, np.minimum(departure_powers, arrival_powers)), 1e-300)
+    )
 
     # n departures and m arrivals in T seconds, of relative amplitudes a and b, and a kernel in step
     # with them over all lags gain n m lags / T (a b)^2 / 16 nats; power beyond noise is n a^2 / 4.
-    gain = np.maximum(left - noise, 0.0) * np.maximum(come - noise, 0.0)
+    gain = np.maximum(departure_powers - noise, 0.0) * np.maximum(arrival_powers - noise, 0.0)
     gain *= (bins.lag_max - bins.lag_min) / seconds
     clear = (nats >= PEAK_NATS + np.log(len(period))) & (gain >= GAIN_NATS)
     result[pairs] = np.where(clear, period[best[1]], np.nan)
@@ -178,11 +180,11 @@ def way_lags(counts: Floats, copies: Floats) -> Bools:
     # Noise is what the copies differ by: saturated platoons hardly differ from cycle to cycle.
     narrow, wide, *_ = SMOOTHING_SD_BINS
     spread = lag_smoothing_matrix(len(counts), narrow)
-    smoothed = copies @ spread.T
+    smooth_copies = copies @ spread.T
     wider = lag_smoothing_matrix(len(counts), wide)
-    noise = wider @ smoothed.var(axis=0, ddof=1) * (1.0 + 1.0 / len(copies))
+    noise = wider @ smooth_copies.var(axis=0, ddof=1) * (1.0 + 1.0 / len(copies))
     noise += (spread**2).sum(axis=1)  # that of one candidate a bin, where there are few
-    excess = (spread @ counts - smoothed.mean(axis=0)) / np.sqrt(noise)
+    excess = (spread @ counts - smooth_copies.mean(axis=0)) / np.sqrt(noise)
 
     # The stretches of bins above the cycle that are clearly above it somewhere.
     edge, middle = EXCESS_SD
@@ -202,7 +204,7 @@ def without_cycle(problem: Problem, fit: Fit) -> tuple[Fit, Floats]:
     able = off_cycle(problem, fit.candidates, period)
     if able.all():
         return fit, period
-    em = Em(problem, fit.candidates, adjusted=adjust(problem, fit.candidates, fit.persistence))
+    em = Em(problem, fit.candidates, adjustment=adjust(problem, fit.candidates, fit.persistence))
     em.keep(able)
     em.run(em.start())
     fit = fit_sparsely(em)
@@ -233,15 +235,15 @@ def evidence_against_cycle(
     period (P, seconds): common period of each pair of zones, nan without one.
     """
     c, arrivals = candidates, problem.arrivals
-    explained = np.bincount(c.arrival, share, minlength=len(arrivals.t))
-    every = outside[arrivals.zone] * arrivals.rate / np.maximum(1.0 - explained, 1e-3)
+    arrival_share = np.bincount(c.arrival, share, minlength=len(arrivals.t))
+    total_rate = outside[arrivals.zone] * arrivals.rate / np.maximum(1.0 - arrival_share, 1e-3)
     evidence = np.zeros((len(period), PARTS))
     part = np.arange(len(arrivals.t)) / max(len(arrivals.t), 1) * PARTS
     for pair in np.flatnonzero(period > 0.0).tolist():
         rows = np.flatnonzero(arrivals.zone == c.target[pair])
-        own = np.flatnonzero(c.pair == pair)
-        by_pair = np.bincount(c.arrival[own], share[own], minlength=len(arrivals.t))
-        beside = (every * np.maximum(1.0 - by_pair, 1e-3))[rows]
+        pair_rows = np.flatnonzero(c.pair == pair)
+        by_pair = np.bincount(c.arrival[pair_rows], share[pair_rows], minlength=len(arrivals.t))
+        beside = (total_rate * np.maximum(1.0 - by_pair, 1e-3))[rows]
 
         copies = _with_copies(problem, c, pair, period[pair])
         rates = np.array([np.bincount(x.arrival, hazard[pair, at], len(rows)) for x, at in copies])

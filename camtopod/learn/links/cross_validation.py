@@ -85,9 +85,9 @@ def judging(problem: Problem) -> Problem:
     Arrivals may also follow the activity of the site (`activity_rates`), and what was declared of
     the cameras (`Problem.odds`) does not count: it may shape a fit, but does not judge it.
     """
-    came = problem.arrivals
-    active = activity_rates(came.t, came.zone, came.camera, came.rate)
-    return problem._replace(arrivals=came._replace(rate=active), odds=None)
+    arrivals = problem.arrivals
+    active = activity_rates(arrivals.t, arrivals.zone, arrivals.camera, arrivals.rate)
+    return problem._replace(arrivals=arrivals._replace(rate=active), odds=None)
 
 
 def _whole(problem: Problem, fit: Fit, period: Floats) -> Floats:
@@ -118,31 +118,31 @@ def _held_out(problem: Problem, judge: Problem, fit: Fit, first: float, period: 
     period (P, seconds): common period of each pair of zones, nan without one.
     """
     pairs = np.flatnonzero(fit.counts.sum(axis=1) >= TRANSITIONS_MIN)
-    every = candidates_of_pairs(problem, fit.candidates, pairs)
-    every = every.rows(off_cycle(problem, every, period))
-    halves = Halves(problem, judge, fit._replace(candidates=every), first)
+    candidates = candidates_of_pairs(problem, fit.candidates, pairs)
+    candidates = candidates.rows(off_cycle(problem, candidates, period))
+    halves = Halves(problem, judge, fit._replace(candidates=candidates), first)
     mean: Floats = np.logaddexp(_bet(halves, 0, period), _bet(halves, 1, period)) - np.log(2.0)
     return mean
 
 
-def _bet(halves: Halves, fitted: int, period: Floats) -> Floats:
+def _bet(halves: Halves, half: int, period: Floats) -> Floats:
     """Return the log (P, nats) of what a bet of half of the stake makes of the stake.
 
     A bet that loses everything then costs ln 2 nats, not hundreds.
 
-    fitted: the half that the hazards are fitted on; they bet on the other one.
+    half: the half that the hazards are fitted on; they bet on the other one.
 
     period (P, seconds): common period of each pair of zones, nan without one.
 
     The bet is against the stronger of the two null models.
     """
-    fitter = halves.take(fitted)
+    fitter = halves.take(half)
     hazard = _fitted(fitter)
     # What is left when a pair is taken away must be as good as knowing nothing. On noise, the pairs
     # explain nearly all arrivals, and each would look needed beside so small a rest.
     outside = np.maximum(fitter.outside, OUTSIDE_LEAST)
-    judged = halves.take(1 - fitted, judged=True)
-    ratio = np.minimum(*_evidence(judged, hazard, outside, period))
+    judge = halves.take(1 - half, for_judging=True)
+    ratio = np.minimum(*_evidence(judge, hazard, outside, period))
     stake: Floats = np.logaddexp(ratio, 0.0) - np.log(2.0)
     return stake
 
@@ -167,36 +167,36 @@ class Halves:
         self._departure_half = self._of(problem.departures.t)
         self._arrival_half = self._of(problem.arrivals.t)
         self._exposure = self._exposures()
-        self._adjusted = adjust(problem, fit.candidates, fit.persistence)
+        self._adjustment = adjust(problem, fit.candidates, fit.persistence)
 
-    def take(self, half: int, judged: bool = False) -> Em:
+    def take(self, half: int, for_judging: bool = False) -> Em:
         """Return a fit in progress of the arrivals in one half; pairs are numbered as in `fit`.
 
         half: its number, 0 or 1.
-        judged: True for the half that is bet on (`judging`).
+        for_judging: True for the half that is bet on (`judging`).
         """
         # Keep the candidates whose arrivals lie in this half.
         departs = self._departure_half == half
         arrives = self._arrival_half == half
         c = self.fit.candidates
-        kept = np.flatnonzero(arrives[c.arrival])
+        rows = np.flatnonzero(arrives[c.arrival])
         arrival = (np.cumsum(arrives) - 1).astype(np.int32)
         candidates = Candidates(
-            c.departure[kept],
-            arrival[c.arrival[kept]],
-            c.pair[kept],
-            c.lag[kept],
+            c.departure[rows],
+            arrival[c.arrival[rows]],
+            c.pair[rows],
+            c.lag[rows],
             c.source,
             c.target,
         )
 
-        problem = self._judging if judged else self.problem
+        problem = self._judging if for_judging else self.problem
         return Em(
             problem._replace(arrivals=problem.arrivals.take(arrives)),
             candidates,
             EmModel(near=departs if departs.any() else slice(None)),
             self._exposure[half],
-            self._adjusted.take(kept),
+            self._adjustment.take(rows),
         )
 
     def _of(self, t: Floats) -> Longs:
@@ -217,12 +217,12 @@ class Halves:
         result = np.zeros((2, ranges, bins.size))
         for k, centre in enumerate(bins.centres):
             if bins.edges[k + 1] <= 0:
-                exposed = np.clip((bins.edges[k + 1] + t - since) / bins.widths[k], 0.0, 1.0)
+                exposure = np.clip((bins.edges[k + 1] + t - since) / bins.widths[k], 0.0, 1.0)
             else:
-                exposed = (self.problem.until - t >= bins.edges[k + 1]).astype(float)
+                exposure = (self.problem.until - t >= bins.edges[k + 1]).astype(float)
             cell = self._of(t + centre) * ranges + number
-            counted = np.bincount(cell, exposed, minlength=2 * ranges)
-            result[:, :, k] = counted.reshape(2, ranges)
+            counts = np.bincount(cell, exposure, minlength=2 * ranges)
+            result[:, :, k] = counts.reshape(2, ranges)
         return result
 
 
@@ -234,8 +234,8 @@ def _fitted(fitter: Em) -> Singles:
     hazard = fitter.run(fitter.start())
     fitter.model = fitter.model._replace(sparsity=SPARSITY / 2)
     result = np.zeros_like(hazard)
-    left = fitter.keep(fitter.live())
-    result[left] = fitter.run(hazard[left])
+    pair_mask = fitter.keep(fitter.live())
+    result[pair_mask] = fitter.run(hazard[pair_mask])
     return result
 
 
@@ -258,8 +258,8 @@ def _evidence(
     c = fitter.candidates
 
     # Point-process likelihood ratio against no link: arrivals explained, less arrivals expected.
-    exposed = fitter.exposure[fitter.range_of] * fitter.problem.bins.widths
-    expected: Floats = (hazard * exposed).sum(axis=1)
+    departure_seconds = fitter.exposure[fitter.range_of] * fitter.problem.bins.widths
+    expected: Floats = (hazard * departure_seconds).sum(axis=1)
     unrelated: Floats = np.bincount(c.pair, -np.log1p(-share), minlength=fitter.pairs) - expected
 
     cycle = evidence_against_cycle(fitter.problem, c, hazard, share, outside, period)

@@ -51,10 +51,12 @@ class Transitions(NamedTuple):
 
 def concatenate_transitions(parts: list[Transitions]) -> Transitions:
     """Return several tables of transitions as one."""
-    none = Transitions(
+    no_transitions = Transitions(
         np.zeros(0, np.int32), np.zeros(0, np.int32), np.zeros(0), np.zeros(0), np.zeros(0)
     )
-    return Transitions(*(np.concatenate(columns) for columns in zip(none, *parts, strict=True)))
+    return Transitions(
+        *(np.concatenate(columns) for columns in zip(no_transitions, *parts, strict=True))
+    )
 
 
 def transitions_of(fit: Fit, least: float = 0.0) -> Transitions:
@@ -79,9 +81,11 @@ def exposed_departures(problem: Problem) -> Floats:
     lag: an object that has just left may still be under way. For lags before the exit, they are all
     departures.
     """
-    exposed = exposures(problem)
-    every = np.bincount(problem.delayed_departures()[0], minlength=len(exposed))[:, None]
-    return np.where(problem.bins.edges[1:] > 0, exposed, every)
+    exposure = exposures(problem)
+    departure_counts = np.bincount(problem.delayed_departures()[0], minlength=len(exposure))[
+        :, None
+    ]
+    return np.where(problem.bins.edges[1:] > 0, exposure, departure_counts)
 
 
 class LinkTable(NamedTuple):
@@ -143,9 +147,9 @@ class LinkTable(NamedTuple):
 
     def evidence_of(self, source: Ints, target: Ints) -> Floats:
         """Return the evidence (n, nats) of pairs of zones; 0 of those that are not in the table."""
-        row, known = find_pairs((self.source, self.target), (source, target))
+        row, exists = find_pairs((self.source, self.target), (source, target))
         evidence = np.zeros(len(source))
-        evidence[known] = self.ratio[row[known]]
+        evidence[exists] = self.ratio[row[exists]]
         return evidence
 
 
@@ -181,14 +185,14 @@ def with_second_opinion(
     cameras = int(camera.max(initial=0)) + 1
     pair = camera[table.source].astype(np.int64) * cameras + camera[table.target]
     order = np.lexsort((-table.transit.total, pair))
-    most = order[np.diff(pair[order], prepend=-1) != 0]
-    agreed = most[table.ratio[most] >= AGREEMENT_NATS]
+    best_rows = order[np.diff(pair[order], prepend=-1) != 0]
+    agreeing = best_rows[table.ratio[best_rows] >= AGREEMENT_NATS]
 
-    row, exists = find_rows(pair[agreed], paths.source * cameras + paths.target)
-    row, place, width, nats = agreed[row[exists]], *(column[exists] for column in paths[2:])
+    row, exists = find_rows(pair[agreeing], paths.source * cameras + paths.target)
+    row, place, width, nats = agreeing[row[exists]], *(column[exists] for column in paths[2:])
     early, _, late = table.transit.quantiles[row].T
-    same = (place >= early - width) & (place <= late + width)
-    ratio = table.ratio + np.bincount(row[same], nats[same], len(table.ratio))
+    is_same = (place >= early - width) & (place <= late + width)
+    ratio = table.ratio + np.bincount(row[is_same], nats[is_same], len(table.ratio))
     return table.with_evidence(ratio, zones**2)
 
 
@@ -268,29 +272,33 @@ def zone_pairs_of(table: LinkTable) -> set[tuple[int, int]]:
     return set(zip(table.source.tolist(), table.target.tolist(), strict=True))
 
 
-def select_weak_links(likely: LinkTable, published: LinkTable, zones: int) -> LinkTable:
+def select_weak_links(likely: LinkTable, published_links: LinkTable, zones: int) -> LinkTable:
     """Return the weak links: of each zone of departure, the likeliest pairs that are not published.
 
     likely: pairs of zones by the fit for prediction, the posterior.
-    published: the published links.
+    published_links: the published links.
     zones: number of zones.
 
     The share of a zone's departures that published links leave over is divided among its weak links
     and leaving the site, in the proportions of the posterior.
     """
     # Scale the probabilities of each zone of departure to what its published links leave over.
-    _, known = find_pairs((published.source, published.target), (likely.source, likely.target))
-    taken = np.bincount(published.source, published.probability, minlength=zones)
-    before, others = (
-        np.bincount(likely.source[rows], likely.probability[rows], minlength=zones)
-        for rows in (known, ~known)
+    _, is_published = find_pairs(
+        (published_links.source, published_links.target), (likely.source, likely.target)
     )
-    left_over = np.maximum(np.maximum(1.0 - before, others), 1e-9)
-    scale = np.maximum(1.0 - taken, 0.0) / left_over
+    published_share = np.bincount(
+        published_links.source, published_links.probability, minlength=zones
+    )
+    before, other_share = (
+        np.bincount(likely.source[rows], likely.probability[rows], minlength=zones)
+        for rows in (is_published, ~is_published)
+    )
+    left_over = np.maximum(np.maximum(1.0 - before, other_share), 1e-9)
+    scale = np.maximum(1.0 - published_share, 0.0) / left_over
     likely = likely._replace(probability=np.minimum(likely.probability * scale[likely.source], 1.0))
 
     # Order the unpublished pairs by source and probability, and keep the first of each source.
-    rows = np.flatnonzero(~known & (likely.transit.total >= FAINT_TRANSITIONS))
+    rows = np.flatnonzero(~is_published & (likely.transit.total >= FAINT_TRANSITIONS))
     rows = rows[np.lexsort((likely.target[rows], -likely.probability[rows], likely.source[rows]))]
     source = likely.source[rows]
     starts = np.diff(source, prepend=-1) != 0

@@ -61,48 +61,48 @@ class Views(NamedTuple):
     """(zones,) time that the camera of each zone was silent, over the time that it was not."""
 
 
-def own_transitions(between: LinkTable, missed: MissedTransitions) -> Floats:
+def own_transitions(between: LinkTable, misses: MissedTransitions) -> Floats:
     """Return the transitions (P,) of pairs of zones that missed detections do not explain."""
-    row, known = missed.rows_in(between.source, between.target)
-    own = between.transit.total.astype(float)
-    explained = UNCERTAINTY * missed.transitions[known]
-    own[row[known]] -= np.minimum(explained, own[row[known]])
-    return own
+    row, exists = misses.rows_in(between.source, between.target)
+    result = between.transit.total.astype(float)
+    missed_counts = UNCERTAINTY * misses.transitions[exists]
+    result[row[exists]] -= np.minimum(missed_counts, result[row[exists]])
+    return result
 
 
 def missed_transitions(
-    between: LinkTable, views: Views, linked: Bools, missed_share_max: float
+    between: LinkTable, views: Views, is_linked: Bools, missed_share_max: float
 ) -> MissedTransitions:
     """Return the transitions that missed detections make, by pair of zones.
 
     between: P pairs of zones by transitions between views.
-    linked (P,): mask of the pairs that are links.
+    is_linked (P,): mask of the pairs that are links.
     missed_share_max: largest share of its passages that a camera is taken to miss.
     """
-    paths, by_silence = skipped_paths(between, views, linked)
-    row, known = paths.rows_in(between.source, between.target)
-    seen = np.maximum(np.where(known, between.transit.total[row], 0.0) - by_silence, 0.0)
+    paths, by_silence = skipped_paths(between, views, is_linked)
+    row, exists = paths.rows_in(between.source, between.target)
+    counts = np.maximum(np.where(exists, between.transit.total[row], 0.0) - by_silence, 0.0)
     limits = np.minimum((MISSED_SHARE_LEAST, 1.0), missed_share_max)
-    odds = np.clip(odds_of_others(seen, paths.transitions), *(limits / (1.0 - limits)))
+    odds = np.clip(odds_of_others(counts, paths.transitions), *(limits / (1.0 - limits)))
     return paths._replace(transitions=odds * paths.transitions + by_silence)
 
 
 def skipped_paths(
-    between: LinkTable, views: Views, linked: Bools
+    between: LinkTable, views: Views, is_linked: Bools
 ) -> tuple[MissedTransitions, Floats]:
     """Return the transitions at odds of 1, and those that silent cameras have missed, (W,).
 
     The arguments are as for `missed_transitions`. At odds of 1, cameras miss every second passage.
     """
     # Links by transitions; passages as a share of those that enter and those that leave.
-    links = between.rows(np.flatnonzero(linked))
+    links = between.rows(np.flatnonzero(is_linked))
     through, silent = views
     passages = through.rows(np.flatnonzero(through.transit.total >= TRANSITIONS_MIN))
     ends = (links.source, links.target, passages.source, passages.target)
     zones = max(int(end.max(initial=0)) for end in ends) + 1
-    entered, exited = (np.bincount(end, passages.transit.total, zones) for end in ends[2:])
+    entries, exits = (np.bincount(end, passages.transit.total, zones) for end in ends[2:])
     total = links.transit.total
-    share = passages.transit.total / entered[passages.source] / exited[passages.target]
+    share = passages.transit.total / entries[passages.source] / exits[passages.target]
 
     def table(value: Floats, of: LinkTable) -> csr_array:
         return csr_array((value, (of.source, of.target)), shape=(zones, zones))
@@ -126,23 +126,23 @@ def skipped_paths(
     return MissedTransitions(source, target, over.data, place, np.sqrt(variance)), by_silence
 
 
-def odds_of_others(seen: Floats, expected: Floats) -> Floats:
+def odds_of_others(counts: Floats, expected: Floats) -> Floats:
     """Return the odds of a missed passage by all pairs of zones but one, for each of them, (W,).
 
-    seen, expected (W,): transitions of each pair, by the fit and at odds of 1.
+    counts, expected (W,): transitions of each pair, by the fit and at odds of 1.
 
     They are a weighted quantile of the ratios; inf if there is no other pair.
     """
     # Without one pair, the weights from its place in the order on are less by its own.
-    order = np.argsort(seen / expected, kind="stable")
+    order = np.argsort(counts / expected, kind="stable")
     weight = expected[order]
-    reached = np.cumsum(weight)
-    others = reached[-1:] - weight
-    least = ODDS_QUANTILE * others
-    before = np.searchsorted(reached, least)
-    after = np.searchsorted(reached, least + weight)
+    cumulative = np.cumsum(weight)
+    other_weight = cumulative[-1:] - weight
+    least = ODDS_QUANTILE * other_weight
+    before = np.searchsorted(cumulative, least)
+    after = np.searchsorted(cumulative, least + weight)
     place = np.arange(len(order))
     at = np.minimum(np.where(before < place, before, after), len(order) - 1)
     odds = np.empty(len(order))
-    odds[order] = np.where(others > 0.0, (seen / expected)[order][at], np.inf)
+    odds[order] = np.where(other_weight > 0.0, (counts / expected)[order][at], np.inf)
     return odds

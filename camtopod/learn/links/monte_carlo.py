@@ -32,21 +32,21 @@ def observe(density: Floats, sigma: Floats, bins: LagBins, seed: int) -> Floats:
     links = len(density)
     random = np.random.Generator(np.random.Philox(key=seed))
     mass = density * bins.widths
-    reached = np.cumsum(mass, axis=1) / np.maximum(mass.sum(axis=1, keepdims=True), 1e-300)
+    cumulative = np.cumsum(mass, axis=1) / np.maximum(mass.sum(axis=1, keepdims=True), 1e-300)
     level = (np.arange(OBSERVATIONS) + 0.5) / OBSERVATIONS
-    quantile = np.array([np.searchsorted(row, level) for row in reached], int)
+    quantile = np.array([np.searchsorted(row, level) for row in cumulative], int)
     at = np.minimum(quantile.reshape(links, OBSERVATIONS), bins.size - 1)
     lag: Floats = bins.edges[at] + random.random((links, OBSERVATIONS)) * bins.widths[at]
 
     # Metropolis walk: accept a displacement with the ratio of the densities as probability.
     density_here = np.take_along_axis(density, at, axis=1)
     for _ in range(ITERATIONS):
-        moved = lag + random.normal(size=lag.shape) * sigma[:, None]
-        to = bins.index(moved)
+        proposal = lag + random.normal(size=lag.shape) * sigma[:, None]
+        to = bins.index(proposal)
         density_moved = np.where(
             to >= 0, np.take_along_axis(density, np.maximum(to, 0), axis=1), 0.0
         )
         accept = random.random(lag.shape) * density_here < density_moved
-        lag = np.where(accept, moved, lag)
+        lag = np.where(accept, proposal, lag)
         density_here = np.where(accept, density_moved, density_here)
     return lag

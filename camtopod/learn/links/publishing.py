@@ -38,9 +38,9 @@ class Verdict(NamedTuple):
     """There are enough transitions."""
     variance: Bools
     """The thesis's Var(d) is that of linked zones."""
-    own: Bools
+    stands_alone: Bools
     """It is enough without the transitions that missed detections make."""
-    missed: MissedTransitions | None
+    misses: MissedTransitions | None
     """These transitions; None if none were looked for."""
 
     @property
@@ -51,7 +51,7 @@ class Verdict(NamedTuple):
     @property
     def published(self) -> Bools:
         """Mask (P,) of the links to publish."""
-        return self.significant & self.own
+        return self.significant & self.stands_alone
 
 
 class LinkShortfall(NamedTuple):
@@ -86,40 +86,40 @@ class PublishingRule(NamedTuple):
             probability=self.is_often_taken(share),
             transitions=total >= TRANSITIONS_MIN,
             variance=table.variance <= LINKED_VARIANCE_MAX,
-            own=np.ones(len(total), np.bool_),
-            missed=None,
+            stands_alone=np.ones(len(total), np.bool_),
+            misses=None,
         )
         if views is None:
             return verdict
         missed_max = self.settings.missed_share_max
-        missed = missed_transitions(table, views, verdict.significant, missed_max)
-        own = own_transitions(table, missed)
-        often = self.is_often_taken(share * own / np.maximum(total, 1e-9))
-        return verdict._replace(own=often & (own >= TRANSITIONS_MIN), missed=missed)
+        misses = missed_transitions(table, views, verdict.significant, missed_max)
+        own_counts = own_transitions(table, misses)
+        often = self.is_often_taken(share * own_counts / np.maximum(total, 1e-9))
+        return verdict._replace(stands_alone=often & (own_counts >= TRANSITIONS_MIN), misses=misses)
 
     def shortfall(
-        self, weak: LinkTable, between: LinkTable, published: int, zones: int, seconds: float
+        self, weak: LinkTable, between: LinkTable, published_count: int, zones: int, seconds: float
     ) -> LinkShortfall:
         """Return the shortfall of each weak link.
 
         weak: the L weak links, with the evidence of the fit.
         between: pairs of zones with held-out evidence; a weak link that is not among them has none.
-        published: number of links that meet the rule already.
+        published_count: number of links that meet the rule already.
         zones: number of zones.
         seconds: duration of the window.
         """
         # Evidence needed for the next link, and held-out evidence so far.
-        usual = ratio_needed(published + 1, zones * zones, self.settings.publish_q_max)
-        needed = usual - np.log(weak.weight)
+        usual = ratio_needed(published_count + 1, zones * zones, self.settings.publish_q_max)
+        nats_needed = usual - np.log(weak.weight)
         held_out = between.evidence_of(weak.source, weak.target)
 
         # Each further object adds half of the mean evidence of the transitions so far: evidence is
         # the mean of that of the whole window and the held-out one, which comes later. A link that
         # too few take is not published with any number of objects.
         transitions = weak.transit.total
-        each = 0.5 * weak.ratio / np.maximum(transitions, 1e-9)
-        helps = (each > 0) & self.is_often_taken(weak.probability)
+        nats_per_transition = 0.5 * weak.ratio / np.maximum(transitions, 1e-9)
+        helps = (nats_per_transition > 0) & self.is_often_taken(weak.probability)
         passages = np.full(len(held_out), np.nan)
-        passages[helps] = (needed - held_out)[helps] / each[helps]
+        passages[helps] = (nats_needed - held_out)[helps] / nats_per_transition[helps]
         passages = np.maximum(passages, np.maximum(TRANSITIONS_MIN - transitions, 1.0))
         return LinkShortfall(passages, passages * seconds / np.maximum(transitions, 1e-9))

@@ -85,12 +85,12 @@ def repeated_evidence(
     """
     cell = pair * PARTS + _part(at)
     share = np.minimum(responsibility, RESPONSIBILITY_MAX)
-    explained, came = (
-        np.bincount(cell, each, pairs * PARTS).astype(float).reshape(pairs, PARTS)
-        for each in (-np.log1p(-share), share)
+    nats_by_part, transitions_by_part = (
+        np.bincount(cell, weight, pairs * PARTS).astype(float).reshape(pairs, PARTS)
+        for weight in (-np.log1p(-share), share)
     )
     untimed = evidence_against_untimed(cell, responsibility, flat, pairs * PARTS)
-    unrelated = explained - (came if expected is None else expected)
+    unrelated = nats_by_part - (transitions_by_part if expected is None else expected)
     nats = np.stack((unrelated, untimed.reshape(pairs, PARTS)))
     evidence: Floats = repeated(nats).min(axis=0)
     return evidence
@@ -121,8 +121,8 @@ def repeated(nats: Floats) -> Floats:
     The sixteenth of the events that speaks most for a pair counts no more than a third of the rest.
     """
     total = nats.sum(axis=-1)
-    rest = total - np.maximum((nats[..., :-1] + nats[..., 1:]).max(axis=-1), 0.0)
-    evidence: Floats = np.minimum(total, (1.0 + OCCASION_SHARE_MAX) * rest)
+    remainder = total - np.maximum((nats[..., :-1] + nats[..., 1:]).max(axis=-1), 0.0)
+    evidence: Floats = np.minimum(total, (1.0 + OCCASION_SHARE_MAX) * remainder)
     return evidence
 
 
@@ -137,9 +137,9 @@ def q_values(ratio: Floats, tests: int, weight: Floats | float = 1.0) -> Floats:
     # Benjamini-Hochberg: p / weight * tests / rank, made monotone from the largest down.
     p = np.exp(-np.maximum(ratio + np.log(weight), 0.0))
     order = np.argsort(p, kind="stable")
-    adjusted = p[order] * max(tests, 1) / np.arange(1, len(p) + 1)
+    ratios = p[order] * max(tests, 1) / np.arange(1, len(p) + 1)
     q = np.empty(len(p))
-    q[order] = np.minimum(np.minimum.accumulate(adjusted[::-1])[::-1], 1.0)
+    q[order] = np.minimum(np.minimum.accumulate(ratios[::-1])[::-1], 1.0)
     return q
 
 

@@ -93,9 +93,10 @@ def transit_figures(
 
         # Standard errors, with the part that does not shrink.
         sure = np.bincount(pair, inner * weight, minlength=pairs)
-        few = np.sqrt(number / np.maximum(number - 1.0, 0.5))
+        small_sample_factor = np.sqrt(number / np.maximum(number - 1.0, 0.5))
         mean_error = np.hypot(
-            np.maximum(sd, EVENT_SD_SECONDS) * few / np.sqrt(sure), SYSTEMATIC_ERROR * mean
+            np.maximum(sd, EVENT_SD_SECONDS) * small_sample_factor / np.sqrt(sure),
+            SYSTEMATIC_ERROR * mean,
         )
         error = np.hypot(MEDIAN_ERROR * spread / np.sqrt(total), SYSTEMATIC_ERROR * median)
     return TransitFigures(total, peak(density, bins), mean, sd, quantiles, ahead, error, mean_error)
@@ -127,12 +128,12 @@ def weighted_quantiles(
     rows = rows[np.lexsort((lag[rows], pair[rows]))]
     pair = pair[rows]
     lag = lag[rows]
-    reached = np.cumsum(weight[rows])
+    cumulative = np.cumsum(weight[rows])
     present, first = np.unique(pair, return_index=True)
     last = np.append(first[1:], len(pair)) - 1
-    before = np.where(first > 0, reached[first - 1], 0.0)
+    before = np.where(first > 0, cumulative[first - 1], 0.0)
     for k, q in enumerate(shares):
-        at = np.searchsorted(reached, before + q * (reached[last] - before), side="left")
+        at = np.searchsorted(cumulative, before + q * (cumulative[last] - before), side="left")
         result[present, k] = lag[np.clip(at, first, last)]
     return result
 

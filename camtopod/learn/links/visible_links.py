@@ -37,22 +37,29 @@ def visible_transitions(scene: Scene, bins: LagBins, candidates_max: int) -> Tra
     """
     # Cameras with tracks: count the passages.
     p = scene.departures.passages()
-    tracked = np.flatnonzero(scene.tracked[p.camera])
-    n = len(tracked)
+    tracked_rows = np.flatnonzero(scene.is_tracked[p.camera])
+    n = len(tracked_rows)
     entry = scene.arrivals.zone[p.own]
     dwell = p.t - p.since
-    parts = [Transitions(entry[tracked], p.zone[tracked], dwell[tracked], np.ones(n), np.zeros(n))]
+    parts = [
+        Transitions(
+            entry[tracked_rows], p.zone[tracked_rows], dwell[tracked_rows], np.ones(n), np.zeros(n)
+        )
+    ]
 
     # Cameras without tracks: fit each of them, with a fair share of the candidates.
     camera_of = np.array([zone.camera for zone in scene.zones], np.int32)
     views = [
-        _view(scene, int(camera), camera_of, bins) for camera in np.flatnonzero(~scene.tracked)
+        _view(scene, int(camera), camera_of, bins) for camera in np.flatnonzero(~scene.is_tracked)
     ]
-    reach = [departures_in_reach(one.departures.t, one.arrivals.t, bins) for one, _ in views]
-    most = fair_share(
+    reach = [
+        departures_in_reach(view_problem.departures.t, view_problem.arrivals.t, bins)
+        for view_problem, _ in views
+    ]
+    pairs_max = fair_share(
         np.array([int((high - low).sum()) for low, high in reach], np.intp), candidates_max
     )
-    parts.extend(_joined(*view, most) for view in views)
+    parts.extend(_joined(*view, pairs_max) for view in views)
     return concatenate_transitions(parts)
 
 
@@ -88,9 +95,9 @@ def with_usual_dwell_times(departures: Departures, through: LinkTable) -> Depart
     usual = np.bincount(through.target, weight * dwell, minlength=size) / np.maximum(total, 1e-300)
 
     # Use the mean where the zone of exit has enough passages.
-    known = np.isfinite(departures.since) | (total[departures.zone] < TRANSITIONS_MIN)
+    is_known = np.isfinite(departures.since) | (total[departures.zone] < TRANSITIONS_MIN)
     return departures._replace(
-        since=np.where(known, departures.since, departures.t - usual[departures.zone])
+        since=np.where(is_known, departures.since, departures.t - usual[departures.zone])
     )
 
 
@@ -134,7 +141,7 @@ def _joined(view: Problem, first: int, candidates_max: int) -> Transitions:
     problem = newest_within_limit(view, candidates_max)
     if len(problem.departures.t) == 0 or len(problem.arrivals.t) == 0:
         return concatenate_transitions([])
-    found = transitions_of(fit_jointly(problem, find_candidates(problem)))
-    return found._replace(
-        source=found.source + np.int32(first), target=found.target + np.int32(first)
+    transitions = transitions_of(fit_jointly(problem, find_candidates(problem)))
+    return transitions._replace(
+        source=transitions.source + np.int32(first), target=transitions.target + np.int32(first)
     )
