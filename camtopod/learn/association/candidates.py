@@ -39,18 +39,18 @@ class Candidates(NamedTuple):
     target: Ints
     """(P,) zone of arrival of each pair."""
 
-    def rows(self, kept: NDArray[np.bool_]) -> Candidates:
-        """Return the candidates of the mask ``kept``; pairs of zones keep their numbers."""
+    def rows(self, mask: NDArray[np.bool_]) -> Candidates:
+        """Return the candidates of a mask; pairs of zones keep their numbers."""
         return self._replace(
-            departure=self.departure[kept],
-            arrival=self.arrival[kept],
-            pair=self.pair[kept],
-            lag=self.lag[kept],
+            departure=self.departure[mask],
+            arrival=self.arrival[mask],
+            pair=self.pair[mask],
+            lag=self.lag[mask],
         )
 
-    def take(self, kept: NDArray[np.bool_]) -> Candidates:
-        """Return the candidates of the mask ``kept``, and only the pairs of zones that have any."""
-        rows = np.flatnonzero(kept)
+    def take(self, mask: NDArray[np.bool_]) -> Candidates:
+        """Return the candidates of a mask, and only the pairs of zones that have any."""
+        rows = np.flatnonzero(mask)
         present = np.bincount(self.pair[rows], minlength=len(self.source)) > 0
         number = np.cumsum(present, dtype=np.int32) - 1
         return Candidates(
@@ -75,12 +75,12 @@ def newest_within_limit(problem: Problem, candidates_max: int) -> Problem:
     departures = problem.departures
     arrivals = problem.arrivals
     low, high = departures_in_reach(departures.t, arrivals.t, problem.bins)
-    kept = int(np.searchsorted(np.cumsum((high - low)[::-1]), candidates_max, side="right"))
-    if kept == len(arrivals.t):
+    count = int(np.searchsorted(np.cumsum((high - low)[::-1]), candidates_max, side="right"))
+    if count == len(arrivals.t):
         return problem
 
     # Cut both at the first arrival that is kept.
-    first = arrivals.t[len(arrivals.t) - kept] if kept else np.inf
+    first = arrivals.t[len(arrivals.t) - count] if count else np.inf
     late = arrivals.t >= first
     return problem._replace(
         departures=departures.take(departures.t >= first, late), arrivals=arrivals.take(late)
@@ -126,25 +126,25 @@ def possible(problem: Problem, departure: Rows, arrival: Rows, lag: Floats) -> N
     that begin at the same instant, the one that ends first counts as the earlier.
     """
     departures, arrivals, bins, *_ = problem
-    delayed = lag
+    lag_in_range = lag
     if problem.ranges is not None:
-        delayed = lag - problem.delays(departures.zone[departure], arrivals.zone[arrival])
-    result = (delayed >= bins.lag_min) & (delayed <= bins.lag_max)
+        lag_in_range = lag - problem.delays(departures.zone[departure], arrivals.zone[arrival])
+    result = (lag_in_range >= bins.lag_min) & (lag_in_range <= bins.lag_max)
     ahead = np.flatnonzero(lag <= 0)
-    departed = departure[ahead]
-    came = arrival[ahead]
-    entered = arrivals.t[came]
-    since = departures.since[departed]
-    elsewhere = departures.camera[departed] != arrivals.camera[came]
-    result[ahead] &= elsewhere & (entered >= since)
+    departure_ahead = departure[ahead]
+    arrival_ahead = arrival[ahead]
+    arrival_t = arrivals.t[arrival_ahead]
+    since = departures.since[departure_ahead]
+    elsewhere = departures.camera[departure_ahead] != arrivals.camera[arrival_ahead]
+    result[ahead] &= elsewhere & (arrival_t >= since)
 
     # For each arrival, the departure that ends the passage that begins with it; if unknown, the
     # number of departures.
-    tied = np.flatnonzero(elsewhere & (entered == since))
-    if len(tied):
+    ties = np.flatnonzero(elsewhere & (arrival_t == since))
+    if len(ties):
         ends = np.full(len(arrivals.t) + 1, len(departures.t), np.intp)
         ends[departures.own] = np.arange(len(departures.t))
-        result[ahead[tied]] &= departed[tied] < ends[came[tied]]
+        result[ahead[ties]] &= departure_ahead[ties] < ends[arrival_ahead[ties]]
     return result
 
 
@@ -154,13 +154,13 @@ def find_candidates(problem: Problem) -> Candidates:
     low, high = reach(problem)
 
     # List the departures within the lags of some arrivals at a time.
-    none = np.zeros(0, np.int32)
-    parts = [(none, none, np.zeros(0, np.float32))]
+    no_rows = np.zeros(0, np.int32)
+    parts = [(no_rows, no_rows, np.zeros(0, np.float32))]
     for arrival, departure in ranges_in_parts(low, high - low, CANDIDATES_AT_ONCE):
         lag = arrivals.t[arrival] - departures.t[departure]
-        kept = np.flatnonzero(possible(problem, departure, arrival, lag))
-        rows = departure[kept].astype(np.int32), arrival[kept].astype(np.int32)
-        parts.append((*rows, lag[kept].astype(np.float32)))
+        possible_rows = np.flatnonzero(possible(problem, departure, arrival, lag))
+        rows = departure[possible_rows].astype(np.int32), arrival[possible_rows].astype(np.int32)
+        parts.append((*rows, lag[possible_rows].astype(np.float32)))
 
     lefts, comes, lags = zip(*parts, strict=True)
     departure = np.concatenate(lefts)
@@ -191,10 +191,10 @@ def initial_hazards(
     noise_sd: as for `excess_over_null`.
     """
     for rows in row_slices(len(counts)):
-        exposed = exposure[source[rows]] * bins.widths
-        expected = rates[rows, None] * exposed
+        departure_seconds = exposure[source[rows]] * bins.widths
+        expected = rates[rows, None] * departure_seconds
         above = np.maximum(excess_over_null(counts[rows], expected, noise_sd), least * counts[rows])
-        np.divide(above, np.maximum(exposed, bins.widths), out=counts[rows])
+        np.divide(above, np.maximum(departure_seconds, bins.widths), out=counts[rows])
     return counts
 
 

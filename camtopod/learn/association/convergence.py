@@ -41,6 +41,6 @@ class ConvergenceMonitor:
     def report(self, transitions: Floats) -> None:
         """Take the expected transitions of each pair of zones, or path, after an iteration."""
         if self._transitions is not None:
-            moved = float(np.abs(transitions - self._transitions).sum())
-            self.history.append(moved / max(float(transitions.sum()), 1e-9))
+            change = float(np.abs(transitions - self._transitions).sum())
+            self.history.append(change / max(float(transitions.sum()), 1e-9))
         self._transitions = transitions

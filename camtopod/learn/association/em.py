@@ -81,12 +81,12 @@ class Em:
         candidates: Candidates,
         model: EmModel = NO_ADDITIONS,
         exposure: Floats | None = None,
-        adjusted: Adjusted | None = None,
+        adjustment: Adjusted | None = None,
     ) -> None:
         """Begin a fit with responsibilities of 0.
 
         exposure (R, bins): exposed departures of each range of lags; None to compute them.
-        adjusted: the candidates adjusted for speed; None to begin without adjustment.
+        adjustment: the candidates adjusted for speed; None to begin without adjustment.
         """
         _, arrivals, bins, zones, *_ = problem
         self.problem = problem
@@ -100,8 +100,8 @@ class Em:
         """(R, bins) exposed departures, at least 1: a divisor."""
         # The share of departures whose object can appear elsewhere at a lag. It is 1 after the
         # exit; before the exit, it is about the share of passages that had begun by then.
-        most = self.exposure_at_least_one.max(axis=1, keepdims=True)
-        self._able_share = np.where(bins.edges[1:] > 0, 1.0, self.exposure / most)
+        exposure_max = self.exposure_at_least_one.max(axis=1, keepdims=True)
+        self._able_share = np.where(bins.edges[1:] > 0, 1.0, self.exposure / exposure_max)
         self.camera = problem.cameras()
         """(zones,) camera of each zone."""
         self.arrivals_of_zone = np.maximum(np.bincount(arrivals.zone, minlength=zones), 1.0)
@@ -117,13 +117,13 @@ class Em:
         self._message = np.ones(len(candidates.lag), np.float32)
         self.responsibility: Singles = np.zeros(len(candidates.lag), np.float32)
         """(M,) probability that the candidate is of one object."""
-        self.own = np.zeros((self.pairs, bins.size), np.float32)
+        self.own_share = np.zeros((self.pairs, bins.size), np.float32)
         """(P, bins) share that one transition in a bin contributes to the smoothed count there.
 
         With 0.15, a candidate with a responsibility of 0.8 is judged by 1 - 0.8 * 0.15 = 0.88 of
         the hazard of its bin.
         """
-        self.adjusted = adjusted or adjust(problem, candidates, NO_PERSISTENCE)
+        self.adjustment = adjustment or adjust(problem, candidates, NO_PERSISTENCE)
         """The candidates, adjusted for speed."""
 
     def _use(self, candidates: Candidates) -> None:
@@ -131,14 +131,14 @@ class Em:
         self.candidates = candidates
         arrival = candidates.arrival
         self._first = np.flatnonzero(np.diff(arrival, prepend=-1))
-        self._arrived = arrival[self._first]
+        self._arrival_rows = arrival[self._first]
         self._times = np.diff(self._first, append=len(arrival))
         begins = np.searchsorted(self._first, np.arange(0, len(arrival), CANDIDATES_AT_ONCE))
         cuts = [*np.unique(begins).tolist(), len(self._first)]
         ends = np.append(self._first, len(arrival))[cuts].tolist()
         self._parts = [
-            (slice(*rows), slice(*arrived))
-            for rows, arrived in zip(pairwise(ends), pairwise(cuts), strict=True)
+            (slice(*rows), slice(*arrival_rows))
+            for rows, arrival_rows in zip(pairwise(ends), pairwise(cuts), strict=True)
         ]
         """Rows of the candidates, and of the arrivals with any, that are processed together."""
         self._departure = candidates.departure.astype(np.intp)
@@ -198,10 +198,10 @@ class Em:
         """Return the weight (M,) of each candidate in `start`, and that of unrelated ones."""
         arrivals = self.problem.arrivals
         weight = arrivals.weights(self.candidates.arrival)
-        likeness, share = self.adjusted.likeness, arrivals.label_share
+        likeness, share = self.adjustment.likeness, arrivals.label_share
         if likeness is None or share is None:
             return weight, 1.0
-        by_label, unrelated = first_weights(likeness, share, self.adjusted.persistence.label)
+        by_label, unrelated = first_weights(likeness, share, self.adjustment.persistence.label)
         return weight * by_label, unrelated
 
     def run(self, hazard: Singles) -> Singles:
@@ -231,15 +231,16 @@ class Em:
         before, which are replaced as well (``_message``), as is the share of the entry kernels.
         """
         rate = self._rates(hazard)
-        claimed = claims(rate, self._message, self._departure, self._leaving(hazard))
-        zone = self.problem.arrivals.zone[self._arrived]
-        outside = self.outside[zone] * self.problem.arrivals.rate[self._arrived]
+        claim_sums = claims(rate, self._message, self._departure, self._leaving(hazard))
+        zone = self.problem.arrivals.zone[self._arrival_rows]
+        outside = self.outside[zone] * self.problem.arrivals.rate[self._arrival_rows]
         background = np.maximum(outside, DEMAND_MIN)
-        for rows, arrived in self._parts:
-            offer = offers(rate[rows], self._message[rows], self._departure[rows], claimed)
+        for rows, arrival_rows in self._parts:
+            offer = offers(rate[rows], self._message[rows], self._departure[rows], claim_sums)
             demand = np.repeat(
-                background[arrived] + np.add.reduceat(offer, self._first[arrived] - rows.start),
-                self._times[arrived],
+                background[arrival_rows]
+                + np.add.reduceat(offer, self._first[arrival_rows] - rows.start),
+                self._times[arrival_rows],
             )
             self.responsibility[rows], self._message[rows] = answers(offer, demand)
 
@@ -262,20 +263,20 @@ class Em:
         before = self._at_exit()
 
         # The surest candidates, whatever their slownesses.
-        self.adjusted = self.adjusted._replace(agreement=None)
+        self.adjustment = self.adjustment._replace(agreement=None)
         self.expect(hazard)
         sure = np.flatnonzero(self.responsibility > SURE_RESPONSIBILITY)
         c = self.candidates
-        found = estimate_persistence(
+        persistence = estimate_persistence(
             self.problem.departures.slow.take(c.departure[sure]),
             self.problem.arrivals.slow.take(c.arrival[sure]),
             c.lag[sure].astype(float),
             c.pair[sure],
             self.responsibility[sure].astype(float),
         )
-        found = found._replace(label=self._label_persistence(sure))
+        persistence = persistence._replace(label=self._label_persistence(sure))
 
-        self.adjusted = adjust(self.problem, c, found)
+        self.adjustment = adjust(self.problem, c, persistence)
         return self.hazards(self._count(before))
 
     def _label_persistence(self, sure: Indices) -> float:
@@ -283,43 +284,43 @@ class Em:
         d, a, c = self.problem.departures, self.problem.arrivals, self.candidates
         if d.label is None or a.label is None or a.label_share is None:
             return 0.0
-        left, came = d.label.take(c.departure[sure]), a.label.take(c.arrival[sure])
-        known = np.flatnonzero((left >= 0) & (came >= 0))
+        exit_label, entry_label = d.label.take(c.departure[sure]), a.label.take(c.arrival[sure])
+        label_rows = np.flatnonzero((exit_label >= 0) & (entry_label >= 0))
         return estimate_label_persistence(
-            (left == came)[known],
-            a.label_share.take(c.arrival[sure[known]]),
-            self.responsibility[sure[known]].astype(float),
+            (exit_label == entry_label)[label_rows],
+            a.label_share.take(c.arrival[sure[label_rows]]),
+            self.responsibility[sure[label_rows]].astype(float),
         )
 
-    def keep(self, kept: Bools) -> Bools:
-        """Drop all candidates but those of the mask ``kept`` (M,), and pairs of zones without any.
+    def keep(self, mask: Bools) -> Bools:
+        """Drop all candidates but those of a mask (M,), and pairs of zones without any.
 
         Return a mask (P,) of the pairs that are left. The entry kernels have to be made anew.
         """
-        pair = self.candidates.pair[kept]
-        left = np.bincount(pair, minlength=self.pairs) > 0
-        self.adjusted = self.adjusted.take(np.flatnonzero(kept))
-        self.adjusted.cell[:] -= np.cumsum(~left).take(pair) * self.problem.bins.size
-        self._use(self.candidates.take(kept))
-        self._message = self._message[kept]
-        self.responsibility = self.responsibility[kept]
-        self.own = self.own[left]
-        return left
+        pair = self.candidates.pair[mask]
+        pair_mask = np.bincount(pair, minlength=self.pairs) > 0
+        self.adjustment = self.adjustment.take(np.flatnonzero(mask))
+        self.adjustment.cell[:] -= np.cumsum(~pair_mask).take(pair) * self.problem.bins.size
+        self._use(self.candidates.take(mask))
+        self._message = self._message[mask]
+        self.responsibility = self.responsibility[mask]
+        self.own_share = self.own_share[pair_mask]
+        return pair_mask
 
     def responsibilities_under(
-        self, hazard: Singles, outside: Floats, contributed: Floats | float = 0.0
+        self, hazard: Singles, outside: Floats, contribution: Floats | float = 0.0
     ) -> Floats:
         """Return the responsibilities (M,) under given hazards, after `SWEEPS` sweeps of messages.
 
         hazard (P, bins): the hazards.
         outside (zones,): share of the arrivals that no departure explains.
-        contributed (M,): responsibilities with which the candidates have contributed to the
+        contribution (M,): responsibilities with which the candidates have contributed to the
             hazards, and which are left out of them (`expect`); 0 for hazards of other events.
         """
         self.outside = outside
         self._message[:] = 1.0
         for _ in range(SWEEPS):
-            self.responsibility[:] = contributed
+            self.responsibility[:] = contribution
             self.expect(hazard)
         return self.responsibility.astype(float)
 
@@ -353,11 +354,11 @@ class Em:
         # The hazard, without the candidate's own contribution to it (leave one out): otherwise a
         # lone arrival would be its own evidence, and all clutter would find a departure.
         weight: Singles = np.empty(len(self.responsibility), np.float32)
-        agreement = self.adjusted.agreement
+        agreement = self.adjustment.agreement
         for rows, _ in self._parts:
-            cell = self.adjusted.cell[rows]
+            cell = self.adjustment.cell[rows]
             weight[rows] = hazard.take(cell) * np.maximum(
-                1.0 - self.own.take(cell) * self.responsibility[rows], 0.0
+                1.0 - self.own_share.take(cell) * self.responsibility[rows], 0.0
             )
         if agreement is not None:
             weight *= agreement
@@ -382,30 +383,30 @@ class Em:
 
         hazard (P, bins): the hazards, by which an object appears again or not.
         """
-        if self.model.leaving is not None:
-            return self.model.leaving
+        if self.model.leave is not None:
+            return self.model.leave
         share = np.zeros(self.pairs)
         for rows in row_slices(self.pairs):
             able = self._able_share[self.range_of[rows]]
             share[rows] = (hazard[rows] * self.problem.bins.widths * able).sum(axis=1)
         of_zone = np.bincount(self.candidates.source, share, minlength=self.problem.zones)
         again = of_zone.astype(float)[self.problem.departures.zone]
-        leaving: Floats = np.maximum(1.0 - again, LEAVE_FLOOR)
-        return leaving
+        leave: Floats = np.maximum(1.0 - again, LEAVE_FLOOR)
+        return leave
 
     # --- Counts -----------------------------------------------------------------------------------
 
     def _estimate_outside(self) -> None:
         """Estimate the share of each zone's arrivals that no departure explains (`outside`)."""
-        zone = self.problem.arrivals.zone[self._arrived]
-        explained = np.add.reduceat(self.responsibility, self._first, dtype=float)
-        of_zone = np.bincount(zone, explained, minlength=self.problem.zones)
+        zone = self.problem.arrivals.zone[self._arrival_rows]
+        responsibility_sums = np.add.reduceat(self.responsibility, self._first, dtype=float)
+        of_zone = np.bincount(zone, responsibility_sums, minlength=self.problem.zones)
         self.outside = np.clip(1.0 - of_zone / self.arrivals_of_zone, OUTSIDE_FLOOR, 1.0)
 
     def _count(self, shares: Singles) -> Floats:
         """Return the sum of shares (M,) of candidates by pair of zones and lag bin, (P, bins)."""
         size = self.problem.bins.size
-        counts = np.bincount(self.adjusted.cell, shares, minlength=self.pairs * size)
+        counts = np.bincount(self.adjustment.cell, shares, minlength=self.pairs * size)
         return counts.astype(float, copy=False).reshape(self.pairs, size)
 
     def hazards(self, counts: Floats) -> Singles:
@@ -417,32 +418,32 @@ class Em:
         if every path were taken equally in both directions.
         """
         prior = self.model.prior
-        more = 0.0 if prior is None else prior.departures(counts.sum(axis=1))
-        smoothed = self._smoothed(counts)
+        pseudo_count = 0.0 if prior is None else prior.departures(counts.sum(axis=1))
+        smooth_counts = self._smoothed(counts)
         del counts  # larger than the hazards
 
-        hazard = np.empty_like(smoothed)
+        hazard = np.empty_like(smooth_counts)
         for rows in row_slices(self.pairs):
-            transitions: Floats | Singles = smoothed[rows]
+            transitions: Floats | Singles = smooth_counts[rows]
             if prior is not None:
                 back = prior.back[rows]
-                rates = smoothed[back] / self._exposure_of_pairs(back)
-                transitions = transitions + more * np.where(back[:, None] < 0, 0.0, rates)
-            departures = self._exposure_of_pairs(rows) + more
+                rates = smooth_counts[back] / self._exposure_of_pairs(back)
+                transitions = transitions + pseudo_count * np.where(back[:, None] < 0, 0.0, rates)
+            departures = self._exposure_of_pairs(rows) + pseudo_count
             hazard[rows] = transitions / (departures * self.problem.bins.widths)
         return hazard
 
     def _smoothed(self, counts: Floats) -> Singles:
         """Return the counts (P, bins) less the sparse prior, smoothed; set `own` to match."""
         total = counts.sum(axis=1)
-        kept = np.maximum(total - self.model.sparsity, 1e-3 * total)
-        share = (kept / np.maximum(total, 1e-300))[:, None]
-        smoothed = np.empty(counts.shape, np.float32)
+        sparse_total = np.maximum(total - self.model.sparsity, 1e-3 * total)
+        share = (sparse_total / np.maximum(total, 1e-300))[:, None]
+        result = np.empty(counts.shape, np.float32)
         for rows in row_slices(self.pairs):
-            smoothed_part, stays = smooth(counts[rows], kept[rows])
-            smoothed[rows] = smoothed_part = smoothed_part * share[rows]
-            self.own[rows] = stays[:, None] / np.maximum(smoothed_part, NOTHING)
-        return smoothed
+            smoothed_part, stays = smooth(counts[rows], sparse_total[rows])
+            result[rows] = smoothed_part = smoothed_part * share[rows]
+            self.own_share[rows] = stays[:, None] / np.maximum(smoothed_part, NOTHING)
+        return result
 
     def _exposure_of_pairs(self, rows: slice | Indices) -> Floats:
         """Return the exposed departures (pairs, bins) of the pairs ``rows``, at least 1."""

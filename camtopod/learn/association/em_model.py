@@ -54,7 +54,7 @@ class EmModel(NamedTuple):
     """Transitions that a sparse prior (a Gamma with shape 0) takes off each pair of zones."""
     multiplier: Singles | None = None
     """(M,) factor on each candidate's rate, by the context of its departure; None for 1."""
-    leaving: Floats | None = None
+    leave: Floats | None = None
     """(n,) probability that the object of each departure leaves the site; None to compute it from
     the hazards.
     """

@@ -86,7 +86,7 @@ def result(em: Em, hazard: Singles, counts: Floats) -> Fit:
         flatness(em, hazard),
         em.outside,
         em.candidates,
-        em.adjusted.persistence,
+        em.adjustment.persistence,
     )
 
 
@@ -110,5 +110,5 @@ def flatness(em: Em, hazard: Singles) -> Floats:
         total = np.maximum(seconds.sum(axis=1), 1e-9)
         even[rows] = (hazard[rows] * seconds).sum(axis=1) / total
 
-    flat: Floats = even[c.pair] / np.maximum(hazard.take(em.adjusted.cell), NOTHING)
+    flat: Floats = even[c.pair] / np.maximum(hazard.take(em.adjustment.cell), NOTHING)
     return flat

@@ -85,7 +85,9 @@ class Problem(NamedTuple):
             return d.zone, d.t, d.since
         of_zone = rows_by_group(d.zone, self.zones)
         rows = [of_zone[zone] for zone in self.ranges.zone]
-        number = np.repeat(np.arange(len(rows), dtype=np.int32), [len(some) for some in rows])
+        number = np.repeat(
+            np.arange(len(rows), dtype=np.int32), [len(range_rows) for range_rows in rows]
+        )
         row = np.concatenate(rows)
         delay = self.ranges.delay[number]
         return number, d.t[row] + delay, np.where(delay > 0.0, -np.inf, d.since[row])
@@ -104,13 +106,13 @@ def exposures(problem: Problem) -> Floats:
     """
     bins = problem.bins
     number, t, since = problem.delayed_departures()
-    exposed = np.zeros((problem.range_count, bins.size))
+    result = np.zeros((problem.range_count, bins.size))
     ahead = int((bins.edges[1:] <= 0).sum())
     before = bins.edges[: ahead + 1]
-    for k, rows in enumerate(rows_by_group(number, len(exposed))):
+    for k, rows in enumerate(rows_by_group(number, len(result))):
         # Lags after the exit: departures that are at least the lag before the end of the window.
-        remaining = np.sort(problem.until - t[rows])
-        exposed[k] = len(rows) - np.searchsorted(remaining, bins.edges[1:], side="left")
+        seconds_left = np.sort(problem.until - t[rows])
+        result[k] = len(rows) - np.searchsorted(seconds_left, bins.edges[1:], side="left")
 
         # Lags before the exit: mean number of objects in view within each bin, as the difference of
         # the cumulative seconds in view at its edges. This also holds where a bin is exposed in
@@ -119,5 +121,5 @@ def exposures(problem: Problem) -> Floats:
         dwell = np.sort(np.minimum(t[rows] - since[rows], -bins.edges[0]))
         shorter = np.searchsorted(dwell, -before, side="right")
         longer = np.append(np.cumsum(dwell[::-1])[::-1], 0.0)[shorter]
-        exposed[k, :ahead] = np.diff(longer + (len(rows) - shorter) * before) / bins.widths[:ahead]
-    return exposed
+        result[k, :ahead] = np.diff(longer + (len(rows) - shorter) * before) / bins.widths[:ahead]
+    return result

@@ -91,8 +91,8 @@ class CandidateScreen:
     On a small site, `find` returns all candidates, and no pair is remembered.
     """
 
-    def __init__(self, followed: Mapping[int, FollowedSources] | None = None) -> None:
-        self.followed = dict(followed or {})
+    def __init__(self, sources_by_place: Mapping[int, FollowedSources] | None = None) -> None:
+        self.sources_by_place = dict(sources_by_place or {})
         """Zones of departure that are followed, by key (`place`) of the zone of arrival."""
 
     @staticmethod
@@ -108,22 +108,22 @@ class CandidateScreen:
         self,
         problem: Problem,
         places: Longs,
-        learned: int,
+        events_learned: int,
         candidates_max: int,
         everywhere: bool = False,
     ) -> Candidates:
         """Return the candidates of a window, screened if there are too many.
 
         places (zones,): key of each zone that stays the same from fit to fit (`place`).
-        learned: number of events learned so far.
+        events_learned: number of events learned so far.
         candidates_max: number of candidates up to which all are returned.
         everywhere: True to look at every zone of arrival now, as there is no later fit.
         """
         if not self.is_needed(problem, candidates_max):
-            self.followed = {}
+            self.sources_by_place = {}
             return find_candidates(problem)
         traffic = Traffic(problem)
-        self._look(traffic, places, learned, everywhere)
+        self._look(traffic, places, events_learned, everywhere)
         pairs = ZonePairs(problem, *self._pairs(places))
         blocks = pairs.blocks(WEIGHED_MAX)
         departure, arrival, pair, lag = _joined(_likely(traffic, pairs, block) for block in blocks)
@@ -132,30 +132,32 @@ class CandidateScreen:
         pair, source, target = number_pairs(pairs.source[pair], pairs.target[pair], problem.zones)
         return Candidates(departure, arrival, pair, lag, source, target)
 
-    def _look(self, traffic: Traffic, places: Longs, learned: int, everywhere: bool) -> None:
+    def _look(self, traffic: Traffic, places: Longs, events_learned: int, everywhere: bool) -> None:
         """Look at zones of arrival; forget zones that exist no more."""
         never = FollowedSources(np.zeros(0, np.int64), -1)
-        self.followed = {place: self.followed.get(place, never) for place in places.tolist()}
+        self.sources_by_place = {p: self.sources_by_place.get(p, never) for p in places.tolist()}
 
         # All new zones, and a share of all zones at least.
-        looked = np.array([known.looked for known in self.followed.values()])
+        last_looks = np.array([record.looked for record in self.sources_by_place.values()])
         share = int(np.ceil((1.0 if everywhere else LOOK_SHARE) * len(places)))
-        targets = np.argsort(looked, kind="stable")[: max(share, int((looked < 0).sum()))]
+        targets = np.argsort(last_looks, kind="stable")[: max(share, int((last_looks < 0).sum()))]
 
         # The sources that stand out most.
         for at_once in np.split(targets, range(ZONES_AT_ONCE, len(targets), ZONES_AT_ONCE)):
             above = traffic.excess(at_once)
-            most = min(SOURCES_PER_ZONE_MAX, len(above))
-            best = np.sort(np.argpartition(above, -most, axis=0)[-most:], axis=0)
+            source_count = min(SOURCES_PER_ZONE_MAX, len(above))
+            best = np.sort(np.argpartition(above, -source_count, axis=0)[-source_count:], axis=0)
             for target, sources, excess in zip(at_once, best.T, above.T, strict=True):
-                found = places[sources[excess[sources] > 0]]
-                self.followed[int(places[target])] = FollowedSources(found, learned)
+                source_places = places[sources[excess[sources] > 0]]
+                self.sources_by_place[int(places[target])] = FollowedSources(
+                    source_places, events_learned
+                )
 
     def _pairs(self, places: Longs) -> tuple[Rows, Rows]:
         """Return the sources and the targets of the followed pairs of zones, by target."""
-        known = [followed.sources for followed in self.followed.values()]
-        target = np.repeat(np.arange(len(places)), [len(sources) for sources in known])
-        source, exists = find_rows(places, np.concatenate(known))
+        source_lists = [record.sources for record in self.sources_by_place.values()]
+        target = np.repeat(np.arange(len(places)), [len(sources) for sources in source_lists])
+        source, exists = find_rows(places, np.concatenate(source_lists))
         return source[exists], target[exists]
 
 
@@ -194,19 +196,19 @@ class ZonePairs:
 
         # Expected number of candidates of each arrival.
         share = np.bincount(departures.zone, minlength=zones) / len(departures.t)
-        followed = np.bincount(target, share[source], minlength=zones)
-        self._reach = np.ceil((self._high - self._low) * followed[arrivals.zone]).astype(np.intp)
+        share_sums = np.bincount(target, share[source], minlength=zones)
+        self._reach = np.ceil((self._high - self._low) * share_sums[arrivals.zone]).astype(np.intp)
 
-    def blocks(self, most: int) -> Iterator[Block]:
+    def blocks(self, pairs_max: int) -> Iterator[Block]:
         """Yield the candidates, those of a few zones of arrival at a time.
 
-        most: limit of the candidates; beyond it, the arrivals with the fewest are kept. A zone of
-            arrival with more than `ZONE_WEIGHED_AT_ONCE` has several blocks.
+        pairs_max: limit of the candidates; beyond it, the arrivals with the fewest are kept. A zone
+            of arrival with more than `ZONE_WEIGHED_AT_ONCE` has several blocks.
         """
         # Arrivals by zone.
         zone = self.problem.arrivals.zone
         rows = np.argsort(zone, kind="stable")
-        rows = rows[(arrivals_within(self._reach, most) & (self._reach > 0))[rows]]
+        rows = rows[(arrivals_within(self._reach, pairs_max) & (self._reach > 0))[rows]]
         if not len(rows):
             return
 
@@ -232,12 +234,12 @@ class ZonePairs:
 
         # Those that are possible.
         parts = [(at[:0], at[:0], at[:0], arrivals.t[:0])]
-        for which, position in ranges_in_parts(low, high - low, CANDIDATES_AT_ONCE):
+        for number, position in ranges_in_parts(low, high - low, CANDIDATES_AT_ONCE):
             departure = self._by_zone[position]
-            came = rows[at[which]]
-            lag = arrivals.t[came] - departures.t[departure]
-            kept = np.flatnonzero(possible(self.problem, departure, came, lag))
-            parts.append((at[which[kept]], departure[kept], pair[which[kept]], lag[kept]))
+            arrival = rows[at[number]]
+            lag = arrivals.t[arrival] - departures.t[departure]
+            index = np.flatnonzero(possible(self.problem, departure, arrival, lag))
+            parts.append((at[number[index]], departure[index], pair[number[index]], lag[index]))
         return Block(rows, *(np.concatenate(column) for column in zip(*parts, strict=True)))
 
 
@@ -246,8 +248,8 @@ def _joined(blocks: Iterable[Block]) -> tuple[Ints, Ints, Ints, Singles]:
 
     The columns are those of `Candidates`.
     """
-    none = np.zeros(0, np.int32)
-    parts = [(none, none, none, np.zeros(0, np.float32))]
+    no_rows = np.zeros(0, np.int32)
+    parts = [(no_rows, no_rows, no_rows, np.zeros(0, np.float32))]
     for block in blocks:
         rows = block.departure, block.arrivals[block.at], block.pair
         departure, arrival, pair = (row.astype(np.int32) for row in rows)
@@ -270,9 +272,9 @@ def _likely(traffic: Traffic, pairs: ZonePairs, block: Block) -> Block:
     # for all arrivals at their zones.
     counts = np.bincount(cell, minlength=size * bins.size).reshape(-1, bins.size).astype(float)
     zones = len(traffic.exposure)
-    came = np.bincount(arrivals.zone, minlength=zones)
-    weighed = np.bincount(arrivals.zone[block.arrivals], minlength=zones)
-    counts *= (came / np.maximum(weighed, 1))[target][:, None]
+    arrival_counts = np.bincount(arrivals.zone, minlength=zones)
+    block_counts = np.bincount(arrivals.zone[block.arrivals], minlength=zones)
+    counts *= (arrival_counts / np.maximum(block_counts, 1))[target][:, None]
     rates = traffic.null_model.rates_of(source, target)
     exposure = traffic.exposure
     hazard = initial_hazards(counts, rates, exposure, source, bins, NOISE_SD, START_FLOOR)
@@ -284,11 +286,11 @@ def _likely(traffic: Traffic, pairs: ZonePairs, block: Block) -> Block:
     share = weight / total[block.at]
 
     # Drop improbable candidates.
-    most = max(LIKELY_PER_ARRIVAL, LIKELY_MAX // len(arrivals.t)) * len(unrelated)
-    least = np.partition(share, -most)[-most] if len(share) > most else 0.0
-    kept = share > max(least, LIKELY_MIN)
-    at, departure, pair = block.at[kept], block.departure[kept], block.pair[kept]
-    return Block(block.arrivals, at, departure, pair, block.lag[kept])
+    pairs_max = max(LIKELY_PER_ARRIVAL, LIKELY_MAX // len(arrivals.t)) * len(unrelated)
+    least = np.partition(share, -pairs_max)[-pairs_max] if len(share) > pairs_max else 0.0
+    mask = share > max(least, LIKELY_MIN)
+    at, departure, pair = block.at[mask], block.departure[mask], block.pair[mask]
+    return Block(block.arrivals, at, departure, pair, block.lag[mask])
 
 
 def candidates_of_pairs(problem: Problem, candidates: Candidates, pairs: Rows) -> Candidates:
@@ -302,8 +304,8 @@ def candidates_of_pairs(problem: Problem, candidates: Candidates, pairs: Rows) -
     pairs (k,): numbers of the pairs.
     """
     pairs = pairs[np.argsort(candidates.target[pairs], kind="stable")]
-    listed = ZonePairs(problem, candidates.source[pairs], candidates.target[pairs])
-    departure, arrival, pair, lag = _joined(listed.blocks(EVENT_PAIRS_MAX))
+    zone_pairs = ZonePairs(problem, candidates.source[pairs], candidates.target[pairs])
+    departure, arrival, pair, lag = _joined(zone_pairs.blocks(EVENT_PAIRS_MAX))
     return candidates._replace(
         departure=departure, arrival=arrival, pair=pairs[pair].astype(np.int32), lag=lag
     )
@@ -324,9 +326,9 @@ class Traffic:
 
         # Wide bins to which any departure is exposed; one begins at a lag of 0. (zones, wide bins)
         wide = np.unique(np.append(0, np.arange(-bins.first % WIDE_BINS, bins.size, WIDE_BINS)))
-        exposed = np.add.reduceat(self.exposure * bins.widths, wide, axis=1).astype(np.float32)
-        is_exposed = exposed.any(axis=0)
-        self._exposed = exposed[:, is_exposed]
+        exposure = np.add.reduceat(self.exposure * bins.widths, wide, axis=1).astype(np.float32)
+        is_exposed = exposure.any(axis=0)
+        self._departure_seconds = exposure[:, is_exposed]
         self._edges = np.append(np.array(bins.limits)[wide[is_exposed]], bins.limits[-1])
 
         # Departures by part of the window, whose arrivals stay in the processor's cache, and zone.
@@ -336,15 +338,15 @@ class Traffic:
         self._first = np.searchsorted(
             group[by_group], np.arange((len(group) // CANDIDATES_AT_ONCE + 1) * zones + 1)
         )
-        self._passed = [
+        self._first_arrivals = [
             np.searchsorted(arrivals.t, np.maximum(departures.since, departures.t + edge))[by_group]
             for edge in self._edges
         ]
 
         # Camera of each zone; integers that hold the number of candidates of any pair of zones.
         self._camera = problem.cameras()
-        most = np.bincount(departures.zone).max() * np.bincount(arrivals.zone).max()
-        self._kind: type = np.uint16 if most < 1 << 16 else np.float32
+        count_max = np.bincount(departures.zone).max() * np.bincount(arrivals.zone).max()
+        self._kind: type = np.uint16 if count_max < 1 << 16 else np.float32
 
     def excess(self, targets: Rows) -> Singles:
         """Return by how much the arrivals at k zones exceed the null model, (zones, k).
@@ -361,30 +363,30 @@ class Traffic:
         at = column[arrivals.zone]
         rows = np.flatnonzero(at >= 0)
         number = np.append(0, np.cumsum(at >= 0)).astype(np.int32)
-        came: NDArray[Any] = np.zeros((len(rows) + 1, len(targets)), self._kind)
-        came[np.arange(1, len(came)), at[rows]] = 1
-        np.cumsum(came, axis=0, dtype=self._kind, out=came)
+        counts: NDArray[Any] = np.zeros((len(rows) + 1, len(targets)), self._kind)
+        counts[np.arange(1, len(counts)), at[rows]] = 1
+        np.cumsum(counts, axis=0, dtype=self._kind, out=counts)
 
         # Arrivals before each edge, added up over the departures from each zone.
-        each: NDArray[Any] = np.ones(len(departures.t), self._kind)
-        size = (len(self._first) - 1, len(came))
+        ones: NDArray[Any] = np.ones(len(departures.t), self._kind)
+        size = (len(self._first) - 1, len(counts))
         before = [
-            (csr_matrix((each, number.take(passed), self._first), shape=size) @ came)
+            (csr_matrix((ones, number.take(first), self._first), shape=size) @ counts)
             .reshape(size[0] // zones, zones, len(targets))
             .sum(axis=0, dtype=self._kind)
-            for passed in self._passed
+            for first in self._first_arrivals
         ]
 
         # The excess of every two wide bins in a row. Before the exit, no object is in another view
         # of the same camera.
         rates = self.null_model.rates_to(targets)
-        same = self._camera[:, None] == self._camera[targets]
+        is_same_camera = self._camera[:, None] == self._camera[targets]
         result = np.zeros(rates.shape, np.float32)
         for k, edge in enumerate(self._edges[:-2]):
-            expected = rates * self._exposed[:, k : k + 2].sum(axis=1, keepdims=True)
+            expected = rates * self._departure_seconds[:, k : k + 2].sum(axis=1, keepdims=True)
             above = excess_sd(before[k + 2] - before[k], expected)
             if edge < 0:
-                above[same] = 0.0
+                above[is_same_camera] = 0.0
             np.maximum(result, above, out=result)
         return result
 

@@ -39,42 +39,42 @@ class Adjusted(NamedTuple):
     agreement: Singles | None
     likeness: Singles | None = None
 
-    def take(self, kept: Indices) -> Adjusted:
-        """Return the candidates given by their rows ``kept``; pairs of zones keep their numbers."""
+    def take(self, rows: Indices) -> Adjusted:
+        """Return the candidates of some rows; pairs of zones keep their numbers."""
         agreement, likeness = (
-            None if column is None else column[kept] for column in (self.agreement, self.likeness)
+            None if column is None else column[rows] for column in (self.agreement, self.likeness)
         )
-        return Adjusted(self.persistence, self.cell[kept], agreement, likeness)
+        return Adjusted(self.persistence, self.cell[rows], agreement, likeness)
 
 
-def adjust(problem: Problem, candidates: Candidates, found: Persistence) -> Adjusted:
+def adjust(problem: Problem, candidates: Candidates, persistence: Persistence) -> Adjusted:
     """Return the lag bin at usual speed, and the agreement of slownesses, of each candidate.
 
-    found: estimate of how far speed persists.
+    persistence: estimate of how far speed persists.
     """
     c = candidates
     bins = problem.bins
     delays = problem.delays(c.source, c.target)
     cell = np.empty(len(c.lag), np.intp)
-    agreements = np.empty(len(c.lag), np.float32) if found.correlation > 0 else None
+    agreements = np.empty(len(c.lag), np.float32) if persistence.correlation > 0 else None
 
     for first in range(0, len(c.lag), CANDIDATES_AT_ONCE):
         part = slice(first, first + CANDIDATES_AT_ONCE)
         lag = c.lag[part].astype(float)
-        if found.scaling or found.correlation:
+        if persistence.scaling or persistence.correlation:
             slow_before = problem.departures.slow.take(c.departure[part])
             slow_after = problem.arrivals.slow.take(c.arrival[part])
             slow = mean_slowness(slow_before, slow_after)
-            lag = adjusted_lag(lag, slow, found.scaling)
+            lag = adjusted_lag(lag, slow, persistence.scaling)
         in_bins = np.clip(lag - delays[c.pair[part]], bins.lag_min, bins.lag_max)
         cell[part] = c.pair[part] * bins.size + bins.index(in_bins)
         if agreements is not None:
-            agreements[part] = agreement(slow_before, slow_after, found)
+            agreements[part] = agreement(slow_before, slow_after, persistence)
 
-    likeness = likeness_of(problem, candidates, found.label)
+    likeness = likeness_of(problem, candidates, persistence.label)
     if likeness is not None:
         agreements = likeness if agreements is None else agreements * likeness
-    return Adjusted(found, cell, agreements, likeness)
+    return Adjusted(persistence, cell, agreements, likeness)
 
 
 def likeness_of(problem: Problem, candidates: Candidates, persistence: float) -> Singles | None:
@@ -82,12 +82,12 @@ def likeness_of(problem: Problem, candidates: Candidates, persistence: float) ->
 
     persistence: share of the objects whose label persists.
     """
-    left, came, share = (
+    departure_label, arrival_label, share = (
         problem.departures.label,
         problem.arrivals.label,
         problem.arrivals.label_share,
     )
-    if left is None or came is None or share is None or persistence <= 0:
+    if departure_label is None or arrival_label is None or share is None or persistence <= 0:
         return None
     c = candidates
     result = np.empty(len(c.lag), np.float32)
@@ -95,6 +95,9 @@ def likeness_of(problem: Problem, candidates: Candidates, persistence: float) ->
         part = slice(first, first + CANDIDATES_AT_ONCE)
         arrival = c.arrival[part]
         result[part] = label_agreement(
-            left.take(c.departure[part]), came.take(arrival), share.take(arrival), persistence
+            departure_label.take(c.departure[part]),
+            arrival_label.take(arrival),
+            share.take(arrival),
+            persistence,
         )
     return result

@@ -17,27 +17,27 @@ DEMAND_MIN = 1e-12
 
 
 def claims(
-    rate: Floats | Singles, message: Floats | Singles, departure: Indices, none: Floats
+    rate: Floats | Singles, message: Floats | Singles, departure: Indices, no_arrival: Floats
 ) -> Floats:
     """Return the sum of the claims on each departure, and of that of no arrival, (n,).
 
     rate (M, 1/s): rate at which the departure of each candidate would cause its arrival.
     message (M, s): messages from arrivals; at first, 1 over the demand without any candidate.
     departure (M,): row of the departure of each candidate.
-    none (n,): probability that each departure causes no arrival; above 0.
+    no_arrival (n,): probability that each departure causes no arrival; above 0.
     """
-    return np.bincount(departure, rate * message, minlength=len(none)) + none
+    return np.bincount(departure, rate * message, minlength=len(no_arrival)) + no_arrival
 
 
 def offers(
-    rate: Floats | Singles, message: Floats | Singles, departure: Indices, claimed: Floats
+    rate: Floats | Singles, message: Floats | Singles, departure: Indices, claim_sums: Floats
 ) -> Floats:
     """Return the offer of each candidate: its rate if its departure causes no other arrival, (M,).
 
-    The arguments are as for `claims`, of which ``claimed`` (n,) is the result.
+    The arguments are as for `claims`, of which ``claim_sums`` (n,) is the result.
     """
     # In double precision, as differences of nearly equal numbers matter.
-    return rate / (claimed.take(departure) - rate * message)
+    return rate / (claim_sums.take(departure) - rate * message)
 
 
 def answers(offer: Floats, demand: Floats) -> tuple[Floats, Floats]:

@@ -247,7 +247,7 @@ def test_what_stands_out_equals_its_slow_twin(seed: int, left: int, came: int, o
 
 
 def looked(screen: CandidateScreen, zones: int) -> list[int]:
-    return [screen.followed[int(name)].looked for name in places_of(zones)]
+    return [screen.sources_by_place[int(name)].looked for name in places_of(zones)]
 
 
 def test_looks_go_round(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -290,8 +290,8 @@ def test_a_zone_that_is_no_more_is_forgotten_and_a_new_one_looked_at_first(
         "what left there went with the zone, and zone 0 has not been looked at again"
     )
     assert (17, 0) in named
-    assert old not in screen.followed
-    assert [screen.followed[int(name)].looked for name in names] == [1, 1, 1, 2, *[1] * 36]
+    assert old not in screen.sources_by_place
+    assert [screen.sources_by_place[int(name)].looked for name in names] == [1, 1, 1, 2, *[1] * 36]
     monkeypatch.setattr(module, "LOOK_SHARE", 0.1)
     assert (3, 0) in {(u, v) for _, u, v in listed(find(3)).values()}
 
