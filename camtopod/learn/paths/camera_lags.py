@@ -31,7 +31,7 @@ class CameraLags(NamedTuple):
     Pair p leads from camera p // C to camera p % C, with C ``cameras``.
     """
 
-    left: Floats
+    departure_t: Floats
     """(n,) time of each departure, seconds."""
     dwell: Floats
     """(n,) seconds that its passage has lasted; inf if unknown."""
@@ -76,15 +76,15 @@ class CameraLags(NamedTuple):
 
         # Join the ranges that overlap.
         order = np.argsort(begin, kind="stable")
-        reached = np.maximum.accumulate(end[order])
-        is_new = np.append(True, begin[order][1:] >= reached[:-1])[: len(order)]
-        joined = np.empty(len(order), np.intp)
-        joined[order] = np.cumsum(is_new) - 1
+        end_so_far = np.maximum.accumulate(end[order])
+        is_new = np.append(True, begin[order][1:] >= end_so_far[:-1])[: len(order)]
+        group = np.empty(len(order), np.intp)
+        group[order] = np.cumsum(is_new) - 1
         start = begin[order][is_new]
-        size = np.maximum.reduceat(reached, np.flatnonzero(is_new)) - start
+        size = np.maximum.reduceat(end_so_far, np.flatnonzero(is_new)) - start
         _, rows = ranges(start, size)
         before = np.cumsum(size) - size - start
-        number, row = ranges(begin + before[joined], end - begin)
+        number, row = ranges(begin + before[group], end - begin)
         return number, row, rows
 
 
@@ -115,12 +115,12 @@ def camera_lags(
     if by_zone:
         lag_min = 0.0
     span = max(until - float(min(departures.t[0], arrivals.t[0])), 1.0)
-    most = ZONE_PATH_CANDIDATES_MAX if by_zone else EVENT_PAIRS_MAX
+    pairs_max = ZONE_PATH_CANDIDATES_MAX if by_zone else EVENT_PAIRS_MAX
     lag_max = min(ZONE_LAG_SECONDS_MAX if by_zone else LAG_SECONDS_MAX, 0.5 * span)
 
     # Arrivals in reach of each departure, of the newest departures.
     first, end = _reach(departures, arrivals, lag_min, lag_max)
-    newest = np.cumsum((end - first)[::-1])[::-1] <= most
+    newest = np.cumsum((end - first)[::-1])[::-1] <= pairs_max
     late = arrivals.t >= departures.t[newest].min(initial=np.inf) + lag_min
     departures = departures.take(newest, late)
     arrivals = arrivals.take(late)
@@ -128,17 +128,19 @@ def camera_lags(
     departure, arrival = ranges(first, end - first)
 
     # An object does not return before it has left, and its own entry is no transition.
-    left, came = (
+    departure_place, arrival_place = (
         (departures.zone, arrivals.zone) if by_zone else (departures.camera, arrivals.camera)
     )
-    source, target = left.astype(np.int64), came.astype(np.int64)
+    source, target = departure_place.astype(np.int64), arrival_place.astype(np.int64)
     lag = arrivals.t[arrival] - departures.t[departure]
     possible = departures.camera[departure] != arrivals.camera[arrival]
     if not by_zone:
         possible |= lag > 0
     possible &= departures.own[departure] != arrival
 
-    rate = np.maximum(arrivals.rate if by_zone else local_rates(arrivals.t, came, cameras), 1e-7)
+    rate = np.maximum(
+        arrivals.rate if by_zone else local_rates(arrivals.t, arrival_place, cameras), 1e-7
+    )
 
     # In order of pair and lag.
     pair = source[departure] * cameras + target[arrival]
@@ -152,7 +154,7 @@ def camera_lags(
         source,
         target,
         rate,
-        activity_rates(arrivals.t, came, arrivals.camera, rate),
+        activity_rates(arrivals.t, arrival_place, arrivals.camera, rate),
         departure,
         arrival,
         lag[order],
@@ -161,7 +163,7 @@ def camera_lags(
         lag_min,
         lag_max,
         until,
-        _likeness(departures, arrivals, came, (departure, arrival), label_persistence),
+        _likeness(departures, arrivals, arrival_place, (departure, arrival), label_persistence),
     )
 
 

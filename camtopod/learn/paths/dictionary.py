@@ -52,12 +52,12 @@ def find_peaks(lags: CameraLags, favour: Singles) -> tuple[Longs, Floats, Floats
     """
     grid = np.arange(lags.lag_min, lags.lag_max + BIN_SECONDS, BIN_SECONDS)
     windows = [_window(width, grid, lags.cameras) for width in WIDTHS]
-    found = [
+    peaks = [
         peak
         for source in range(lags.cameras)
         for peak in _peaks_from(lags, source, grid, windows, np.log(favour[source]))
     ]
-    table = np.array(found).reshape(-1, 3)
+    table = np.array(peaks).reshape(-1, 3)
     return table[:, 0].astype(np.int64), table[:, 1], table[:, 2]
 
 
@@ -97,10 +97,10 @@ def _peaks_from(
     """
     # Departures exposed to each lag, summed up to each lag of the grid.
     of = lags.source == source
-    left, dwell = np.sort(lags.left[of]), np.sort(lags.dwell[of])
-    after = np.searchsorted(left, lags.until - grid, side="right")
+    departure_t, dwell = np.sort(lags.departure_t[of]), np.sort(lags.dwell[of])
+    after = np.searchsorted(departure_t, lags.until - grid, side="right")
     before = len(dwell) - np.searchsorted(dwell, -grid)
-    exposed = _summed(BIN_SECONDS * np.where(grid >= 0, after, before)[None, :])[0]
+    exposure = _summed(BIN_SECONDS * np.where(grid >= 0, after, before)[None, :])[0]
 
     # Candidates by target and lag, weighed by 1 / rate and labels, and their squared weights.
     cameras = lags.cameras
@@ -119,26 +119,31 @@ def _peaks_from(
     cell = ((lags.lag[first:end] - grid[0]) / BIN_SECONDS + 0.5).astype(np.int64)
     target = lags.target[lags.arrival[first:end]]
     cell = target * len(grid) + np.minimum(cell, len(grid) - 1)
-    counted, squared = (
+    counts, square_sums = (
         _summed(np.bincount(cell, w, cameras * len(grid)).reshape(cameras, -1))
         for w in (weight, weight**2)
     )
 
     # The best peak of each width, then those of each pair that are apart, the best first.
-    found: list[tuple[float, int, float, float]] = []
+    peaks: list[tuple[float, int, float, float]] = []
     for window in windows:
-        score = window.prior + prior[:, None] + _gain(window, counted, squared, exposed)
+        score = window.prior + prior[:, None] + _gain(window, counts, square_sums, exposure)
         best = score.argmax(axis=1)
         for to in np.flatnonzero(score.max(axis=1) > 0.0).tolist():
             at = best[to]
-            found.append((-float(score[to, at]), to, float(window.place[at]), window.width))
-    kept: dict[int, list[tuple[float, float]]] = {}
-    for _, to, place, width in sorted(found):
-        others = kept.setdefault(to, [])
-        if all(abs(place - other) > HALF_WINDOW * max(width, wide) for other, wide in others):
-            others.append((place, width))
+            peaks.append((-float(score[to, at]), to, float(window.place[at]), window.width))
+    peaks_by_target: dict[int, list[tuple[float, float]]] = {}
+    for _, to, place, width in sorted(peaks):
+        target_peaks = peaks_by_target.setdefault(to, [])
+        if all(
+            abs(place - other_place) > HALF_WINDOW * max(width, wide)
+            for other_place, wide in target_peaks
+        ):
+            target_peaks.append((place, width))
     return [
-        (source * cameras + to, place, width) for to in sorted(kept) for place, width in kept[to]
+        (source * cameras + to, place, width)
+        for to in sorted(peaks_by_target)
+        for place, width in peaks_by_target[to]
     ]
 
 
@@ -147,19 +152,19 @@ def _summed(values: NDArray[Any]) -> Floats:
     return np.cumsum(np.pad(values, ((0, 0), (1, 0))), axis=1, dtype=float)
 
 
-def _gain(window: _Window, counted: Floats, squared: Floats, exposed: Floats) -> Floats:
+def _gain(window: _Window, counts: Floats, square_sums: Floats, exposure: Floats) -> Floats:
     """Return the gain (targets, windows, nats) of a path in each window over chance.
 
-    counted, squared (targets, lags + 1), exposed (lags + 1): weighed candidates, squared weights
-        and what chance makes expect, up to each lag.
+    counts, square_sums (targets, lags + 1), exposure (lags + 1): weighed candidates, squared
+        weights and what chance makes expect, up to each lag.
 
     Expected is the larger of chance and the surroundings.
     """
-    inside = counted[:, window.high] - counted[:, window.low]
-    spread = squared[:, window.high] - squared[:, window.low]
-    chance = exposed[window.high] - exposed[window.low]
-    around = counted[:, window.far_high] - counted[:, window.far_low] - inside
-    around_chance = exposed[window.far_high] - exposed[window.far_low] - chance
+    inside = counts[:, window.high] - counts[:, window.low]
+    spread = square_sums[:, window.high] - square_sums[:, window.low]
+    chance = exposure[window.high] - exposure[window.low]
+    around = counts[:, window.far_high] - counts[:, window.far_low] - inside
+    around_chance = exposure[window.far_high] - exposure[window.far_low] - chance
     usual = chance * np.maximum(1.0, around / np.maximum(around_chance, 1e-9))
 
     # In numbers of candidates instead of seconds.

@@ -35,16 +35,16 @@ def is_wanted(scene: Scene, cameras: int) -> bool:
 
 def _is_few(scene: Scene) -> bool:
     """Return True if positions or departures are too few for the fit by zones alone."""
-    placed = any(zone.shape is not None for zone in scene.zones)
-    return not placed or len(scene.departures.t) < DEPARTURES_PER_ZONE * len(scene.zones)
+    has_shapes = any(zone.shape is not None for zone in scene.zones)
+    return not has_shapes or len(scene.departures.t) < DEPARTURES_PER_ZONE * len(scene.zones)
 
 
 def _has_platoons(scene: Scene) -> bool:
     """Return True if rhythm tells much of the arrivals, and zones have not many departures."""
     weight = scene.arrivals.weight
     nats = 0.0 if weight is None else -float(np.log(np.maximum(weight, 1e-9)).mean())
-    few = len(scene.departures.t) < PLATOON_DEPARTURES_PER_ZONE * len(scene.zones)
-    return few and nats >= PLATOON_NATS
+    is_few = len(scene.departures.t) < PLATOON_DEPARTURES_PER_ZONE * len(scene.zones)
+    return is_few and nats >= PLATOON_NATS
 
 
 def second_opinion(

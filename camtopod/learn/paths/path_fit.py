@@ -111,9 +111,9 @@ class PathFit:
         """
         for least in SPARSE_NATS:
             step = self._expect()
-            kept = evidence_against_unrelated(step.path, step.part, len(self.paths.pair)) >= least
+            mask = evidence_against_unrelated(step.path, step.part, len(self.paths.pair)) >= least
             pair, share, place, width = self.paths
-            self.paths = Paths(pair[kept], share[kept], place[kept], width[kept])
+            self.paths = Paths(pair[mask], share[mask], place[mask], width[mask])
             self.run(ITERATIONS)
         # The null model that judges links (`links.judging`).
         self.outside = np.maximum(self.outside, OUTSIDE_LEAST)
@@ -122,12 +122,14 @@ class PathFit:
         step = self._expect()
         pair, _, place, width = self.paths
         lags, source = self.lags, self.paths.pair // self.lags.cameras
-        left = np.arange(len(lags.left)) / max(len(lags.left), 1)
-        came = lags.arrival[step.rows[step.row]] / max(len(lags.target), 1)
-        taken = np.bincount(step.path, step.part, minlength=len(pair)).astype(float)
-        expected = expected_by_part(taken, source, lags.source.astype(np.int32), left)
+        departure_part = np.arange(len(lags.departure_t)) / max(len(lags.departure_t), 1)
+        arrival_part = lags.arrival[step.rows[step.row]] / max(len(lags.target), 1)
+        transitions = np.bincount(step.path, step.part, minlength=len(pair)).astype(float)
+        expected = expected_by_part(
+            transitions, source, lags.source.astype(np.int32), departure_part
+        )
         nats = repeated_evidence(
-            step.path, step.part, np.zeros(len(came)), came, len(pair), expected
+            step.path, step.part, np.zeros(len(arrival_part)), arrival_part, len(pair), expected
         )
 
         # A path has been looked for at all places.
@@ -139,8 +141,8 @@ class PathFit:
         lags, path, part = self.lags, step.path, step.part
         transitions: Floats = np.bincount(path, part, minlength=len(self.paths.pair)).astype(float)
         target = lags.target[lags.arrival[step.rows]]
-        explained = np.bincount(target, step.responsibility, minlength=lags.cameras)
-        self.outside = np.maximum(1.0 - explained / np.maximum(self.arrivals, 1.0), LEAVE_FLOOR)
+        arrival_sums = np.bincount(target, step.responsibility, minlength=lags.cameras)
+        self.outside = np.maximum(1.0 - arrival_sums / np.maximum(self.arrivals, 1.0), LEAVE_FLOOR)
 
         # Places and widths, then shares.
         place, width = self._moved(lags.lag[step.rows[step.row]], path, part, transitions)
@@ -171,13 +173,13 @@ class PathFit:
         lags = self.lags
         departure, arrival = lags.departure[rows], lags.arrival[rows]
         source = self.paths.pair // lags.cameras
-        explained = np.bincount(source, self.paths.share, minlength=lags.cameras)
-        unseen = np.maximum(1.0 - explained, LEAVE_FLOOR)[lags.source]
+        path_share = np.bincount(source, self.paths.share, minlength=lags.cameras)
+        no_path = np.maximum(1.0 - path_share, LEAVE_FLOOR)[lags.source]
         background = self.outside[lags.target] * lags.rate
         message = 1.0 / np.maximum(self._demand, background)[arrival]
         for _ in range(SWEEPS):
-            claimed = claims(rate, message, departure, unseen)
-            offer = offers(rate, message, departure, claimed)
+            claim_sums = claims(rate, message, departure, no_path)
+            offer = offers(rate, message, departure, claim_sums)
             self._demand = background + np.bincount(arrival, offer, minlength=len(background))
             responsibility, message = answers(offer, self._demand[arrival])
         return responsibility
@@ -198,11 +200,11 @@ class PathFit:
 
         # Far lags weigh less.
         weight = part * (DEGREES + 1) / (DEGREES + ((lag - place[path]) / width[path]) ** 2)
-        moved = (summed(weight * lag) + 1e-3 * place) / (summed(weight) + 1e-3)
-        squares = summed(weight * (lag - moved[path]) ** 2)
+        mean_lag = (summed(weight * lag) + 1e-3 * place) / (summed(weight) + 1e-3)
+        squares = summed(weight * (lag - mean_lag[path]) ** 2)
         usual, prior = WIDTH_PRIOR
         spread = np.sqrt((squares + prior * usual**2) / (transitions + prior))
-        return moved, np.maximum(spread, BIN_SECONDS)
+        return mean_lag, np.maximum(spread, BIN_SECONDS)
 
     def _shares(self, transitions: Floats) -> Floats:
         """Return the shares (K,) of the departures that take each path.
@@ -214,5 +216,5 @@ class PathFit:
         of = np.bincount(source, minlength=cameras)
         share = np.exp(digamma(transitions + 1.0) - digamma(self.departures + 1.0 + of)[source])
         total = np.bincount(source, share, minlength=cameras)
-        scaled: Floats = share / np.maximum(total / (1.0 - LEAVE_FLOOR), 1.0)[source]
-        return scaled
+        result: Floats = share / np.maximum(total / (1.0 - LEAVE_FLOOR), 1.0)[source]
+        return result
