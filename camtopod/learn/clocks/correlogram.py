@@ -71,9 +71,9 @@ class Correlograms:
         self._blocks = int((last - first) / bin_seconds) // (2 * LAGS) + 1
         self._bins = []
         for t, label in (departures, arrivals):
-            kept = slice(int(np.searchsorted(t, first)), None)
-            bins = ((t[kept] - first) / bin_seconds).astype(np.int64)
-            self._bins.append([bins[rows] for rows in rows_by_group(label[kept], labels)])
+            part = slice(int(np.searchsorted(t, first)), None)
+            bins = ((t[part] - first) / bin_seconds).astype(np.int64)
+            self._bins.append([bins[rows] for rows in rows_by_group(label[part], labels)])
         self.at_once = max(SPECTRA_MAX // (4 * self._blocks), 2)
         """Number of labels whose transforms are kept."""
         self._spectra: dict[tuple[int, int], Spectra] = {}

@@ -69,12 +69,12 @@ class Clocks(NamedTuple):
 
     offset: clock offset in seconds, positive if the clock is fast.
     sd: standard deviation of the offset in seconds, inf if unknown.
-    identified: True if the clock can be told, by a two-way path to another camera.
+    is_identified: True if the clock can be told, by a two-way path to another camera.
     """
 
     offset: Floats
     sd: Floats
-    identified: Bools
+    is_identified: Bools
 
 
 class Difference(NamedTuple):
@@ -107,39 +107,42 @@ class ClockState(Struct):
     learned: int = 0
     """Number of events learned at the last estimate."""
 
-    def keep_cameras(self, kept: Bools) -> None:
-        """Keep only the cameras of the mask ``kept`` (cameras,), and renumber them."""
+    def keep_cameras(self, mask: Bools) -> None:
+        """Keep only the cameras of the mask ``mask`` (cameras,), and renumber them."""
         # Cameras added since the last estimate are not in ``clocks`` yet.
-        known = kept[: len(self.clocks.offset)]
-        offset, sd, identified = self.clocks
-        self.clocks = Clocks(offset[known], sd[known], identified[known])
+        clock_mask = mask[: len(self.clocks.offset)]
+        offset, sd, is_identified = self.clocks
+        self.clocks = Clocks(offset[clock_mask], sd[clock_mask], is_identified[clock_mask])
 
-    def update(self, scene: Scene, cameras: int, learned: int) -> None:
+    def update(self, scene: Scene, cameras: int, events_learned: int) -> None:
         """Estimate the clocks again if there are new cameras or enough new events.
 
         scene: the labelled events, with uncorrected times.
         cameras: number of cameras.
-        learned: number of events learned so far.
+        events_learned: number of events learned so far.
         """
         # New cameras have right clocks so far.
-        known = self.clocks
-        if cameras > len(known.offset):
-            more = right_clocks(cameras - len(known.offset))
-            known = Clocks(*(np.concatenate(columns) for columns in zip(known, more, strict=True)))
-        elif learned - self.learned < REFRESH_SHARE * (
+        clocks = self.clocks
+        if cameras > len(clocks.offset):
+            new_clocks = right_clocks(cameras - len(clocks.offset))
+            clocks = Clocks(
+                *(np.concatenate(columns) for columns in zip(clocks, new_clocks, strict=True))
+            )
+        elif events_learned - self.learned < REFRESH_SHARE * (
             len(scene.departures.t) + len(scene.arrivals.t)
         ):
             return
-        self.clocks = estimate_clocks(scene, cameras, known)
-        self.learned = learned
+        self.clocks = estimate_clocks(scene, cameras, clocks)
+        self.learned = events_learned
 
 
-def estimate_clocks(scene: Scene, cameras: int, known: Clocks) -> Clocks:
+def estimate_clocks(scene: Scene, cameras: int, clocks_before: Clocks) -> Clocks:
     """Estimate the offsets of all clocks from the events of the window.
 
     scene: the labelled events, with uncorrected times.
     cameras: number of cameras.
-    known: an earlier estimate; clocks that were right before are more likely to be right now.
+    clocks_before: an earlier estimate; clocks that were right before are more likely to be right
+        now.
     """
     departures = scene.departures
     arrivals = scene.arrivals
@@ -151,7 +154,9 @@ def estimate_clocks(scene: Scene, cameras: int, known: Clocks) -> Clocks:
         arrivals.camera, minlength=cameras
     )
     camera_of = np.array([zone.camera for zone in scene.zones], np.int32)
-    return solve_offsets(find_differences(departures, arrivals, camera_of, weight), weight, known)
+    return solve_offsets(
+        find_differences(departures, arrivals, camera_of, weight), weight, clocks_before
+    )
 
 
 def find_differences(
@@ -176,10 +181,10 @@ def find_differences(
         return []
 
     # Correlograms of all pairs of zones of each pair of cameras.
-    departed = (departures.t, departures.zone)
-    arrived = (arrivals.t, arrivals.zone)
-    pair_counts = Correlograms(departed, arrived, len(camera_of), BIN_SECONDS)
-    found = []
+    departure_events = (departures.t, departures.zone)
+    arrival_events = (arrivals.t, arrivals.zone)
+    pair_counts = Correlograms(departure_events, arrival_events, len(camera_of), BIN_SECONDS)
+    differences = []
     a_of, b_of = np.array(pairs, np.int32).T
     cameras_at_once = pair_counts.at_once * len(zones_of) // len(camera_of)
     for a, b in (pairs[k] for k in cache_friendly_order(a_of, b_of, cameras_at_once)):
@@ -197,8 +202,10 @@ def find_differences(
             if path.spread > SPREAD_SHARE_MAX * max(path.transit, LAG_SECONDS_MIN / BIN_SECONDS):
                 continue
             sd = max(path.sd * BIN_SECONDS, EVENT_SD_SECONDS)
-            found.append(Difference(a, b, path.ahead * BIN_SECONDS, sd, path.transit * BIN_SECONDS))
-    return sorted(found, key=lambda difference: (difference.a, difference.b))
+            differences.append(
+                Difference(a, b, path.ahead * BIN_SECONDS, sd, path.transit * BIN_SECONDS)
+            )
+    return sorted(differences, key=lambda difference: (difference.a, difference.b))
 
 
 def _promising(
@@ -217,16 +224,19 @@ def _promising(
     """
     # Highest peak of each pair of cameras.
     a, b = (np.array([pair[k] for pair in pairs], np.int32) for k in range(2))
-    departed = (departures.t, departures.camera)
-    arrived = (arrivals.t, arrivals.camera)
-    pair_counts = Correlograms(departed, arrived, len(zones_of), SCREENING_BIN_SECONDS)
+    departure_events = (departures.t, departures.camera)
+    arrival_events = (arrivals.t, arrivals.camera)
+    pair_counts = Correlograms(
+        departure_events, arrival_events, len(zones_of), SCREENING_BIN_SECONDS
+    )
     peak = np.zeros(len(a))
     order = cache_friendly_order(a, b, pair_counts.at_once)
     for k in range(0, len(a), ROWS_AT_ONCE):
         rows = order[k : k + ROWS_AT_ONCE]
-        both = (pair_counts.between(*ends) for ends in ((a[rows], b[rows]), (b[rows], a[rows])))
+        ways = (pair_counts.between(*ends) for ends in ((a[rows], b[rows]), (b[rows], a[rows])))
         peak[rows] = np.min(
-            [significant_peaks(one, null_expectation(one)).max(axis=1) for one in both], axis=0
+            [significant_peaks(counts, null_expectation(counts)).max(axis=1) for counts in ways],
+            axis=0,
         )
 
     # The best ones within the limit.
@@ -235,40 +245,46 @@ def _promising(
     return [pairs[k] for k in np.sort(best[(size <= ZONE_PAIRS_MAX)])]
 
 
-def solve_offsets(found: list[Difference], weight: NDArray[np.int64], known: Clocks) -> Clocks:
+def solve_offsets(
+    differences: list[Difference], weight: NDArray[np.int64], clocks_before: Clocks
+) -> Clocks:
     """Estimate the offsets of all clocks from measured differences between pairs of them.
 
-    found: the differences.
+    differences: the differences.
     weight (cameras,): number of events of each camera.
-    known: an earlier estimate.
+    clocks_before: an earlier estimate.
 
     The differences alone leave the offsets undetermined by a constant. As many clocks as possible
-    are taken to be right: with preference those that were right in ``known``, then those of
+    are taken to be right: with preference those that were right in ``clocks_before``, then those of
     cameras with many events.
     """
     cameras = len(weight)
     clocks = right_clocks(cameras)
-    if not found:
+    if not differences:
         return clocks
 
-    a = np.array([one.a for one in found])
-    b = np.array([one.b for one in found])
-    ahead, own_sd, transit = np.array([one[2:] for one in found]).T
-    clocks.identified[a] = clocks.identified[b] = True
+    a = np.array([difference.a for difference in differences])
+    b = np.array([difference.b for difference in differences])
+    ahead, own_sd, transit = np.array([difference[2:] for difference in differences]).T
+    clocks.is_identified[a] = clocks.is_identified[b] = True
 
     # A robust first estimate, in which most offsets are zero, with the likeliest asymmetry. The
     # likelihood is that of Student's t with OUTLIER_SD degrees of freedom, as a path that differs
     # from the path back is an outlier; it counts as far as differences are redundant.
-    trust = 1.0 + weight / max(int(weight.sum()), 1) + (known.identified & (known.offset == 0))
-    redundant = max(len(found) - int(clocks.identified.sum()) + 1, 0) / len(found)
+    trust = (
+        1.0
+        + weight / max(int(weight.sum()), 1)
+        + (clocks_before.is_identified & (clocks_before.offset == 0))
+    )
+    redundant = max(len(differences) - int(clocks.is_identified.sum()) + 1, 0) / len(differences)
     best = -np.inf
     for asymmetry in ASYMMETRIES:
         spread = np.hypot(own_sd, asymmetry * transit)
         first = _least_disagreement(a, b, ahead, spread, trust)
-        squared = ((ahead - (first[b] - first[a])) / spread) ** 2
+        squares = ((ahead - (first[b] - first[a])) / spread) ** 2
         score = redundant * float(
             np.sum(-np.log(spread))
-            - 2.0 * np.sum(np.log1p(squared / max(redundant, 1e-9) / OUTLIER_SD))
+            - 2.0 * np.sum(np.log1p(squares / max(redundant, 1e-9) / OUTLIER_SD))
         )
         if score > best:
             best = score
@@ -285,7 +301,7 @@ def solve_offsets(found: list[Difference], weight: NDArray[np.int64], known: Clo
         if clear[least] > CLEAR_SD:
             break
         wrong[least] = False
-    return Clocks(offset.round(DECIMALS), error, clocks.identified)
+    return Clocks(offset.round(DECIMALS), error, clocks.is_identified)
 
 
 def _least_disagreement(a: Ints, b: Ints, ahead: Floats, sd: Floats, trust: Floats) -> Floats:
@@ -304,12 +320,12 @@ def _least_disagreement(a: Ints, b: Ints, ahead: Floats, sd: Floats, trust: Floa
     n, cameras = len(a), len(trust)
     rows = np.tile(np.arange(n), 2)
     signs = np.concatenate((-1.0 / sd, 1.0 / sd))
-    scaled = csr_array((signs, (rows, np.concatenate((a, b)))), shape=(n, cameras))
+    incidence = csr_array((signs, (rows, np.concatenate((a, b)))), shape=(n, cameras))
     clock = eye_array(cameras)
     matrix = block_array(
         [
-            [scaled, None, -eye_array(n)],
-            [-scaled, None, -eye_array(n)],
+            [incidence, None, -eye_array(n)],
+            [-incidence, None, -eye_array(n)],
             [clock, -clock, None],
             [-clock, -clock, None],
         ],

@@ -105,7 +105,7 @@ def find_two_way_paths(forth: Counts, back: Counts) -> list[TwoWayPath]:
     together = ndimage.gaussian_filter1d(aligned * clear[1], PEAK_BINS, axis=1, mode="constant")
 
     # Refine those of each pair of zones that are high enough.
-    found = [
+    paths = [
         _refine(
             np.stack((forth[k], back[k])),
             np.stack((usual[0][k], usual[1][k])),
@@ -113,7 +113,7 @@ def find_two_way_paths(forth: Counts, back: Counts) -> list[TwoWayPath]:
         )
         for k in np.flatnonzero(together.max(axis=1) >= SHARE_MIN * peak)
     ]
-    return [path for path in found if path is not None]
+    return [path for path in paths if path is not None]
 
 
 def _refine(counts: Counts, usual: Counts, lags: Floats) -> TwoWayPath | None:
@@ -132,8 +132,8 @@ def _refine(counts: Counts, usual: Counts, lags: Floats) -> TwoWayPath | None:
     for _ in range(ROUNDS):
         # Number and variance of the events above the null model, and the standard error of the
         # difference of the new centres.
-        squared = (lag - centres[:, None]) ** 2
-        window = np.exp(-0.5 * squared / width**2)
+        squares = (lag - centres[:, None]) ** 2
+        window = np.exp(-0.5 * squares / width**2)
         above = window * (counts - usual)
         number = above.sum(axis=1)
         if number.min() < EVENTS_MIN:
@@ -141,8 +141,8 @@ def _refine(counts: Counts, usual: Counts, lags: Floats) -> TwoWayPath | None:
         centres = above @ lag / number
         if np.abs(centres - lags).max() > LAGS:
             return None
-        error = np.sqrt(np.sum(np.sum(window**2 * counts * squared, axis=1) / number**2))
-        within = float(np.sum(above * squared) / number.sum())
+        error = np.sqrt(np.sum(np.sum(window**2 * counts * squares, axis=1) / number**2))
+        within = float(np.sum(above * squares) / number.sum())
         within = min(max(within, 0.0), 0.9 * width**2)
 
         # The width of a normal peak that the window has made narrower.

@@ -194,7 +194,7 @@ def ring(ahead: list[float], seed: int = 0) -> Walks:
 def test_wrong_clocks_are_found_and_right_ones_stay() -> None:
     ahead = [0.0, 0.0, -25.0, 0.0, 7.0, 0.0]
     found = ring(ahead).clocks()
-    assert found.identified.all()
+    assert found.is_identified.all()
     assert found.offset == pytest.approx(ahead, abs=0.6)
     assert (found.offset[[0, 1, 3, 5]] == 0).all()
     assert (found.sd < 0.5).all()
@@ -205,7 +205,7 @@ def test_where_all_go_one_way_nothing_is_known() -> None:
     for camera in range(4):
         walks.way((camera, 1), ((camera + 1) % 4, 2), 12.0, walks=300)
     found = walks.clocks()
-    assert not found.identified.any()
+    assert not found.is_identified.any()
     assert (found.offset == 0).all()
     assert np.isinf(found.sd).all()
 
