@@ -75,9 +75,9 @@ class AlarmLog:
         state.newest = [alarm for alarm in state.newest if not mentions(alarm.subject, names)]
         state.joined = {link for link in state.joined if not mentions(link, names)}
         state.silent -= names
-        for known in (state.reported, state.clock, state.repeats):
-            for subject in [subject for subject in known if mentions(subject, names)]:
-                del known[subject]
+        for table in (state.reported, state.clock, state.repeats):
+            for subject in [subject for subject in table if mentions(subject, names)]:
+                del table[subject]
 
     def join(self, zones: list[str], links: set[tuple[int, int]]) -> None:
         """Note links that existed without being published, so that their closing is reported.
@@ -92,7 +92,7 @@ class AlarmLog:
 
         version, t: the version that shows the changes, and its event time in seconds.
         """
-        alarms = [*self.state.newest, *(Alarm(version, t, *one) for one in news)]
+        alarms = [*self.state.newest, *(Alarm(version, t, *news_item) for news_item in news)]
         self.state.newest = alarms[-ALARMS_KEPT_MAX:]
 
     def changes(
@@ -103,7 +103,7 @@ class AlarmLog:
         cameras: list[str],
         silences: list[CameraSilences],
         changes: list[Change],
-        published: set[tuple[int, int]],
+        published_pairs: set[tuple[int, int]],
         share_min: float,
     ) -> Iterator[News]:
         """Yield the new changes of cameras, zones and links.
@@ -113,23 +113,25 @@ class AlarmLog:
         zones, cameras: ids of all zones, and names of all cameras.
         silences: of each camera.
         changes: of links.
-        published: pairs (zone of departure, zone of arrival) of the links of this version.
+        published_pairs: pairs (zone of departure, zone of arrival) of the links of this version.
         share_min: least share of the departures at a zone that makes a pair of zones a link; a zone
             is gone with less of its earlier share.
         """
         # What the window can no longer show again is forgotten.
         state = self.state
-        state.reported = {one: at for one, at in state.reported.items() if at >= scene.first}
+        state.reported = {
+            subject: at for subject, at in state.reported.items() if at >= scene.first
+        }
         present = {*zones}
         state.joined = {link for link in state.joined if present.issuperset(link.split("->"))}
 
         # Cameras and zones.
-        begun = scene.first + SETTLING_SECONDS
-        yield from self.cameras(silences, cameras, begun)
+        begin = scene.first + SETTLING_SECONDS
+        yield from self.cameras(silences, cameras, begin)
         for index, (since, before, after) in zone_changes(scene, share_min).items():
             kind = "zone_new" if after > before else "zone_gone"
             shares = f"{before:.2f} of the camera's entries or exits until {utc_text(since)}"
-            if since >= begun:
+            if since >= begin:
                 yield from self._once(t, kind, zones[index], f"{shares}, {after:.2f} since", since)
 
         # Links, without the changes near the beginning or end of a silence.
@@ -139,31 +141,31 @@ class AlarmLog:
         link_changes = [
             c
             for c in changes
-            if c.since >= begun and not np.any(np.abs(edges - c.since) < SETTLING_SECONDS)
+            if c.since >= begin and not np.any(np.abs(edges - c.since) < SETTLING_SECONDS)
         ]
-        yield from self.links(t, link_changes, zones, published, share_min)
+        yield from self.links(t, link_changes, zones, published_pairs, share_min)
 
     def links(
         self,
         t: float,
         changes: Iterable[Change],
         zones: list[str],
-        published: set[tuple[int, int]],
+        published_pairs: set[tuple[int, int]],
         share_min: float,
     ) -> Iterator[News]:
         """Yield links that opened, closed or changed their share; see `changes`."""
-        joined = self.state.joined
+        joined_links = self.state.joined
         for change in changes:
             # Classify the change. Skip slight changes, closed links that had never been published,
             # and open links that are not published.
             subject = f"{zones[change.source]}->{zones[change.target]}"
             if change.after < share_min:
                 kind = "link_closed"
-                is_shown = subject in joined
+                is_shown = subject in joined_links
             else:
                 kind = "link_opened" if change.before < share_min else "link_changed"
                 is_slight = abs(change.after - change.before) < SHARE_CHANGE_MIN
-                is_shown = (change.source, change.target) in published
+                is_shown = (change.source, change.target) in published_pairs
                 is_shown &= not (is_slight and kind == "link_changed")
             if not is_shown:
                 continue
@@ -173,36 +175,38 @@ class AlarmLog:
             detail = f"share {change.before:.2f} until {moment}, {change.after:.2f} since"
             yield from self._once(t, kind, subject, detail, change.since)
             if kind == "link_closed":
-                joined.discard(subject)
+                joined_links.discard(subject)
 
         # Remember which links are open.
-        self.join(zones, published)
+        self.join(zones, published_pairs)
 
     def cameras(
-        self, silences: list[CameraSilences], cameras: list[str], begun: float
+        self, silences: list[CameraSilences], cameras: list[str], begin: float
     ) -> Iterator[News]:
-        """Yield cameras that fell silent after ``begun`` (seconds) or report again."""
+        """Yield cameras that fell silent after ``begin`` (seconds) or report again."""
         silent = self.state.silent
         for name, (intervals, lasts) in zip(cameras, silences, strict=True):
-            if lasts and name not in silent and intervals[-1][0] >= begun:
+            if lasts and name not in silent and intervals[-1][0] >= begin:
                 silent.add(name)
                 yield "camera_silent", name, f"nothing since {utc_text(intervals[-1][0])}"
             elif name in silent and not (intervals and intervals[-1][1] == np.inf):
                 silent.discard(name)
                 yield "camera_back", name, "events again"
 
-    def repeats(self, t: float, oldest: float, cameras: list[str], found: list[str]) -> list[News]:
+    def repeats(
+        self, t: float, oldest: float, cameras: list[str], descriptions: list[str]
+    ) -> list[News]:
         """Return the cameras that have begun to repeat themselves.
 
         t, oldest (seconds): event time of the version, and that of the oldest event of the window.
             A camera is free of its repetitions when the events in which they were last found have
             left the window.
-        cameras, found: names of all cameras, and how each repeats itself, in words.
+        cameras, descriptions: names of all cameras, and how each repeats itself, in words.
         """
         before = self.state.repeats
         self.state.repeats = {}
         news = []
-        for name, words in zip(cameras, found, strict=True):
+        for name, words in zip(cameras, descriptions, strict=True):
             if words:
                 self.state.repeats[name] = t, words
                 if name not in before:
@@ -257,7 +261,7 @@ def zone_changes(scene: Scene, ratio_max: float) -> dict[int, tuple[float, float
     """
     # Rows of the events of each camera and of each zone.
     threshold = threshold_nats(len(scene.zones), len(scene.departures.t) + len(scene.arrivals.t))
-    found = {}
+    result = {}
     cameras = max((ref.camera for ref in scene.zones), default=-1) + 1
     ends = scene.departures, scene.arrivals
     of_camera = [rows_by_group(events.camera, cameras) for events in ends]
@@ -283,5 +287,5 @@ def zone_changes(scene: Scene, ratio_max: float) -> dict[int, tuple[float, float
         if change is not None:
             since, before, after, _ = change
             if min(before, after) <= ratio_max * max(before, after):
-                found[index] = since, before, after
-    return found
+                result[index] = since, before, after
+    return result

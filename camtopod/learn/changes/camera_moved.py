@@ -51,7 +51,7 @@ class Move(NamedTuple):
     """Share of the events after the move that are outside the known zones."""
     log_ratio: float
     """Log likelihood ratio of a move over the known places, nats."""
-    left: float
+    stay_share: float
     """Share of their traffic that the known zones have kept."""
 
 
@@ -62,29 +62,33 @@ def find_moves(cells: Sequence[Indices], zones: Sequence[NDArray[np.int16]]) -> 
     zones (rows, columns): the zone of each cell (`ZoneMap.cells`).
     """
     best: list[Move | None] = [None] * len(cells)
-    left = list(range(len(cells)))
+    camera_rows = list(range(len(cells)))
     for length in LENGTHS:
-        left = [k for k in left if len(cells[k]) - length >= BEFORE_MIN]
-        if not left:
+        camera_rows = [k for k in camera_rows if len(cells[k]) - length >= BEFORE_MIN]
+        if not camera_rows:
             break
 
         # Condition 1: the known zones are silent.
         before, newest = (
-            np.array([np.bincount(cells[k][part], minlength=CELLS) for k in left])
+            np.array([np.bincount(cells[k][part], minlength=CELLS) for k in camera_rows])
             for part in (slice(-length), slice(-length, None))
         )
-        part = _known_zones(before, np.array([zones[k].ravel() for k in left]))
-        kept = _kept(before, newest, part)
-        silent = kept + 2 * np.sqrt(kept / length) <= LEFT_MAX
+        part = _known_zones(before, np.array([zones[k].ravel() for k in camera_rows]))
+        stay_share = _kept(before, newest, part)
+        silent = stay_share + 2 * np.sqrt(stay_share / length) <= LEFT_MAX
 
         # Condition 2: other places explain the events better.
         for row in np.flatnonzero(silent).tolist():
-            cell = cells[left[row]]
-            move = _moved(cell[:-length], cell[-length:], part[row], float(kept[row]))
-            known = best[left[row]]
-            if move and (known is None or move.log_ratio > known.log_ratio):
-                best[left[row]] = move
-        left = [k for k, goes_on in zip(left, silent | np.isnan(kept), strict=True) if goes_on]
+            cell = cells[camera_rows[row]]
+            move = _moved(cell[:-length], cell[-length:], part[row], float(stay_share[row]))
+            best_move = best[camera_rows[row]]
+            if move and (best_move is None or move.log_ratio > best_move.log_ratio):
+                best[camera_rows[row]] = move
+        camera_rows = [
+            k
+            for k, goes_on in zip(camera_rows, silent | np.isnan(stay_share), strict=True)
+            if goes_on
+        ]
     return best
 
 
@@ -100,24 +104,35 @@ def _kept(before: Longs, newest: Longs, part: Longs) -> Floats:
         _smooth(count) / count.sum(axis=1, keepdims=True) for count in (before, newest)
     )
     share_before *= part > 0
-    had = share_before.sum(axis=1)
-    has = np.minimum(share_before, share_now).sum(axis=1)
-    return np.asarray(np.divide(has, had, out=np.full(len(had), np.nan), where=had > 0))
+    share_of_zones = share_before.sum(axis=1)
+    common_share = np.minimum(share_before, share_now).sum(axis=1)
+    return np.asarray(
+        np.divide(
+            common_share,
+            share_of_zones,
+            out=np.full(len(share_of_zones), np.nan),
+            where=share_of_zones > 0,
+        )
+    )
 
 
-def _moved(before: Indices, newest: Indices, part: Longs, left: float) -> Move | None:
+def _moved(before: Indices, newest: Indices, part: Longs, stay_share: float) -> Move | None:
     """Return the move if other places explain the newest events better than the known ones.
 
     before, newest (n,), (m,): flat grid cells of the earlier and the newest events.
     part (cells,): known zone of each cell, from 1; 0 outside.
-    left: share of their traffic that the known zones have kept.
+    stay_share: share of their traffic that the known zones have kept.
     """
     # Log likelihood ratio of the kernel density over the known places.
     smooth = _smooth(np.bincount(before, minlength=CELLS)[None])[0]
     parts = int(part.max()) + 1
-    had, has = (np.bincount(part[cell], minlength=parts) / len(cell) for cell in (before, newest))
+    share_before, share_now = (
+        np.bincount(part[cell], minlength=parts) / len(cell) for cell in (before, newest)
+    )
     within = np.log(smooth / np.bincount(part, smooth, parts)[part])[newest]
-    log_ratio = float((_foretold(newest, earlier=True) - within - np.log(has[part[newest]])).sum())
+    log_ratio = float(
+        (_foretold(newest, earlier=True) - within - np.log(share_now[part[newest]])).sum()
+    )
     if log_ratio < -np.log(FALSE_ALARM):
         return None
 
@@ -125,11 +140,11 @@ def _moved(before: Indices, newest: Indices, part: Longs, left: float) -> Move |
     change = (
         _foretold(newest, earlier=False)
         - within
-        - np.log(np.maximum(had[part[newest]], 1 / len(before)))
+        - np.log(np.maximum(share_before[part[newest]], 1 / len(before)))
     )
     first = int(np.cumsum(change[::-1])[::-1].argmax())
     outside = float((part[newest[first:]] == 0).mean())
-    return Move(len(before) + first, len(newest) - first, outside, log_ratio, left)
+    return Move(len(before) + first, len(newest) - first, outside, log_ratio, stay_share)
 
 
 def _known_zones(count: Longs, zones: NDArray[np.int16]) -> Longs:
@@ -145,14 +160,14 @@ def _known_zones(count: Longs, zones: NDArray[np.int16]) -> Longs:
     cameras = len(count)
     parts = int(zones.max()) + 2
     part = zones + 1 + parts * np.arange(cameras)[:, None]
-    had, size = (
+    events, size = (
         np.bincount(part.ravel(), weight, cameras * parts).reshape(cameras, parts)
         for weight in (count.ravel(), None)
     )
-    rest = (had[:, :1] + 1) / np.maximum(size[:, :1], 1)
-    kept = had > CONTRAST_MIN * rest * size
-    kept[:, 0] = False
-    number = np.cumsum(kept, axis=1) * kept
+    outside = (events[:, :1] + 1) / np.maximum(size[:, :1], 1)
+    is_known = events > CONTRAST_MIN * outside * size
+    is_known[:, 0] = False
+    number = np.cumsum(is_known, axis=1) * is_known
     return np.asarray(number.ravel()[part])
 
 

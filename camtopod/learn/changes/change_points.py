@@ -74,7 +74,7 @@ class Change(NamedTuple):
     """Share after the change."""
     nats: float
     """Evidence for the change, nats."""
-    linked: float = 0.0
+    link_nats: float = 0.0
     """Evidence from the time after the change that the zones are linked, nats."""
 
 
@@ -85,7 +85,7 @@ class Trials(NamedTuple):
     """(n,) times of departure, seconds."""
     weight: Floats
     """(n,) weight of each departure: 1, or 0 during silences of the second zone's camera."""
-    moved: Floats
+    departure_t: Floats
     """(J,) time of departure of each transition, seconds."""
     share: Floats
     """(J,) responsibility of each transition."""
@@ -107,8 +107,8 @@ def find_changes(problem: Problem, fit: Fit, silences: list[list[Silence]]) -> l
     camera_of = dict(zip(arrivals.zone.tolist(), arrivals.camera.tolist(), strict=True))
     departures_of = rows_by_group(departures.zone, problem.zones)
 
-    found = []
-    for pair, moved, share in transitions_by_pair(problem, fit, pairs):
+    result = []
+    for pair, departure_t, share in transitions_by_pair(problem, fit, pairs):
         # Departures and transitions of the pair; later ones may still have an arrival.
         source = int(fit.candidates.source[pair])
         target = int(fit.candidates.target[pair])
@@ -118,19 +118,21 @@ def find_changes(problem: Problem, fit: Fit, silences: list[list[Silence]]) -> l
         weight = np.ones(len(t))
         for begin, end in silences[camera_of[target]]:
             weight[(t + delays[pair] >= begin) & (t + delays[pair] < end)] = 0.0
-        counts = moved <= over
+        counts = departure_t <= over
 
         # Test it.
-        change = latest_change(Trials(t, weight, moved[counts], share[counts]), threshold)
+        change = latest_change(Trials(t, weight, departure_t[counts], share[counts]), threshold)
         if change is None:
             continue
         since, before, after, _ = change
-        linked = _linked(fit, departures, pair, since, after * weight.sum() / share[counts].sum())
+        link_nats = _linked(
+            fit, departures, pair, since, after * weight.sum() / share[counts].sum()
+        )
 
         # A higher share is a path that opened only if its transitions have a transit time.
-        if after < before or linked >= threshold:
-            found.append(Change(source, target, *change, linked=linked))
-    return found
+        if after < before or link_nats >= threshold:
+            result.append(Change(source, target, *change, link_nats=link_nats))
+    return result
 
 
 def _usual_longest(counts: Floats, bins: LagBins) -> Floats:
@@ -138,8 +140,8 @@ def _usual_longest(counts: Floats, bins: LagBins) -> Floats:
 
     counts (P, bins): expected transitions by lag.
     """
-    come = np.cumsum(counts, axis=1)
-    last = (come < COME_SHARE * come[:, -1:]).sum(axis=1)
+    cumulative = np.cumsum(counts, axis=1)
+    last = (cumulative < COME_SHARE * cumulative[:, -1:]).sum(axis=1)
     longest: Floats = np.maximum(np.array(bins.limits)[last + 1], 0.0)
     return longest
 
@@ -153,9 +155,9 @@ def _linked(fit: Fit, departures: Departures, pair: int, since: float, factor: f
     """
     rows = np.flatnonzero(fit.candidates.pair == pair)
     rows = rows[departures.t[fit.candidates.departure[rows]] >= since]
-    one = np.zeros(len(rows), np.int32)
+    pair_number = np.zeros(len(rows), np.int32)
     share = _scaled(fit.responsibility[rows], factor)
-    return float(log_likelihood_ratio(one, share, fit.flat[rows], 1)[0])
+    return float(log_likelihood_ratio(pair_number, share, fit.flat[rows], 1)[0])
 
 
 def threshold_nats(series: int, trials: int) -> float:
@@ -187,25 +189,25 @@ def transitions_by_pair(
     c = fit.candidates
     is_asked = np.zeros(len(c.source), bool)
     is_asked[pairs] = True
-    kept = np.flatnonzero(is_asked[c.pair] & (fit.responsibility > LIKELY_MIN))
+    rows = np.flatnonzero(is_asked[c.pair] & (fit.responsibility > LIKELY_MIN))
 
     # Merge those of one pair and one arrival: sum of responsibilities, mean time of departure.
-    key = c.pair[kept].astype(np.int64) * len(arrivals.t) + c.arrival[kept]
+    key = c.pair[rows].astype(np.int64) * len(arrivals.t) + c.arrival[rows]
     present, number = np.unique(key, return_inverse=True)
-    weight = fit.responsibility[kept]
+    weight = fit.responsibility[rows]
     share = np.bincount(number, weight, minlength=len(present))
-    moved = (
-        np.bincount(number, weight * departures.t[c.departure[kept]], minlength=len(present))
+    departure_t = (
+        np.bincount(number, weight * departures.t[c.departure[rows]], minlength=len(present))
         / share
     )
 
     # Order by pair and time, and split by pair.
     pair = present // max(len(arrivals.t), 1)
-    order = np.lexsort((moved, pair))
+    order = np.lexsort((departure_t, pair))
     starts = np.searchsorted(pair[order], pairs)
     stops = np.searchsorted(pair[order], pairs, side="right")
     return [
-        (int(p), moved[order[a:b]], np.minimum(share[order[a:b]], RESPONSIBILITY_MAX))
+        (int(p), departure_t[order[a:b]], np.minimum(share[order[a:b]], RESPONSIBILITY_MAX))
         for p, a, b in zip(pairs, starts, stops, strict=True)
     ]
 
@@ -225,9 +227,9 @@ def latest_change(trials: Trials, threshold: float) -> tuple[float, float, float
         return None
 
     # The share before the latest change holds since the change before that.
-    begun = changes[-2][0] if len(changes) > 1 else 0
+    begin = changes[-2][0] if len(changes) > 1 else 0
     split, nats = changes[-1]
-    return float(trials.t[split]), table.share(begun, split), table.share(split, n), nats
+    return float(trials.t[split]), table.share(begin, split), table.share(split, n), nats
 
 
 class _Table:
@@ -242,7 +244,7 @@ class _Table:
         rate = float(trials.share.sum()) / self.weight[-1]
         self.factors = FACTORS[FACTORS * rate <= max(1.0, rate)][:, None]
         """(F, 1) factors with which the share is at most 1."""
-        self.at = np.append(np.searchsorted(trials.moved, trials.t), len(trials.moved))
+        self.at = np.append(np.searchsorted(trials.departure_t, trials.t), len(trials.departure_t))
         """(n + 1,) number of transitions before each departure, and in all."""
         log = np.log1p((self.factors - 1.0) * trials.share).cumsum(axis=1)
         log = np.pad(log, ((0, 0), (1, 0)))
@@ -294,12 +296,12 @@ class _Table:
         square = chance = 0.0
         for low, high in ((begin, split), (split, end)):
             edges = np.linspace(low, high, min(PARTS // 2, high - low) + 1).astype(np.int64)
-            each = self.moved(low, high)
-            moved = np.concatenate(([0.0], np.cumsum(each)))
-            count = np.diff(moved[self.at[edges] - self.at[low]])
+            transitions = self.moved(low, high)
+            cumulative = np.concatenate(([0.0], np.cumsum(transitions)))
+            count = np.diff(cumulative[self.at[edges] - self.at[low]])
             trials = np.diff(self.weight[edges])
             square += float(((count - trials * count.sum() / max(trials.sum(), 1e-9)) ** 2).sum())
-            chance += float((each**2).sum()) * (1.0 - 1.0 / len(count))
+            chance += float((transitions**2).sum()) * (1.0 - 1.0 / len(count))
         return max(1.0, square / max(chance, 1e-9)) if chance > 0 else 1.0
 
 
@@ -335,17 +337,17 @@ def present(table: LinkTable, changes: list[Change], zones: int, rule: Publishin
         new[k] = True
         probability[k] = change.after
         if change.after > change.before:
-            ratio[k] = max(ratio[k], min(change.nats, change.linked))
-    kept = ~new | rule.is_often_taken(probability)
+            ratio[k] = max(ratio[k], min(change.nats, change.link_nats))
+    is_open = ~new | rule.is_often_taken(probability)
 
     # Scale the other pairs of the same zones of departure to the remaining share.
-    taken, others = (
+    new_share, steady_share = (
         np.bincount(table.source, probability * rows, minlength=zones)
-        for rows in (new & kept, ~new)
+        for rows in (new & is_open, ~new)
     )
-    room = np.minimum(1.0, np.maximum(1.0 - taken, 0.0) / np.maximum(others, 1e-9))
+    room = np.minimum(1.0, np.maximum(1.0 - new_share, 0.0) / np.maximum(steady_share, 1e-9))
     probability = np.where(
-        new, probability, probability * np.where(taken > 0, room, 1.0)[table.source]
+        new, probability, probability * np.where(new_share > 0, room, 1.0)[table.source]
     )
-    changed = table._replace(probability=probability).with_evidence(ratio, zones * zones)
-    return changed.rows(np.flatnonzero(kept))
+    result = table._replace(probability=probability).with_evidence(ratio, zones * zones)
+    return result.rows(np.flatnonzero(is_open))

@@ -69,13 +69,15 @@ class _Repetition(NamedTuple):
 
 def find_repeats(window: Window) -> list[str]:
     """Return for each camera how its events repeat themselves, in words; "" if they do not."""
-    placed = window.has_position()
-    found = []
+    has_position = window.has_position()
+    descriptions = []
     for rows in window.rows_of_cameras():
-        own = rows[placed[rows]][-KNOWN_MAX:]
-        t = window.column("t")[own] / MICROSECONDS
-        found.append(repeats_of(t, *(window.column(name)[own] for name in ("entry", "px", "py"))))
-    return found
+        camera_rows = rows[has_position[rows]][-KNOWN_MAX:]
+        t = window.column("t")[camera_rows] / MICROSECONDS
+        descriptions.append(
+            repeats_of(t, *(window.column(name)[camera_rows] for name in ("entry", "px", "py")))
+        )
+    return descriptions
 
 
 def repeats_of(t: Floats, entry: Bools, px: Indices, py: Indices) -> str:
@@ -87,38 +89,41 @@ def repeats_of(t: Floats, entry: Bools, px: Indices, py: Indices) -> str:
     if len(t) < 2 or np.abs(t - np.round(t)).max() < _WHOLE_SECONDS:
         return ""
     first = max(len(t) - JUDGED_MAX, 0)
-    judged = t[first:]
-    weight = 1.0 / _count_within(judged, TOGETHER_SECONDS)
+    newest_t = t[first:]
+    weight = 1.0 / _count_within(newest_t, TOGETHER_SECONDS)
     matches = _matches(t, entry, px, py, first, weight)
     cost = -math.log(1.0 - MATCHED) * weight
-    found = _separate([one for phase in (0.0, 0.5) for one in _repetitions(matches, cost, phase)])
+    repetitions = _separate(
+        [repetition for phase in (0.0, 0.5) for repetition in _repetitions(matches, cost, phase)]
+    )
 
     # Together they must be clear, each at the price of the choice of its lag.
-    evidence = sum(one.evidence - math.log(len(t)) for one in found)
+    evidence = sum(repetition.evidence - math.log(len(t)) for repetition in repetitions)
     if evidence < math.log(len(t) / FALSE_ALARM):
         return ""
 
     # Number of earlier plays of each event, and the lag of the nearest one of its stretch.
-    plays = np.zeros(len(judged), np.intp)
-    nearest = np.full(len(judged), np.inf)
-    for one in found:
-        plays[one.events] += 1
-        stretch = slice(one.events[0], one.events[-1] + 1)
-        nearest[stretch] = np.minimum(nearest[stretch], one.lag)
-    newest = judged > judged[-1] - nearest.min() + AGREE_SECONDS
+    plays = np.zeros(len(newest_t), np.intp)
+    nearest = np.full(len(newest_t), np.inf)
+    for repetition in repetitions:
+        plays[repetition.events] += 1
+        stretch = slice(repetition.events[0], repetition.events[-1] + 1)
+        nearest[stretch] = np.minimum(nearest[stretch], repetition.lag)
+    newest = newest_t > newest_t[-1] - nearest.min() + AGREE_SECONDS
     if (
         2 * np.count_nonzero(plays[newest] >= 2) < np.count_nonzero(newest)
-        or max(one.gain[newest[one.events]].sum() for one in found) < _CHANCE_NATS
-        or _is_rhythm(matches, found, nearest)
+        or max(repetition.gain[newest[repetition.events]].sum() for repetition in repetitions)
+        < _CHANCE_NATS
+        or _is_rhythm(matches, repetitions, nearest)
     ):
         return ""
 
     # Usual least and most time from one play to the next.
-    least, most = np.quantile(nearest[plays > 0], (0.1, 0.9))
-    every = f"{least:.1f}"
-    if most - least > AGREE_SECONDS:
-        every += f" to {most:.1f}"
-    return f"repeats itself every {every} s: a recording in a loop?"
+    least, longest = np.quantile(nearest[plays > 0], (0.1, 0.9))
+    interval = f"{least:.1f}"
+    if longest - least > AGREE_SECONDS:
+        interval += f" to {longest:.1f}"
+    return f"repeats itself every {interval} s: a recording in a loop?"
 
 
 def _matches(
@@ -129,8 +134,8 @@ def _matches(
     like = (lag > RHYTHM_SECONDS) & (entry[first:, None] == entry)[:, ::-1]
     for p in (px, py):
         like &= (np.abs(p[first:, None] - p) <= PLACE)[:, ::-1]
-    event, other = np.nonzero(like)
-    lags = lag[event, other]
+    event, earlier = np.nonzero(like)
+    lags = lag[event, earlier]
     apart = lags.max(initial=0.0) + RHYTHM_SECONDS  # lags of two events are further apart
     near = _count_within(event * apart + lags, RHYTHM_SECONDS)
     by_chance = near * AGREE_SECONDS / (2 * RHYTHM_SECONDS)
@@ -165,42 +170,47 @@ def _repetitions(matches: _Matches, cost: Floats, phase: float) -> list[_Repetit
     starts = np.flatnonzero(begins)
     ends = np.append(starts[1:], len(part))
     clear = np.maximum.reduceat(evidence, starts) > _CHANCE_NATS if len(part) else begins
-    found = []
+    repetitions = []
     for start, end in zip(starts[clear], ends[clear], strict=True):
         last = start + int(np.argmax(evidence[start:end]))
         begin = start + int(np.argmin(before[start : last + 1]))
         rows = slice(begin, last + 1)
         lag = float(np.median(matches.lag[order[rows]]))
-        found.append(_Repetition(float(evidence[last]), lag, event[rows], gain[rows]))
-    return found
+        repetitions.append(_Repetition(float(evidence[last]), lag, event[rows], gain[rows]))
+    return repetitions
 
 
-def _separate(found: list[_Repetition]) -> list[_Repetition]:
+def _separate(repetitions: list[_Repetition]) -> list[_Repetition]:
     """Return repetitions without those that share events and lag with one of more evidence."""
-    kept: list[_Repetition] = []
-    for one in sorted(found, key=lambda one: -one.evidence):
+    result: list[_Repetition] = []
+    for repetition in sorted(repetitions, key=lambda repetition: -repetition.evidence):
         if not any(
-            abs(one.lag - other.lag) < RHYTHM_SECONDS and np.isin(one.events, other.events).any()
-            for other in kept
+            abs(repetition.lag - neighbour.lag) < RHYTHM_SECONDS
+            and np.isin(repetition.events, neighbour.events).any()
+            for neighbour in result
         ):
-            kept.append(one)
-    return kept
+            result.append(repetition)
+    return result
 
 
-def _is_rhythm(matches: _Matches, found: list[_Repetition], nearest: Floats) -> bool:
+def _is_rhythm(matches: _Matches, repetitions: list[_Repetition], nearest: Floats) -> bool:
     """Return True if half of the events come before their ``nearest`` repetition, less exactly.
 
     What a busy view shows at any lag does not count.
     """
     events = 0
     between = 0.0
-    for one in found:
-        if np.count_nonzero(nearest[one.events] == one.lag) * 2 >= len(one.events):
-            events += len(one.events)
-            rows = np.isin(matches.event, one.events) & (matches.lag < one.lag - TOGETHER_SECONDS)
+    for repetition in repetitions:
+        if np.count_nonzero(nearest[repetition.events] == repetition.lag) * 2 >= len(
+            repetition.events
+        ):
+            events += len(repetition.events)
+            rows = np.isin(matches.event, repetition.events) & (
+                matches.lag < repetition.lag - TOGETHER_SECONDS
+            )
             lags = np.sort(matches.lag[rows])
-            most = _count_within(lags, TOGETHER_SECONDS / 2).max(initial=0)
-            between += most - len(lags) * TOGETHER_SECONDS / one.lag
+            count_max = _count_within(lags, TOGETHER_SECONDS / 2).max(initial=0)
+            between += count_max - len(lags) * TOGETHER_SECONDS / repetition.lag
     return 2 * between >= events
 
 

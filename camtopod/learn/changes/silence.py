@@ -41,7 +41,7 @@ def find_silences(t: Floats, camera: NDArray[np.int64], cameras: int) -> list[Ca
     camera (n,): index of each event's camera.
     cameras: number of cameras.
     """
-    return [_silences(t, own) for own in rows_by_group(camera, cameras)]
+    return [_silences(t, rows) for rows in rows_by_group(camera, cameras)]
 
 
 def silent_odds(silences: list[CameraSilences], first: float, last: float) -> Floats:
@@ -50,29 +50,32 @@ def silent_odds(silences: list[CameraSilences], first: float, last: float) -> Fl
     first, last (seconds): the time that is considered.
     """
     silent = np.array(
-        [sum(min(end, last) - begin for begin, end in one.intervals) for one in silences]
+        [
+            sum(min(end, last) - begin for begin, end in camera_silences.intervals)
+            for camera_silences in silences
+        ]
     )
     return silent / np.maximum(last - first - silent, 1.0)
 
 
-def _silences(t: Floats, own: NDArray[np.intp]) -> CameraSilences:
+def _silences(t: Floats, rows: NDArray[np.intp]) -> CameraSilences:
     """Return the silences of one camera.
 
     t (n, seconds): times of the events of all cameras, ascending.
-    own (k,): rows of the camera's own events.
+    rows (k,): rows of the camera's own events.
     """
-    if len(own) == 0:
+    if len(rows) == 0:
         return CameraSilences([], False)
 
     # Gaps between the camera's events, in events of other cameras. A gap is a silence if its
     # probability, given the camera's share of the traffic, is below the limit.
-    gaps = np.diff(np.append(own, len(t))) - 1
-    share = min(len(own) / (len(own) + int(gaps.sum())), 0.5)
-    least = math.log(len(own) / FALSE_PROBABILITY)
+    gaps = np.diff(np.append(rows, len(t))) - 1
+    share = min(len(rows) / (len(rows) + int(gaps.sum())), 0.5)
+    least = math.log(len(rows) / FALSE_PROBABILITY)
     silent = -math.log1p(-share) * gaps / EVENTS_PER_PASSAGE > least
 
     # Convert gaps to intervals.
-    ends = np.append(t[own[1:]], np.inf)
-    intervals = [(float(t[own[k]]), float(ends[k])) for k in np.flatnonzero(silent)]
+    ends = np.append(t[rows[1:]], np.inf)
+    intervals = [(float(t[rows[k]]), float(ends[k])) for k in np.flatnonzero(silent)]
     lasts = bool(silent[-1]) and bool(gaps[-1] > LONGER_THAN_BEFORE * gaps[:-1].max(initial=0))
     return CameraSilences(intervals, lasts)

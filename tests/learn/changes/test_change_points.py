@@ -95,8 +95,8 @@ def test_arrivals_that_come_from_elsewhere_do_not_keep_a_way_open() -> None:
     chance = np.random.default_rng(6)
     walked = trials(two(0.5, 0.0, 400, 60), 6)
     others = np.sort(chance.uniform(340 * 60, 400 * 60, 60))
-    order = np.argsort(np.concatenate((walked.moved, others)), kind="stable")
-    moved = np.concatenate((walked.moved, others))[order]
+    order = np.argsort(np.concatenate((walked.departure_t, others)), kind="stable")
+    moved = np.concatenate((walked.departure_t, others))[order]
     share = np.concatenate((walked.share, np.full(60, 0.2)))[order]
     found = latest_change(Trials(walked.t, walked.weight, moved, share), THRESHOLD)
     assert found is not None
@@ -108,7 +108,7 @@ def slow_gain(given: Trials) -> float:
 
     def best(begin: int, end: int) -> float:
         t0, t1 = given.t[begin], given.t[end] if end < len(given.t) else np.inf
-        share = given.share[(given.moved >= t0) & (given.moved < t1)]
+        share = given.share[(given.departure_t >= t0) & (given.departure_t < t1)]
         expected = rate * given.weight[begin:end].sum()
 
         def loss(factor: float) -> float:
@@ -157,7 +157,7 @@ def test_a_closed_link_is_left_out_and_others_stay() -> None:
 
 def test_an_opened_link_has_its_present_share_and_its_own_evidence() -> None:
     links = table([(0, 1, 5), (2, 3, 60)]).with_evidence(np.array([3.0, 50.0]), 16)
-    links = present(links, [Change(0, 1, 5.0, 0.0, 0.5, 20.0, linked=18.0)], 4, RULE)
+    links = present(links, [Change(0, 1, 5.0, 0.0, 0.5, 20.0, link_nats=18.0)], 4, RULE)
     assert links.probability.tolist() == [0.5, 0.6]
     assert links.ratio.tolist() == [18.0, 50.0]
     assert links.q[0] < 1e-6
