@@ -44,12 +44,12 @@ def local_rates(t: Floats, zone: NDArray[np.int32], zones: int) -> Floats:
         times = t[rows]
         low = times - RATE_HALF_WINDOW_SECONDS
         high = times + RATE_HALF_WINDOW_SECONDS
-        others = np.searchsorted(times, high, "right") - np.searchsorted(times, low, "left") - 1
+        neighbours = np.searchsorted(times, high, "right") - np.searchsorted(times, low, "left") - 1
 
         # Divide by the part of the window that is within the data.
         span = np.minimum(high, last) - np.maximum(low, first)
         mean = len(times) / max(last - first, 1.0)
-        rates[rows] = (others + RATE_PRIOR_EVENTS) / (span + RATE_PRIOR_EVENTS / mean)
+        rates[rows] = (neighbours + RATE_PRIOR_EVENTS) / (span + RATE_PRIOR_EVENTS / mean)
     return rates
 
 
@@ -113,7 +113,7 @@ class NullRates:
 
 def _per_bin(t: Floats, zone: NDArray[np.int32], first: float, n: int, zones: int) -> Singles:
     """Return the number of events (zones, n) of each zone in ``n`` time bins from ``first`` on."""
-    when = ((t - first) // CHANCE_BIN_SECONDS).astype(np.int64)
+    bin_number = ((t - first) // CHANCE_BIN_SECONDS).astype(np.int64)
     events = np.zeros(zones * n, np.float32)
-    np.add.at(events, zone.astype(np.int64) * n + when, 1.0)
+    np.add.at(events, zone.astype(np.int64) * n + bin_number, 1.0)
     return events.reshape(zones, n)

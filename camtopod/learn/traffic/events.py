@@ -39,23 +39,23 @@ class Departures(NamedTuple):
     block: Ints
     label: Ints | None = None
 
-    def take(self, kept: NDArray[np.bool_], arrivals: NDArray[np.bool_]) -> Departures:
+    def take(self, mask: NDArray[np.bool_], arrivals: NDArray[np.bool_]) -> Departures:
         """Return the departures of a mask.
 
-        kept (n,): mask of the departures to keep.
+        mask (n,): mask of the departures to keep.
         arrivals (m,): mask of the arrivals that are kept, too; the column ``own`` is renumbered
             accordingly.
         """
         # The new row of each arrival; the last element is for -1.
         number = np.append(np.where(arrivals, np.cumsum(arrivals) - 1, -1), -1).astype(np.int32)
-        return self._replace(own=number[self.own])._rows(kept)
+        return self._replace(own=number[self.own])._rows(mask)
 
     def passages(self) -> Departures:
         """Return the departures that end a passage whose entry is known and in a zone."""
         return self._rows(self.own >= 0)
 
-    def _rows(self, kept: NDArray[np.bool_]) -> Departures:
-        columns: list[Any] = [None if column is None else column[kept] for column in self]
+    def _rows(self, mask: NDArray[np.bool_]) -> Departures:
+        columns: list[Any] = [None if column is None else column[mask] for column in self]
         return Departures(*columns)
 
     @staticmethod
@@ -90,9 +90,9 @@ class Arrivals(NamedTuple):
     label: Ints | None = None
     label_share: Floats | None = None
 
-    def take(self, kept: NDArray[Any]) -> Arrivals:
-        """Return the arrivals ``kept``, given as a mask or as rows."""
-        columns: list[Any] = [None if column is None else column[kept] for column in self]
+    def take(self, rows: NDArray[Any]) -> Arrivals:
+        """Return the arrivals ``rows``, given as a mask or as rows."""
+        columns: list[Any] = [None if column is None else column[rows] for column in self]
         return Arrivals(*columns)
 
     def weights(self, rows: Indices) -> Singles:

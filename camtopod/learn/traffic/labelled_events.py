@@ -49,7 +49,7 @@ class Scene(NamedTuple):
     """(zones,) number of entries at each zone."""
     exits: NDArray[np.int64]
     """(zones,) number of exits at each zone."""
-    tracked: NDArray[np.bool_]
+    is_tracked: NDArray[np.bool_]
     """(cameras,) True for cameras whose tracks tie most exits to an entry."""
     first: float
     """Time of the first event in seconds."""
@@ -168,5 +168,5 @@ def _tracked(camera: Ints, mate: Indices, cameras: int) -> NDArray[np.bool_]:
 
     camera, mate (n,): camera of each exit, and row of its entry, -1 if unknown.
     """
-    untied = np.bincount(camera, np.where(mate >= 0, -1.0, 1.0), cameras)
-    return untied < 0
+    untied_count = np.bincount(camera, np.where(mate >= 0, -1.0, 1.0), cameras)
+    return untied_count < 0

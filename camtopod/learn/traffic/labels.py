@@ -46,23 +46,26 @@ def label_table(zone: Ints, label: Ints, zones: int, labels: int) -> Floats:
 
     zone, label (n,): as for `label_shares`.
     """
-    known = label >= 0
+    mask = label >= 0
     counts = np.zeros((zones, labels))
-    np.add.at(counts, (zone[known], label[known]), 1.0)
+    np.add.at(counts, (zone[mask], label[mask]), 1.0)
     of_site = counts.sum(axis=0) / max(counts.sum(), 1.0)
     of_zone = counts.sum(axis=1, keepdims=True)
     table: Floats = (counts + ZONE_ARRIVALS * of_site) / (of_zone + ZONE_ARRIVALS)
     return table
 
 
-def label_agreement(left: Ints, came: Ints, share: Floats, persistence: float) -> Floats:
+def label_agreement(
+    departure_label: Ints, arrival_label: Ints, share: Floats, persistence: float
+) -> Floats:
     """Return the likelihood ratio (M,) of one object over two, by the labels of two events.
 
-    left, came (M,): labels of a departure and of an arrival. If either is unknown, the ratio is 1.
+    departure_label, arrival_label (M,): labels of a departure and of an arrival. If either is
+        unknown, the ratio is 1.
     share (M,): share of the arrival's label among the arrivals at its zone.
     """
-    ratio: Floats = 1.0 - persistence + persistence * (left == came) / share
-    return np.where((left >= 0) & (came >= 0), ratio, 1.0)
+    ratio: Floats = 1.0 - persistence + persistence * (departure_label == arrival_label) / share
+    return np.where((departure_label >= 0) & (arrival_label >= 0), ratio, 1.0)
 
 
 def estimate_label_persistence(like: Bools, share: Floats, responsibility: Floats) -> float:
@@ -74,12 +77,12 @@ def estimate_label_persistence(like: Bools, share: Floats, responsibility: Float
     """
     # The log likelihood is concave: halve the range in which its slope is 0.
     slope = responsibility * (like / share - 1.0)
-    same, other = PRIOR_TRANSITIONS
+    same_count, other_count = PRIOR_TRANSITIONS
     low, high = 0.0, 1.0
     for _ in range(HALVINGS):
         middle = 0.5 * (low + high)
         total = float((slope / (1.0 + middle * slope)).sum())
-        total += same / middle - other / (1.0 - middle)
+        total += same_count / middle - other_count / (1.0 - middle)
         low, high = (middle, high) if total > 0.0 else (low, middle)
     return min(high, PERSISTENCE_MAX)
 
@@ -94,6 +97,6 @@ def first_weights(likeness: Singles, share: Floats, persistence: float) -> tuple
     without labels, and chance adds less to it.
     """
     like = 1.0 - persistence + persistence / share
-    related = persistence * float(np.minimum(like, RATIO_MAX).mean()) + 1.0 - persistence
-    weight: Singles = (np.minimum(likeness, RATIO_MAX) / related).astype(np.float32)
-    return weight, 1.0 / related
+    mean_weight = persistence * float(np.minimum(like, RATIO_MAX).mean()) + 1.0 - persistence
+    weight: Singles = (np.minimum(likeness, RATIO_MAX) / mean_weight).astype(np.float32)
+    return weight, 1.0 / mean_weight

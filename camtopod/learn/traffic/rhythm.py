@@ -69,9 +69,9 @@ def activity_rates(t: Floats, zone: Ints, camera: Ints, rate: Floats) -> Floats:
     """
     zones = int(zone.max(initial=-1)) + 1
     cameras = int(camera.max(initial=-1)) + 1
-    every = np.zeros(len(t), np.int32)
-    around = _around(t, every, 1) - _around(t, camera, cameras)
-    usual = local_rates(t, every, 1) - local_rates(t, camera, cameras)
+    whole_site = np.zeros(len(t), np.int32)
+    around = _around(t, whole_site, 1) - _around(t, camera, cameras)
+    usual = local_rates(t, whole_site, 1) - local_rates(t, camera, cameras)
     prior = ACTIVITY_PRIOR_EVENTS / ACTIVITY_SECONDS
     relative = (np.maximum(around, 0.0) + prior) / (np.maximum(usual, 0.0) + prior)
     parts = np.stack((rate, rate * relative, *_past_by_age(t, zone, zones)))
@@ -96,9 +96,9 @@ def _mixed(parts: Floats, zone: Ints, zones: int) -> Floats:
     number = np.maximum(np.bincount(zone, minlength=zones), 1.0)
     share = np.full((len(parts), zones), 1.0 / len(parts))
     for _ in range(ITERATIONS):
-        made = share.take(zone, axis=1) * parts
-        made /= made.sum(axis=0)
-        share = np.stack([np.bincount(zone, part, zones) for part in made]) / number
+        parts_of_rate = share.take(zone, axis=1) * parts
+        parts_of_rate /= parts_of_rate.sum(axis=0)
+        share = np.stack([np.bincount(zone, part, zones) for part in parts_of_rate]) / number
     rate: Floats = (share[:, zone] * parts).sum(axis=0)
     return rate
 
@@ -122,11 +122,11 @@ def _cycles(t: Floats, zone: Ints, zones: int) -> Floats:
     band = np.arange(-(-size * step // longest), size * step // shortest + 1)
     band = band[band > 0].astype(np.intp)
     orders = np.arange(1, HARMONICS + 1)
-    needed = GAIN_NATS + np.log(max(len(band), 1))
+    nats_needed = GAIN_NATS + np.log(max(len(band), 1))
 
     for rows in rows_by_group(zone, zones):
         # With fewer arrivals, no cycle can reach this power.
-        if len(rows) * HARMONICS <= needed or not len(band):
+        if len(rows) * HARMONICS <= nats_needed or not len(band):
             continue
 
         # Power over the harmonics of each frequency, in units of the noise: that of other
@@ -136,14 +136,14 @@ def _cycles(t: Floats, zone: Ints, zones: int) -> Floats:
         power = power[np.minimum(np.outer(orders, band), size // 2)].sum(axis=0)
         power *= gammaincinv(HARMONICS, 0.5) / max(float(np.median(power)), 1e-9)
         best = int(power.argmax())
-        if power[best] - np.log1p(power[best]) < needed:
+        if power[best] - np.log1p(power[best]) < nats_needed:
             continue
 
         # The course of the cycle, by the other arrivals.
         angle = 2.0 * np.pi * band[best] / (size * step) * since[rows]
         wave = np.exp(1j * np.outer(orders, angle))
-        others = (wave.sum(axis=1, keepdims=True) - wave) / (len(rows) - 1)
-        course = 1.0 + 2.0 * (others.conj() * wave).real.sum(axis=0)
+        other_waves = (wave.sum(axis=1, keepdims=True) - wave) / (len(rows) - 1)
+        course = 1.0 + 2.0 * (other_waves.conj() * wave).real.sum(axis=0)
         relative[rows] = np.maximum(course, 0.0)
     return relative
 

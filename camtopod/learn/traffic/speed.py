@@ -98,16 +98,18 @@ def estimate_persistence(
     """
     # Transitions of which both slownesses are known.
     sure = responsibility > SURE_RESPONSIBILITY
-    both = sure & np.isfinite(before) & np.isfinite(after)
-    n = int(both.sum())
+    has_both = sure & np.isfinite(before) & np.isfinite(after)
+    n = int(has_both.sum())
     if n < SURE_TRANSITIONS_MIN:
         return NO_PERSISTENCE
-    sd = float(np.sqrt(np.mean(np.concatenate((before[both] ** 2, after[both] ** 2)))))
+    sd = float(np.sqrt(np.mean(np.concatenate((before[has_both] ** 2, after[has_both] ** 2)))))
 
     # Correlation, less its uncertainty; 0 if all passages take equally long, as those of machines.
-    varies = min(before[both].std(), after[both].std()) > 0
-    observed = float(np.corrcoef(before[both], after[both])[0, 1]) if varies else 0.0
-    correlation = min(max(observed - SIGNIFICANT_SD / math.sqrt(n), 0.0), 0.95)
+    varies = min(before[has_both].std(), after[has_both].std()) > 0
+    sample_correlation = (
+        float(np.corrcoef(before[has_both], after[has_both])[0, 1]) if varies else 0.0
+    )
+    correlation = min(max(sample_correlation - SIGNIFICANT_SD / math.sqrt(n), 0.0), 0.95)
     return Persistence(
         _scaling(mean_slowness(before, after), lag, pair, sure), correlation, max(sd, 0.05)
     )
@@ -150,8 +152,8 @@ def mean_slowness(before: Floats, after: Floats) -> Floats:
 
     before, after (M,): as for `estimate_persistence`.
     """
-    both = 0.5 * (before + after)
-    return np.where(np.isfinite(both), both, np.where(np.isfinite(before), before, after))
+    mean = 0.5 * (before + after)
+    return np.where(np.isfinite(mean), mean, np.where(np.isfinite(before), before, after))
 
 
 def adjusted_lag(lag: Floats, slow: Floats, scaling: float) -> Floats:
@@ -164,8 +166,8 @@ def adjusted_lag(lag: Floats, slow: Floats, scaling: float) -> Floats:
     Lags up to `LAG_SECONDS_MIN` and lags of unknown slowness are not scaled.
     """
     factor = np.where(np.isfinite(slow) & (lag > LAG_SECONDS_MIN), np.exp(-scaling * slow), 1.0)
-    adjusted: Floats = lag * factor
-    return adjusted
+    result: Floats = lag * factor
+    return result
 
 
 def agreement(before: Floats, after: Floats, p: Persistence) -> Floats:

@@ -119,7 +119,7 @@ def test_scene_equals_a_walk_over_the_events(forget: int) -> None:
 def test_a_camera_is_tracked_when_most_exits_have_their_entry() -> None:
     for tracked, expected in ((1.0, True), (0.9, True), (0.2, False), (0.0, False)):
         _, _, scene = seen(made(2, 60, tracked))
-        assert scene.tracked.tolist() == [expected] * 3
+        assert scene.is_tracked.tolist() == [expected] * 3
 
 
 def test_passages_are_counted_where_tracks_tie_them() -> None:
