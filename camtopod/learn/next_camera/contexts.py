@@ -58,7 +58,7 @@ class ContextCounts(NamedTuple):
     """(C,) certain departures."""
     row: Longs
     """(n,) index of the first column of each departure's context in the flattened ``moved``."""
-    mine: Singles
+    own_weight: Singles
     """(n,) weight of each departure in its context, which leave-one-out removes."""
     scale: Singles
     """(n,) probability that the departure is in the context, divided by the certain departures of
@@ -86,21 +86,21 @@ class ContextCounts(NamedTuple):
         """
         cell = self.row.take(departure)
         cell += target
-        own = self.mine.take(departure)
-        own *= responsibility
-        return cell, own
+        own_weight = self.own_weight.take(departure)
+        own_weight *= responsibility
+        return cell, own_weight
 
     def judged(
-        self, departure: NDArray[np.intp], cell: Longs, own: Singles, share: Singles
+        self, departure: NDArray[np.intp], cell: Longs, own_weight: Singles, share: Singles
     ) -> Singles:
         """Return the leave-one-out probability of each of m candidates at this level, (m,).
 
         departure (m,): row of each candidate's departure.
-        cell, own (m,): results of `cells_of`; ``own`` is what leave-one-out removes.
+        cell, own_weight (m,): results of `cells_of`; ``own_weight`` is what leave-one-out removes.
         share (m,): probability at the level before, to which this level backs off.
         """
         probability = self.moved.take(cell)
-        probability -= own
+        probability -= own_weight
         probability += BACK_OFF_DEPARTURES * share
         np.maximum(probability, 0.0, out=probability)
         probability *= self.scale.take(departure)
@@ -132,12 +132,12 @@ class Contexts:
         self._way_known = ((self.entry >= 0) & (block >= 0)).astype(float)
 
     def count(
-        self, candidates: Candidates, responsibility: Singles, gone: Floats, leave: Floats
+        self, candidates: Candidates, responsibility: Singles, absence: Floats, leave: Floats
     ) -> tuple[list[ContextCounts], Floats]:
         """Count departures and transitions by context, for each level.
 
         responsibility (M,): of the candidates.
-        gone (n,): probability that the object of each departure does not appear again.
+        absence (n,): probability that the object of each departure does not appear again.
         leave (n,): probability that an object leaves the site after a departure from the same zone,
             whatever the context.
 
@@ -149,25 +149,28 @@ class Contexts:
         column, width = self._columns(c)
         levels = []
         cells = of_site(CONTEXT_CELLS_MAX, self.cameras)
-        most = max(cells // width, 1)
+        contexts_max = max(cells // width, 1)
 
         # Departures of each context, and leaving the site as one of their outcomes.
         for (number, keys), certainty in self._contexts(c, responsibility):
-            number, keys, certainty = _commonest(number, keys, certainty, most)
+            number, keys, certainty = _commonest(number, keys, certainty, contexts_max)
             weight = sure * certainty
             departures = np.bincount(number, weight, minlength=len(keys)).astype(float)
-            others = departures[number] - weight + BACK_OFF_DEPARTURES
-            leaving = np.bincount(number, weight * gone, minlength=len(keys))
+            other_departures = departures[number] - weight + BACK_OFF_DEPARTURES
+            leave_sums = np.bincount(number, weight * absence, minlength=len(keys))
             leaving_others = np.maximum(
-                leaving[number] - weight * gone + BACK_OFF_DEPARTURES * leave, 0.0
+                leave_sums[number] - weight * absence + BACK_OFF_DEPARTURES * leave, 0.0
             )
-            leave = certainty * leaving_others / others + (1.0 - certainty) * leave
+            leave = certainty * leaving_others / other_departures + (1.0 - certainty) * leave
             own_weight, scale, unsure = (
-                each.astype(np.float32) for each in (weight, certainty / others, 1.0 - certainty)
+                column.astype(np.float32)
+                for column in (weight, certainty / other_departures, 1.0 - certainty)
             )
-            moved = np.zeros((len(keys), width), np.float32)
+            transitions = np.zeros((len(keys), width), np.float32)
             levels.append(
-                ContextCounts(keys, departures, number * width, own_weight, scale, unsure, moved)
+                ContextCounts(
+                    keys, departures, number * width, own_weight, scale, unsure, transitions
+                )
             )
 
         # Transitions of each context.
@@ -196,8 +199,8 @@ class Contexts:
         target = self._columns(c)[0].take(c.pair)
         probability = share.astype(np.float32).take(c.pair)
         for level in levels:
-            cell, own = level.cells_of(departure, target, responsibility)
-            probability = level.judged(departure, cell, own, probability)
+            cell, own_weight = level.cells_of(departure, target, responsibility)
+            probability = level.judged(departure, cell, own_weight, probability)
         return probability
 
     def _columns(self, candidates: Candidates) -> tuple[Longs, int]:
@@ -245,8 +248,8 @@ class Contexts:
         best = np.full(len(self.arrivals.t) + 1, -1)
         sure = np.zeros(len(self.arrivals.t) + 1)
         np.maximum.at(sure, arrival, mass)
-        most = np.flatnonzero(mass == sure.take(arrival))
-        best[arrival[most]] = camera[most]  # of equally probable cameras the last one
+        best_rows = np.flatnonzero(mass == sure.take(arrival))
+        best[arrival[best_rows]] = camera[best_rows]  # of equally probable cameras the last one
         return best[d.own], np.minimum(sure[d.own], 1.0)
 
     def _sureness(self, candidates: Candidates, responsibility: Singles) -> Floats:
@@ -273,9 +276,9 @@ def multipliers(before: Singles, after: Singles) -> Singles:
 
 
 def _commonest(
-    number: Longs, keys: Longs, certainty: Floats, most: int
+    number: Longs, keys: Longs, certainty: Floats, contexts_max: int
 ) -> tuple[Longs, Longs, Floats]:
-    """Drop all contexts but the ``most`` frequent ones.
+    """Drop all contexts but the ``contexts_max`` frequent ones.
 
     number (n,), keys (C, 3), certainty (n,): context of each departure, keys, and certainty, as
         returned by `Contexts._contexts`.
@@ -283,12 +286,14 @@ def _commonest(
     Return the same three after the change; the certainty is 0 for departures whose context is
     dropped.
     """
-    if len(keys) <= most:
+    if len(keys) <= contexts_max:
         return number, keys, certainty
-    kept = np.sort(
-        np.argsort(-np.bincount(number, certainty, minlength=len(keys)), kind="stable")[:most]
+    common_contexts = np.sort(
+        np.argsort(-np.bincount(number, certainty, minlength=len(keys)), kind="stable")[
+            :contexts_max
+        ]
     )
-    renamed = np.full(len(keys), -1)
-    renamed[kept] = np.arange(most)
-    number = renamed[number]
-    return np.maximum(number, 0), keys[kept], certainty * (number >= 0)
+    new_number = np.full(len(keys), -1)
+    new_number[common_contexts] = np.arange(contexts_max)
+    number = new_number[number]
+    return np.maximum(number, 0), keys[common_contexts], certainty * (number >= 0)

@@ -50,8 +50,8 @@ class EntryKernels:
         self._zones = zones
 
         # Candidates with a negative lag, and their lag from the entry.
-        tied = (d.own >= 0) & np.isfinite(d.since)
-        early = np.flatnonzero((c.lag < 0) & tied[c.departure])
+        has_entry = (d.own >= 0) & np.isfinite(d.since)
+        early = np.flatnonzero((c.lag < 0) & has_entry[c.departure])
         at = bins.index(a.t[c.arrival[early]] - d.since[c.departure[early]])
         early = early[at >= 0]
         at = at[at >= 0]
@@ -61,13 +61,13 @@ class EntryKernels:
         key = entry[c.departure[early]] * zones + a.zone[c.arrival[early]]
         present, number, often = np.unique(key, return_inverse=True, return_counts=True)
         cameras = int(a.camera.max(initial=0)) + 1
-        most = of_site(ENTRY_PAIRS_MAX, cameras)
-        if len(present) > most:
-            usual = np.sort(np.argsort(-often, kind="stable")[:most])
-            kept = np.isin(number, usual)
-            early = early[kept]
-            at = at[kept]
-            number = np.searchsorted(usual, number[kept])
+        pairs_max = of_site(ENTRY_PAIRS_MAX, cameras)
+        if len(present) > pairs_max:
+            usual = np.sort(np.argsort(-often, kind="stable")[:pairs_max])
+            mask = np.isin(number, usual)
+            early = early[mask]
+            at = at[mask]
+            number = np.searchsorted(usual, number[mask])
             present = present[usual]
 
         self.rows: Indices = early
@@ -78,16 +78,16 @@ class EntryKernels:
         """(Q,) zone of the next appearance of each pair."""
         self.cell = number.astype(np.int64) * bins.size + at
         """(m,) index of each candidate in a flattened table of kernels (Q, bins)."""
-        self.hazard, self.own, self.share = np.zeros((3, len(early)))
+        self.hazard, self.own_share, self.share = np.zeros((3, len(early)))
         """(m,) each. ``hazard``: value of the kernel at the candidate, per second. ``own``: share
         of that value that the candidate contributes itself if its weight is 1, for leave-one-out.
         ``share``: share of the candidate's rate that the kernel contributes.
         """
         self._order = np.argsort(self.cell, kind="stable")
-        self._reached = self.cell[self._order]
-        self._began = d.since[tied]
-        self._entered = entry[tied]
-        self.exposure = passages_lasting((d.t - d.since)[tied], self._entered, bins, zones)
+        self._cell_in_order = self.cell[self._order]
+        self._entry_t = d.since[has_entry]
+        self._entry_zone = entry[has_entry]
+        self.exposure = passages_lasting((d.t - d.since)[has_entry], self._entry_zone, bins, zones)
         """(zones, bins) number of passages from each zone of entry that are still in view when a
         bin of the time from the entry begins.
         """
@@ -100,7 +100,9 @@ class EntryKernels:
         a = self._arrivals
         if len(self.rows) == 0:
             return
-        rates = NullRates(self._began, self._entered.astype(np.int32), a.t, a.zone, self._zones)
+        rates = NullRates(
+            self._entry_t, self._entry_zone.astype(np.int32), a.t, a.zone, self._zones
+        )
         for rows, members, counts in self._counts(np.ones(len(self.rows))):
             source = self.source[rows]
             chance = rates.rates_of(source, self.target[rows])
@@ -114,27 +116,27 @@ class EntryKernels:
 
         responsibility (m,): of these candidates.
         """
-        others: Floats = np.maximum(1.0 - responsibility * self.own, 0.0)
-        return self.hazard * others
+        other_share: Floats = np.maximum(1.0 - responsibility * self.own_share, 0.0)
+        return self.hazard * other_share
 
     def learn(self, responsibility: Singles) -> None:
         """Do the M step: estimate the kernels by the responsibilities (M,) of all candidates."""
         for rows, members, counts in self._counts(self._weight(responsibility)):
             cell = self.cell[members] - rows.start * self._bins.size
-            smoothed, own_share = smooth(counts)
-            self.own[members] = own_share.take(cell // self._bins.size) / np.maximum(
-                smoothed.take(cell), 1e-300
+            smooth_counts, own_share = smooth(counts)
+            self.own_share[members] = own_share.take(cell // self._bins.size) / np.maximum(
+                smooth_counts.take(cell), 1e-300
             )
-            self.hazard[members] = (smoothed / self._exposed(rows)).take(cell)
+            self.hazard[members] = (smooth_counts / self._exposed(rows)).take(cell)
 
     def kernels(self, responsibility: Singles) -> Floats:
         """Return the kernels (Q, bins) by time from the entry, per second and passage in view.
 
         responsibility (M,): of all candidates.
         """
-        counted = self._counts(self._weight(responsibility))
-        each = [smooth(counts)[0] / self._exposed(rows) for rows, _, counts in counted]
-        return np.concatenate([np.zeros((0, self._bins.size)), *each])
+        counts_of_parts = self._counts(self._weight(responsibility))
+        kernels = [smooth(counts)[0] / self._exposed(rows) for rows, _, counts in counts_of_parts]
+        return np.concatenate([np.zeros((0, self._bins.size)), *kernels])
 
     def _weight(self, responsibility: Singles) -> Floats:
         """Return the weight (m,) of each candidate in the count of its kernel.
@@ -155,14 +157,16 @@ class EntryKernels:
         size = self._bins.size
         for rows in row_slices(len(self.source)):
             first, last = np.searchsorted(
-                self._reached, (rows.start * size, rows.stop * size)
+                self._cell_in_order, (rows.start * size, rows.stop * size)
             ).tolist()
             members = self._order[first:last]
-            cell = self._reached[first:last] - rows.start * size
+            cell = self._cell_in_order[first:last] - rows.start * size
             counts = np.bincount(cell, weight[members], minlength=(rows.stop - rows.start) * size)
             yield rows, members, counts.astype(float, copy=False).reshape(-1, size)
 
     def _exposed(self, rows: slice) -> Floats:
         """Return the exposure (pairs, bins) of some pairs: passages in view times seconds."""
-        exposed: Floats = np.maximum(self.exposure[self.source[rows]], 1.0) * self._bins.widths
-        return exposed
+        departure_seconds: Floats = (
+            np.maximum(self.exposure[self.source[rows]], 1.0) * self._bins.widths
+        )
+        return departure_seconds

@@ -168,23 +168,25 @@ class PosteriorFitter:
         )
         return em.live() & ~impossible
 
-    def _keep(self, kept: NDArray[np.bool_]) -> None:
-        """Leave out all candidates but those of the mask ``kept`` (M,) from here on."""
+    def _keep(self, mask: NDArray[np.bool_]) -> None:
+        """Leave out all candidates but those of the mask ``mask`` (M,) from here on."""
         em = self.em
-        share = np.zeros(len(kept))
+        share = np.zeros(len(mask))
         share[self.entering.rows] = self.entering.share
-        self.hazard = self.hazard[em.keep(kept)]
+        self.hazard = self.hazard[em.keep(mask)]
         self._extend()
-        self.entering.share = share[kept][self.entering.rows]
+        self.entering.share = share[mask][self.entering.rows]
         self.entering.learn(em.responsibility)
 
     def posterior(self) -> Posterior:
         """Return the result of the fit, without doubt."""
         em = self.em
-        levels = [counted.published() for counted in self._count_contexts()]
-        found = result(em, self.hazard, np.zeros((0, self.problem.bins.size)))  # without counts
+        levels = [counts.published() for counts in self._count_contexts()]
+        bare_posterior = result(
+            em, self.hazard, np.zeros((0, self.problem.bins.size))
+        )  # without counts
         return Posterior(
-            found,
+            bare_posterior,
             self.share,
             self.leave,
             np.zeros(em.pairs),
@@ -216,20 +218,22 @@ class PosteriorFitter:
         bins = self.problem.bins
         after = bins.edges[1:] > 0
         faint = FAINT_TRANSITIONS * after / (after.sum() * bins.widths)
-        more = FAINT_TRANSITIONS * np.bincount(em.range_of, minlength=len(em.exposure))
+        faint_departures = FAINT_TRANSITIONS * np.bincount(em.range_of, minlength=len(em.exposure))
 
         hazard = np.empty_like(self.hazard)
         for rows in row_slices(em.pairs):
             at = em.range_of[rows]
-            exposed = em.exposure_at_least_one[at]
-            hazard[rows] = (self.hazard[rows] * exposed + faint) / (exposed + more[at][:, None])
+            exposure = em.exposure_at_least_one[at]
+            hazard[rows] = (self.hazard[rows] * exposure + faint) / (
+                exposure + faint_departures[at][:, None]
+            )
         return hazard
 
     def _learn_contexts(self) -> None:
         """Estimate the factor on each candidate's rate by the context of its departure."""
         em = self.em
-        counted = self._count_contexts()
-        after = self.contexts.judged(em.candidates, em.responsibility, self.share, counted)
+        context_counts = self._count_contexts()
+        after = self.contexts.judged(em.candidates, em.responsibility, self.share, context_counts)
         before = self.share.astype(np.float32).take(em.candidates.pair)
         em.model = em.model._replace(multiplier=multipliers(before, after))
 
@@ -243,11 +247,13 @@ class PosteriorFitter:
         # Shares of the departures of each zone: by next zone, and those that leave the site.
         self.share = em.summed(c.pair, em.pairs) / departures_of_source[c.source]
         seen_again = em.summed(c.departure, len(zone))
-        gone = 1.0 - np.minimum(seen_again, 1.0)
-        leave = np.bincount(zone, gone, minlength=self.problem.zones) / departures_of_source
+        absence = 1.0 - np.minimum(seen_again, 1.0)
+        leave = np.bincount(zone, absence, minlength=self.problem.zones) / departures_of_source
         self.leave = np.maximum(leave, LEAVE_FLOOR)
 
         # Shares by context.
-        counted, leaving = self.contexts.count(c, em.responsibility, gone, self.leave[zone])
-        em.model = em.model._replace(leaving=np.maximum(leaving, LEAVE_FLOOR))
-        return counted
+        context_counts, leave_of_departure = self.contexts.count(
+            c, em.responsibility, absence, self.leave[zone]
+        )
+        em.model = em.model._replace(leave=np.maximum(leave_of_departure, LEAVE_FLOOR))
+        return context_counts

@@ -51,8 +51,8 @@ class OverlappingViews(NamedTuple):
 def overlap_table(overlapping: list[OverlappingViews], cameras: int) -> NDArray[np.bool_]:
     """Return a table (cameras, cameras) with True for [source, target] of each overlap."""
     table = np.zeros((cameras, cameras), np.bool_)
-    for one in overlapping:
-        table[one.source, one.target] = True
+    for overlap in overlapping:
+        table[overlap.source, overlap.target] = True
     return table
 
 
@@ -94,14 +94,16 @@ def find_overlapping(passages: Departures, cameras: int, bins: LagBins) -> list[
     overlap = np.flatnonzero(nats.min(axis=0) > least)
 
     # Estimate the offsets from both halves.
-    same, others = _Counted(first.seen + second.seen, first.null + second.null).split()
+    same_object, other_objects = _Counted(
+        first.counts + second.counts, first.null + second.null
+    ).split()
     exits_of_source = np.maximum(exits[0] + exits[1], 1)[source]
     return [
         OverlappingViews(
             int(source[k]),
             int(target[k]),
-            same[k] / exits_of_source[k],
-            others[k] / exits_of_source[k],
+            same_object[k] / exits_of_source[k],
+            other_objects[k] / exits_of_source[k],
         )
         for k in overlap
     ]
@@ -110,37 +112,37 @@ def find_overlapping(passages: Departures, cameras: int, bins: LagBins) -> list[
 class _Counted(NamedTuple):
     """Open passages at the exits of P pairs of cameras, counted by offset.
 
-    seen (P, bins): observed counts.
+    counts (P, bins): observed counts.
     null (P, bins): counts under the null model.
     """
 
-    seen: Floats
+    counts: Floats
     null: Floats
 
     def split(self) -> tuple[Floats, Floats]:
         """Return the parts of the counts of the same and of other objects, (P, bins) each."""
-        others = np.maximum(
+        other_objects = np.maximum(
             self.null @ lag_smoothing_matrix(self.null.shape[1], NULL_SD_BINS).T, NULL_MIN
         )
-        same = smooth(self.seen)[0] - others - NOISE_SD * np.sqrt(others)
-        return np.maximum(same, 0.0), others
+        same_object = smooth(self.counts)[0] - other_objects - NOISE_SD * np.sqrt(other_objects)
+        return np.maximum(same_object, 0.0), other_objects
 
 
-def _predicts(known: _Counted, judged: _Counted, ratio: Floats) -> Floats:
+def _predicts(training_counts: _Counted, test_counts: _Counted, ratio: Floats) -> Floats:
     """Return the log likelihood ratios of counts as predicted from other counts, (2, P), nats.
 
-    known: counts of one half of the exits, from which the prediction is made.
-    judged: counts of the other half.
+    training_counts: counts of one half of the exits, from which the prediction is made.
+    test_counts: counts of the other half.
     ratio (P,): number of exits of the other half over that of the first.
 
     The two rows are against the two null models: no overlap, and more open passages than expected
     at the offsets of no overlap.
     """
-    same, others = known.split()
-    weight = np.log1p(same / others)
-    no_overlap = (judged.seen * weight).sum(axis=1) - same.sum(axis=1) * ratio
-    excess = np.log1p(same.sum(axis=1) / others.sum(axis=1))
-    null_offsets = (judged.seen * (weight - excess[:, None])).sum(axis=1)
+    same_object, other_objects = training_counts.split()
+    weight = np.log1p(same_object / other_objects)
+    no_overlap = (test_counts.counts * weight).sum(axis=1) - same_object.sum(axis=1) * ratio
+    excess = np.log1p(same_object.sum(axis=1) / other_objects.sum(axis=1))
+    null_offsets = (test_counts.counts * (weight - excess[:, None])).sum(axis=1)
     return np.stack([no_overlap, null_offsets])
 
 
@@ -151,11 +153,11 @@ def _screened(excess: Floats) -> tuple[Rows, Rows]:
         by camera of the exit and camera of the passage.
     """
     largest = np.argsort(-excess, axis=1, kind="stable")[:, :NEXT_ZONES_MAX]
-    kept = np.zeros(excess.shape, np.bool_)
+    mask = np.zeros(excess.shape, np.bool_)
     np.put_along_axis(
-        kept, largest, np.take_along_axis(excess, largest, axis=1) > CLEAR_NOISE_SD, axis=1
+        mask, largest, np.take_along_axis(excess, largest, axis=1) > CLEAR_NOISE_SD, axis=1
     )
-    source, target = np.nonzero(kept)
+    source, target = np.nonzero(mask)
     return source, target
 
 
@@ -184,15 +186,16 @@ def _open(passages: Departures, exits: slice, shift: float) -> Iterator[tuple[Ro
         yield at + exits.start, passage
 
 
-def _newest(passages: Departures, most: int) -> int:
+def _newest(passages: Departures, pairs_max: int) -> int:
     """Return the row of the oldest exit that is counted.
 
-    From this exit on, the numbers of open passages, added up over the exits, are ``most`` at most.
+    From this exit on, the numbers of open passages, added up over the exits, are ``pairs_max`` at
+    most.
     """
-    begun = np.searchsorted(np.sort(passages.since), passages.t, "right")
+    starts = np.searchsorted(np.sort(passages.since), passages.t, "right")
     over = np.searchsorted(passages.t, passages.t, "right")
-    open_ = np.maximum(begun - over, 0)
-    return len(open_) - int(np.searchsorted(np.cumsum(open_[::-1]), most, "right"))
+    open_ = np.maximum(starts - over, 0)
+    return len(open_) - int(np.searchsorted(np.cumsum(open_[::-1]), pairs_max, "right"))
 
 
 def _totals(passages: Departures, exits: slice, shift: float, cameras: int) -> Longs:
@@ -236,8 +239,8 @@ def _offsets(
     flat = number.ravel()
     for exit_, passage in _open(passages, exits, shift):
         pair = flat.take(passages.camera[exit_] * len(number) + passages.camera[passage])
-        counted = np.flatnonzero(pair >= 0)
-        exit_, passage, pair = exit_[counted], passage[counted], pair[counted]
+        rows = np.flatnonzero(pair >= 0)
+        exit_, passage, pair = exit_[rows], passage[rows], pair[rows]
         at = bins.index(passages.since[passage] - shift - passages.since[exit_])
         inside = at >= 0
         total += np.bincount(pair[inside] * bins.size + at[inside], minlength=len(total))

@@ -45,7 +45,7 @@ class Prior:
 
         It depends on the share of all transitions that is matched by transitions in return.
         """
-        returned = np.where(self.back < 0, 0.0, transitions[self.back])
-        both = float(np.minimum(transitions, returned).sum())
+        return_transitions = np.where(self.back < 0, 0.0, transitions[self.back])
+        round_trips = float(np.minimum(transitions, return_transitions).sum())
         total = float(transitions.sum())
-        return RETURNING * (both + RETURNING) / (total + RETURNING)
+        return RETURNING * (round_trips + RETURNING) / (total + RETURNING)

@@ -56,15 +56,17 @@ def spurious_shares(
     """
     pairs = len(evidence)
     transitions: Floats = np.bincount(pair, responsibility, minlength=pairs).astype(float)
-    each = evidence_against_unrelated(pair, responsibility, pairs) / np.maximum(transitions, 1e-300)
-    real = real_probability(each, transitions, evidence, returns, chance)
+    nats_per_transition = evidence_against_unrelated(pair, responsibility, pairs) / np.maximum(
+        transitions, 1e-300
+    )
+    real = real_probability(nats_per_transition, transitions, evidence, returns, chance)
     real = np.where(transitions > 0, real, 1.0)
     doubt: Floats = 1.0 - any_link * real
     return doubt
 
 
 def real_probability(
-    each: Floats,
+    nats_per_transition: Floats,
     transitions: Floats,
     evidence: Floats,
     returns: Bools,
@@ -72,7 +74,7 @@ def real_probability(
 ) -> Floats:
     """Return the probability (P,) that the transitions of each pair of zones are real.
 
-    each (P,): evidence per transition of each pair, nats.
+    nats_per_transition (P,): evidence per transition of each pair, nats.
     transitions (P,): number of transitions of each pair.
     evidence (P,): held-out evidence of each pair, nats.
     returns (P,), chance (P,): as for `spurious_shares`.
@@ -80,17 +82,19 @@ def real_probability(
     The usual evidence per transition is the median over the site's transitions.
     """
     if not transitions.any():
-        return np.ones(len(each))
+        return np.ones(len(nats_per_transition))
 
     # Median of the evidence per transition.
-    order = np.argsort(each, kind="stable")
-    reached = np.cumsum(transitions[order])
-    usual = max(float(each[order[np.searchsorted(reached, 0.5 * reached[-1])]]), 1e-12)
+    order = np.argsort(nats_per_transition, kind="stable")
+    cumulative = np.cumsum(transitions[order])
+    usual = max(
+        float(nats_per_transition[order[np.searchsorted(cumulative, 0.5 * cumulative[-1])]]), 1e-12
+    )
 
     # Likelihood of a real path: log-normal below the usual value, 1 above it. Held-out evidence
     # multiplies it, up to 1.
     variance = SPREAD**2 + NATS_TO_TELL / np.maximum(usual * transitions, 1e-12)
-    nats = -0.5 * np.log(np.clip(each / usual, 1e-12, 1.0)) ** 2 / variance
+    nats = -0.5 * np.log(np.clip(nats_per_transition / usual, 1e-12, 1.0)) ** 2 / variance
     held_out = np.maximum(evidence, 0.0)
     likely = np.exp(np.minimum(nats + held_out, 0.0))
     rare = np.exp(np.minimum(np.log(RETURN_SHARE) + held_out, 0.0))
@@ -110,12 +114,14 @@ def any_link_probability(evidence: Floats, departures: Floats) -> float:
     The e-value of a pair without evidence is 0 if there were enough departures to find a link, and
     1 if there were not.
     """
-    every = float(len(departures)) ** 2
-    unknown = float(np.exp(-departures / DEPARTURES_TO_TELL).mean()) * (1.0 - len(evidence) / every)
+    pair_count = float(len(departures)) ** 2
+    unknown = float(np.exp(-departures / DEPARTURES_TO_TELL).mean()) * (
+        1.0 - len(evidence) / pair_count
+    )
     return float(
         expit(
             np.logaddexp(
-                np.logaddexp.reduce(evidence) - np.log(every), np.log(max(unknown, 1e-300))
+                np.logaddexp.reduce(evidence) - np.log(pair_count), np.log(max(unknown, 1e-300))
             )
         )
     )
