@@ -148,14 +148,14 @@ def with_provisional(links: list[Link], repeats: dict[str, tuple[float, str]]) -
     result = []
     for link in links:
         ends = {camera_of(link.from_), camera_of(link.to)}
-        why = " ".join(f"{name} {repeats[name][1]}" for name in sorted(ends & repeats.keys()))
-        result.append(replace(link, provisional=why) if why else link)
+        reason = " ".join(f"{name} {repeats[name][1]}" for name in sorted(ends & repeats.keys()))
+        result.append(replace(link, provisional=reason) if reason else link)
     return result
 
 
-def with_contradictions(links: list[Link], declared: Declared | None) -> list[Link]:
+def with_contradictions(links: list[Link], declarations: Declared | None) -> list[Link]:
     """Return links of which those between cameras declared not to be neighbours are marked."""
-    apart = set(declared.not_neighbours if declared else [])
+    apart = set(declarations.not_neighbours if declarations else [])
     result = []
     for link in links:
         source, target = sorted((camera_of(link.from_), camera_of(link.to)))
@@ -165,8 +165,8 @@ def with_contradictions(links: list[Link], declared: Declared | None) -> list[Li
 
 def empty_topology(settings: Settings, bins: LagBins) -> Topology:
     """Return the topology of a site without cameras; the learner adds the remaining fields."""
-    corrected = settings.correct_clocks
-    model = Model(bins.scale, bins.step, bins.lag_min, bins.lag_max, [], [], corrected)
+    is_corrected = settings.correct_clocks
+    model = Model(bins.scale, bins.step, bins.lag_min, bins.lag_max, [], [], is_corrected)
     return Topology(TOPOLOGY_SCHEMA, "", "", 0, 0.0, 0, "", [], [], [], [], model=model)
 
 

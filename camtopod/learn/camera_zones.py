@@ -33,8 +33,8 @@ def find_moved_cameras(state: LearnerState, window: Window) -> None:
     """
     to_test = [
         camera
-        for camera, known in enumerate(state.cameras)
-        if window.seen[camera] - known.tested_at >= MOVE_EVENTS
+        for camera, camera_state in enumerate(state.cameras)
+        if window.seen[camera] - camera_state.tested_at >= MOVE_EVENTS
     ]
     cells = []
     for camera in to_test:
@@ -46,13 +46,13 @@ def find_moved_cameras(state: LearnerState, window: Window) -> None:
     moves = find_moves(cells, [state.cameras[camera].zones.cells for camera in to_test])
     for camera, move in zip(to_test, moves, strict=True):
         if move:
-            known = state.cameras[camera]
-            rows, px, py = (one[move.first :] for one in _placed(window, camera))
+            camera_state = state.cameras[camera]
+            rows, px, py = (column[move.first :] for column in _placed(window, camera))
             since = float(window.column("t")[rows[0]] / MICROSECONDS)
             window.forget_camera(camera, int(rows[0]))
-            known.zones = find_zones(cell_sums(px, py), (), known.zones.next_number)
-            known.zoned_at = known.tested_at
-            known.vanished = ()
+            camera_state.zones = find_zones(cell_sums(px, py), (), camera_state.zones.next_number)
+            camera_state.zoned_at = camera_state.tested_at
+            camera_state.vanished = ()
             state.moved.append((camera, since, move))
 
 
@@ -78,35 +78,35 @@ def refresh_camera_zones(state: LearnerState, window: Window, anew: bool = False
 
         # A new camera, or a retired one that reports again.
         if camera == len(state.cameras):
-            retired = state.retired.pop(window.cameras[camera], RetiredCamera())
-            zones = find_zones(cell_sums(px, py), retired.zones, retired.next_number)
-            vanished = _vanished(retired.zones, zones)
-            state.cameras.append(CameraState(zones, events, vanished, events))
+            retired_camera = state.retired.pop(window.cameras[camera], RetiredCamera())
+            zones = find_zones(cell_sums(px, py), retired_camera.zones, retired_camera.next_number)
+            vanished_zones = _vanished(retired_camera.zones, zones)
+            state.cameras.append(CameraState(zones, events, vanished_zones, events))
             continue
 
         # A known camera.
-        known = state.cameras[camera]
-        if anew or events - known.zoned_at >= ZONES_REFRESH_SHARE * len(px):
-            before = known.zones.zones + known.vanished
+        camera_state = state.cameras[camera]
+        if anew or events - camera_state.zoned_at >= ZONES_REFRESH_SHARE * len(px):
+            before = camera_state.zones.zones + camera_state.vanished
             sums = cell_sums(px, py)
-            known.zones = (
-                find_zones(sums, before, known.zones.next_number)
+            camera_state.zones = (
+                find_zones(sums, before, camera_state.zones.next_number)
                 if anew
-                else refresh_zones(sums, known.zones, known.vanished)
+                else refresh_zones(sums, camera_state.zones, camera_state.vanished)
             )
-            known.zoned_at = events
-            known.vanished = _vanished(before, known.zones)
+            camera_state.zoned_at = events
+            camera_state.vanished = _vanished(before, camera_state.zones)
 
 
 def _placed(window: Window, camera: int) -> tuple[Longs, Longs, Longs]:
     """Return row and position (x, y) of each of a camera's events that have one, oldest first."""
     rows = window.rows_of_camera(camera)
     px, py = (window.column(name)[rows].astype(np.int64) for name in ("px", "py"))
-    placed = px != NONE
-    return rows[placed], px[placed], py[placed]
+    has_position = px != NONE
+    return rows[has_position], px[has_position], py[has_position]
 
 
-def _vanished(known: tuple[ZoneShape, ...], now: ZoneMap) -> tuple[ZoneShape, ...]:
+def _vanished(zones_before: tuple[ZoneShape, ...], now: ZoneMap) -> tuple[ZoneShape, ...]:
     """Return the known zones that are not in the present map, `ZONES_PER_CAMERA_MAX` at most."""
     numbers = {zone.number for zone in now.zones}
-    return tuple(zone for zone in known if zone.number not in numbers)[:ZONES_PER_CAMERA_MAX]
+    return tuple(zone for zone in zones_before if zone.number not in numbers)[:ZONES_PER_CAMERA_MAX]

@@ -30,25 +30,25 @@ def declared_by(
 
     If renaming has made one pair of two that contradict each other, they are neighbours.
     """
-    known = set(cameras)
+    camera_set = set(cameras)
 
     def present(pairs: Sequence[tuple[str, str]]) -> set[tuple[str, str]]:
-        named = [(names.get(a, a), names.get(b, b)) for a, b in pairs]
+        name_pairs = [(names.get(a, a), names.get(b, b)) for a, b in pairs]
         return {
             (min(pair), max(pair))
-            for pair in named
-            if known.issuperset(pair) and pair[0] != pair[1]
+            for pair in name_pairs
+            if camera_set.issuperset(pair) and pair[0] != pair[1]
         }
 
-    joined = present(settings.neighbours)
-    apart = present(settings.not_neighbours) - joined
-    return Declared(sorted(joined), sorted(apart), settings.nobody_leaves)
+    neighbours = present(settings.neighbours)
+    apart = present(settings.not_neighbours) - neighbours
+    return Declared(sorted(neighbours), sorted(apart), settings.nobody_leaves)
 
 
 def forgotten(names: Mapping[str, str], camera: str) -> dict[str, str]:
     """Return the names, as of `declared_by`, once a camera has been forgotten."""
-    kept = {old: "" if new == camera else new for old, new in names.items()}
-    return kept | {camera: ""}
+    result = {old: "" if new == camera else new for old, new in names.items()}
+    return result | {camera: ""}
 
 
 def taken_back(names: Mapping[str, str], camera: str) -> dict[str, str]:
@@ -56,13 +56,13 @@ def taken_back(names: Mapping[str, str], camera: str) -> dict[str, str]:
     return {old: new for old, new in names.items() if old != camera}
 
 
-def zone_weights(declared: Declared, cameras: Sequence[str], camera: Ints) -> Floats | None:
+def zone_weights(declarations: Declared, cameras: Sequence[str], camera: Ints) -> Floats | None:
     """Return the weight (zones, zones) of each pair of zones, with a mean of 1; None for 1.
 
     cameras: names of all cameras.
     camera (zones,): number of each zone's camera.
     """
-    odds = declared_odds(declared, cameras)
+    odds = declared_odds(declarations, cameras)
     if odds is None:
         return None
     of_zones: Floats = odds[camera[:, None], camera]

@@ -25,7 +25,7 @@ def find_doubled_cameras(state: LearnerState, batch: list[tuple[int, Event]]) ->
 
 def doubled_news(state: LearnerState) -> list[News]:
     """Return the alarms for the cameras found since the last version, ``state.doubled``."""
-    found = [(name, state.publishers[name]) for name in state.doubled]
+    doubled_publishers = [(name, state.publishers[name]) for name in state.doubled]
     return [
         (
             "camera_doubled",
@@ -33,5 +33,5 @@ def doubled_news(state: LearnerState) -> list[News]:
             "two programs publish it at the same time,"
             f" boots {publisher.before} and {publisher.boot}",
         )
-        for name, publisher in found
+        for name, publisher in doubled_publishers
     ]

@@ -75,8 +75,8 @@ def find_lag_bins(scene: Scene, overlap: Bools, ranges: LagRanges | None = None)
     problem = newest_stretch(scene, ranges)
     seconds = np.array(extremes(problem, fit_jointly(problem, find_candidates(problem))))
     shortest = np.array(SHORTEST_SECONDS)
-    overlapped = np.isin(scene.departures.camera, np.nonzero(overlap)[0])
-    stays = (scene.departures.t - scene.departures.since)[overlapped]
+    in_overlap = np.isin(scene.departures.camera, np.nonzero(overlap)[0])
+    stays = (scene.departures.t - scene.departures.since)[in_overlap]
     if np.isfinite(stays).any():
         shortest[0] = max(shortest[0], np.quantile(stays[np.isfinite(stays)], COVERED))
     if ranges is not None:  # a peak at lag 0 has two sides
@@ -123,11 +123,11 @@ def extremes(problem: Problem, fit: Fit) -> tuple[float, float]:
     lag = c.lag - problem.delays(c.source, c.target)[c.pair]
     at = np.maximum(problem.bins.index(lag), 0)
     stands_out = fit.hazard[c.pair, at] > CONTRAST_MIN * _usual_hazards(problem, fit)[c.pair]
-    linked = _linked(problem, fit)[c.pair] & stands_out
+    is_linked = _linked(problem, fit)[c.pair] & stands_out
     begin = problem.arrivals.t[0]
     newest = problem.until - NEWEST_SHARE * (problem.until - begin)
     ahead = after = 0.0
-    for rows in (linked, linked & (problem.arrivals.t[c.arrival] >= newest)):
+    for rows in (is_linked, is_linked & (problem.arrivals.t[c.arrival] >= newest)):
         if rows.any():
             low, high = _quantiles(lag[rows], fit.responsibility[rows])
             ahead, after = max(ahead, -low), max(after, high)
@@ -152,8 +152,8 @@ def _linked(problem: Problem, fit: Fit) -> Bools:
     at = c.arrival / max(len(problem.arrivals.t), 1)
     nats = repeated_evidence(c.pair, fit.responsibility, fit.flat, at, len(c.source))
     q = q_values(nats, problem.zones**2)
-    linked: Bools = (q <= Q_MAX) & (fit.counts.sum(axis=1) >= TRANSITIONS_MIN)
-    return linked
+    is_linked: Bools = (q <= Q_MAX) & (fit.counts.sum(axis=1) >= TRANSITIONS_MIN)
+    return is_linked
 
 
 def _quantiles(lag: Floats, weight: Floats) -> tuple[float, float]:

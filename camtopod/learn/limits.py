@@ -52,31 +52,31 @@ def of_site(limit: tuple[int, int], cameras: int) -> int:
     return max(limit[0], limit[1] * cameras)
 
 
-def arrivals_within(reach: Rows, most: int) -> Bools:
-    """Return a mask (n,) of arrivals to keep, so that they have at most ``most`` event pairs.
+def arrivals_within(reach: Rows, pairs_max: int) -> Bools:
+    """Return a mask (n,) of arrivals to keep, so that they have at most ``pairs_max`` event pairs.
 
     reach (n,): number of departures in reach of each arrival, its event pairs.
 
     The arrivals with the fewest departures in reach are kept; of those with equally many, the
     newest.
     """
-    kept = np.ones(len(reach), np.bool_)
-    if int(reach.sum()) > most:
+    mask = np.ones(len(reach), np.bool_)
+    if int(reach.sum()) > pairs_max:
         order = np.lexsort((-np.arange(len(reach)), reach))
-        kept[order[np.searchsorted(np.cumsum(reach[order]), most, side="right") :]] = False
-    return kept
+        mask[order[np.searchsorted(np.cumsum(reach[order]), pairs_max, side="right") :]] = False
+    return mask
 
 
-def fair_share(wanted: Rows, most: int) -> int:
-    """Return the limit for each of n users of a budget that keeps their sum within ``most``.
+def fair_share(demand: Rows, total_max: int) -> int:
+    """Return the limit for each of n users of a budget that keeps their sum within ``total_max``.
 
-    wanted (n,): amount that each user wants. A user that wants less than the limit leaves the rest
+    demand (n,): amount that each user wants. A user that wants less than the limit leaves the rest
         of its share to the others.
     """
-    order = np.sort(wanted)
-    others = np.arange(len(order))[::-1]  # number of users that want more
-    too_much = np.flatnonzero(np.cumsum(order) + order * others > most)
+    order = np.sort(demand)
+    larger_users = np.arange(len(order))[::-1]  # number of users that want more
+    too_much = np.flatnonzero(np.cumsum(order) + order * larger_users > total_max)
     if len(too_much) == 0:
-        return most
+        return total_max
     k = int(too_much[0])
-    return (most - int(order[:k].sum())) // (len(order) - k)
+    return (total_max - int(order[:k].sum())) // (len(order) - k)

@@ -102,7 +102,7 @@ def clearest_peaks(counts: Counts, longest: float) -> tuple[Floats, Floats]:
     near = np.abs(lag) < LONG_SECONDS_MIN
     usual = np.stack([null_expectation(half) for half in counts])
     usual = np.maximum(usual, counts.mean(axis=2, keepdims=True))
-    best, where = np.zeros((2, counts.shape[1]))
+    best, place = np.zeros((2, counts.shape[1]))
     for width in WIDTHS_BINS:
         observed, expected = (
             width * uniform_filter1d(part.astype(float), width) for part in (counts, usual)
@@ -121,16 +121,16 @@ def clearest_peaks(counts: Counts, longest: float) -> tuple[Floats, Floats]:
         peaks = np.where((near | far) & in_both, nats, 0.0)
         at = peaks.argmax(axis=1)
         top = peaks.max(axis=1)
-        where = np.where(top > best, lag[at], where)
+        place = np.where(top > best, lag[at], place)
         best = np.maximum(best, top)
-    return best, where
+    return best, place
 
 
 def _usual_dwell_time(departures: Departures, cameras: int) -> Floats:
     """Return the median dwell time in each view (cameras, seconds); 0 where it is unknown."""
-    known = np.isfinite(departures.since)
-    dwell = (departures.t - departures.since)[known]
-    camera = departures.camera[known]
+    is_known = np.isfinite(departures.since)
+    dwell = (departures.t - departures.since)[is_known]
+    camera = departures.camera[is_known]
     return np.array(
         [np.median(dwell[rows]) if len(rows) else 0.0 for rows in rows_by_group(camera, cameras)]
     )
@@ -170,8 +170,10 @@ def long_ranges(problem: Problem, camera: Ints, candidates_max: int) -> LagRange
     sources = of[:, 0].copy()
     delay = np.zeros(zones)
     for source, target, seconds in paths:
-        [left], [reached] = (np.nonzero(camera == end) for end in (source, target))
-        of[np.ix_(left, reached)] = len(sources) + np.arange(len(left))[:, None]
-        sources = np.append(sources, left.astype(np.int32))
-        delay = np.append(delay, np.full(len(left), seconds))
+        [source_zones], [target_zones] = (np.nonzero(camera == end) for end in (source, target))
+        of[np.ix_(source_zones, target_zones)] = (
+            len(sources) + np.arange(len(source_zones))[:, None]
+        )
+        sources = np.append(sources, source_zones.astype(np.int32))
+        delay = np.append(delay, np.full(len(source_zones), seconds))
     return LagRanges(sources, delay, of)

@@ -33,7 +33,7 @@ class ScoredPrediction(NamedTuple):
     """Camera of the exit."""
     version: int
     """Version with which the prediction was made."""
-    predicted: dict[str, float]
+    shares: dict[str, float]
     """Predicted probabilities."""
     baseline: dict[str, float]
     """Probabilities of the baseline, the Markov chain over cameras."""
@@ -64,13 +64,13 @@ def outcomes_of(
     """
     # The row of each exit among the departures; -1 if it is not there.
     rows, reach = [], []
-    for one in takewhile(lambda one: one.t + max(one.reach, longest) <= until, exits):
-        camera = cameras.index(one.camera)
-        t = one.t - offsets[camera]
+    for exit_ in takewhile(lambda exit_: exit_.t + max(exit_.reach, longest) <= until, exits):
+        camera = cameras.index(exit_.camera)
+        t = exit_.t - offsets[camera]
         low, high = np.searchsorted(departures.t, (t, np.nextafter(t, np.inf)))
-        same = low + np.flatnonzero(departures.camera[low:high] == camera)
-        rows.append(int(same[0]) if len(same) else -1)
-        reach.append(one.reach)
+        rows_of_exit = low + np.flatnonzero(departures.camera[low:high] == camera)
+        rows.append(int(rows_of_exit[0]) if len(rows_of_exit) else -1)
+        reach.append(exit_.reach)
 
     # The probability of each next camera, by name.
     shares = _shares(posterior, len(departures.t), arrivals, rows, reach, len(cameras))

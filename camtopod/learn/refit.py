@@ -96,19 +96,19 @@ progress shows them as part of the learner's step before, the clocks.
 class Known(NamedTuple):
     """Input of a refit beside the window.
 
-    followed: on a large site, the zones of departure that screening follows for each zone of
-        arrival (`CandidateScreen`), by `place` of the zone of arrival; empty on a small site.
-    learned: number of events learned so far.
+    sources_by_place: on a large site, the zones of departure that screening follows for each zone
+        of arrival (`CandidateScreen`), by `place` of the zone of arrival; empty on a small site.
+    events_learned: number of events learned so far.
     everywhere: True to screen all zones of arrival now, because there is no later refit.
     exits: predictions of exits whose outcome is to be estimated, oldest first.
-    declared: what the user has declared of the cameras.
+    declarations: what the user has declared of the cameras.
     """
 
-    followed: Mapping[int, FollowedSources]
-    learned: int
+    sources_by_place: Mapping[int, FollowedSources]
+    events_learned: int
     everywhere: bool
     exits: Sequence[ScoredPrediction]
-    declared: Declared = Declared()
+    declarations: Declared = Declared()
 
 
 class Refit(NamedTuple):
@@ -126,7 +126,7 @@ class Refit(NamedTuple):
     silences: intervals without events, one item per camera.
     repeats: how the events of each camera repeat themselves, in words; "" if they do not.
     model: the part of the topology, beside the links, that prediction reads.
-    followed: `Known.followed` for the next refit.
+    followed: `Known.sources_by_place` for the next refit.
     happened: outcomes of the first exits of `Known.exits`, as far as they are known already; None
         for an exit that is not in the window.
     """
@@ -154,7 +154,7 @@ class Associated(NamedTuple):
     problem: departures and arrivals, with the ranges of their lags.
     posterior: where objects appear next, all weak evidence included; None if there are no
         departures or no arrivals, so that `between` is empty.
-    followed: `Known.followed` for the next refit.
+    sources_by_place: `Known.sources_by_place` for the next refit.
     weights (zones, zones): weight of each pair of zones by what was declared; None for 1.
     """
 
@@ -162,7 +162,7 @@ class Associated(NamedTuple):
     changes: list[Change]
     problem: Problem
     posterior: Posterior | None
-    followed: dict[int, FollowedSources]
+    sources_by_place: dict[int, FollowedSources]
     weights: Floats | None
 
 
@@ -170,14 +170,14 @@ def refit(
     scene: Scene,
     window: Window,
     clocks: Clocks,
-    known: Known,
+    knowledge: Known,
     settings: Settings,
     on_step: Callable[[str], None] = lambda step: None,
 ) -> Refit:
     """Estimate links, changes and the prediction model from one window of events.
 
     scene, clocks: the window's events labelled with their zones, in time corrected by the clocks.
-    known: results of earlier refits, and exits whose outcome is to be estimated.
+    knowledge: results of earlier refits, and exits whose outcome is to be estimated.
     on_step: called with the name of each of `STEPS` as the step begins.
     """
     lengths = dwell_bins()
@@ -201,37 +201,39 @@ def refit(
     bins = problem.bins
 
     # 3. to 7. Links between views, and the prediction model.
-    associated = associate(scene, problem, silences, overlap, window, known, settings, on_step)
+    association = associate(scene, problem, silences, overlap, window, knowledge, settings, on_step)
     on_step("prediction")
-    associated, paths = with_paths(associated, scene, window.cameras)
-    all_pairs, changes = associated.between, associated.changes
+    association, paths = with_paths(association, scene, window.cameras)
+    all_pairs, changes = association.between, association.changes
     verdict = rule.judge(all_pairs, views)
-    likely_pairs, model, happened = predict_next(
-        scene, window, clocks, associated, verdict.missed, overlapping, paths, known, settings
+    likely_pairs, model, outcomes = predict_next(
+        scene, window, clocks, association, verdict.misses, overlapping, paths, knowledge, settings
     )
 
     # 8. The links to publish, as they are at present.
     on_step("topology")
     between, likely = (present(pairs, changes, zones, rule) for pairs in (all_pairs, likely_pairs))
     now = rule.judge(between, views) if changes else verdict
-    published = between.rows(np.flatnonzero(now.published))
+    published_links = between.rows(np.flatnonzero(now.published))
     visible = through.rows(np.flatnonzero(rule.judge(through).significant))
-    weak = select_weak_links(likely, published, zones)
-    observed = scene.last - seconds[0]
+    weak = select_weak_links(likely, published_links, zones)
+    duration = scene.last - seconds[0]
     return Refit(
         bins=bins,
         scene=scene,
-        published=with_monte_carlo_variance(published, bins),
+        published=with_monte_carlo_variance(published_links, bins),
         visible=with_monte_carlo_variance(visible, lengths),
         weak=weak,
-        lacks=rule.shortfall(weak, between, len(published.source), zones, observed),
+        lacks=rule.shortfall(weak, between, len(published_links.source), zones, duration),
         significant_links=all_pairs.rows(np.flatnonzero(verdict.significant)),
         changes=changes,
         silences=silences,
         repeats=repeats,
-        model=replace(model, declared=known.declared if known.declared != Declared() else None),
-        followed=associated.followed,
-        happened=happened,
+        model=replace(
+            model, declared=knowledge.declarations if knowledge.declarations != Declared() else None
+        ),
+        followed=association.sources_by_place,
+        happened=outcomes,
     )
 
 
@@ -251,24 +253,24 @@ def _problem(scene: Scene, overlap: Bools, settings: Settings) -> Problem:
 
 
 def with_paths(
-    associated: Associated, scene: Scene, cameras: list[str]
+    association: Associated, scene: Scene, cameras: list[str]
 ) -> tuple[Associated, list[CameraPath] | None]:
     """Return the result of steps 3 to 6 with the second opinion's evidence, and its paths.
 
     The paths are None where the fit by zones needs no second opinion.
     """
-    problem, posterior = associated.problem, associated.posterior
+    problem, posterior = association.problem, association.posterior
     if posterior is None or not is_wanted(scene, len(cameras)):
-        return associated, None
+        return association, None
     persistence = posterior.fit.persistence.label
     paths, evidence = second_opinion(
         scene, cameras, problem.bins.lag_min, problem.odds, persistence
     )
     if evidence is not None:
         view = np.array([zone.camera for zone in scene.zones])
-        both = with_second_opinion(associated.between, evidence, view, problem.zones)
-        associated = associated._replace(between=both)
-    return associated, paths
+        between = with_second_opinion(association.between, evidence, view, problem.zones)
+        association = association._replace(between=between)
+    return association, paths
 
 
 def associate(
@@ -277,7 +279,7 @@ def associate(
     silences: list[CameraSilences],
     overlap: Bools,
     window: Window,
-    known: Known,
+    knowledge: Known,
     settings: Settings,
     on_step: Callable[[str], None],
 ) -> Associated:
@@ -292,21 +294,21 @@ def associate(
         between = tabulate(
             concatenate_transitions([]), np.zeros((problem.zones, 1)), problem.bins, problem.zones
         )
-        return Associated(between, [], problem, None, dict(known.followed), None)
+        return Associated(between, [], problem, None, dict(knowledge.sources_by_place), None)
 
     # 3. Candidates: departures and arrivals within the range of the lags, delayed on long paths.
     on_step("candidates")
-    problem = problem._replace(odds=declared_odds(known.declared, window.cameras))
+    problem = problem._replace(odds=declared_odds(knowledge.declarations, window.cameras))
     view = np.array([zone.camera for zone in scene.zones], np.int32)
-    weights = zone_weights(known.declared, window.cameras, view)
+    weights = zone_weights(knowledge.declarations, window.cameras, view)
     places = [place(zone.camera, zone.number) for zone in scene.zones]
-    screen = CandidateScreen(known.followed)
+    screen = CandidateScreen(knowledge.sources_by_place)
     candidates = screen.find(
         problem,
         np.array(places),
-        known.learned,
+        knowledge.events_learned,
         settings.candidates_max,
-        everywhere=known.everywhere,
+        everywhere=knowledge.everywhere,
     )
 
     # 4. The joint fits: each arrival has one cause at most, each departure one effect at most.
@@ -334,58 +336,58 @@ def associate(
     # 6. Links that have opened or closed; departures during a camera's silence do not count.
     on_step("changes")
     changes = find_changes(problem, fit, [silence.intervals for silence in silences])
-    return Associated(between, changes, problem, posterior, screen.followed, weights)
+    return Associated(between, changes, problem, posterior, screen.sources_by_place, weights)
 
 
 def predict_next(
     scene: Scene,
     window: Window,
     clocks: Clocks,
-    associated: Associated,
-    missed: MissedTransitions | None,
+    association: Associated,
+    misses: MissedTransitions | None,
     overlapping: list[OverlappingViews],
     paths: list[CameraPath] | None,
-    known: Known,
+    knowledge: Known,
     settings: Settings,
 ) -> tuple[LinkTable, Model, list[Happened | None]]:
     """Do step 7: fit where objects appear next, make the model, estimate outcomes of exits.
 
     Return every pair of zones with expected transitions in this fit, the model and the outcomes.
 
-    associated: result of steps 3 to 6.
-    missed, overlapping, paths: as for `build_model`.
+    association: result of steps 3 to 6.
+    misses, overlapping, paths: as for `build_model`.
     """
-    problem = associated.problem
+    problem = association.problem
     cameras = window.cameras
     bins = problem.bins
-    posterior = associated.posterior
+    posterior = association.posterior
     model = build_model(
         cameras,
         scene,
         posterior,
         bins,
         window,
-        associated.changes,
+        association.changes,
         settings.correct_clocks,
         overlapping,
         paths,
-        missed,
+        misses,
     )
     if posterior is None:
-        return associated.between, model, []
+        return association.between, model, []
 
     # The posterior's table of pairs of zones.
     transitions = transitions_of(posterior.fit, FAINT_TRANSITIONS)
-    exposed = exposed_departures(problem)
-    likely_pairs = tabulate(transitions, exposed, bins, problem.zones, ranges=problem.ranges)
+    exposure = exposed_departures(problem)
+    likely_pairs = tabulate(transitions, exposure, bins, problem.zones, ranges=problem.ranges)
     no_counts = np.zeros((len(likely_pairs.source), 0))  # they take most of the memory
-    likely_pairs = likely_pairs._replace(counts=no_counts).with_weights(associated.weights)
+    likely_pairs = likely_pairs._replace(counts=no_counts).with_weights(association.weights)
     likely_pairs = likely_pairs.with_evidence(likely_pairs.ratio, len(posterior.share))
 
     # Outcomes of the exits of which no further arrival is possible.
     longest = bins.lag_max + float(posterior.delay.max(initial=0.0))
-    happened = outcomes_of(
-        known.exits,
+    outcomes = outcomes_of(
+        knowledge.exits,
         posterior,
         scene.departures,
         scene.arrivals,
@@ -394,4 +396,4 @@ def predict_next(
         longest,
         scene.last,
     )
-    return likely_pairs, model, happened
+    return likely_pairs, model, outcomes

@@ -23,9 +23,9 @@ def rename(state: LearnerState, old: str, new: str) -> LearnerState:
     def name(camera: str) -> str:
         return names.get(camera, camera)
 
-    def keys(known: dict[str, _Value]) -> dict[str, _Value]:
+    def keys(table: dict[str, _Value]) -> dict[str, _Value]:
         """Return a dictionary with the camera renamed; the order stays."""
-        return {name(camera): value for camera, value in known.items()}
+        return {name(camera): value for camera, value in table.items()}
 
     # Events.
     time = state.intake.time
@@ -44,7 +44,7 @@ def rename(state: LearnerState, old: str, new: str) -> LearnerState:
             replace(alarm, subject=renamed(alarm.subject, old, new))
             for alarm in state.alarms.newest
         ],
-        reported={renamed(one, old, new): t for one, t in state.alarms.reported.items()},
+        reported={renamed(subject, old, new): t for subject, t in state.alarms.reported.items()},
         joined={renamed(link, old, new) for link in state.alarms.joined},
         silent={name(camera) for camera in state.alarms.silent},
         clock=keys(state.alarms.clock),
@@ -57,12 +57,12 @@ def rename(state: LearnerState, old: str, new: str) -> LearnerState:
         predictor=None,
         baseline={camera: keys(shares) for camera, shares in keys(state.scorer.baseline).items()},
         waiting=[
-            one._replace(
-                camera=name(one.camera),
-                predicted=keys(one.predicted),
-                baseline=keys(one.baseline),
+            prediction._replace(
+                camera=name(prediction.camera),
+                shares=keys(prediction.shares),
+                baseline=keys(prediction.baseline),
             )
-            for one in state.scorer.waiting
+            for prediction in state.scorer.waiting
         ],
     )
     return replace(

@@ -54,11 +54,11 @@ def camera_to_replace(reorder_buffer: ReorderBuffer, window: Window) -> str | No
 
     # Of the silent cameras, the one with the fewest events.
     events = dict(zip(window.cameras, window.events_of_cameras().tolist(), strict=True))
-    held = reorder_buffer.cameras_held()
+    held_cameras = reorder_buffer.cameras_held()
     silent = [
         (events.get(name, 0), t_us, name)
         for name, t_us in newest.items()
-        if t_us < silent_us and name not in held
+        if t_us < silent_us and name not in held_cameras
     ]
     return min(silent, default=(0, 0, None))[-1]
 
@@ -68,12 +68,12 @@ def forget_cameras(state: LearnerState, names: Set[str], number: Longs) -> None:
 
     number (cameras,): new index of each camera, `NONE` for these.
     """
-    kept = number != NONE
-    state.clocks.keep_cameras(kept)
-    others = np.flatnonzero(kept[: len(state.cameras)])
-    state.cameras = [state.cameras[k] for k in others]
+    mask = number != NONE
+    state.clocks.keep_cameras(mask)
+    rows = np.flatnonzero(mask[: len(state.cameras)])
+    state.cameras = [state.cameras[k] for k in rows]
     state.moved = [
-        (int(number[camera]), since, move) for camera, since, move in state.moved if kept[camera]
+        (int(number[camera]), since, move) for camera, since, move in state.moved if mask[camera]
     ]
     state.publishers = {
         name: publisher for name, publisher in state.publishers.items() if name not in names
@@ -83,18 +83,18 @@ def forget_cameras(state: LearnerState, names: Set[str], number: Longs) -> None:
 
 
 def _renumber_followed(
-    followed: dict[int, FollowedSources], number: Longs
+    sources_by_place: dict[int, FollowedSources], number: Longs
 ) -> dict[int, FollowedSources]:
     """Renumber the cameras in the state of `CandidateScreen`.
 
-    followed: zones of departure that are followed for each zone of arrival; zones are given by
-        their keys (`place`), which contain the index of the camera.
+    sources_by_place: zones of departure that are followed for each zone of arrival; zones are given
+        by their keys (`place`), which contain the index of the camera.
     number (cameras,): new index of each camera, `NONE` for retired ones.
     """
     result = {}
-    for target, known in followed.items():
-        for moved in _moved(np.array([target]), number).tolist():
-            result[moved] = FollowedSources(_moved(known.sources, number), known.looked)
+    for target, record in sources_by_place.items():
+        for new_target in _moved(np.array([target]), number).tolist():
+            result[new_target] = FollowedSources(_moved(record.sources, number), record.looked)
     return result
 
 
@@ -104,5 +104,5 @@ def _moved(keys: Longs, number: Longs) -> Longs:
     number (cameras,): new index of each camera.
     """
     camera, zone = np.divmod(keys, place(1, 0))
-    kept = number[camera] != NONE
-    return place(number[camera[kept]], zone[kept])
+    mask = number[camera] != NONE
+    return place(number[camera[mask]], zone[mask])

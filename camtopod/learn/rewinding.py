@@ -43,14 +43,14 @@ def rewind(state: LearnerState, to: float) -> LearnerState:
 
     # Ticks, alarms and predictions.
     tick_us = microseconds(state.settings.version_seconds)
-    reached = to_us // tick_us * tick_us
+    last_tick_us = to_us // tick_us * tick_us
     alarms = replace(
         state.alarms,
         newest=[alarm for alarm in state.alarms.newest if alarm.t <= to],
         reported={subject: min(t, to) for subject, t in state.alarms.reported.items()},
-        repeats={name: one for name, one in state.alarms.repeats.items() if one[0] <= to},
+        repeats={name: repeat for name, repeat in state.alarms.repeats.items() if repeat[0] <= to},
     )
-    waiting = [one for one in state.scorer.waiting if one.t <= to]
+    waiting = [prediction for prediction in state.scorer.waiting if prediction.t <= to]
     return replace(
         state,
         intake=intake,
@@ -58,6 +58,6 @@ def rewind(state: LearnerState, to: float) -> LearnerState:
         alarms=alarms,
         scorer=replace(state.scorer, predictor=None, waiting=waiting),
         moved=[move for move in state.moved if move[1] <= to],
-        done_us=None if state.done_us is None else min(state.done_us, reached),
-        fitted_us=None if state.fitted_us is None else min(state.fitted_us, reached),
+        done_us=None if state.done_us is None else min(state.done_us, last_tick_us),
+        fitted_us=None if state.fitted_us is None else min(state.fitted_us, last_tick_us),
     )

@@ -34,7 +34,7 @@ class Scores(NamedTuple):
 
     version: int
     """Version with which the prediction was made."""
-    followed: float
+    return_probability: float
     """Probability, by the later fit, that the object appeared again."""
     top1: float
     """Probability, by the later fit, that it appeared at the likeliest predicted camera."""
@@ -85,7 +85,9 @@ class Scorer:
 
     def forget(self, names: Set[str]) -> None:
         """Drop the predictions of these cameras that wait for their outcome."""
-        self.state.waiting = [one for one in self.state.waiting if one.camera not in names]
+        self.state.waiting = [
+            prediction for prediction in self.state.waiting if prediction.camera not in names
+        ]
 
     def watch(self, batch: Iterable[tuple[int, Event]]) -> None:
         """Predict the next camera of some of the exits among new events.
@@ -101,8 +103,11 @@ class Scorer:
                 state.exits += 1
                 if state.exits % state.stride == 0 and predictor.zone_of(event) is not None:
                     prediction = predictor.predict(event)
-                    by_camera = ((one.camera, one.probability) for one in prediction.candidates)
-                    predicted = {"": prediction.leave, **sum_by_camera(by_camera)}
+                    by_camera = (
+                        (candidate.camera, candidate.probability)
+                        for candidate in prediction.candidates
+                    )
+                    shares = {"": prediction.leave, **sum_by_camera(by_camera)}
                     baseline = state.baseline.get(event.camera, {"": 1.0})
                     version = predictor.version
                     state.waiting.append(
@@ -110,7 +115,7 @@ class Scorer:
                             t_us / MICROSECONDS,
                             event.camera,
                             version,
-                            predicted,
+                            shares,
                             baseline,
                             predictor.prepared.longest_lag,
                         )
@@ -135,23 +140,23 @@ class Scorer:
             shares[""] = max(1.0 - sum(shares.values()), 0.0)
         self.state.baseline = baseline
 
-    def mark(self, happened: Sequence[Happened | None]) -> None:
+    def mark(self, outcomes: Sequence[Happened | None]) -> None:
         """Score the oldest waiting predictions, and remove them from those that wait.
 
-        happened: outcomes of the oldest predictions, in order; None for a prediction that is
+        outcomes: outcomes of the oldest predictions, in order; None for a prediction that is
             dropped without a score.
         """
-        for outcome in happened:
+        for outcome in outcomes:
             prediction = self.state.waiting.pop(0)
             if outcome is not None:
                 self.note(prediction, outcome)
 
-    def note(self, guess: ScoredPrediction, happened: dict[str, float]) -> None:
+    def note(self, guess: ScoredPrediction, outcome: dict[str, float]) -> None:
         """Score one prediction, and add its scores to the mean.
 
-        happened: probability, by camera, that the object appeared there next.
+        outcome: probability, by camera, that the object appeared there next.
         """
-        self.state.marks.append(marks(guess, happened))
+        self.state.marks.append(marks(guess, outcome))
         del self.state.marks[:-SCORED_MAX]
 
     def score(self) -> SelfScore | None:
@@ -159,33 +164,33 @@ class Scorer:
         if not self.state.marks:
             return None
         m = Scores(*(np.array(column) for column in zip(*self.state.marks, strict=True)))  # type: ignore[arg-type]
-        followed = max(float(np.sum(m.followed)), 1e-9)
+        return_sum = max(float(np.sum(m.return_probability)), 1e-9)
         return SelfScore(
             exits=len(self.state.marks),
             since_version=self.state.marks[0].version,
             log_loss=_short(np.mean(m.loss)),
-            top1=_short(np.sum(m.top1) / followed),
-            top3=_short(np.sum(m.top3) / followed),
+            top1=_short(np.sum(m.top1) / return_sum),
+            top3=_short(np.sum(m.top3) / return_sum),
             baseline_log_loss=_short(np.mean(m.baseline_loss)),
-            baseline_top1=_short(np.sum(m.baseline_top1) / followed),
+            baseline_top1=_short(np.sum(m.baseline_top1) / return_sum),
         )
 
 
-def marks(guess: ScoredPrediction, happened: dict[str, float]) -> Scores:
+def marks(guess: ScoredPrediction, outcome: dict[str, float]) -> Scores:
     """Return the scores of a prediction.
 
-    happened: probability, by camera, that the object appeared there next.
+    outcome: probability, by camera, that the object appeared there next.
     """
-    followed = sum(happened.values())
-    outcomes = {**happened, "": max(1.0 - followed, 0.0)}
-    ranked, usual = (_ranked(shares) for shares in (guess.predicted, guess.baseline))
+    return_probability = sum(outcome.values())
+    outcomes = {**outcome, "": max(1.0 - return_probability, 0.0)}
+    ranking, usual = (_ranked(shares) for shares in (guess.shares, guess.baseline))
     return Scores(
         guess.version,
-        followed,
-        sum(happened.get(camera, 0.0) for camera in ranked[:1]),
-        sum(happened.get(camera, 0.0) for camera in ranked[:3]),
-        _loss(guess.predicted, outcomes),
-        sum(happened.get(camera, 0.0) for camera in usual[:1]),
+        return_probability,
+        sum(outcome.get(camera, 0.0) for camera in ranking[:1]),
+        sum(outcome.get(camera, 0.0) for camera in ranking[:3]),
+        _loss(guess.shares, outcomes),
+        sum(outcome.get(camera, 0.0) for camera in usual[:1]),
         _loss(guess.baseline, outcomes),
     )
 

@@ -144,9 +144,9 @@ def _encode_array(array: object) -> tuple[str, tuple[int, ...], bytes]:
     return array.dtype.str, array.shape, array.tobytes()
 
 
-def _decode_array(kind: type, packed: Any) -> np.ndarray[Any, Any]:
+def _decode_array(kind: type, fields: Any) -> np.ndarray[Any, Any]:
     """Decode a field whose type msgspec does not know: always an array."""
-    dtype, shape, data = msgspec.convert(packed, tuple[str, tuple[int, ...], bytes])
+    dtype, shape, data = msgspec.convert(fields, tuple[str, tuple[int, ...], bytes])
     try:
         return np.frombuffer(data, np.dtype(dtype)).reshape(shape).copy()
     except TypeError as error:

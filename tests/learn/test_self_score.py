@@ -29,14 +29,19 @@ GUESS = ScoredPrediction(
 
 def test_a_plain_outcome_is_marked_as_it_is() -> None:
     mark = marks(GUESS, {"b": 1.0})
-    assert (mark.followed, mark.top1, mark.top3, mark.baseline_top1) == (1.0, 1.0, 1.0, 0.0)
+    assert (mark.return_probability, mark.top1, mark.top3, mark.baseline_top1) == (
+        1.0,
+        1.0,
+        1.0,
+        0.0,
+    )
     assert mark.loss == pytest.approx(-math.log(0.5))
     assert mark.baseline_loss == pytest.approx(-math.log(SHARE_MIN))
 
 
 def test_a_doubtful_outcome_counts_in_parts() -> None:
     mark = marks(GUESS, {"b": 0.5, "e": 0.3})
-    assert (mark.followed, mark.top1, mark.top3) == (0.8, 0.5, 0.5)
+    assert (mark.return_probability, mark.top1, mark.top3) == (0.8, 0.5, 0.5)
     assert mark.loss == pytest.approx(
         -0.5 * math.log(0.5) - 0.3 * math.log(0.04) - 0.2 * math.log(0.2)
     )
