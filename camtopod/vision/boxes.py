@@ -100,7 +100,7 @@ def touches_border(box: Box, size: Size) -> bool:
     return min(border_distances(box, size)) <= TOUCH_PIXELS
 
 
-def to_border(box: Box, others: Sequence[Box], size: Size, reach: float) -> Box:
+def to_border(box: Box, other_boxes: Sequence[Box], size: Size, reach: float) -> Box:
     """Return the box with each side moved to the border of an image that is within ``reach``
     pixels of it, if one of the others touches the border there.
     """
@@ -108,7 +108,7 @@ def to_border(box: Box, others: Sequence[Box], size: Size, reach: float) -> Box:
     left, top, right, bottom = (
         end
         if abs(value - end) <= reach
-        and any(abs(other[side] - end) <= TOUCH_PIXELS for other in others)
+        and any(abs(neighbour[side] - end) <= TOUCH_PIXELS for neighbour in other_boxes)
         else value
         for side, (value, end) in enumerate(zip(box, ends, strict=True))
     )

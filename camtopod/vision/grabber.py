@@ -90,12 +90,12 @@ class Grabber:
             events: list[Event] = []
 
             if frame is not None:
-                began = time.thread_time()
+                start = time.thread_time()
                 if frame.shift != self._shifts[1]:
                     self._shifts = (self._shifts[1], frame.shift)
                     self._set_at = frame.t
                 events = self._pipeline.process(frame.t, frame.luma, frame.image)
-                self._analysis_seconds += time.thread_time() - began
+                self._analysis_seconds += time.thread_time() - start
                 self._last_t = frame.t + frame.shift
 
             # Yield the events, or None if nothing was yielded for the heartbeat interval.
@@ -143,8 +143,8 @@ class Grabber:
         """
         source = self._source
         figures: dict[str, int | float] = {
-            "frames_grabbed": source.grabbed,
-            "frames_dropped": source.dropped,
+            "frames_grabbed": source.frames_grabbed,
+            "frames_dropped": source.frames_dropped,
             "connections": source.connections,
             "failures": source.failures,
             "untrusted_stamps": source.untrusted_stamps,

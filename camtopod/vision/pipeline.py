@@ -87,7 +87,7 @@ class ViewPipeline:
         self._waiting: list[tuple[float, Luma]] = []
         self._tracker: Tracker | None = None
         self._t: float | None = None
-        self.analysed = 0
+        self.frame_count = 0
 
     def process(self, t: float, frame: Luma, image: Luma | None = None) -> list[Event]:
         """Process the frame (H, W) captured at ``t`` (seconds) and return the events now certain.
@@ -97,7 +97,7 @@ class ViewPipeline:
 
         image (H, W, 3): the same frame in colour and at full size, for the detector.
         """
-        self.analysed += 1
+        self.frame_count += 1
         small = self._motion.filter_noise(shrunk(frame, self._settings.working_width))
         if self._motion.ready:
             return self._step(t, small, image)
@@ -130,11 +130,11 @@ class ViewPipeline:
                 width,
                 height,
                 self._settings.doors,
-                IgnoredAreas(self._motion.watched),
+                IgnoredAreas(self._motion.watched_mask),
                 self._take,
             )
             self._tracker = Tracker(self._settings, crossings, self._numbers)
-        self._tracker.crossings.began = waiting[0][0]
+        self._tracker.crossings.start_t = waiting[0][0]
         self._tracker.crossings.now = waiting[-1][0]
         self._t = None
         for t, frame in waiting:
@@ -156,14 +156,14 @@ class ViewPipeline:
 
         # Blobs, tracks, events.
         blobs = find_blobs(motion, self._tracker.stature.height)
-        found: list[Blob] | None = blobs
+        objects: list[Blob] | None = blobs
         self._tracker.crossings.anywhere = False
         if self._detector is not None and image is not None:
-            found = self._detector.step(
+            objects = self._detector.step(
                 t, image, motion.moving, blobs, [track.box for track in self._tracker.active]
             )
-            self._tracker.crossings.anywhere = self._detector.result.trusted
-        events = [] if found is None else self._tracker.step(t, found)
+            self._tracker.crossings.anywhere = self._detector.result.is_trusted
+        events = [] if objects is None else self._tracker.step(t, objects)
 
         # Drop ghosts; a detector that is trusted knows none.
         for track in self._tracker.active:
@@ -172,12 +172,12 @@ class ViewPipeline:
                 self._tracker.drop(track)
 
         # Learn the background outside of confirmed tracks.
-        claimed = [
+        claimed_boxes = [
             track.last.box if track.last.t == t else track.box
             for track in self._tracker.active
             if track.confirmed
         ]
-        self._motion.learn(motion, dt, claimed)
+        self._motion.learn(motion, dt, claimed_boxes)
         self._show(t, motion.frame, motion.moving, events)
         return events
 
@@ -212,10 +212,10 @@ class ViewPipeline:
         """
         events = self._bootstrap() if self._waiting else []
         if self._tracker is not None:
-            remaining = self._tracker.finish("in view")
+            last_events = self._tracker.finish("in view")
             if self._observer is not None and self._latest is not None:
-                self._observer(self._latest._replace(events=remaining, decisions=self._decisions))
-            events += remaining
+                self._observer(self._latest._replace(events=last_events, decisions=self._decisions))
+            events += last_events
         return events
 
     def statistics(self) -> dict[str, int | float]:
@@ -225,9 +225,9 @@ class ViewPipeline:
             "entries": self._counts["entered"],
             "exits": self._counts["left"],
             "tracks_active": sum(track.confirmed for track in tracker.active) if tracker else 0,
-            "frames_analysed": self.analysed,
+            "frames_analysed": self.frame_count,
             "ghosts": self._counts["ghost"],
-            "relearned": self._motion.relearned,
+            "relearned": self._motion.relearn_count,
             "noise_grey_levels": round(self._motion.noise, 2),
             "shake_pixels": round(self._motion.shake, 2),
             **({} if self._detector is None else self._detector.statistics()),
@@ -240,11 +240,11 @@ def _is_still(track: Track, t: float) -> bool:
     Movement is judged over the sightings that are kept. What has come here from elsewhere is an
     object that stands.
     """
-    came = track.confirmed and track.reach > GHOST_REACH_HEIGHTS * track.height
+    has_moved = track.confirmed and track.reach > GHOST_REACH_HEIGHTS * track.height
     return (
         track.last.t == t
         and t - track.first.t >= GHOST_SECONDS
         and len(track.history) == track.history.maxlen
-        and not came
+        and not has_moved
         and dist(track.history[0].foot, track.last.foot) < GHOST_MOVE_HEIGHTS * track.height
     )

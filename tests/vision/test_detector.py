@@ -261,7 +261,7 @@ def test_a_blind_detector_changes_nothing(detector: Callable[..., Detector]) -> 
         blind = detector(blind=True)
         events = ColouredScene(people, others).events(14, blind)
         assert lines(events) == lines(ColouredScene(people, others).events(14, None))
-        assert not blind.result.trusted
+        assert not blind.result.is_trusted
         assert blind.statistics()["detector_agreement"] < 0.1
 
 
@@ -272,7 +272,7 @@ def test_where_agreement_falls_motion_alone_counts_again(detector: Callable[...,
         for k in range(8)
     ]
     both = detector()
-    view = ViewPipeline("cam", SETTINGS, lambda seen: trusted.append(both.result.trusted), both)
+    view = ViewPipeline("cam", SETTINGS, lambda seen: trusted.append(both.result.is_trusted), both)
     events = ColouredScene(ALONE, later).events(50, both, pipeline=view)
 
     assert any(trusted)

@@ -255,7 +255,7 @@ def test_nothing_moves_at_the_borders_of_a_shifted_picture() -> None:
         found = motion.detect(frame, 1 / FPS)
         if k > 30:
             assert found is not None
-            assert not found.changed.any()
+            assert not found.change_mask.any()
 
 
 @pytest.mark.parametrize("seed", range(2))

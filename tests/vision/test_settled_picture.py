@@ -22,7 +22,7 @@ WALKERS = [
 def settled(scene: Scene) -> tuple[SettledPicture, float]:
     """Return the picture, and the time (seconds) at which it was settled or given up."""
     picture, t = SettledPicture(), 0.0
-    while not picture.settled and picture.seconds < SETTLE_SECONDS_MAX:
+    while not picture.is_settled and picture.seconds < SETTLE_SECONDS_MAX:
         shown = scene.picture(t)
         picture.add(Frame(t, shown, shown))
         t += 1 / FPS
@@ -38,7 +38,7 @@ def error(picture: SettledPicture) -> float:
 
 def test_who_walks_through_is_not_in_it() -> None:
     picture, seconds = settled(Scene(WALKERS))
-    assert picture.settled
+    assert picture.is_settled
     assert SETTLE_SECONDS_MIN <= seconds < SETTLE_SECONDS_MAX / 2
     assert error(picture) < 10
 
@@ -50,7 +50,7 @@ def test_what_never_settles_is_given_up_with_the_best_there_is() -> None:
         picture[:40, :40] = rng.uniform(0, 255, (40, 40))
 
     picture, seconds = settled(Scene(WALKERS, front=leaves))
-    assert not picture.settled
+    assert not picture.is_settled
     assert seconds >= SETTLE_SECONDS_MAX
     found = picture.picture()
     empty = Scene([], noise=0.0).picture(0.0)

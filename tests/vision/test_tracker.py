@@ -25,7 +25,7 @@ def tracked(frames: list[list[Box]], labels: Sequence[str] = ("",)) -> list[Even
     ignored = IgnoredAreas(np.full((HEIGHT, WIDTH), 255, np.uint8))
     crossings = Crossings("cam", WIDTH, HEIGHT, (), ignored, lambda decision: None)
     tracker = Tracker(VisionSettings(), crossings, iter(range(1, 1000)))
-    crossings.began = 0.0
+    crossings.start_t = 0.0
     events: list[Event] = []
     for k, boxes in enumerate([*[[]] * 10, *frames, *[[]] * 20]):
         blobs = [

@@ -38,14 +38,14 @@ class Background:
         self.image: Luma = stack[len(frames) // 2].copy()
         """The model as an image."""
 
-    def expected(self, frame: Luma, settled: Luma, noise: float = 0.0) -> Luma:
+    def expected(self, frame: Luma, settled_mask: Luma, noise: float = 0.0) -> Luma:
         """Return the model under the light of ``frame``.
 
-        settled (H, W): pixels that are not 0 determine the light.
+        settled_mask (H, W): pixels that are not 0 determine the light.
         noise (one sigma, grey levels): tone shifts that noise can cause are ignored; otherwise
             pixels that are not learned would drift with them.
         """
-        shift = self._tone_shift(frame, settled)
+        shift = self._tone_shift(frame, settled_mask)
         doubt = max(1.0, noise / 2)
         if np.abs(shift).max() <= doubt:
             return self.image
@@ -53,12 +53,12 @@ class Background:
         curve = np.clip(_LEVELS + shift, 0, 255).astype(np.uint8)
         return np.asarray(cv2.LUT(self.image, curve), dtype=np.uint8)
 
-    def _tone_shift(self, frame: Luma, settled: Luma) -> npt.NDArray[np.float32]:
+    def _tone_shift(self, frame: Luma, settled_mask: Luma) -> npt.NDArray[np.float32]:
         """Return grey levels to add to each of the model's 256 levels, interpolated from the bins.
 
         Each bin has the median change of the sampled pixels (every fourth of every fourth row).
         """
-        sample = settled[::4, ::4] != 0
+        sample = settled_mask[::4, ::4] != 0
 
         model = self.image[::4, ::4][sample].astype(np.uint16)
         change = frame[::4, ::4][sample] + (256 - model)  # plus 256, so that it is not negative
@@ -68,33 +68,37 @@ class Background:
         changes = np.sort(levels * 512 + change) % 512
         counts = np.bincount(levels, minlength=TONE_BINS)
 
-        filled = np.flatnonzero(counts >= MEDIAN_SAMPLES)
-        if not len(filled):
+        filled_levels = np.flatnonzero(counts >= MEDIAN_SAMPLES)
+        if not len(filled_levels):
             return np.zeros(256, np.float32)
 
-        centres = np.bincount(levels, weights=model, minlength=TONE_BINS)[filled] / counts[filled]
+        centres = (
+            np.bincount(levels, weights=model, minlength=TONE_BINS)[filled_levels]
+            / counts[filled_levels]
+        )
         medians = (
-            changes[(np.cumsum(counts) - counts + counts // 2)[filled]].astype(np.float32) - 256
+            changes[(np.cumsum(counts) - counts + counts // 2)[filled_levels]].astype(np.float32)
+            - 256
         )
         if np.ptp(centres + medians) < CONTRAST_SHARE_MIN * np.ptp(centres):
             return np.zeros(256, np.float32)  # nothing of the scene is in the frame
         curve: npt.NDArray[np.float32] = np.interp(_LEVELS, centres, medians).astype(np.float32)
         return curve
 
-    def learn(self, frame: Luma, expected: Luma, dt: float, settled: Luma) -> None:
-        """Adapt to ``frame``, ``dt`` seconds after the last, where ``settled`` (H, W) is not 0.
+    def learn(self, frame: Luma, expected: Luma, dt: float, settled_mask: Luma) -> None:
+        """Adapt to ``frame``, ``dt`` seconds after the last, where ``settled_mask`` is not 0.
 
         Elsewhere the model follows the light alone (``expected``); otherwise an area that was
         occluded for a while would reappear in the light of an earlier hour.
         """
         rate = 1.0 - float(np.exp(-dt / LEARNING_SECONDS))
-        cv2.accumulateWeighted(cv2.copyTo(frame, settled, expected.copy()), self._model, rate)
+        cv2.accumulateWeighted(cv2.copyTo(frame, settled_mask, expected.copy()), self._model, rate)
         self.image = cv2.convertScaleAbs(self._model)
 
-    def adopt(self, frame: Luma, where: Luma) -> None:
-        """Replace the model by ``frame`` where ``where`` (H, W) is not 0.
+    def adopt(self, frame: Luma, mask: Luma) -> None:
+        """Replace the model by ``frame`` where ``mask`` (H, W) is not 0.
 
         For objects that were moved, or that stood there at first.
         """
-        cv2.copyTo(frame.astype(np.float32), where, self._model)
+        cv2.copyTo(frame.astype(np.float32), mask, self._model)
         self.image = cv2.convertScaleAbs(self._model)

@@ -74,11 +74,11 @@ def find_blobs(motion: Motion, expected_height: ExpectedHeight) -> list[Blob]:
     labels, stats = _fragments(mask)
     areas = stats[1:, cv2.CC_STAT_AREA]
     area_min = AREA_SHARE_MIN * mask.size
-    kept = np.argsort(areas, kind="stable")[-OBJECTS_MAX:]
-    kept = 1 + kept[areas[kept] >= area_min / 2]
+    numbers = np.argsort(areas, kind="stable")[-OBJECTS_MAX:]
+    numbers = 1 + numbers[areas[numbers] >= area_min / 2]
 
     # Merge fragments of one person.
-    groups = _merge([(int(label), _box(stats[label])) for label in kept], cache(expected_height))
+    groups = _merge([(int(label), _box(stats[label])) for label in numbers], cache(expected_height))
     groups = [
         (group, box)
         for group, box in groups
@@ -87,7 +87,12 @@ def find_blobs(motion: Motion, expected_height: ExpectedHeight) -> list[Blob]:
     ]
     boxes = [box for _, box in groups]
     return [
-        _blob(group, box, labels, not any(_belong(box, one) for one in boxes if one is not box))
+        _blob(
+            group,
+            box,
+            labels,
+            not any(_belong(box, other_box) for other_box in boxes if other_box is not box),
+        )
         for group, box in groups
     ]
 
@@ -123,15 +128,15 @@ def _merge(
 ) -> list[tuple[list[int], Box]]:
     """Group the labels that belong to one person; return the groups with their boxes."""
     groups = [([label], box) for label, box in fragments]
-    merged = True
-    while merged:
-        merged = False
+    has_merged = True
+    while has_merged:
+        has_merged = False
         for i in range(len(groups)):
             for j in range(len(groups) - 1, i, -1):
                 if _belong(groups[i][1], groups[j][1], expected_height):
                     labels, box = groups.pop(j)
                     groups[i] = (groups[i][0] + labels, union(groups[i][1], box))
-                    merged = True
+                    has_merged = True
     return groups
 
 

@@ -68,7 +68,7 @@ class Motion:
     """The frame, aligned with the scene if the camera shakes."""
     moving: Luma
     """Changed pixels without shadows and reflections."""
-    changed: Luma
+    change_mask: Luma
     """Pixels that differ from the scene, without dynamic background."""
     differs: Luma
     """Pixels that differ from the scene, with it."""
@@ -88,16 +88,16 @@ class MotionDetector:
         """One-sigma temporal noise of the working image, grey levels."""
         self.shake = 0.0
         """Running mean of the shift between images and scene, pixels."""
-        self.relearned = 0
+        self.relearn_count = 0
 
     def filter_noise(self, frame: Luma) -> Luma:
         """Measure the noise of ``frame``; return the frame, filtered if it is noisy."""
         if self._last is None or self._last.shape != frame.shape:
-            self.watched = watched_pixels(self._settings.ignore, *frame.shape)
+            self.watched_mask = watched_pixels(self._settings.ignore, *frame.shape)
             """Mask (H, W): 0 where motion does not count."""
             self.ready = False  # another size: another scene
         else:
-            noise = temporal_noise(frame, self._last, self.watched)
+            noise = temporal_noise(frame, self._last, self.watched_mask)
             self.noise += (_NOISE_RATE if self.noise else 1.0) * (noise - self.noise)
         self._last = frame
         if self.noise < NOISE_TO_FILTER:
@@ -109,26 +109,28 @@ class MotionDetector:
         step = -(-len(frames) // MEDIAN_SAMPLES)
         frames = frames[::step]
         scene = frames[len(frames) // 2]
-        shifts = [shake.shift(frame, scene, self.watched) for frame in frames]
+        shifts = [shake.shift(frame, scene, self.watched_mask) for frame in frames]
         self.shake = sum(shifts) / len(shifts)
         self._map = shake.IDENTITY
         """Where the latest image shows the places of the scene, while the camera shakes."""
         if self.shake > SHAKE_PIXELS:
             frames = [
                 shake.warped(
-                    frame, scene, shake.aligning(frame, scene, self.watched, shake.IDENTITY)
+                    frame, scene, shake.aligning(frame, scene, self.watched_mask, shake.IDENTITY)
                 )
                 for frame in frames
             ]
         self._background = Background(frames)
         self._expected = self._background.image
         self.ready = True
-        self._settled: Luma = self.watched.copy()
+        self._settled_mask: Luma = self.watched_mask.copy()
         self._swaying = Swaying(frames[0].shape[:2])
         self._unclaimed_seconds: cv2.typing.MatLike = np.zeros(frames[0].shape, np.float32)
         self._changed_seconds = 0.0
-        self._moving: Luma = self.watched  # of the last frame; nothing is sudden in the first one
-        self._sudden: Luma = np.zeros_like(self.watched)
+        self._moving: Luma = (
+            self.watched_mask
+        )  # of the last frame; nothing is sudden in the first one
+        self._sudden: Luma = np.zeros_like(self.watched_mask)
 
     def detect(self, frame: Luma, dt: float) -> Motion | None:
         """Return the motion in ``frame``, ``dt`` seconds after the last.
@@ -138,27 +140,27 @@ class MotionDetector:
         """
         # If the camera shakes, the frame is aligned with the scene in the light of the last one.
         if self.shake > SHAKE_PIXELS:
-            self._map = shake.aligning(frame, self._expected, self._settled, self._map)
+            self._map = shake.aligning(frame, self._expected, self._settled_mask, self._map)
             frame = shake.warped(frame, self._expected, self._map)
             shift = shake.length(self._map, frame.shape)
         else:
-            shift = shake.shift(frame, self._expected, self._settled)
+            shift = shake.shift(frame, self._expected, self._settled_mask)
         self.shake += _NOISE_RATE * (shift - self.shake)
-        expected = self._background.expected(frame, self._settled, self.noise)
+        expected = self._background.expected(frame, self._settled_mask, self.noise)
         self._expected = expected  # for the next frame
 
         # Moving pixels; an image that has changed for long ends this scene.
         sensitivity = self._settings.sensitivity
-        light = min((cv2.mean(expected, self.watched)[0] + _DARK) / (_DIM + _DARK), 1.0)
+        light = min((cv2.mean(expected, self.watched_mask)[0] + _DARK) / (_DIM + _DARK), 1.0)
         least = DIFFERENCE_MIN * max(light / sensitivity, min(self.noise / NOISE_TO_FILTER, 1.0))
         differs = cv2.threshold(cv2.absdiff(frame, expected), least, 255, cv2.THRESH_BINARY)[1]
-        differs = cv2.bitwise_and(differs, self.watched)
+        differs = cv2.bitwise_and(differs, self.watched_mask)
         moving = self._swaying.without(differs, frame, expected, least)
         if self._has_changed(moving):
             self._changed_seconds += dt
             if self._changed_seconds > CHANGED_SECONDS:
                 self.ready = False
-                self.relearned += 1
+                self.relearn_count += 1
             return None
         self._changed_seconds = 0.0
 
@@ -179,26 +181,26 @@ class MotionDetector:
 
     def _has_changed(self, moving: Luma) -> bool:
         """Return True if most of the image differs, or a large part of it since the last frame."""
-        appeared = cv2.subtract(moving, self._moving)
+        new_pixels = cv2.subtract(moving, self._moving)
         self._moving = moving
-        large = SUDDEN_SHARE * cv2.countNonZero(self.watched)
+        large = SUDDEN_SHARE * cv2.countNonZero(self.watched_mask)
         stays = cv2.countNonZero(cv2.bitwise_and(moving, self._sudden))
         if stays > min(large, cv2.countNonZero(self._sudden) / 2):
             return True
         differing = cv2.countNonZero(moving)
-        new = cv2.countNonZero(appeared)
+        new = cv2.countNonZero(new_pixels)
         is_sudden = new > large and 2 * new > differing
-        self._sudden = appeared if is_sudden else np.zeros_like(moving)
-        return is_sudden or 2 * differing > cv2.countNonZero(self.watched)
+        self._sudden = new_pixels if is_sudden else np.zeros_like(moving)
+        return is_sudden or 2 * differing > cv2.countNonZero(self.watched_mask)
 
-    def learn(self, motion: Motion, dt: float, claimed: Iterable[Box]) -> None:
+    def learn(self, motion: Motion, dt: float, boxes: Iterable[Box]) -> None:
         """Adapt to the scene where nothing moves.
 
-        claimed: boxes of confirmed objects, whose pixels are not learned.
+        boxes: boxes of confirmed objects, whose pixels are not learned.
         """
         # Exclude moving pixels and, with a margin, confirmed objects.
-        free = np.full(motion.changed.shape, 255, np.uint8)
-        for left, top, right, bottom in claimed:
+        free = np.full(motion.change_mask.shape, 255, np.uint8)
+        for left, top, right, bottom in boxes:
             margin = max(2.0, 0.1 * (bottom - top))
             cv2.rectangle(
                 free,
@@ -207,15 +209,15 @@ class MotionDetector:
                 (0.0,),
                 cv2.FILLED,
             )
-        settled = cv2.subtract(free, cv2.dilate(motion.changed, _SQUARE))
-        self._settled = cv2.bitwise_and(settled, self.watched)
+        settled_mask = cv2.subtract(free, cv2.dilate(motion.change_mask, _SQUARE))
+        self._settled_mask = cv2.bitwise_and(settled_mask, self.watched_mask)
 
         self._swaying.learn(motion.differs, dt, free)
-        self._background.learn(motion.frame, motion.expected, dt, self._settled)
+        self._background.learn(motion.frame, motion.expected, dt, self._settled_mask)
 
         # Adopt differences that no object has claimed for long.
         self._unclaimed_seconds = cv2.copyTo(
-            self._unclaimed_seconds + np.float32(dt), cv2.bitwise_and(motion.changed, free)
+            self._unclaimed_seconds + np.float32(dt), cv2.bitwise_and(motion.change_mask, free)
         )
         if float(self._unclaimed_seconds.max()) > ADOPT_SECONDS:
             self._background.adopt(
@@ -245,9 +247,9 @@ class MotionDetector:
             return False
 
         # Adopt the image.
-        where = np.zeros(motion.frame.shape, np.uint8)
-        where[part] = cv2.dilate(mask, _SQUARE)
-        self._background.adopt(motion.frame, where)
+        ghost_mask = np.zeros(motion.frame.shape, np.uint8)
+        ghost_mask[part] = cv2.dilate(mask, _SQUARE)
+        self._background.adopt(motion.frame, ghost_mask)
         return True
 
 

@@ -28,38 +28,39 @@ _DAMPING = 1e-3
 """Changes for which the scene has less than this share of its gradients are hardly made."""
 
 
-def shift(image: Luma, scene: Luma, settled: Luma) -> float:
+def shift(image: Luma, scene: Luma, settled_mask: Luma) -> float:
     """Return by how many pixels ``image`` (H, W) is shifted against ``scene``, to about a pixel.
 
-    settled (H, W): 0 where the image does not show the scene.
+    settled_mask (H, W): 0 where the image does not show the scene.
     """
-    every = 2 * _FACTORS[0]
+    stride = 2 * _FACTORS[0]
     return length(
-        _step(image, scene, *_least_squares(scene, settled, 2, every), every), scene.shape
+        _step(image, scene, *_least_squares(scene, settled_mask, 2, stride), stride), scene.shape
     )
 
 
-def aligning(image: Luma, scene: Luma, settled: Luma, first: Map) -> Map:
+def aligning(image: Luma, scene: Luma, settled_mask: Luma, first: Map) -> Map:
     """Return the map that takes ``scene`` (H, W) to ``image``.
 
-    settled (H, W): 0 where the image does not show the scene.
+    settled_mask (H, W): 0 where the image does not show the scene.
     first: where to begin; the result if nothing better is found.
     """
     for factor in _FACTORS:
         size = [max(3, side // factor) for side in reversed(scene.shape)]
-        small, model, known = (
-            cv2.resize(one, size, interpolation=cv2.INTER_AREA) for one in (image, scene, settled)
+        small, model, weight_mask = (
+            cv2.resize(layer, size, interpolation=cv2.INTER_AREA)
+            for layer in (image, scene, settled_mask)
         )
-        equations = _least_squares(model, known, 6, 1)
-        found, least = first, float("inf")
+        equations = _least_squares(model, weight_mask, 6, 1)
+        trial, least = first, float("inf")
         for _ in range(_STEPS_MAX):
-            aligned = warped(small, model, found)
+            aligned = warped(small, model, trial)
             off = cv2.absdiff(aligned, model)
-            residual = cv2.mean(np.minimum(off, np.uint8(_OUTLIER)), known)[0]
+            residual = cv2.mean(np.minimum(off, np.uint8(_OUTLIER)), weight_mask)[0]
             if residual >= least:
                 break
-            first, least = found, residual
-            found = found @ _step(aligned, model, *equations, 1)
+            first, least = trial, residual
+            trial = trial @ _step(aligned, model, *equations, 1)
     return first
 
 
@@ -85,21 +86,21 @@ def length(by: Map, shape: tuple[int, ...]) -> float:
 
 
 def _least_squares(
-    scene: Luma, settled: Luma, terms: int, every: int
+    scene: Luma, settled_mask: Luma, terms: int, stride: int
 ) -> tuple[npt.NDArray[np.float32], cv2.typing.MatLike]:
     """Return how each pixel of ``scene`` changes with each term of a map, (terms, pixels), and the
     inverse of the normal equations.
 
-    terms: 2 for a shift, 6 for an affine map. Rows are used in steps of ``every``.
+    terms: 2 for a shift, 6 for an affine map. Rows are used in steps of ``stride``.
     """
     # How each pixel changes with each term; not at all where the scene is not settled.
-    rows, columns = slice(1, -1, every), slice(1, -1)
+    rows, columns = slice(1, -1, stride), slice(1, -1)
     height, width = scene.shape
     longer = np.float32(max(height, width))
-    known = (settled[rows, columns] != 0) * (longer / 4)
+    weight = (settled_mask[rows, columns] != 0) * (longer / 4)
     dx = scene[rows, 2:].astype(np.float32) - scene[rows, :-2]
-    above, below = (scene[row::every, columns][: len(dx)] for row in (0, 2))
-    slopes = [dx * known, (below.astype(np.float32) - above) * known]
+    above, below = (scene[row::stride, columns][: len(dx)] for row in (0, 2))
+    slopes = [dx * weight, (below.astype(np.float32) - above) * weight]
     if terms > len(slopes):
         x = (np.arange(1 - width, width, 2, dtype=np.float32) / longer)[columns]
         y = (np.arange(1 - height, height, 2, dtype=np.float32) / longer)[rows, np.newaxis]
@@ -117,15 +118,15 @@ def _step(
     scene: Luma,
     table: npt.NDArray[np.float32],
     inverse: cv2.typing.MatLike,
-    every: int,
+    stride: int,
 ) -> Map:
     """Return the map that takes ``scene`` to ``image`` as far as a single step finds it.
 
-    table, inverse: from `_least_squares`, with the same ``every``.
+    table, inverse: from `_least_squares`, with the same ``stride``.
     """
-    rows, columns = slice(1, -1, every), slice(1, -1)
+    rows, columns = slice(1, -1, stride), slice(1, -1)
     difference = scene[rows, columns].astype(np.float32) - image[rows, columns]
     change = inverse @ (table @ (difference * (np.abs(difference) < _OUTLIER)).ravel())
-    found = IDENTITY.copy()
-    found[:2, (2, 0, 1)[: len(change) // 2]] += change.reshape(-1, 2).T
-    return found
+    result = IDENTITY.copy()
+    result[:2, (2, 0, 1)[: len(change) // 2]] += change.reshape(-1, 2).T
+    return result

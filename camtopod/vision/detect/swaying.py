@@ -27,7 +27,7 @@ class Swaying:
     def __init__(self, shape: tuple[int, int]) -> None:
         """Begin with a scene at rest, of ``shape`` (height, width)."""
         self._share = np.zeros(shape, np.float32)  # of the frames, times 255
-        self._differed: Luma = np.zeros(shape, np.uint8)
+        self._differs_before: Luma = np.zeros(shape, np.uint8)
         self._seconds = 0.0  # since the beginning
 
     def without(self, moving: Luma, frame: Luma, expected: Luma, difference_min: float) -> Luma:
@@ -38,20 +38,20 @@ class Swaying:
         """
         if cv2.norm(self._share, cv2.NORM_INF) <= 255 * SWAY_SHARE:
             return moving
-        where = np.where(self._share > 255 * SWAY_SHARE, np.uint8(255), np.uint8(0))
+        sway_mask = np.where(self._share > 255 * SWAY_SHARE, np.uint8(255), np.uint8(0))
         above = cv2.subtract(frame, cv2.dilate(expected, _REACH))
         outside = cv2.max(above, cv2.subtract(cv2.erode(expected, _REACH), frame))
         _, within = cv2.threshold(outside, difference_min, 255, cv2.THRESH_BINARY_INV)
-        return cv2.subtract(moving, cv2.bitwise_and(within, cv2.dilate(where, _NEIGHBOURS)))
+        return cv2.subtract(moving, cv2.bitwise_and(within, cv2.dilate(sway_mask, _NEIGHBOURS)))
 
-    def learn(self, differs: Luma, dt: float, unclaimed: Luma) -> None:
+    def learn(self, differs: Luma, dt: float, free_mask: Luma) -> None:
         """Update each pixel's share of alternations, ``dt`` seconds after the last frame.
 
         differs (H, W): pixels that differ from the scene, including dynamic background.
-        unclaimed (H, W): 0 under confirmed objects, where nothing is counted.
+        free_mask (H, W): 0 under confirmed objects, where nothing is counted.
         """
         self._seconds += dt
         constant = min(max(self._seconds, LEARNING_SECONDS / 3), LEARNING_SECONDS)
-        changed = cv2.bitwise_xor(differs, self._differed)
-        cv2.accumulateWeighted(changed, self._share, dt / constant, unclaimed)
-        self._differed = differs
+        flips = cv2.bitwise_xor(differs, self._differs_before)
+        cv2.accumulateWeighted(flips, self._share, dt / constant, free_mask)
+        self._differs_before = differs

@@ -45,20 +45,20 @@ def wiener(image: npt.NDArray[Any], size: int, noise: float) -> npt.NDArray[np.f
 
 
 def temporal_noise(
-    frame: cv2.typing.MatLike, previous: cv2.typing.MatLike, watched: cv2.typing.MatLike
+    frame: cv2.typing.MatLike, previous: cv2.typing.MatLike, watched_mask: cv2.typing.MatLike
 ) -> float:
     """Return the one-sigma noise (grey levels) between two consecutive frames (H, W).
 
     Every fourth pixel of every fourth row is used. The quarter of these that changed most is left
     out as motion.
 
-    watched (H, W): pixels that are 0 do not count.
+    watched_mask (H, W): pixels that are 0 do not count.
     """
     change = cv2.absdiff(*(np.ascontiguousarray(image[::4, ::4]) for image in (frame, previous)))
-    change = change[watched[::4, ::4] != 0]
-    kept = max(1, int(change.size * _TRIM))
+    change = change[watched_mask[::4, ::4] != 0]
+    sample_count = max(1, int(change.size * _TRIM))
     at_most = np.cumsum(np.bincount(change.ravel()))  # pixels that changed by at most 0, 1, ...
-    total = int(np.maximum(kept - at_most, 0).sum())
+    total = int(np.maximum(sample_count - at_most, 0).sum())
     normal = NormalDist(0.0, sqrt(2.0))
     trimmed_mean = 2 * (normal.pdf(0) - normal.pdf(normal.inv_cdf((1 + _TRIM) / 2))) * 2 / _TRIM
-    return total / kept / trimmed_mean
+    return total / sample_count / trimmed_mean

@@ -58,6 +58,6 @@ def _names(classes: int | None) -> list[str]:
     if classes == 1:
         return ["person"]
     if classes == len(LABELS) + len(GAPS) + 1:
-        left = iter(LABELS)
-        return ["" if number in (0, *GAPS) else next(left) for number in range(classes)]
+        labels = iter(LABELS)
+        return ["" if number in (0, *GAPS) else next(labels) for number in range(classes)]
     return list(LABELS) if classes in (None, len(LABELS)) else []

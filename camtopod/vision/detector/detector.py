@@ -33,7 +33,7 @@ class DetectorResult(NamedTuple):
     """What the detector found in a frame, in pixels of the working image."""
 
     detections: Sequence[Detection] = ()
-    trusted: bool = False
+    is_trusted: bool = False
     """True if the tracker follows its boxes."""
     agreement: float = 0.0
     """Share of the moving area inside of its boxes, a running mean."""
@@ -54,22 +54,22 @@ class Detector:
         self._inference_seconds = 0.0
 
     def step(
-        self, t: float, image: Image, moving: Luma, blobs: list[Blob], tracked: Sequence[Box]
+        self, t: float, image: Image, moving: Luma, blobs: list[Blob], track_boxes: Sequence[Box]
     ) -> list[Blob] | None:
         """Return the objects in the frame captured at ``t`` seconds; None if it was not examined.
 
         image (H, W, 3): blue, green, red; larger than the working image, or as large.
         moving (h, w): mask of moving pixels of the working image.
-        blobs, tracked: motion and tracks, pixels of the working image.
+        blobs, track_boxes: motion and tracks, pixels of the working image.
         """
-        trusted = self._trust.trusted
+        is_trusted = self._trust.is_trusted
         factor = image.shape[1] / moving.shape[1]
-        regions = [*(blob.box for blob in blobs), *tracked]
-        self.result = DetectorResult((), trusted, self._trust.share)
+        regions = [*(blob.box for blob in blobs), *track_boxes]
+        self.result = DetectorResult((), is_trusted, self._trust.share)
         if not regions:
             return blobs
         if t < self._due:
-            return None if trusted else blobs
+            return None if is_trusted else blobs
 
         # One inference on all that moves or is tracked.
         self._due = max(self._due + 1.0 / self._settings.looks_per_second_max, t)
@@ -78,17 +78,20 @@ class Detector:
             (image.shape[1], image.shape[0]),
             self._model.size,
         )
-        began = time.thread_time()
-        found = self._model.infer(image, crop)
-        self._inference_seconds += time.thread_time() - began
+        start = time.thread_time()
+        model_detections = self._model.infer(image, crop)
+        self._inference_seconds += time.thread_time() - start
         self._inferences += 1
-        detections = [one._replace(box=scaled(one.box, 1 / factor)) for one in found]
+        detections = [
+            detection._replace(box=scaled(detection.box, 1 / factor))
+            for detection in model_detections
+        ]
 
         # Is it trusted? Then its boxes are the objects.
-        boxes, outside = objects(detections, moving, blobs, tracked, self._settings.score)
+        boxes, outside = objects(detections, moving, blobs, track_boxes, self._settings.score)
         self._trust.add(float((moving != 0).mean()), outside)
-        self.result = DetectorResult(detections, self._trust.trusted, self._trust.share)
-        return boxes if self._trust.trusted else blobs
+        self.result = DetectorResult(detections, self._trust.is_trusted, self._trust.share)
+        return boxes if self._trust.is_trusted else blobs
 
     def statistics(self) -> dict[str, int | float]:
         """Return the number of inferences, their mean time (milliseconds) and the agreement."""

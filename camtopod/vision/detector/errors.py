@@ -11,6 +11,6 @@ class DetectorError(Exception):
     key: the setting that is to be changed.
     """
 
-    def __init__(self, key: Literal["model", "labels", "layout"], what: str) -> None:
-        super().__init__(what)
+    def __init__(self, key: Literal["model", "labels", "layout"], reason: str) -> None:
+        super().__init__(reason)
         self.key = key

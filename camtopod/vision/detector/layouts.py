@@ -68,28 +68,28 @@ class Found(NamedTuple):
 # -- which layout ------------------------------
 
 
-def recognise(outputs: Outputs, size: Size, asked: str) -> Form:
+def recognise(outputs: Outputs, size: Size, layout: str) -> Form:
     """Return the form of a model's outputs.
 
     outputs: those for any image; their values tell what the shapes leave open.
     size (width, height): the model's input, pixels.
-    asked: the layout that the settings name; "" to recognise it.
+    layout: the layout that the settings name; "" to recognise it.
 
     Raises `DetectorError`, which names the values of `layout` that can be written, if the outputs
     are of no known layout, uncertain, or not of the one that was asked for.
     """
     forms = _possible(outputs, size)
     for form in forms:
-        if form.layout == asked or (form.certain and not asked):
+        if form.layout == layout or (form.certain and not layout):
             return form
 
     shapes = " and ".join(str(output.shape) for output in outputs.values())
-    what = f"are not of the layout {asked!r}" if asked else "do not tell their layout"
+    fault = f"are not of the layout {layout!r}" if layout else "do not tell their layout"
     can_be = " or ".join(f'layout = "{form.layout}"' for form in forms)
-    known = f"known are {', '.join(LAYOUTS)}"
+    choices = f"known are {', '.join(LAYOUTS)}"
     raise DetectorError(
-        "layout" if asked else "model",
-        f"its outputs, {shapes}, {what}; {f'they can be {can_be}' if can_be else known}",
+        "layout" if layout else "model",
+        f"its outputs, {shapes}, {fault}; {f'they can be {can_be}' if can_be else choices}",
     )
 
 
@@ -124,8 +124,8 @@ def _possible(outputs: Outputs, size: Size) -> list[Form]:
 
 def _boxes_and_scores(tables: Outputs) -> tuple[Array, Array]:
     """Return boxes (1, Q, 4) and scores (1, Q, C) of two outputs; the names tell if C is 4."""
-    named = [name for name in tables if "box" in name or name == "dets"]
-    names = sorted(tables, key=lambda name: (tables[name].shape[2] != 4, name not in named))
+    box_names = [name for name in tables if "box" in name or name == "dets"]
+    names = sorted(tables, key=lambda name: (tables[name].shape[2] != 4, name not in box_names))
     return tables[names[0]], tables[names[1]]
 
 
@@ -143,81 +143,81 @@ def _are_fractions(boxes: Array) -> bool:
 
 
 def decode(
-    outputs: Outputs, form: Form, size: Size, wanted: Sequence[int], score_min: float
+    outputs: Outputs, form: Form, size: Size, classes: Sequence[int], score_min: float
 ) -> Found:
     """Return the boxes of the wanted classes, best first.
 
     size (width, height): the model's input, pixels.
-    wanted: numbers of classes.
+    classes: numbers of classes.
     score_min: least score, 0 to 1; a score that is no number counts as 0.
     """
     (first, *_) = outputs.values()
     with np.errstate(over="ignore"):  # what is infinite then is dropped below
         if form.layout == "yolox":
-            found = _yolox(first[0], size, wanted)
+            detections = _yolox(first[0], size, classes)
         elif form.layout == "yolov8":
-            found = _yolov8(first[0], wanted)
+            detections = _yolov8(first[0], classes)
         elif form.layout == "end-to-end":
-            found = _end_to_end(first[0])
+            detections = _end_to_end(first[0])
         else:
-            found = _rt_detr(outputs, size, wanted)
+            detections = _rt_detr(outputs, size, classes)
 
-    kept = np.isin(found.classes, wanted) & (found.scores >= score_min)
-    indices = np.flatnonzero(kept & np.isfinite(found.boxes).all(axis=1))
-    indices = indices[np.argsort(-found.scores[indices], kind="stable")][:OBJECTS_MAX]
-    found = _taken(found, indices)
-    return nms(found) if form.layout in ("yolox", "yolov8") else found
+    mask = np.isin(detections.classes, classes) & (detections.scores >= score_min)
+    indices = np.flatnonzero(mask & np.isfinite(detections.boxes).all(axis=1))
+    indices = indices[np.argsort(-detections.scores[indices], kind="stable")][:OBJECTS_MAX]
+    detections = _taken(detections, indices)
+    return nms(detections) if form.layout in ("yolox", "yolov8") else detections
 
 
-def _yolox(rows: Array, size: Size, wanted: Sequence[int]) -> Found:
+def _yolox(rows: Array, size: Size, classes: Sequence[int]) -> Found:
     places = _from_grid(rows[:, :4], size) if _is_raw(rows) else rows[:, :4]
-    return _best(_corners(places), rows[:, 5:] * rows[:, 4:5], wanted)
+    return _best(_corners(places), rows[:, 5:] * rows[:, 4:5], classes)
 
 
-def _yolov8(columns: Array, wanted: Sequence[int]) -> Found:
-    return _best(_corners(columns[:4].T), columns[4:].T, wanted)
+def _yolov8(columns: Array, classes: Sequence[int]) -> Found:
+    return _best(_corners(columns[:4].T), columns[4:].T, classes)
 
 
 def _end_to_end(rows: Array) -> Found:
     return Found(rows[:, :4], rows[:, 4], rows[:, 5].round().astype(np.int64))
 
 
-def _rt_detr(outputs: Outputs, size: Size, wanted: Sequence[int]) -> Found:
+def _rt_detr(outputs: Outputs, size: Size, classes: Sequence[int]) -> Found:
     if "scores" in outputs:
         labels = outputs["labels"][0].astype(np.int64)
         return Found(outputs["boxes"][0], outputs["scores"][0], labels)
-    (first, *others) = outputs.values()
+    (first, *other_outputs) = outputs.values()
     boxes, scores = first[..., :4], first[..., 4:]
-    if others:
+    if other_outputs:
         boxes, scores = _boxes_and_scores(outputs)
     if scores.min() < 0.0 or scores.max() > 1.0:  # logits
         scores = np.asarray(1.0 / (1.0 + np.exp(-scores)), np.float32)
-    return _best(_corners(boxes[0] * np.array(size * 2, np.float32)), scores[0], wanted)
+    return _best(_corners(boxes[0] * np.array(size * 2, np.float32)), scores[0], classes)
 
 
-def _best(boxes: Array, scores: Array, wanted: Sequence[int]) -> Found:
+def _best(boxes: Array, scores: Array, classes: Sequence[int]) -> Found:
     """Return the boxes (N, 4), each as the best of the wanted classes; scores (N, classes)."""
-    numbers = np.array(wanted, np.int64)
-    chosen = scores[:, numbers]
-    best = chosen.argmax(axis=1)
-    return Found(boxes, chosen[np.arange(len(best)), best], numbers[best])
+    numbers = np.array(classes, np.int64)
+    class_scores = scores[:, numbers]
+    best = class_scores.argmax(axis=1)
+    return Found(boxes, class_scores[np.arange(len(best)), best], numbers[best])
 
 
-def nms(found: Found) -> Found:
+def nms(detections: Found) -> Found:
     """Return the boxes without those that a better one of the same class overlaps (greedy NMS).
 
-    found: best first.
+    detections: best first.
     """
-    corners = found.boxes.astype(float)
+    corners = detections.boxes.astype(float)
     places = np.concatenate([corners[:, :2], corners[:, 2:] - corners[:, :2]], axis=1)
-    kept = cv2.dnn.NMSBoxesBatched(
-        places.tolist(), found.scores.tolist(), found.classes.tolist(), 0.0, IOU_MAX
+    rows = cv2.dnn.NMSBoxesBatched(
+        places.tolist(), detections.scores.tolist(), detections.classes.tolist(), 0.0, IOU_MAX
     )
-    return _taken(found, np.asarray(kept, np.int64))
+    return _taken(detections, np.asarray(rows, np.int64))
 
 
-def _taken(found: Found, indices: npt.NDArray[np.int64]) -> Found:
-    return Found(found.boxes[indices], found.scores[indices], found.classes[indices])
+def _taken(detections: Found, indices: npt.NDArray[np.int64]) -> Found:
+    return Found(detections.boxes[indices], detections.scores[indices], detections.classes[indices])
 
 
 def _corners(places: Array) -> Array:

@@ -81,7 +81,7 @@ class Model:
         self.form = layouts.recognise(outputs, self.size, settings.layout)
 
         # The classes that are looked for.
-        self._wanted = [class_number(label, self.form.classes) for label in settings.labels]
+        self._classes = [class_number(label, self.form.classes) for label in settings.labels]
         self._score_min = KNOWN_SCORE_SHARE * settings.score
 
     def infer(self, image: Image, crop: Box) -> list[Detection]:
@@ -91,20 +91,20 @@ class Model:
 
         Scores are from `KNOWN_SCORE_SHARE` of the setting `score` on.
         """
-        filled = _cropped(image, crop, self.size)
+        canvas = _cropped(image, crop, self.size)
         if self.form.layout == "yolox":
-            blob = cv2.dnn.blobFromImage(filled)
+            blob = cv2.dnn.blobFromImage(canvas)
         else:
-            blob = cv2.dnn.blobFromImage(filled, 1.0 / 255.0, swapRB=True)
+            blob = cv2.dnn.blobFromImage(canvas, 1.0 / 255.0, swapRB=True)
         if self.form.imagenet:
             blob = (blob - IMAGENET_MEAN) / IMAGENET_DEVIATION
         outputs = self._forward(blob)
-        found = layouts.decode(outputs, self.form, self.size, self._wanted, self._score_min)
+        detections = layouts.decode(outputs, self.form, self.size, self._classes, self._score_min)
 
         # From pixels of the input to pixels of the image.
         factor = self.size[0] / (crop[2] - crop[0])
         rows, columns = image.shape[:2]
-        boxes = found.boxes / factor + (crop[0], crop[1], crop[0], crop[1])
+        boxes = detections.boxes / factor + (crop[0], crop[1], crop[0], crop[1])
         boxes = np.clip(boxes, 0.0, (columns, rows, columns, rows))
         return [
             Detection(
@@ -112,7 +112,7 @@ class Model:
                 float(score),
                 label_name(int(number), self.form.classes),
             )
-            for box, score, number in zip(boxes, found.scores, found.classes, strict=True)
+            for box, score, number in zip(boxes, detections.scores, detections.classes, strict=True)
             if box[2] - box[0] >= 1.0 and box[3] - box[1] >= 1.0
         ]
 
@@ -138,29 +138,29 @@ def try_model(settings: DetectorSettings, image: Image | None = None) -> ModelRe
     except DetectorError as error:
         return ModelReport(str(error), error.key)
     width, height = model.size
-    shown: Image = np.full((height, width, 3), PADDING, np.uint8) if image is None else image
+    frame: Image = np.full((height, width, 3), PADDING, np.uint8) if image is None else image
 
     # The whole image. The first time takes longer.
-    crop = whole((shown.shape[1], shown.shape[0]), model.size)
-    model.infer(shown, crop)
-    began = time.perf_counter()
-    found = model.infer(shown, crop)
-    milliseconds = 1e3 * (time.perf_counter() - began)
-    found = [one for one in found if one.score >= settings.score]
+    crop = whole((frame.shape[1], frame.shape[0]), model.size)
+    model.infer(frame, crop)
+    start = time.perf_counter()
+    detections = model.infer(frame, crop)
+    milliseconds = 1e3 * (time.perf_counter() - start)
+    detections = [detection for detection in detections if detection.score >= settings.score]
 
     # Describe it.
     classes = model.form.classes
     kinds = {None: "", 1: ", 1 class"}.get(classes, f", {classes} classes")
     boxes = [
-        f"{one.label} {one.score:.2f} at ({one.box[0] / shown.shape[1]:.2f}, "
-        f"{one.box[1] / shown.shape[0]:.2f}) to ({one.box[2] / shown.shape[1]:.2f}, "
-        f"{one.box[3] / shown.shape[0]:.2f})"
-        for one in found
+        f"{detection.label} {detection.score:.2f} at ({detection.box[0] / frame.shape[1]:.2f}, "
+        f"{detection.box[1] / frame.shape[0]:.2f}) to ({detection.box[2] / frame.shape[1]:.2f}, "
+        f"{detection.box[3] / frame.shape[0]:.2f})"
+        for detection in detections
     ]
-    where = "an empty image" if image is None else "the whole image"
+    place = "an empty image" if image is None else "the whole image"
     return ModelReport(
         text=f"{model.name}: layout {model.form.layout}, {width}x{height}{kinds}, "
-        f"{milliseconds:.0f} ms an inference; in {where}: {', '.join(boxes) or 'nothing'}"
+        f"{milliseconds:.0f} ms an inference; in {place}: {', '.join(boxes) or 'nothing'}"
     )
 
 
@@ -170,9 +170,9 @@ def _cropped(image: Image, crop: Box, size: Size) -> Image:
     left, top, right, bottom = (round(side) for side in crop)
     inside = image[max(0, top) : bottom, max(0, left) : right]
     beside = (max(0, -top), max(0, bottom - rows), max(0, -left), max(0, right - columns))
-    filled = cv2.copyMakeBorder(inside, *beside, cv2.BORDER_CONSTANT, value=(PADDING,) * 3)
-    way = cv2.INTER_AREA if filled.shape[1] > size[0] else cv2.INTER_LINEAR
-    return cv2.resize(filled, size, interpolation=way)
+    canvas = cv2.copyMakeBorder(inside, *beside, cv2.BORDER_CONSTANT, value=(PADDING,) * 3)
+    way = cv2.INTER_AREA if canvas.shape[1] > size[0] else cv2.INTER_LINEAR
+    return cv2.resize(canvas, size, interpolation=way)
 
 
 def _reason(error: cv2.error) -> str:

@@ -61,8 +61,8 @@ def read_header(path: str) -> Header:
     except OSError as error:
         raise DetectorError("model", f"cannot read {path}: {error.strerror}") from None
     except (ValueError, IndexError) as error:
-        what = "it ends early" if isinstance(error, IndexError) else error
-        raise DetectorError("model", f"{path} is not an ONNX model: {what}") from None
+        fault = "it ends early" if isinstance(error, IndexError) else error
+        raise DetectorError("model", f"{path} is not an ONNX model: {fault}") from None
 
     # One image, and perhaps its size.
     images = {
@@ -107,16 +107,20 @@ def _in_order(model: memoryview) -> bytes | None:
     """
     (graph,) = _at(model, Field.MODEL_GRAPH)
     nodes = [whole for number, _, whole in _fields(graph) if number == Field.GRAPH_NODE]
-    made = {
+    producers = {
         name: k
         for k, node in enumerate(nodes)
         for name in _names(node, Field.GRAPH_NODE, Field.NODE_OUTPUT)
     }
     needs = {
-        k: [made[name] for name in _names(node, Field.GRAPH_NODE, Field.NODE_INPUT) if name in made]
+        k: [
+            producers[name]
+            for name in _names(node, Field.GRAPH_NODE, Field.NODE_INPUT)
+            if name in producers
+        ]
         for k, node in enumerate(nodes)
     }
-    if all(other < k for k, others in needs.items() for other in others):
+    if all(source < k for k, inputs in needs.items() for source in inputs):
         return None
     parts = [nodes[k] for k in TopologicalSorter(needs).static_order()]
     parts += [whole for number, _, whole in _fields(graph) if number != Field.GRAPH_NODE]

@@ -39,15 +39,15 @@ class Trust:
     def __init__(self) -> None:
         self._area = PRIOR_AREA
         self._inside = PRIOR * PRIOR_AREA
-        self.trusted = False
+        self.is_trusted = False
         """True if objects are the boxes, not the blobs."""
 
     def add(self, area: float, outside: float) -> None:
         """Update with an inference: moving area, its part in no box, as shares of the image."""
-        kept = 1.0 - 1.0 / INFERENCES_MEMORY
-        self._area = kept * self._area + area
-        self._inside = kept * self._inside + area - outside
-        self.trusted = self.share >= (TRUSTED_DOWN_TO if self.trusted else TRUSTED_FROM)
+        decay = 1.0 - 1.0 / INFERENCES_MEMORY
+        self._area = decay * self._area + area
+        self._inside = decay * self._inside + area - outside
+        self.is_trusted = self.share >= (TRUSTED_DOWN_TO if self.is_trusted else TRUSTED_FROM)
 
     @property
     def share(self) -> float:
@@ -59,7 +59,7 @@ def objects(
     detections: Sequence[Detection],
     moving: Luma,
     blobs: Sequence[Blob],
-    tracked: Sequence[Box],
+    track_boxes: Sequence[Box],
     score_min: float,
 ) -> tuple[list[Blob], float]:
     """Return the objects of a trusted detector, and the moving area that they do not explain.
@@ -73,15 +73,17 @@ def objects(
     shares of it.
     """
     height, width = moving.shape
-    unexplained = moving != 0
-    found = []
-    for one in sorted(detections, key=lambda one: -one.score):
-        part = unexplained[pixels(one.box, (height, width))]
-        begins = one.score >= score_min and bool(part.sum() >= FILL_SHARE_MIN * max(part.size, 1))
-        if begins or any(iou(one.box, box) >= OVERLAP_MIN for box in tracked):
+    free_pixels = moving != 0
+    result = []
+    for detection in sorted(detections, key=lambda detection: -detection.score):
+        part = free_pixels[pixels(detection.box, (height, width))]
+        begins = detection.score >= score_min and bool(
+            part.sum() >= FILL_SHARE_MIN * max(part.size, 1)
+        )
+        if begins or any(iou(detection.box, box) >= OVERLAP_MIN for box in track_boxes):
             part[:] = False
-            motion = [blob.box for blob in blobs if overlap(blob.box, one.box) >= OVERLAP_MIN]
-            reach = BORDER_HEIGHTS * box_height(one.box)
-            box = to_border(one.box, motion, (width, height), reach)
-            found.append(Blob(*box, centre(box)[0], begins, label=one.label))
-    return found, float(unexplained.mean())
+            motion = [blob.box for blob in blobs if overlap(blob.box, detection.box) >= OVERLAP_MIN]
+            reach = BORDER_HEIGHTS * box_height(detection.box)
+            box = to_border(detection.box, motion, (width, height), reach)
+            result.append(Blob(*box, centre(box)[0], begins, label=detection.label))
+    return result, float(free_pixels.mean())

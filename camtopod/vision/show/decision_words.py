@@ -61,11 +61,11 @@ _WORDS = {**_BEGINNINGS, **_TENTATIVE, **_ENDS}
 def words_of(decision: Decision) -> str:
     """Return what a track was taken for, and why."""
     x, y = decision.place
-    seen = "1 sighting" if decision.sightings == 1 else f"{decision.sightings} sightings"
+    sightings = "1 sighting" if decision.sightings == 1 else f"{decision.sightings} sightings"
     return _WORDS[decision.reason].format(
         edge="the border" if decision.edge is None else _EDGES[decision.edge],
         place=f"({x:.2f}, {y:.2f})",
-        seen=seen,
+        seen=sightings,
         value=decision.value,
         least=decision.least,
     )
@@ -80,7 +80,7 @@ def decision_line(camera: str, decision: Decision) -> str:
     words = f"{clock_words(decision.t)}  {camera}  track {decision.track}: {words_of(decision)}"
     if decision.reason not in _ENDS:
         return words
-    return f"{words} (first seen at {clock_words(decision.began)})"
+    return f"{words} (first seen at {clock_words(decision.first_t)})"
 
 
 def clock_words(t: float) -> str:

@@ -94,8 +94,8 @@ class Preview:
             write(analysis.t, self._drawn(analysis))
         except OSError as error:
             self._file = None  # which completes a video
-            why = f"cannot write {self._path}: {error.strerror}"
-            log.warning("--show: %s; it is not written any more, events go on", why)
+            reason = f"cannot write {self._path}: {error.strerror}"
+            log.warning("--show: %s; it is not written any more, events go on", reason)
 
     def _remember(self, analysis: Analysis) -> None:
         """Take in the feet, events and decisions of a frame. Costs little."""
@@ -107,19 +107,19 @@ class Preview:
         )
         self._events += ((analysis.t, event) for event in analysis.events)
         since = analysis.t - SHOWN_SECONDS
-        self._feet = [one for one in self._feet if one[0] >= since]
-        self._events = [one for one in self._events if one[0] >= since]
-        for one in analysis.decisions:
-            text = f"{clock_words(one.t)} track {one.track}: {words_of(one)}"
-            self._lines.append((_REASONS.get(one.reason, _TENTATIVE), text))
+        self._feet = [mark for mark in self._feet if mark[0] >= since]
+        self._events = [mark for mark in self._events if mark[0] >= since]
+        for decision in analysis.decisions:
+            text = f"{clock_words(decision.t)} track {decision.track}: {words_of(decision)}"
+            self._lines.append((_REASONS.get(decision.reason, _TENTATIVE), text))
 
     def _drawn(self, analysis: Analysis) -> Image:
         """Return the drawn image of a frame that was remembered last."""
         height, width = analysis.frame.shape
         factor = WIDTH / max(height, width)
         high = 2 * round(factor * height / 2)  # video needs even numbers
-        drawn = np.full((high + LINES * LINE_PIXELS, WIDTH, 3), _GROUND, np.uint8)
-        image = drawn[:high, : round(factor * width)]
+        canvas = np.full((high + LINES * LINE_PIXELS, WIDTH, 3), _GROUND, np.uint8)
+        image = canvas[:high, : round(factor * width)]
         size = image.shape[1::-1]
         image[:] = cv2.resize(analysis.frame, size)[:, :, None]
 
@@ -137,26 +137,32 @@ class Preview:
         # Detections, tracks, events.
         state = "" if analysis.moving is not None else "  most of the image has changed"
         if analysis.detector is not None:
-            state += f"  detector {'' if analysis.detector.trusted else 'not '}trusted, "
+            state += f"  detector {'' if analysis.detector.is_trusted else 'not '}trusted, "
             state += f"agreement {analysis.detector.agreement:.2f}"
-            for one in analysis.detector.detections:
-                _draw_box(image, factor, one.box, f"{one.label} {one.score:.2f}", _DETECTION)
+            for detection in analysis.detector.detections:
+                _draw_box(
+                    image,
+                    factor,
+                    detection.box,
+                    f"{detection.label} {detection.score:.2f}",
+                    _DETECTION,
+                )
         for track in analysis.tracks:
             self._draw_track(image, track, factor, analysis.t)
         for _, event in self._events:
             _draw_event(image, event)
 
         # Words.
-        _write(drawn, (0, 0), f"{self._camera}  {clock_words(analysis.t)}{state}", _WORDS)
+        _write(canvas, (0, 0), f"{self._camera}  {clock_words(analysis.t)}{state}", _WORDS)
         for row, (colour, text) in enumerate(self._lines):
-            _write(drawn, (0, high + row * LINE_PIXELS), text, colour)
-        return drawn
+            _write(canvas, (0, high + row * LINE_PIXELS), text, colour)
+        return canvas
 
     def _draw_track(self, image: Image, track: Track, factor: float, t: float) -> None:
         """Draw box, number and path of a track at ``t`` (seconds)."""
-        lost = track.last.t < t
-        colour = _OBJECT if track.confirmed and not lost else _TENTATIVE
-        label = f"{track.number}{'' if track.confirmed else '?'}{' lost' if lost else ''}"
+        is_lost = track.last.t < t
+        colour = _OBJECT if track.confirmed and not is_lost else _TENTATIVE
+        label = f"{track.number}{'' if track.confirmed else '?'}{' lost' if is_lost else ''}"
         _draw_box(image, factor, track.last.box, label, colour)
         feet = [foot for _, number, foot in self._feet if number == track.number]
         if feet:

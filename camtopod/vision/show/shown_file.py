@@ -132,5 +132,5 @@ def _replace(path: Path, content: bytes) -> None:
 def _require_space(path: Path) -> None:
     """Raise `OSError` if the disk is nearly full."""
     if disk_usage(path.parent).free < FREE_BYTES_MIN:
-        left = f"less than {FREE_BYTES_MIN >> 20} MiB of the disk are free"
-        raise OSError(errno.ENOSPC, left)
+        reason = f"less than {FREE_BYTES_MIN >> 20} MiB of the disk are free"
+        raise OSError(errno.ENOSPC, reason)

@@ -96,9 +96,9 @@ class Source:
     state: State = "connecting"
     reason: str
     """Readable reason why the state is not ``running``; "" if it is. Contains no password."""
-    lost = False
+    is_lost = False
     """True if there are no frames, for a reason that more patience does not help against."""
-    grabbed = dropped = connections = failures = untrusted_stamps = 0
+    frames_grabbed = frames_dropped = connections = failures = untrusted_stamps = 0
     """Counters: frames, those that were not decoded or analysed, and so on."""
 
 

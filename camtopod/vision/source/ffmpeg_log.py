@@ -62,8 +62,8 @@ _FAULTS = {
 def reason_in(output: bytes) -> str:
     """Return the last recognised reason in FFmpeg's output; "" if there is none."""
     for line in reversed(output.splitlines()):
-        if refused := _REFUSED.search(line):
-            status = int(refused.group(1))
+        if match := _REFUSED.search(line):
+            status = int(match.group(1))
             return f"{_STATUSES.get(status, 'the camera refuses')} ({status})"
         if words := next((words for phrase, words in _PHRASES.items() if phrase in line), ""):
             return words
@@ -91,7 +91,7 @@ class FfmpegLog:
         _LIBC.fflush(None)
         output = self._pipe.read() or b""
         self._reason = reason_in(output) or self._reason
-        return next((words for words, said in _FAULTS.items() if re.search(said, output)), "")
+        return next((words for words, pattern in _FAULTS.items() if re.search(pattern, output)), "")
 
 
 NO_LOG = FfmpegLog()

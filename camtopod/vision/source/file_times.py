@@ -33,11 +33,11 @@ class FileTimes:
         """Interval of the latest frames, seconds."""
         self._offset = 0.0
         """Position of a frame minus its stamp."""
-        self._settled = -self.interval
+        self._last_position = -self.interval
         """Position of the latest frame whose stamp is not doubted."""
         self._stamp = -math.inf
-        self._doubted: list[float] = []
-        self.untrusted = 0
+        self._doubtful_stamps: list[float] = []
+        self.untrusted_count = 0
         """Number of stamps that were not believed."""
 
     @property
@@ -48,7 +48,7 @@ class FileTimes:
     @property
     def latest(self) -> float:
         """Position of the latest frame, guessed if its stamp is doubted."""
-        return self._settled + len(self._doubted) * self.interval
+        return self._last_position + len(self._doubtful_stamps) * self.interval
 
     def place(self, stamp: float) -> list[float]:
         """Return the positions of this frame and of those that waited, in order.
@@ -59,22 +59,22 @@ class FileTimes:
         sticks = 0.0 <= stamp - self._stamp < self.interval / INTERVALS
         self._stamp = stamp
         if 0.0 < position - self.latest <= self.gap and not sticks:
-            if not self._doubted:
-                step = min(position - self._settled, 2.0 * self.interval)
+            if not self._doubtful_stamps:
+                step = min(position - self._last_position, 2.0 * self.interval)
                 self.interval += (step - self.interval) / INTERVALS
             positions = [*self.rest(), position]
         else:
-            self._doubted.append(stamp)
-            if len(self._doubted) <= CONFIRMING_FRAMES:
+            self._doubtful_stamps.append(stamp)
+            if len(self._doubtful_stamps) <= CONFIRMING_FRAMES:
                 return []
             positions = self._confirmed() or self.rest()
-        self._settled = positions[-1]
-        self._doubted.clear()
+        self._last_position = positions[-1]
+        self._doubtful_stamps.clear()
         return positions
 
     def _confirmed(self) -> list[float]:
         """Return the positions of the doubted frames by their stamps; empty if they are wrong."""
-        steps = [b - a for a, b in pairwise(self._doubted)]
+        steps = [b - a for a, b in pairwise(self._doubtful_stamps)]
         pace = sum(steps) / len(steps)
         alike = max(steps) <= INTERVALS * min(steps)
         is_gap = max(steps) > self.gap and not alike
@@ -83,16 +83,19 @@ class FileTimes:
 
         # A time base that begins earlier goes on from here. Positions that are a little ahead wait
         # for the stamps, as one that was believed was wrong, or the interval is not exact.
-        if self._settled - (self._doubted[0] + self._offset) > self.gap:
-            self._offset = self._settled + self.interval - self._doubted[0]
+        if self._last_position - (self._doubtful_stamps[0] + self._offset) > self.gap:
+            self._offset = self._last_position + self.interval - self._doubtful_stamps[0]
         if alike:
             self.interval = pace
-        positions = [self._settled]
-        for stamp in self._doubted:
+        positions = [self._last_position]
+        for stamp in self._doubtful_stamps:
             positions.append(max(positions[-1] + self.interval / INTERVALS, stamp + self._offset))
         return positions[1:]
 
     def rest(self) -> list[float]:
         """Return the positions of the frames that wait, by the interval of the latest ones."""
-        self.untrusted += len(self._doubted)
-        return [self._settled + n * self.interval for n in range(1, len(self._doubted) + 1)]
+        self.untrusted_count += len(self._doubtful_stamps)
+        return [
+            self._last_position + n * self.interval
+            for n in range(1, len(self._doubtful_stamps) + 1)
+        ]

@@ -52,8 +52,8 @@ class StampClock:
         if not 0.0 < step <= elapsed + WINDOW_SECONDS:
             self._minima.clear()
             self._first = self._last
-        faded = self._delay_max * (1.0 - elapsed / WINDOW_SECONDS)
-        self._delay_max = max(PROMPT_SECONDS, elapsed, faded)
+        old_delay = self._delay_max * (1.0 - elapsed / WINDOW_SECONDS)
+        self._delay_max = max(PROMPT_SECONDS, elapsed, old_delay)
 
         # Minimum of a sliding window: keep ascending offsets only, drop those too old.
         offset = arrival - stamp
@@ -75,9 +75,9 @@ class StampClock:
             return None
         since = self._minima[-1][0] - 2.0 * self._delay_max
         lately = next(offset for at, offset in self._minima if at >= since)
-        captured = stamp + self._minima[0][1]
+        capture_t = stamp + self._minima[0][1]
         is_prompt = lately - self._minima[0][1] <= self._delay_max
-        return captured if is_prompt and -WINDOW_SECONDS <= captured - arrival <= 0.0 else None
+        return capture_t if is_prompt and -WINDOW_SECONDS <= capture_t - arrival <= 0.0 else None
 
     @property
     def outran(self) -> bool:

@@ -76,7 +76,7 @@ class LiveSource(Source):
         """By how many seconds the wall clock has been set since then."""
         self._latest = float("-inf")
         """Capture time of the latest frame."""
-        self._called: float | None = None
+        self._call_start: float | None = None
         self._patient = False
         """True if the source is known to need patience."""
 
@@ -101,10 +101,10 @@ class LiveSource(Source):
     @property
     def overdue_seconds(self) -> float:
         """Time that the current call of OpenCV has exceeded its timeouts by; 0.0 if all is well."""
-        called = self._called
-        if called is None:
+        call_start = self._call_start
+        if call_start is None:
             return 0.0
-        return max(0.0, time.monotonic() - called - self._blocked_seconds_max)
+        return max(0.0, time.monotonic() - call_start - self._blocked_seconds_max)
 
     @property
     def _blocked_seconds_max(self) -> float:
@@ -146,41 +146,43 @@ class LiveSource(Source):
 
         `_called` marks the begin of each call that may block.
         """
-        self._called = time.monotonic()
+        self._call_start = time.monotonic()
         capture = Capture(
             self._source, self._settings, self._colour, self._ffmpeg_log, self._patient
         )
         try:
             if not capture.is_open:
-                why = why_not_opened(self._source, self._ffmpeg_log)
-                return f"the source cannot be opened{why and ': '}{why}"
+                reason = why_not_opened(self._source, self._ffmpeg_log)
+                return f"the source cannot be opened{reason and ': '}{reason}"
             self.connections += 1
             return no_stream(self._source, capture, 0, StampClock()) or self._read(capture)
         finally:
-            self._called = time.monotonic()
+            self._call_start = time.monotonic()
             capture.release()
-            self._called = None
+            self._call_start = None
 
     def _read(self, capture: Capture) -> str:
         """Pass frames on until the source dies; return the reason."""
         clock = StampClock()
         selector = FrameSelector(self._settings.analysed_fps)
-        self.observed = Observed(capture, self._settings)
-        held: list[tuple[float, float, Frame]] = []
-        began = decoded = time.monotonic()
+        self.observation = Observed(capture, self._settings)
+        held_frames: list[tuple[float, float, Frame]] = []
+        start = last_decode = time.monotonic()
         frames = 0
         moment = float("-inf")
         while not self._stop.is_set():
             # Grab a frame.
-            self._called = asked = time.monotonic()
+            self._call_start = call_start = time.monotonic()
             stamp = capture.grab()
             arrival = time.monotonic()
             if stamp is None:
-                return self._why_ended(capture, clock, frames, arrival - asked, decoded - began)
+                return self._why_ended(
+                    capture, clock, frames, arrival - call_start, last_decode - start
+                )
             if not frames:
-                began = decoded = arrival
+                start = last_decode = arrival
             frames += 1
-            self.grabbed += 1
+            self.frames_grabbed += 1
 
             # Decode it if it is to be analysed.
             clock.record(stamp, arrival)
@@ -188,37 +190,42 @@ class LiveSource(Source):
             frame = None
             if selector.wants(moment):
                 frame = capture.frame()
-                self.dropped += frame is None
+                self.frames_dropped += frame is None
             if frame is not None:
-                decoded = arrival
-                held.append((stamp, arrival, frame))
-            if arrival - decoded > CALL_SECONDS_MAX:
+                last_decode = arrival
+                held_frames.append((stamp, arrival, frame))
+            if arrival - last_decode > CALL_SECONDS_MAX:
                 self._lose(f"frames come, none can be decoded: {capture.fault}")
 
             # Hold it until the clock has settled, then pass it on with its capture time.
-            if arrival - began < SETTLE_SECONDS:
+            if arrival - start < SETTLE_SECONDS:
                 continue
-            self.observed.add(arrival, None if frame is None else frame.luma)
-            if held:
+            self.observation.add(arrival, None if frame is None else frame.luma)
+            if held_frames:
                 self.state = "running"
-                self.reason = "; ".join(self.observed.remarks)
-                self.lost = False
-                for one in held:
-                    self._hand_on(clock, *one)
-                held.clear()
+                self.reason = "; ".join(self.observation.remarks)
+                self.is_lost = False
+                for held_frame in held_frames:
+                    self._hand_on(clock, *held_frame)
+                held_frames.clear()
         return "closed"
 
     def _why_ended(
-        self, capture: Capture, clock: StampClock, frames: int, waited: float, ran: float
+        self,
+        capture: Capture,
+        clock: StampClock,
+        frames: int,
+        wait_seconds: float,
+        run_seconds: float,
     ) -> str:
         """Return why a connection gives no frame any more, and note if it needs more patience.
 
         frames: number of its frames.
-        waited: time that the last call took, seconds.
-        ran: time from its first frame to the last one that was decoded, seconds.
+        wait_seconds: time that the last call took, seconds.
+        run_seconds: time from its first frame to the last one that was decoded, seconds.
         """
-        timed_out = waited > call_seconds_max(self._patient) / 2
-        self._patient |= (timed_out and ran < OBSERVED_SECONDS) or (
+        timed_out = wait_seconds > call_seconds_max(self._patient) / 2
+        self._patient |= (timed_out and run_seconds < OBSERVED_SECONDS) or (
             not frames and capture.size == (0, 0)
         )
         if not frames:
@@ -230,12 +237,12 @@ class LiveSource(Source):
             or "the source ended or closed the connection"
         )
 
-    def _lose(self, reason: str, lost: bool = True) -> None:
+    def _lose(self, reason: str, is_lost: bool = True) -> None:
         """Say that there are no frames, or none any more.
 
-        lost: more patience does not help.
+        is_lost: more patience does not help.
         """
-        self.lost = lost
+        self.is_lost = is_lost
         self.state = "stalled" if self._latest > float("-inf") else "connecting"
         self.reason = reason.removesuffix(": ")
 
@@ -245,19 +252,19 @@ class LiveSource(Source):
         If the queue is full, a frame of a burst waits for as long as it came late, as the next
         burst takes as long to come; then it is dropped.
         """
-        captured = clock.captured(stamp, arrival)
-        self.untrusted_stamps += captured is None
-        t = captured or arrival
+        capture_t = clock.captured(stamp, arrival)
+        self.untrusted_stamps += capture_t is None
+        t = capture_t or arrival
         if t <= self._latest:
-            self.dropped += 1
+            self.frames_dropped += 1
             return
         self._latest = t
         shift = self._wall_clock() - time.monotonic() - self._ahead
         if abs(shift - self._shift) > PROMPT_SECONDS:  # capture times are no more exact
             self._shift = shift
         frame = frame._replace(t=t + self._ahead, shift=self._shift)
-        self._called = None
+        self._call_start = None
         try:
             self._queue.put(frame, timeout=arrival - t)
         except queue.Full:
-            self.dropped += 1
+            self.frames_dropped += 1

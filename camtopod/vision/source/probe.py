@@ -92,7 +92,7 @@ class SettledPicture:
         self._frames: list[Frame] = []
         self.seconds = 0.0
         """Time from the first to the latest frame."""
-        self.settled = False
+        self.is_settled = False
         """True if the medians of both halves look the same."""
 
     def add(self, frame: Frame) -> None:
@@ -102,14 +102,14 @@ class SettledPicture:
             self._frames.append(frame._replace(image=narrowed(frame.image, PICTURE_WIDTH_MAX)))
         self.seconds = frame.t - self._frames[0].t
         if due and self.seconds >= SETTLE_SECONDS_MIN:
-            lumas = np.stack([one.luma for one in self._frames])
+            lumas = np.stack([frame.luma for frame in self._frames])
             half = len(lumas) // 2
             change = cv2.absdiff(_median(lumas[:half]), _median(lumas[half:]))
-            self.settled = bool(np.mean(change > DIFFERENCE_MIN) <= UNSETTLED_SHARE_MAX)
+            self.is_settled = bool(np.mean(change > DIFFERENCE_MIN) <= UNSETTLED_SHARE_MAX)
 
     def picture(self) -> Luma:
         """Return the median of the images (H, W, 3)."""
-        images = [one.image for one in self._frames if one.image is not None]
+        images = [frame.image for frame in self._frames if frame.image is not None]
         return np.stack([_median(np.stack(rows)) for rows in zip(*images, strict=True)])
 
 
@@ -119,7 +119,7 @@ def probe(request: ProbeRequest, ffmpeg_log: FfmpegLog) -> Probe:
     Takes at most `PROBE_SECONDS_MAX`, with a picture plus `SETTLE_SECONDS_MAX`. Never raises for a
     source that does not work.
     """
-    settled = SettledPicture() if request.picture else None
+    settled_picture = SettledPicture() if request.picture else None
     colour = request.picture or bool(request.detector.model)
     settings = request.settings
     try:
@@ -129,44 +129,48 @@ def probe(request: ProbeRequest, ffmpeg_log: FfmpegLog) -> Probe:
         else:
             source = LiveSource(request.source, settings, time.monotonic, ffmpeg_log, colour)
         with closing(source):
-            frame = _watched(source, settled)
+            frame = _watched(source, settled_picture)
     except OSError as error:
         return Probe(error.strerror or str(error).removeprefix(f"{request.source}: "))
-    if frame is None or source.lost:
+    if frame is None or source.is_lost:
         reason = source.reason.partition(RETRY_SEPARATOR)[0]
         return Probe(reason.removeprefix("the source "))
 
-    observed = source.observed
-    if not observed.fps:
-        observed.judge()
-    seen = Probe("", observed.codec, *observed.size, observed.fps, observed.remarks)
+    observation = source.observation
+    if not observation.fps:
+        observation.judge()
+    result = Probe("", observation.codec, *observation.size, observation.fps, observation.remarks)
     if request.detector.model:
-        seen.detector = try_model(request.detector, frame.image)
-    if settled is not None:
-        seen.picture = cv2.imencode(".jpg", settled.picture())[1].tobytes()
-        if not settled.settled:
-            seen.remarks.append(
-                f"the scene has not settled within {settled.seconds:.0f} s, so its picture may "
-                "show people: take it again with `camtopod check --probe`"
+        result.detector = try_model(request.detector, frame.image)
+    if settled_picture is not None:
+        result.picture = cv2.imencode(".jpg", settled_picture.picture())[1].tobytes()
+        if not settled_picture.is_settled:
+            result.remarks.append(
+                f"the scene has not settled within {settled_picture.seconds:.0f} s, so its picture "
+                "may show people: take it again with `camtopod check --probe`"
             )
-    return seen
+    return result
 
 
-def _watched(source: RecordedSource | LiveSource, settled: SettledPicture | None) -> Frame | None:
+def _watched(
+    source: RecordedSource | LiveSource, settled_picture: SettledPicture | None
+) -> Frame | None:
     """Return the latest frame, once enough is known of the source; None if it gives none."""
     deadline = time.monotonic() + PROBE_SECONDS_MAX
     latest = None
     for frame in source.frames():
         if frame is not None:
             latest = frame
-            if settled is not None:
-                settled.add(frame)
-            counted = source.observed.fps or source.observed.seconds >= PROBE_SECONDS
-            if counted and (
-                settled is None or settled.settled or settled.seconds >= SETTLE_SECONDS_MAX
+            if settled_picture is not None:
+                settled_picture.add(frame)
+            is_counted = source.observation.fps or source.observation.seconds >= PROBE_SECONDS
+            if is_counted and (
+                settled_picture is None
+                or settled_picture.is_settled
+                or settled_picture.seconds >= SETTLE_SECONDS_MAX
             ):
                 break
-        elif source.lost or time.monotonic() > deadline:
+        elif source.is_lost or time.monotonic() > deadline:
             break
     return latest
 

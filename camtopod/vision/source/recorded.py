@@ -44,8 +44,8 @@ class RecordedSource(Source):
 
         Raises `OSError`, `SourceError`.
         """
-        if why := _no_file(path):
-            raise SourceError(f"{path}: {why}")
+        if reason := _no_file(path):
+            raise SourceError(f"{path}: {reason}")
         self._path = path
         self._selector = FrameSelector(settings.analysed_fps)
         self._start = start
@@ -53,10 +53,12 @@ class RecordedSource(Source):
         self._capture = Capture(path, settings, colour, ffmpeg_log)
         if not self._capture.is_open:
             self.close()
-            why = ffmpeg_log.newest_reason()
-            raise SourceError(f"{path}: not a video this program can decode{why and ': '}{why}")
+            reason = ffmpeg_log.newest_reason()
+            raise SourceError(
+                f"{path}: not a video this program can decode{reason and ': '}{reason}"
+            )
         self._times = FileTimes(self._capture.fps)
-        self.observed = Observed(self._capture, settings)
+        self.observation = Observed(self._capture, settings)
         self.reason = "not read yet"
         self.connections = 1
         self.overdue_seconds = 0.0
@@ -71,69 +73,71 @@ class RecordedSource(Source):
         waiting: list[Frame | None] = []
         """Frames whose positions are not known yet; None for those that are not analysed."""
         failures = 0
-        began = time.monotonic()
+        start = time.monotonic()
         while self._capture.is_open and failures <= FAILURES_MAX:
             stamp = self._capture.grab()
             if stamp is None:
                 failures += 1
                 continue
-            self.dropped += failures
+            self.frames_dropped += failures
             failures = 0
-            self.grabbed += 1
+            self.frames_grabbed += 1
 
             # Decode it if it is to be analysed, and yield it when its position is known.
             positions = self._times.place(stamp)
             waiting.append(None)
             if self._selector.wants(self._times.latest):
                 waiting[-1] = self._capture.frame()
-                self.dropped += waiting[-1] is None
+                self.frames_dropped += waiting[-1] is None
             if positions:
-                yield from self._placed(waiting, positions, began)
+                yield from self._placed(waiting, positions, start)
                 waiting.clear()
 
-        yield from self._placed(waiting, self._times.rest(), began)
+        yield from self._placed(waiting, self._times.rest(), start)
         if self._capture.is_open:
             self._end()
 
     def _placed(
-        self, frames: list[Frame | None], positions: list[float], began: float
+        self, frames: list[Frame | None], positions: list[float], start: float
     ) -> Iterator[Frame | None]:
         """Yield frames with their positions, in real time if that was asked for."""
-        self.untrusted_stamps = self._times.untrusted
+        self.untrusted_stamps = self._times.untrusted_count
         for frame, position in zip(frames, positions, strict=True):
-            self.observed.add(position, None if frame is None else frame.luma)
+            self.observation.add(position, None if frame is None else frame.luma)
             if frame is not None:
                 self.state = "running"
-                self.reason = "; ".join(self.observed.remarks)
+                self.reason = "; ".join(self.observation.remarks)
                 if self._realtime:
-                    yield from _until(began + position)
+                    yield from _until(start + position)
                 yield frame._replace(t=self._start + position)
 
     def _end(self) -> None:
         """Say how much was read. Raises `SourceError` if that was nothing."""
         fault = self._capture.fault
         if self.state == "connecting":
-            why = f"no frame in it can be decoded ({self._capture.codec}){fault and ': '}{fault}"
-            raise SourceError(f"{self._path}: {why}")
+            reason = f"no frame in it can be decoded ({self._capture.codec}){fault and ': '}{fault}"
+            raise SourceError(f"{self._path}: {reason}")
         self.state = "ended"
-        read = self._times.latest + self._times.interval
-        if not self.observed.fps:
-            self.observed.judge()
-        end = max(read, self._capture.seconds)
-        said = "; ".join(
+        read_seconds = self._times.latest + self._times.interval
+        if not self.observation.fps:
+            self.observation.judge()
+        end = max(read_seconds, self._capture.seconds)
+        faults = "; ".join(
             filter(
                 None,
                 [
-                    "the video ends early, or begins late" if end > read + self._times.gap else "",
-                    fault if self.dropped else "",
-                    *self.observed.remarks,
+                    "the video ends early, or begins late"
+                    if end > read_seconds + self._times.gap
+                    else "",
+                    fault if self.frames_dropped else "",
+                    *self.observation.remarks,
                     f"{self.untrusted_stamps} time stamps not believed"
                     if self.untrusted_stamps
                     else "",
                 ],
             )
         )
-        self.reason = f"{read:.1f} s of {end:.1f} s read{said and f' ({said})'}"
+        self.reason = f"{read_seconds:.1f} s of {end:.1f} s read{faults and f' ({faults})'}"
 
     def close(self) -> None:
         """Release the file."""
@@ -158,6 +162,6 @@ def _no_file(source: str) -> str:
 
 def _until(due: float) -> Iterator[None]:
     """Sleep until ``due`` on the monotonic clock, yielding None now and then."""
-    while (remaining := due - time.monotonic()) > 0:
-        time.sleep(min(remaining, HEARTBEAT_SECONDS))
+    while (seconds_left := due - time.monotonic()) > 0:
+        time.sleep(min(seconds_left, HEARTBEAT_SECONDS))
         yield None

@@ -54,7 +54,7 @@ class Observed:
         """Time that has been observed since the remarks, seconds."""
         self._frames = 0
         self._contrast = 0.0
-        self._changed = False
+        self._has_changed = False
 
     def add(self, t: float, luma: Luma | None) -> None:
         """Take a frame at ``t`` (seconds) into account; ``luma`` (H, W) if it was decoded."""
@@ -63,7 +63,7 @@ class Observed:
             self.seconds += min(t - self._latest, OBSERVED_SECONDS)  # a file may pause
         self._latest = t
         if luma is not None:
-            self._changed |= self._luma is not None and not np.array_equal(luma, self._luma)
+            self._has_changed |= self._luma is not None and not np.array_equal(luma, self._luma)
             self._contrast = max(self._contrast, float(luma.std()))
             self._luma = luma
         if self.seconds >= OBSERVED_SECONDS:
@@ -72,13 +72,13 @@ class Observed:
     def judge(self) -> None:
         """Make the remarks, by the frames since the last time."""
         self.fps = round(self._frames / self.seconds, 3) if self.seconds else 0.0
-        lost = "fast walkers are missed" if self.fps >= 1.0 else "people cannot be followed"
+        consequence = "fast walkers are missed" if self.fps >= 1.0 else "people cannot be followed"
         remarks = {
             "the picture has hardly any contrast: is the lens covered?": (
                 self._contrast < CONTRAST_MIN
             ),
-            f"the frame rate is so low that {lost}: set the camera to 5 frames a second or more, "
-            "unless this machine is too busy": (0.0 < self.fps < FPS_MIN),
+            f"the frame rate is so low that {consequence}: set the camera to 5 frames a second or "
+            "more, unless this machine is too busy": (0.0 < self.fps < FPS_MIN),
             "the picture is larger than needed: "
             "a smaller stream of the camera takes less of this machine's capacity": (
                 max(self.size) > IMAGE_WIDTH_MAX
@@ -87,7 +87,7 @@ class Observed:
                 self.size[0] < self._width_min
             ),
             f"the picture has not changed for {self.seconds:.0f} s: is the camera frozen?": (
-                not self._changed and self.seconds >= OBSERVED_SECONDS
+                not self._has_changed and self.seconds >= OBSERVED_SECONDS
             ),
         }
         self.remarks = [remark for remark, holds in remarks.items() if holds]
@@ -114,8 +114,8 @@ def no_frame(capture: Capture) -> str:
     """Return why an open source may give no frame."""
     if capture.fault not in ("", DAMAGED):
         return f"{capture.fault} ({capture.codec})"
-    come = capture.fault or capture.size == (0, 0)
-    return "data come, but no keyframe yet" if come else "no data come, or no keyframe yet"
+    has_data = capture.fault or capture.size == (0, 0)
+    return "data come, but no keyframe yet" if has_data else "no data come, or no keyframe yet"
 
 
 def no_stream(source: str, capture: Capture, frames: int, clock: StampClock) -> str:

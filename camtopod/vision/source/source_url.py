@@ -72,8 +72,8 @@ def percent_encoded(url: str) -> str:
     match = _SCHEME.match(url)
     if match is None:
         return url
-    scheme, rest = match.groups()
-    begins = _HOST.match(rest)
+    scheme, remainder = match.groups()
+    begins = _HOST.match(remainder)
     if begins is not None and begins["address"]:
         return url
 
@@ -81,18 +81,18 @@ def percent_encoded(url: str) -> str:
     ranks = [
         (
             bool(host["address"] or host["port"] or "." in host["name"]),
-            "?" not in rest[: at.start()],
+            "?" not in remainder[: at.start()],
             bool(host["address"]),
             at.start(),
         )
-        for at in re.finditer("@", rest)
-        if (host := _HOST.match(rest, at.end()))
+        for at in re.finditer("@", remainder)
+        if (host := _HOST.match(remainder, at.end()))
     ]
     is_likely, _, _, end = max(ranks, default=(False, False, False, -1))
     if end < 0 or (begins is not None and not (begins["port"] and is_likely)):
         return url  # no user name
-    user, colon, password = rest[:end].partition(":")
-    return f"{scheme}://{_quoted(user)}{colon}{_quoted(password)}{rest[end:]}"
+    user, colon, password = remainder[:end].partition(":")
+    return f"{scheme}://{_quoted(user)}{colon}{_quoted(password)}{remainder[end:]}"
 
 
 def _quoted(text: str) -> str:

@@ -33,17 +33,17 @@ Costs = Callable[[Track, Sequence[Blob]], list[float]]
 
 
 def group_in(
-    blob: Blob, expected: Sequence[tuple[Track, Box]], crossings: Crossings
+    blob: Blob, predictions: Sequence[tuple[Track, Box]], crossings: Crossings
 ) -> list[Track]:
     """Return the tracks whose people the blob covers, none unless it is larger than each of them.
 
     One of them at least is confirmed, and the tentative ones are about as tall, unlike fragments.
 
-    expected: tracks that it may cover, with their expected boxes.
+    predictions: tracks that it may cover, with their expected boxes.
     """
     inside = [
         track
-        for track, box in expected
+        for track, box in predictions
         if contains_centre(blob.box, box) and not crossings.comes_in(track, blob.box)
     ]
     tallest = max((track.height for track in inside if track.confirmed), default=np.inf)
@@ -94,15 +94,15 @@ def best_pairs(
 
 
 def costs_by_points(
-    track: Track, blobs: Sequence[Blob], expected: float, crossings: Crossings
+    track: Track, blobs: Sequence[Blob], expected_height: float, crossings: Crossings
 ) -> list[float]:
     """Return for each blob the distance of head and foot in gates.
 
     Tentative tracks have a higher cost, so that they yield to confirmed ones.
-    expected: height of a person where the track is, pixels; 0 if unknown.
+    expected_height: height of a person where the track is, pixels; 0 if unknown.
     """
     head_x, head_y, foot_x, foot_y = track.kalman.position
-    gate = GATE_HEIGHTS * max(track.size, expected) + SIGMAS * track.kalman.uncertainty
+    gate = GATE_HEIGHTS * max(track.size, expected_height) + SIGMAS * track.kalman.uncertainty
     height_min = PIECE_HEIGHT_MIN * track.height if track.confirmed else 0.0
 
     costs = [_NEVER] * len(blobs)

@@ -51,7 +51,7 @@ class Crossings:
         width: int,
         height: int,
         doors: Sequence[Polygon],
-        ignored: IgnoredAreas,
+        ignored_areas: IgnoredAreas,
         take: Callable[[Decision], None],
     ) -> None:
         """Prepare for a working image of ``width`` x ``height`` pixels.
@@ -63,11 +63,11 @@ class Crossings:
         self._take = take
         self.size = (width, height)
         self._margin = BORDER_SHARE * (width**2 + height**2) ** 0.5
-        self._ignored = ignored
+        self._ignored_areas = ignored_areas
         self.doors = Doors(width, height, self._margin, doors)
         self.anywhere = False
         """Objects may enter and leave in mid-view, where a detector is trusted."""
-        self.began = -inf
+        self.start_t = -inf
         """Time of the first frame, seconds: there are no earlier events."""
         self.now = -inf
         """Capture time of the newest frame, seconds; `LATENESS_SECONDS_MAX` counts from there."""
@@ -105,7 +105,7 @@ class Crossings:
 
     def touches(self, box: Box) -> bool:
         """Return True if the border of the image or an ignored area cuts the box."""
-        return touches_border(box, self.size) or self._ignored.cut(box)
+        return touches_border(box, self.size) or self._ignored_areas.cut(box)
 
     def at_edge(self, track: Track) -> Edge | None:
         """Return the edge at which the track was last seen, if objects leave there."""
@@ -127,16 +127,18 @@ class Crossings:
             (bottom, -dy, "top border"),
             (self.size[1] - bottom, dy, "bottom border"),
         )
-        reached = [
+        near_borders = [
             (distance, border)
             for distance, way, border in borders
             if distance <= max(self._margin, way)
         ]
-        if reached:
-            return min(reached)[1]
+        if near_borders:
+            return min(near_borders)[1]
 
         # Another edge is an ignored area on its way, or a door.
-        if self._ignored.lead_out(at.foot, (dx, dy), self._margin + hypot(dx, dy), self._margin):
+        if self._ignored_areas.lead_out(
+            at.foot, (dx, dy), self._margin + hypot(dx, dy), self._margin
+        ):
             return "ignored area"
         return self.doors.door_at(*at.foot, track.height)
 
@@ -168,19 +170,19 @@ class Crossings:
 
     # -- what ------------------------------
 
-    def entries(self, appeared: Sequence[Track], active: Sequence[Track]) -> list[Event]:
+    def entries(self, new_tracks: Sequence[Track], active: Sequence[Track]) -> list[Event]:
         """Return the entries of tracks that became objects, and learn where people walk.
 
         active: all tracks.
         """
-        events = [event for track in appeared for event in self._entry(track)]
+        events = [event for track in new_tracks for event in self._entry(track)]
 
         # A track that began in mid-view is evidence of a door once it has moved far enough. Cells
         # that people walk through are evidence against doors.
         for track in active:
             if track.began_in_view and _has_walked(track):
                 track.began_in_view = False
-                self.doors.unexplained.append(track.first.foot)
+                self.doors.unexplained_points.append(track.first.foot)
             if track.confirmed:
                 track.cells.add(self.doors.cell(*track.last.foot))
         return events
@@ -191,7 +193,7 @@ class Crossings:
         if edge is None and self.anywhere and not track.beside_others:
             edge = "mid-view"
         if track.from_start or (
-            edge is not None and self._at_border(track, track.first, edge, -1.0).t < self.began
+            edge is not None and self._at_border(track, track.first, edge, -1.0).t < self.start_t
         ):
             self.note("from start", track, track.first)
             return []
@@ -203,8 +205,8 @@ class Crossings:
 
     def exit_of(self, track: Track) -> list[Event]:
         """Return the exit of an object whose track ends, if it has left."""
-        if track.unmet is not None:
-            self.note(track.unmet[0], track, track.last, None, *track.unmet[1:])
+        if track.unmet_condition is not None:
+            self.note(track.unmet_condition[0], track, track.last, None, *track.unmet_condition[1:])
             return []
 
         # It has walked through the cells except where it began and ended.
@@ -212,15 +214,15 @@ class Crossings:
         self.doors.record_walk(track.cells - ends)
 
         edge = self.at_edge(track)
-        if edge is None and self.anywhere and not track.occluded:
+        if edge is None and self.anywhere and not track.is_occluded:
             edge = "mid-view"
         if edge is not None:
             return self._told("exit", track, track.last, edge)
 
         # A track that is lost in mid-view may be evidence of a door.
-        self.note("occluded" if track.occluded else "lost", track, track.last)
-        if _has_walked(track) and not track.occluded:
-            self.doors.unexplained.append(track.last.foot)
+        self.note("occluded" if track.is_occluded else "lost", track, track.last)
+        if _has_walked(track) and not track.is_occluded:
+            self.doors.unexplained_points.append(track.last.foot)
         return []
 
     def _told(self, kind: Kind, track: Track, at: Sighting, edge: Edge | None) -> list[Event]:

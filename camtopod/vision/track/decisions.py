@@ -68,7 +68,7 @@ class Decision(NamedTuple):
     """Capture time (seconds) of the first sighting for a beginning, of the last one for an end."""
     place: tuple[float, float]
     """Foot point of that sighting, as fractions of the image."""
-    began: float
+    first_t: float
     """Capture time of the first sighting, seconds."""
     edge: Edge | None = None
     value: float = 0.0

@@ -37,20 +37,21 @@ class Doors:
     """Doors of one view, named and learned; positions in pixels of the working image.
 
     radius_min: least radius of a learned door, for objects far away.
-    named: doors of the settings, in fractions of the image.
+    polygons: doors of the settings, in fractions of the image.
     """
 
     def __init__(
-        self, width: int, height: int, radius_min: float, named: Sequence[Polygon] = ()
+        self, width: int, height: int, radius_min: float, polygons: Sequence[Polygon] = ()
     ) -> None:
         self._size = (width, height)
         self._radius_min = radius_min
-        self._named = [
-            np.array([(x * width, y * height) for x, y in polygon], np.float32) for polygon in named
+        self._polygons = [
+            np.array([(x * width, y * height) for x, y in polygon], np.float32)
+            for polygon in polygons
         ]
-        self.unexplained: deque[tuple[float, float]] = deque(maxlen=SAMPLES_MAX)
+        self.unexplained_points: deque[tuple[float, float]] = deque(maxlen=SAMPLES_MAX)
         """Foot points where tracks began or ended in mid-view without explanation."""
-        self._passed = np.zeros(GRID, np.int32)
+        self._pass_counts = np.zeros(GRID, np.int32)
 
     def cell(self, x: float, y: float) -> tuple[int, int]:
         """Return the grid cell (row, column) of a foot point."""
@@ -63,7 +64,7 @@ class Doors:
         feet: cells as returned by `cell`.
         """
         for row, column in feet:
-            self._passed[row, column] += 1
+            self._pass_counts[row, column] += 1
 
     def door_at(self, x: float, y: float, height: float) -> Door | None:
         """Return which door an object uses that begins or ends at this foot point, if any.
@@ -71,12 +72,12 @@ class Doors:
         height: the object's height, pixels.
         """
         radius = DOOR_HEIGHTS * height
-        if any(_is_at(place, x, y, radius) for place in self._named):
+        if any(_is_at(place, x, y, radius) for place in self._polygons):
             return "named door"
 
         radius = max(radius, self._radius_min)
-        near = sum(dist(place, (x, y)) <= radius for place in self.unexplained)
-        if near >= DOOR_EVENTS_MIN and near > int(self._passed[self.cell(x, y)]):
+        near = sum(dist(place, (x, y)) <= radius for place in self.unexplained_points)
+        if near >= DOOR_EVENTS_MIN and near > int(self._pass_counts[self.cell(x, y)]):
             return "learned door"
         return None
 
@@ -85,7 +86,7 @@ class Doors:
 
         height: expected height (pixels) of a person whose feet are in a given row, if known.
         """
-        places = {self.cell(x, y): (x, y) for x, y in self.unexplained}
+        places = {self.cell(x, y): (x, y) for x, y in self.unexplained_points}
         return [
             (x, y)
             for x, y in places.values()

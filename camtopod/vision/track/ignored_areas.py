@@ -19,16 +19,16 @@ from camtopod.vision.detect import Luma
 class IgnoredAreas:
     """Ignored areas of one view; positions in pixels of the working image.
 
-    watched (H, W): 0 at ignored pixels.
+    watched_mask (H, W): 0 at ignored pixels.
     """
 
-    def __init__(self, watched: Luma) -> None:
-        self._ignored = np.asarray(watched) == 0
-        self._sums = cv2.integral(self._ignored.astype(np.uint8))  # (H + 1, W + 1)
+    def __init__(self, watched_mask: Luma) -> None:
+        self._ignored_mask = np.asarray(watched_mask) == 0
+        self._sums = cv2.integral(self._ignored_mask.astype(np.uint8))  # (H + 1, W + 1)
 
     def cut(self, box: Box) -> bool:
         """Return True if an ignored area cuts the box or touches it."""
-        height, width = self._ignored.shape
+        height, width = self._ignored_mask.shape
         left, right = (int(min(max(x, 0), width)) for x in (box[0] - TOUCH_PIXELS, box[2] + 2))
         top, bottom = (int(min(max(y, 0), height)) for y in (box[1] - TOUCH_PIXELS, box[3] + 2))
         sums = self._sums
@@ -44,7 +44,7 @@ class IgnoredAreas:
         heading: direction of the way (x, y), of any length.
         margin: pixels that may be left between an area and the border of the image.
         """
-        height, width = self._ignored.shape
+        height, width = self._ignored_mask.shape
         length = hypot(*heading)
         if length == 0.0 or not self._sums[-1, -1]:
             return False
@@ -55,11 +55,11 @@ class IgnoredAreas:
         columns = np.floor(start[0] + steps * heading[0] / length).astype(int)
         rows = np.floor(start[1] + steps * heading[1] / length).astype(int)
         inside = (columns >= 0) & (columns < width) & (rows >= 0) & (rows < height)
-        way = self._ignored[rows[inside], columns[inside]]
+        way = self._ignored_mask[rows[inside], columns[inside]]
 
         # Where the area begins and ends on it.
         begins = int(way.argmax())
         if not way[begins] or begins > lead:
             return False
-        rest = way[begins:]
-        return bool(rest.all()) or len(rest) - int(rest.argmin()) <= margin
+        way_out = way[begins:]
+        return bool(way_out.all()) or len(way_out) - int(way_out.argmin()) <= margin

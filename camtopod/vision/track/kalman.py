@@ -25,9 +25,9 @@ SIGMAS = 2
 class Kalman:
     """Kalman filter of one object."""
 
-    def __init__(self, measured: Vector, height: float) -> None:
-        """Start at rest at ``measured``; ``height`` of the person in pixels."""
-        self.position = measured
+    def __init__(self, measurement: Vector, height: float) -> None:
+        """Start at rest at ``measurement``; ``height`` of the person in pixels."""
+        self.position = measurement
         self.velocity: Vector = (0.0, 0.0, 0.0, 0.0)
         self._pp = (MEASUREMENT * height) ** 2
         self._pv = 0.0
@@ -41,12 +41,12 @@ class Kalman:
         self._pv += dt * self._vv + noise * dt**3 / 2
         self._vv += noise * dt**2
 
-    def update(self, measured: Vector, height: float) -> None:
+    def update(self, measurement: Vector, height: float) -> None:
         """Correct the state by a measurement."""
         spread = self._pp + (MEASUREMENT * height) ** 2
         gain_p = self._pp / spread
         gain_v = self._pv / spread
-        residual = _moved(measured, -1.0, self.position)
+        residual = _moved(measurement, -1.0, self.position)
         self.position = _moved(self.position, gain_p, residual)
         self.velocity = _moved(self.velocity, gain_v, residual)
         self._vv -= gain_v * self._pv

@@ -41,17 +41,17 @@ class Stature:
             return
         _, rows, heights = np.array(self._samples).T
         self._middle = float(np.median(heights))
-        kept = np.ones(len(rows), bool)
+        mask = np.ones(len(rows), bool)
         slope = 0.0
         base = self._middle
         for _ in range(3):
-            if np.ptp(rows[kept]) > self._middle:
-                x, y = rows[kept], heights[kept]
+            if np.ptp(rows[mask]) > self._middle:
+                x, y = rows[mask], heights[mask]
                 from_middle = x - x.mean()
                 slope = float(from_middle @ y / (from_middle @ from_middle))
                 base = float(y.mean() - slope * x.mean())
             residual = np.abs(heights - (base + slope * rows))
-            kept = residual <= OUTLIER_FACTOR * np.median(residual) + 1e-9
+            mask = residual <= OUTLIER_FACTOR * np.median(residual) + 1e-9
         self._line = (base, slope)
 
     def height(self, foot_y: float) -> float | None:

@@ -34,14 +34,14 @@ class Track:
     """In view when tracking began, so without an entry."""
     beside_others: bool
     """Began next to another object: more likely half of a group than a new person."""
-    unmet: Unmet | None
+    unmet_condition: Unmet | None
     """Condition that a tentative track did not meet in the latest frame that showed it."""
     history: deque[Sighting]
     """The newest `HISTORY_SIGHTINGS`."""
     sightings: int = 1
     frames: int = 1
     """Frames since the first sighting."""
-    occluded: bool = False
+    is_occluded: bool = False
     """Occluded by others in the latest frame."""
     cells: set[tuple[int, int]] = field(default_factory=set)
     """Grid cells (row, column) of the image in which its foot was."""
@@ -57,7 +57,7 @@ class Track:
     @property
     def confirmed(self) -> bool:
         """It meets the conditions of an object, or has met them once."""
-        return self.unmet is None
+        return self.unmet_condition is None
 
     @property
     def size(self) -> float:

@@ -102,17 +102,17 @@ class Tracker:
         free = self._assign(t, free, recent, by_area)
         for track in self.active:
             near = GATE_HEIGHTS * track.height
-            track.occluded = (track.confirmed and track.last.t < t) and (
-                track.occluded or any(gap(blob.box, track.last.box) < near for blob in blobs)
+            track.is_occluded = (track.confirmed and track.last.t < t) and (
+                track.is_occluded or any(gap(blob.box, track.last.box) < near for blob in blobs)
             )
         for blob in free:
             if blob.begins:
                 self._start_track(t, blob)
 
         # Confirm and end tracks.
-        appeared = self._confirm(t)
+        new_tracks = self._confirm(t)
         exits = self._retire(t)
-        return events + self.crossings.entries(appeared, self.active) + exits
+        return events + self.crossings.entries(new_tracks, self.active) + exits
 
     # -- sightings ------------------------------
 
@@ -146,7 +146,9 @@ class Tracker:
         pairs = best_pairs(tracks, blobs, costs, self.crossings)
         for track, blob in pairs:
             self._update_single(t, track, blob)
-        return [blob for blob in blobs if all(blob is not taken for _, taken in pairs)]
+        return [
+            blob for blob in blobs if all(blob is not matched_blob for _, matched_blob in pairs)
+        ]
 
     def _costs(self, track: Track, blobs: Sequence[Blob]) -> list[float]:
         """Return for each blob the distance of head and foot, at the height expected there."""
@@ -168,8 +170,8 @@ class Tracker:
         count_label(track.labels, blob.label)
 
         # Measure the height of whole people, once per distance walked.
-        walked = dist(blob.foot, track.measured_at) > SIGMAS * MEASUREMENT * track.height
-        if track.confirmed and walked and blob.whole and not cut:
+        has_walked = dist(blob.foot, track.measured_at) > SIGMAS * MEASUREMENT * track.height
+        if track.confirmed and has_walked and blob.whole and not cut:
             track.measured_at = blob.foot
             self.stature.add(track.number, blob.bottom, blob.height)
 
@@ -193,12 +195,17 @@ class Tracker:
             return
         if blob.height < self._fragment_height(blob.box):
             return
-        others = [track for track in self.active if track.confirmed]
-        if any(track.last.t == t and contains_centre(track.last.box, blob.box) for track in others):
+        confirmed_tracks = [track for track in self.active if track.confirmed]
+        if any(
+            track.last.t == t and contains_centre(track.last.box, blob.box)
+            for track in confirmed_tracks
+        ):
             return  # a fragment of an object that is seen already
 
         sighting = Sighting(t, blob.foot, blob.box)
-        beside = any(gap(track.box, blob.box) < GATE_HEIGHTS * track.height for track in others)
+        beside = any(
+            gap(track.box, blob.box) < GATE_HEIGHTS * track.height for track in confirmed_tracks
+        )
         track = Track(
             number=next(self._numbers),
             first=sighting,
@@ -209,20 +216,20 @@ class Tracker:
             from_start=t == self._start,
             beside_others=beside,
             history=deque([sighting], HISTORY_SIGHTINGS),
-            unmet=("brief", 0.0, CONFIRM_SECONDS),
+            unmet_condition=("brief", 0.0, CONFIRM_SECONDS),
         )
         count_label(track.labels, blob.label)
         self.active.append(track)
 
     def _confirm(self, t: float) -> list[Track]:
         """Return the tracks that have become objects."""
-        appeared: list[Track] = []
+        new_tracks: list[Track] = []
         for track in self.active:
             if not track.confirmed and track.last.t == t:
-                track.unmet = self._unmet(track)
+                track.unmet_condition = self._unmet(track)
                 if track.confirmed:
-                    appeared.append(track)
-        return appeared
+                    new_tracks.append(track)
+        return new_tracks
 
     def _unmet(self, track: Track) -> Unmet | None:
         """Return what a track that is seen now lacks to be an object; None if nothing."""
@@ -235,7 +242,7 @@ class Tracker:
             ("fragment", box_height(box), self._fragment_height(box)),
             ("low", tall, min(TALL_SIGHTINGS_MIN, len(track.history))),
         )
-        return next((unmet for unmet in conditions if unmet[1] < unmet[2]), None)
+        return next((condition for condition in conditions if condition[1] < condition[2]), None)
 
     def _fragment_height(self, box: Box) -> float:
         """Return the height (pixels) below which a box that no border cuts is but a fragment."""
@@ -244,21 +251,21 @@ class Tracker:
 
     def _retire(self, t: float) -> list[Event]:
         """End tracks that were not detected for longer than the patience; return their exits."""
-        kept = []
+        active = []
         exits = []
         for track in self.active:
             patience = PATIENCE_SECONDS if track.confirmed else CONFIRM_SECONDS
             if t - track.last.t <= patience:
-                kept.append(track)
+                active.append(track)
             else:
                 exits += self.crossings.exit_of(track)
-        self.active = kept
+        self.active = active
         return exits
 
     def drop(self, track: Track) -> None:
         """Remove ``track`` without an event, because it is a ghost."""
         self.crossings.note("ghost", track, track.last)
-        self.active = [other for other in self.active if other is not track]
+        self.active = [other_track for other_track in self.active if other_track is not track]
 
     def finish(self, reason: Reason) -> list[Event]:
         """Forget all tracks, at the end of a recording or of a scene; return the last events.
@@ -271,8 +278,8 @@ class Tracker:
         self._start = None
         events = []
         for track in self.active:
-            seen = self._t - track.last.t <= CONFIRM_SECONDS
-            if track.confirmed and (seen or not self.crossings.at_edge(track)):
+            is_recent = self._t - track.last.t <= CONFIRM_SECONDS
+            if track.confirmed and (is_recent or not self.crossings.at_edge(track)):
                 self.crossings.note(reason, track, track.last)
             else:
                 events += self.crossings.exit_of(track)
