@@ -86,10 +86,10 @@ def size_of(camera: str, sizes: Sizes) -> Size:
     return size
 
 
-def split_topic(line: bytes, wanted: str = "*") -> tuple[list[str], bytes]:
+def split_topic(line: bytes, pattern: str = "*") -> tuple[list[str], bytes]:
     """Return the levels of the topic in front of a message (none if it has none), and the message.
 
-    wanted: pattern of the topic, where ``*`` stands for anything.
+    pattern: pattern of the topic, where ``*`` stands for anything.
 
     Raises `Rejected` if there is no message, or one of another topic.
     """
@@ -99,8 +99,8 @@ def split_topic(line: bytes, wanted: str = "*") -> tuple[list[str], bytes]:
     if match[1] is None:
         return [], match[2]
     topic = match[1].decode("utf-8", "replace").strip()
-    if not fnmatchcase(topic, wanted):
-        raise Rejected("other-topic", f"is not of {wanted}")
+    if not fnmatchcase(topic, pattern):
+        raise Rejected("other-topic", f"is not of {pattern}")
     return topic.split("/"), match[2]
 
 

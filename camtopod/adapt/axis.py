@@ -84,28 +84,28 @@ class Axis(StreamAdapter):
         frame = frame.frame or frame
         boxes = frame.detections or frame.observations
         changes = frame.track_events or frame.operations
-        own = (frame.detections, frame.observations, frame.track_events, frame.operations)
-        if not frame.timestamp or own == (None, None, None, None):
+        parts = (frame.detections, frame.observations, frame.track_events, frame.operations)
+        if not frame.timestamp or parts == (None, None, None, None):
             raise Rejected("malformed", "is no frame: has no timestamp, detections or track_events")
 
         # The camera.
-        named = [level for level in levels if not _SOURCE.fullmatch(level)]
+        name_levels = [level for level in levels if not _SOURCE.fullmatch(level)]
         channel = f"-{frame.channel_id}" * (frame.channel_id > 1)
-        camera = self.cameras.id_of("".join(named[-1:]), channel)
+        camera = self.cameras.id_of("".join(name_levels[-1:]), channel)
 
         # Boxes, and the objects that are gone.
-        seen = []
-        for one in boxes or []:
-            if (box := one.bounding_box) is not None:
-                name = _either(one.object_track_id, one.track_id)
+        tracked_boxes = []
+        for detection in boxes or []:
+            if (box := detection.bounding_box) is not None:
+                name = _either(detection.object_track_id, detection.track_id)
                 sides = (box.left, box.top, box.right, box.bottom)
-                seen.append(TrackedBox(name, sides, one.kind.type))
-        ended = [
+                tracked_boxes.append(TrackedBox(name, sides, detection.kind.type))
+        ended_names = [
             _either(change.object_track_id, change.id)
             for change in changes or []
             if change.type in ("TrackEnded", "DeleteOperation")
         ]
-        return self._stream(camera).update(seen, ended, seconds_of(frame.timestamp))
+        return self._stream(camera).update(tracked_boxes, ended_names, seconds_of(frame.timestamp))
 
 
 def _either(name: Name, forerunners: Name) -> Name:

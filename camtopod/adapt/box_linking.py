@@ -62,15 +62,16 @@ class BoxLinker:
         self._tracks = {
             n: track for n, track in self._tracks.items() if abs(t - track.t) <= LOST_SECONDS
         }
-        found: dict[int, int] = {}
-        taken: set[int] = set()
+        number_of_box: dict[int, int] = {}
+        taken_numbers: set[int] = set()
         for _, _, number, index in sorted(self._pairs(kinds, boxes, t)):
-            if number not in taken and index not in found:
-                found[index] = number
-                taken.add(number)
+            if number not in taken_numbers and index not in number_of_box:
+                number_of_box[index] = number
+                taken_numbers.add(number)
                 self._tracks[number].move(kinds[index], boxes[index], t)
         return [
-            found.get(index) or self._begin(kinds[index], box, t) for index, box in enumerate(boxes)
+            number_of_box.get(index) or self._begin(kinds[index], box, t)
+            for index, box in enumerate(boxes)
         ]
 
     def _begin(self, kind: str, box: Box, t: float) -> int | None:
@@ -87,9 +88,9 @@ class BoxLinker:
         """Return (kinds differ, distance, track, box's index) of pairs that may be one object."""
         pairs = []
         for number, track in self._tracks.items():
-            there = track.at(t)
+            place = track.at(t)
             for index, box in enumerate(boxes):
-                distance = math.dist(there, _middle(box))
+                distance = math.dist(place, _middle(box))
                 smaller, larger = sorted((_larger_side(track.box), _larger_side(box)))
                 differ = kinds[index] != track.kind
                 if distance <= REACH * smaller and (not differ or smaller >= ALIKE * larger):

@@ -18,7 +18,7 @@ class CameraNames:
     """
 
     def __init__(self, only: str | None = None) -> None:
-        self.renamed: dict[str, str] = {}
+        self.new_names: dict[str, str] = {}
         """Ids that the user chose, by name."""
         self._only = only
         self._names: dict[str, str] = {}
@@ -27,7 +27,7 @@ class CameraNames:
         """Return the id of a camera, with its channel behind it. Raises `Rejected`."""
         if not name and self._only is None:
             raise Rejected("no-camera", "names no camera: give --camera ID")
-        camera = (self._only or self.renamed.get(name) or _folded(name)) + channel
+        camera = (self._only or self.new_names.get(name) or _folded(name)) + channel
         if not codec.is_camera(camera):
             raise Rejected(
                 "no-camera",
@@ -51,4 +51,6 @@ def _folded(name: str) -> str:
     if codec.is_camera(name):
         return name
     letters = unicodedata.normalize("NFKD", name.casefold())
-    return "_".join("".join(one for one in letters if not unicodedata.combining(one)).split())
+    return "_".join(
+        "".join(letter for letter in letters if not unicodedata.combining(letter)).split()
+    )

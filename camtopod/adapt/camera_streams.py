@@ -43,33 +43,35 @@ class CameraStream:
     """Tracks of one camera, or of one analytics module of a camera."""
 
     def __init__(self, camera: str, size: Size, labels: Collection[str]) -> None:
-        self.tracks = TrackEvents(camera, size, outside_max=OUTSIDE_MAX, wanted=labels)
-        self.arrived = 0.0
+        self.tracks = TrackEvents(camera, size, outside_max=OUTSIDE_MAX, wanted_labels=labels)
+        self.arrival = 0.0
         """When the latest frame came, seconds of the clock of `StreamAdapter.silent`."""
         self._t = -math.inf
         self._empty = False
         self._keeps_sending = False
         """While the view is empty."""
 
-    def update(self, seen: Sequence[TrackedBox], ended: Iterable[Name], t: float) -> list[Event]:
+    def update(
+        self, tracked_boxes: Sequence[TrackedBox], ended_names: Iterable[Name], t: float
+    ) -> list[Event]:
         """Return the events that a frame at ``t`` (seconds) makes certain.
 
-        ended: tracks that the tracker reports as ended.
+        ended_names: tracks that the tracker reports as ended.
 
         Raises `Rejected` if a later frame came before, or the frame has too many boxes.
         """
         self.require_newer(t)
-        if len(seen) > TRACKS_MAX:
+        if len(tracked_boxes) > TRACKS_MAX:
             raise Rejected("too-many", f"more than {TRACKS_MAX} objects in a frame")
         if self._empty and t - self._t > SILENT_SECONDS:
             self._keeps_sending = False
-        elif self._empty and not seen:
+        elif self._empty and not tracked_boxes:
             self._keeps_sending = True
-        self._empty = not seen
+        self._empty = not tracked_boxes
         self._t = t
-        names, boxes, kinds = zip(*seen, strict=True) if seen else ((), (), ())
+        names, boxes, kinds = zip(*tracked_boxes, strict=True) if tracked_boxes else ((), (), ())
         events = self.tracks.update(names, boxes, t, kinds)
-        for name in ended:
+        for name in ended_names:
             events += self.tracks.end(name)
         return events
 
@@ -100,7 +102,7 @@ class StreamAdapter(Adapter):
         super().__init__(camera)
         self._labels = labels
         self._streams: dict[tuple[str, str], CameraStream] = {}
-        self._called = self._now = self._checked = 0.0
+        self._last_call = self._now = self._last_check = 0.0
 
     def silent(self, now: float) -> list[Event]:
         """Return the exits of the objects of cameras that have sent no frame for `SILENT_SECONDS`.
@@ -108,14 +110,14 @@ class StreamAdapter(Adapter):
         now: as for `Adapter.silent`.
         """
         # Time in which this program stood still does not count: frames may wait to be read.
-        passed = now - self._called
-        self._called = now
-        if passed <= SILENT_SECONDS:
-            self._now += passed
-        if self._now - self._checked < SILENT_SECONDS / 5:
+        elapsed = now - self._last_call
+        self._last_call = now
+        if elapsed <= SILENT_SECONDS:
+            self._now += elapsed
+        if self._now - self._last_check < SILENT_SECONDS / 5:
             return []
-        self._checked = self._now
-        silent = (s for s in self._streams.values() if self._now - s.arrived > SILENT_SECONDS)
+        self._last_check = self._now
+        silent = (s for s in self._streams.values() if self._now - s.arrival > SILENT_SECONDS)
         return [event for stream in silent for event in stream.lose()]
 
     def close(self) -> list[Event]:
@@ -136,7 +138,7 @@ class StreamAdapter(Adapter):
             stream = CameraStream(camera, size, self._labels)
             self._streams[camera, module] = stream
         self._check_places(camera, stream.tracks.outside)
-        stream.arrived = self._now
+        stream.arrival = self._now
         return stream
 
 

@@ -47,7 +47,9 @@ class _Object(Struct, frozen=True):
     def kind(self) -> str:
         """Return the kind: the full schema has a member of that name."""
         members = {"Person": self.person, "Vehicle": self.vehicle, "Face": self.face}
-        return self.type or next((name for name, one in members.items() if one is not None), "")
+        return self.type or next(
+            (name for name, member in members.items() if member is not None), ""
+        )
 
 
 class _Message(Struct, frozen=True):
@@ -79,20 +81,20 @@ class DeepStream(StreamAdapter):
         if message.sensorId != "":
             sensor = message.sensorId
         camera = self.cameras.id_of(str(sensor))
-        one = message.object
-        if message.objects is None and one is None:
+        lone_object = message.object
+        if message.objects is None and lone_object is None:
             raise Rejected("malformed", "has neither objects nor object")
 
         # The objects of the frame, or the one object.
-        seen = [_object(text) for text in message.objects or []]
-        if one is not None:
-            if one.bbox is None:
+        tracked_boxes = [_object(text) for text in message.objects or []]
+        if lone_object is not None:
+            if lone_object.bbox is None:
                 raise Rejected("no-box", "the object has no bbox")
-            box = one.bbox
+            box = lone_object.bbox
             sides = (box.left, box.top, box.right, box.bottom)
-            seen.append(TrackedBox(_name(one.id), sides, one.kind()))
+            tracked_boxes.append(TrackedBox(_name(lone_object.id), sides, lone_object.kind()))
         stream = self._stream(camera, size_of(camera, self._sizes))
-        return stream.update(seen, [], seconds_of(message.time))
+        return stream.update(tracked_boxes, [], seconds_of(message.time))
 
 
 def _object(text: str) -> TrackedBox:
@@ -105,7 +107,7 @@ def _object(text: str) -> TrackedBox:
     return TrackedBox(_name(name), (left, top, right, bottom), kind)
 
 
-def _name(given: str | int) -> Name:
+def _name(identifier: str | int) -> Name:
     """Return the name of a track; None if the object is not tracked."""
-    name = str(given).strip()
+    name = str(identifier).strip()
     return None if name in _UNTRACKED else name

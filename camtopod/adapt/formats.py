@@ -33,33 +33,33 @@ FORMATS = {
     "jsonl": Format("event lines as `camtopod grab --out` writes them", mqtt=False),
     "frigate": Format(
         "messages of frigate/events (mosquitto_sub -t frigate/events)",
-        lambda given: Frigate(dict(given.size), given.label),
+        lambda options: Frigate(dict(options.size), options.label),
         ("size", "label", "rename"),
     ),
     "mot": Format(
         "a MOTChallenge text file",
-        lambda given: Mot(given.camera, dict(given.size), given.fps, given.start or 0.0),
+        lambda options: Mot(options.camera, dict(options.size), options.fps, options.start or 0.0),
         ("size", "camera", "fps", "start"),
         mqtt=False,
     ),
     "scenescape": Format(
         "messages of scenescape/data/camera/ID",
-        lambda given: SceneScape(dict(given.size), given.label, given.tracked),
+        lambda options: SceneScape(dict(options.size), options.label, options.tracked),
         ("size", "label", "tracked", "rename"),
     ),
     "axis": Format(
         "messages of AXIS scene metadata",
-        lambda given: Axis(given.camera, given.label),
+        lambda options: Axis(options.camera, options.label),
         ("label", "camera", "rename"),
     ),
     "onvif": Format(
         "scene descriptions of Profile M, XML documents or JSON messages",
-        lambda given: Onvif(given.camera, given.label),
+        lambda options: Onvif(options.camera, options.label),
         ("label", "camera", "rename"),
     ),
     "deepstream": Format(
         "messages of nvmsgconv",
-        lambda given: DeepStream(dict(given.size), given.camera, given.label),
+        lambda options: DeepStream(dict(options.size), options.camera, options.label),
         ("size", "label", "camera", "rename"),
     ),
 }

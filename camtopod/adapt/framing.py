@@ -41,15 +41,15 @@ class _Stream:
         """Something has come since this was set to False."""
         self._pieces = iter(pieces)
         self._max = bytes_max
-        self._returned = False
+        self._ends_in_return = False
 
     def more(self) -> bool:
         """Wait for the next piece, with ends of lines of all systems; return False at the end."""
         if (piece := next(self._pieces, None)) is None:
             return False
-        if self._returned and piece.startswith(b"\n"):
+        if self._ends_in_return and piece.startswith(b"\n"):
             piece = piece[1:]
-        self._returned = piece.endswith(b"\r")
+        self._ends_in_return = piece.endswith(b"\r")
         self.is_new = True
         self.text += piece.replace(b"\r\n", b"\n").replace(b"\r", b"\n")
         return True
@@ -62,11 +62,11 @@ class _Stream:
 
     def search(self, pattern: re.Pattern[bytes], at: int) -> re.Match[bytes] | None:
         """Return the next match as soon as it has come; None at the end, and beyond the limit."""
-        while (found := pattern.search(self.text, at)) is None:
+        while (match := pattern.search(self.text, at)) is None:
             at = max(at, len(self.text) - self.text.endswith(b"\\"))
             if len(self.text) > self._max or not self.more():
                 return None
-        return found
+        return match
 
 
 def frames(
@@ -120,30 +120,30 @@ def frames(
 def _whole_line(text: bytearray, begin: re.Pattern[bytes], bytes_max: int) -> int | None:
     """Return the end of the line if that is a message of its own, as it mostly is."""
     end = text.find(b"\n", 0, bytes_max + 1)
-    found = begin.search(text, 0, end + 1)
-    if found is None or found[0] == b"<":
+    match = begin.search(text, 0, end + 1)
+    if match is None or match[0] == b"<":
         return None
-    if found[0] == b"{" and not codec.is_json(bytes(text[found.start() : end])):
+    if match[0] == b"{" and not codec.is_json(bytes(text[match.start() : end])):
         return None
     return end
 
 
 def _end(stream: _Stream, begin: re.Pattern[bytes]) -> int | None:
     """Return where the message ends; None at the end of the stream, and beyond the limit."""
-    found = stream.search(begin, 0)
-    if found is None or found[0] == b"\n":
-        return found and found.start()
-    if found[0] == b"{":
-        return _end_of_json(stream, found.start())
-    return found.start() or _end_of_xml(stream)
+    match = stream.search(begin, 0)
+    if match is None or match[0] == b"\n":
+        return match and match.start()
+    if match[0] == b"{":
+        return _end_of_json(stream, match.start())
+    return match.start() or _end_of_xml(stream)
 
 
 def _end_of_json(stream: _Stream, at: int) -> int | None:
     brackets = bytearray()  # those that are open
     line_at: int | None = None  # where the line begins, until something of JSON is found in it
-    while found := stream.search(_IN_JSON, at):
-        at = found.end()
-        sign = found[0]
+    while match := stream.search(_IN_JSON, at):
+        at = match.end()
+        sign = match[0]
         if sign == b"\n":
             line_at = at
             continue
@@ -151,11 +151,11 @@ def _end_of_json(stream: _Stream, at: int) -> int | None:
             return line_at
         line_at = None
         if sign == b'"':
-            while (found := stream.search(_IN_STRING, at)) and found[0][:1] == b"\\":
-                at = found.end()
-            if found is None or found[0] == b"\n":
-                return found and found.start()
-            at = found.end()
+            while (match := stream.search(_IN_STRING, at)) and match[0][:1] == b"\\":
+                at = match.end()
+            if match is None or match[0] == b"\n":
+                return match and match.start()
+            at = match.end()
         elif sign in b"{[":
             brackets += sign
         else:
@@ -183,10 +183,10 @@ def _begins(stream: _Stream, line_at: int, at: int, brackets: bytearray) -> bool
 def _end_of_xml(stream: _Stream) -> int | None:
     at = tag_at = 0
     has_root = False
-    while found := stream.search(_IN_XML, at):
-        at = found.end()
-        if found[0] == b"<":
-            tag_at = found.start()
+    while match := stream.search(_IN_XML, at):
+        at = match.end()
+        if match[0] == b"<":
+            tag_at = match.start()
             continue
         tag = bytes(stream.text[tag_at:at])
         if _END.fullmatch(tag):

@@ -107,17 +107,19 @@ class Frigate(Adapter):
         camera = self.cameras.id_of(message.after.camera)
         now = replace(message.after, camera=camera)
         message = replace(message, before=replace(message.before, camera=camera), after=now)
-        if not all(codec.T_MIN <= seen.frame_time < codec.T_MAX for seen in (message.before, now)):
+        if not all(
+            codec.T_MIN <= sighting.frame_time < codec.T_MAX for sighting in (message.before, now)
+        ):
             raise Rejected("bad-value", "frame_time is not between 1970 and 3000")
         if now.false_positive:
             return []
 
-        known = self._objects.get(now.id) or self._met(message)
-        remember(self._objects, now.id, known)
-        known.votes = vote(known.votes, now.label, self._labels)
+        track = self._objects.get(now.id) or self._met(message)
+        remember(self._objects, now.id, track)
+        track.votes = vote(track.votes, now.label, self._labels)
         if is_wanted(now.label, self._labels):
-            count_label(known.labels, now.label)
-        return self._changed(known, message)
+            count_label(track.labels, now.label)
+        return self._changed(track, message)
 
     def _met(self, message: _Message) -> _Object:
         """Return the state of an object at its first message; it enters if it is new."""
@@ -133,52 +135,52 @@ class Frigate(Adapter):
             entry = self._event("entry", now)
         return _Object(entry, {})
 
-    def _changed(self, known: _Object, message: _Message) -> list[Event]:
+    def _changed(self, track: _Object, message: _Message) -> list[Event]:
         """Return the events that a message makes certain, and update the object."""
-        if known.ended:
+        if track.ended:
             return []
         now = message.after
-        moved = now.position_changes is None or now.position_changes > 0
-        moves = moved and not now.stationary
+        has_moved = now.position_changes is None or now.position_changes > 0
+        moves = has_moved and not now.stationary
 
         # An entry is certain once the object has moved soon enough after it.
-        if known.entry is not None and not known.came:
-            if message.type != "new" and now.frame_time - known.entry.t > ENTRY_SECONDS_MAX:
-                known.entry = None
-            known.came = moves
+        if track.entry is not None and not track.came:
+            if message.type != "new" and now.frame_time - track.entry.t > ENTRY_SECONDS_MAX:
+                track.entry = None
+            track.came = moves
 
         # It is told once the object counts; its exit, too, unless it was standing.
         events = []
-        known.ended = message.type == "end"
-        known.counted |= counts(known.votes, self._labels)
-        if known.counted and known.came and known.entry is not None:
-            events.append(replace(known.entry, label=most_frequent(known.labels)))
-            known.entry = None
-        if known.counted and known.ended and moves:
+        track.ended = message.type == "end"
+        track.counted |= counts(track.votes, self._labels)
+        if track.counted and track.came and track.entry is not None:
+            events.append(replace(track.entry, label=most_frequent(track.labels)))
+            track.entry = None
+        if track.counted and track.ended and moves:
             exit_ = self._event("exit", now)
-            events.append(replace(exit_, label=most_frequent(known.labels)))
+            events.append(replace(exit_, label=most_frequent(track.labels)))
         return events
 
     def _knows_size(self, camera: str) -> bool:
         return camera in self._sizes or adapter.ANY_CAMERA in self._sizes
 
-    def _event(self, kind: Kind, seen: _Seen) -> Event:
+    def _event(self, kind: Kind, sighting: _Seen) -> Event:
         """Return an event at the foot of the box, or at the end of the path if the size is unknown.
 
         Raises `Rejected`.
         """
-        if seen.path_data and not self._knows_size(seen.camera):
-            return _at_point(kind, seen, (seen.path_data[-1][0], seen.frame_time))
-        width, height = size_of(seen.camera, self._sizes)
-        left, _, right, bottom = seen.box
+        if sighting.path_data and not self._knows_size(sighting.camera):
+            return _at_point(kind, sighting, (sighting.path_data[-1][0], sighting.frame_time))
+        width, height = size_of(sighting.camera, self._sizes)
+        left, _, right, bottom = sighting.box
         return _at_point(
-            kind, seen, (((left + right) / 2 / width, bottom / height), seen.frame_time)
+            kind, sighting, (((left + right) / 2 / width, bottom / height), sighting.frame_time)
         )
 
 
-def _at_point(kind: Kind, seen: _Seen, point: Point) -> Event:
+def _at_point(kind: Kind, sighting: _Seen, point: Point) -> Event:
     (x, y), t = point
     foot = in_picture(x, y, adapter.OUTSIDE_MAX)
     if foot is None:
         raise Rejected("outside", "the object lies outside the picture: is --size right?")
-    return Event(seen.camera, kind, round(t, 6), *foot, seen.id)
+    return Event(sighting.camera, kind, round(t, 6), *foot, sighting.id)

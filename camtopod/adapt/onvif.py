@@ -73,7 +73,7 @@ class _Class(Struct, frozen=True):
 
     def likeliest(self) -> str:
         """Return the most probable kind; empty if there is none."""
-        return max(_many(self.types), key=lambda one: one.likelihood or 0.0, default=_Type()).text
+        return max(_many(self.types), key=lambda kind: kind.likelihood or 0.0, default=_Type()).text
 
 
 class _Appearance(Struct, frozen=True):
@@ -120,10 +120,10 @@ class Onvif(StreamAdapter):
 
         # JSON by MQTT.
         levels, message = split_topic(line, "*/onvif-mj/VideoAnalytics/*")
-        given = ""
+        name = ""
         if levels:
-            given = levels[levels.index("onvif-mj") - 1]
-        return self._read(self.cameras.id_of(given), _many(codec.read(_Message, message).frames))
+            name = levels[levels.index("onvif-mj") - 1]
+        return self._read(self.cameras.id_of(name), _many(codec.read(_Message, message).frames))
 
     def _read(self, camera: str, frames: list[_Frame]) -> list[Event]:
         """Return the events that frames make certain. Raises `Rejected`."""
@@ -132,16 +132,18 @@ class Onvif(StreamAdapter):
             module = frame.source[: TRACK_CHARACTERS_MAX // 2]
 
             # Boxes, and the objects that are gone.
-            seen = []
-            for one in _many(frame.objects):
-                if (box := one.appearance.shape.box) is not None:
-                    sides = _fractions(box, one.appearance.transformation, frame.transformation)
-                    kind = one.appearance.kind.likeliest()
-                    seen.append(TrackedBox(_name(module, one.id), sides, kind))
-            ended = [_name(module, gone.id) for gone in _many(frame.tree.delete)]
+            tracked_boxes = []
+            for detection in _many(frame.objects):
+                if (box := detection.appearance.shape.box) is not None:
+                    sides = _fractions(
+                        box, detection.appearance.transformation, frame.transformation
+                    )
+                    kind = detection.appearance.kind.likeliest()
+                    tracked_boxes.append(TrackedBox(_name(module, detection.id), sides, kind))
+            ended_names = [_name(module, track.id) for track in _many(frame.tree.delete)]
 
             stream = self._stream(camera, module=module)
-            events += stream.update(seen, ended, seconds_of(frame.time))
+            events += stream.update(tracked_boxes, ended_names, seconds_of(frame.time))
         return events
 
 
@@ -167,7 +169,7 @@ def _fractions(box: _Box, inner: _Transformation, outer: _Transformation) -> Box
 def _frames_of(document: bytes) -> list[_Frame]:
     """Return the frames of an XML document. Raises `Rejected`."""
     root = parse_xml(document)
-    frames = [_plain(each) for each in all_of(root, "Frame")]
+    frames = [_plain(element) for element in all_of(root, "Frame")]
     return codec.read(_Message, codec.to_json({"Frame": frames})).frames  # type: ignore[return-value]
 
 

@@ -45,15 +45,17 @@ class SceneScape(StreamAdapter):
 
     sizes: sizes of the cameras' pictures.
     labels: kinds of objects (``person``) that count; empty for all.
-    tracked: ids come from a tracker, so an object has the same id in each frame.
+    is_tracked: ids come from a tracker, so an object has the same id in each frame.
     """
 
     topic = "data/camera/+"
 
-    def __init__(self, sizes: Sizes, labels: Collection[str] = (), tracked: bool = False) -> None:
+    def __init__(
+        self, sizes: Sizes, labels: Collection[str] = (), is_tracked: bool = False
+    ) -> None:
         super().__init__(None, labels)
         self._sizes = sizes
-        self._tracked = tracked
+        self._is_tracked = is_tracked
         self._linkers: dict[str, BoxLinker] = {}
 
     def receive(self, line: bytes) -> list[Event]:
@@ -65,21 +67,25 @@ class SceneScape(StreamAdapter):
         stream.require_newer(t)  # before its boxes are linked to those of later frames
 
         # Boxes in pixels, named by the tracker's ids, or by linking.
-        seen = [
-            TrackedBox(one.id, (box.x, box.y, box.x + box.width, box.y + box.height), kind)
+        tracked_boxes = [
+            TrackedBox(detection.id, (box.x, box.y, box.x + box.width, box.y + box.height), kind)
             for kind, detections in message.objects.items()
-            for one in detections
-            if (box := one.bounding_box_px) is not None
+            for detection in detections
+            if (box := detection.bounding_box_px) is not None
         ]
-        if not seen and any(message.objects.values()):
+        if not tracked_boxes and any(message.objects.values()):
             raise Rejected("no-pixels", "no object has a bounding_box_px")
-        if not self._tracked:
+        if not self._is_tracked:
             linker = self._linkers.setdefault(camera, BoxLinker())
-            numbers = linker.link([one.kind for one in seen], [one.box for one in seen], t)
-            seen = [one._replace(name=name) for one, name in zip(seen, numbers, strict=True)]
-        names = [one.name for one in seen if one.name is not None]
+            numbers = linker.link(
+                [box.kind for box in tracked_boxes], [box.box for box in tracked_boxes], t
+            )
+            tracked_boxes = [
+                box._replace(name=name) for box, name in zip(tracked_boxes, numbers, strict=True)
+            ]
+        names = [box.name for box in tracked_boxes if box.name is not None]
         if len(set(names)) < len(names):
             raise Rejected(
                 "same-id", "two objects have one id, so they are not tracked: omit --tracked"
             )
-        return stream.update(seen, [], t)
+        return stream.update(tracked_boxes, [], t)

@@ -64,8 +64,8 @@ class TrackEvents:
 
     With ``kinds`` the majority of a track's sightings decides whether it counts, and once it has
     counted it goes on counting. Its entry waits for a kind, up to `UNCLASSIFIED_SECONDS` if all
-    count. So pass the boxes of all kinds, and let ``wanted`` choose. The most frequent of the kinds
-    that count is the ``label`` of an event.
+    count. So pass the boxes of all kinds, and let ``wanted_labels`` choose. The most frequent of
+    the kinds that count is the ``label`` of an event.
 
     camera: id of the camera, ``[A-Za-z0-9_.-]{1,64}``.
     size (pixels): width and height of the picture; (1, 1) if boxes are fractions of it.
@@ -76,7 +76,7 @@ class TrackEvents:
     tracks_max: tracks followed at a time.
     outside_max: boxes whose foot point is further outside the picture than this fraction of it are
         not used; without it such foot points are clipped.
-    wanted: kinds that count; empty for all but faces, heads and plates (`kinds.PARTS`).
+    wanted_labels: kinds that count; empty for all but faces, heads and plates (`kinds.PARTS`).
 
     Raises `ValueError` for an invalid argument.
 
@@ -103,7 +103,7 @@ class TrackEvents:
         lost_seconds: float = LOST_SECONDS,
         tracks_max: int = TRACKS_MAX,
         outside_max: float = math.inf,
-        wanted: Collection[str] = (),
+        wanted_labels: Collection[str] = (),
     ) -> None:
         codec.require_camera(camera)
         if boot is not None and not 0 < len(boot) <= 64:
@@ -117,10 +117,10 @@ class TrackEvents:
         self._boot = boot
         self._seq = 0
         self._life = life_seconds
-        self._lost = lost_seconds
+        self._lost_seconds = lost_seconds
         self._max = tracks_max
         self._outside_max = outside_max
-        self._wanted = frozenset(map(plain, wanted))
+        self._wanted_labels = frozenset(map(plain, wanted_labels))
         self._tracks: dict[str, _Track] = {}  # the one seen last is last
         self._verdicts: dict[str, tuple[Votes, dict[str, int]]] = {}
         """Kinds and labels of lost tracks, as one sighting: a program may send the kind only once.
@@ -136,7 +136,7 @@ class TrackEvents:
         """Boxes that are not four finite numbers."""
         self.outside = 0
         """Boxes beyond ``outside_max``."""
-        self.refused = 0
+        self.refused_count = 0
         """Boxes of tracks beyond ``tracks_max``."""
         self.late = 0
         """Frames ignored because a later one came before them."""
@@ -187,19 +187,21 @@ class TrackEvents:
         self._t = t
 
         # Tracks that have ended, then those of this frame. They are in order of the last sighting.
-        lost = itertools.takewhile(
-            lambda item: t - item[1].last.t > self._lost, self._tracks.items()
+        lost_tracks = itertools.takewhile(
+            lambda item: t - item[1].last.t > self._lost_seconds, self._tracks.items()
         )
         events = []
-        for ended, track in list(lost):
+        for track_id, track in list(lost_tracks):
             if track.votes is not None:
-                what = most_frequent(track.labels)
-                sightings = {} if what is None else {what: 1}
-                remember(self._verdicts, ended, (min(max(track.votes, -1), 1), sightings))
-            events += self._exit(ended, self._tracks.pop(ended))
-        named: Sequence[str | None] = [None] * len(labels) if kinds is None else kinds
-        for label, corner, what in zip(labels, corners.reshape(-1, 4).tolist(), named, strict=True):
-            events += self._seen(label, corner, what, t)
+                kind = most_frequent(track.labels)
+                sightings = {} if kind is None else {kind: 1}
+                remember(self._verdicts, track_id, (min(max(track.votes, -1), 1), sightings))
+            events += self._exit(track_id, self._tracks.pop(track_id))
+        kind_names: Sequence[str | None] = [None] * len(labels) if kinds is None else kinds
+        for label, corner, kind in zip(
+            labels, corners.reshape(-1, 4).tolist(), kind_names, strict=True
+        ):
+            events += self._seen(label, corner, kind, t)
         return events
 
     def end(self, name: Any) -> list[Event]:
@@ -222,7 +224,7 @@ class TrackEvents:
 
     def is_late(self, t: float) -> bool:
         """Return True if `update` would ignore a frame of this time as out of order."""
-        return 0 < self._t - t <= self._lost
+        return 0 < self._t - t <= self._lost_seconds
 
     def close(self) -> list[Event]:
         """End the recording; return the exits of tracks that were out of sight in its last frame.
@@ -247,7 +249,7 @@ class TrackEvents:
             "untracked": self.untracked,
             "unusable": self.unusable,
             "outside": self.outside,
-            "refused": self.refused,
+            "refused": self.refused_count,
             "late": self.late,
         }
 
@@ -266,8 +268,8 @@ class TrackEvents:
 
     def _entry(self, label: str, track: _Track) -> list[Event]:
         """Return the entry of a track that counts as an object from now on."""
-        lived = track.last.t - track.first.t >= self._life
-        if track.counted or not lived or not counts(track.votes, self._wanted):
+        has_lived = track.last.t - track.first.t >= self._life
+        if track.counted or not has_lived or not counts(track.votes, self._wanted_labels):
             return []
         track.counted = True
         return [] if track.from_start else [self._event("entry", label, track, track.first)]
@@ -294,15 +296,15 @@ class TrackEvents:
         track = self._tracks.pop(label, None)
         if track is None:
             if len(self._tracks) >= self._max:
-                self.refused += 1
+                self.refused_count += 1
                 return []
             from_start = t - self._start <= 2 * LIFE_SECONDS
             votes, sightings = self._verdicts.pop(label, (None, {}))
             track = _Track(place, place, from_start, votes, sightings)
         track.last = place
         track.left = False
-        track.votes = vote(track.votes, kind or "", self._wanted)
-        if is_wanted(kind or "", self._wanted):
+        track.votes = vote(track.votes, kind or "", self._wanted_labels)
+        if is_wanted(kind or "", self._wanted_labels):
             count_label(track.labels, kind or "")
         self._tracks[label] = track
 

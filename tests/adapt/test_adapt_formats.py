@@ -176,7 +176,7 @@ def test_scenescape_frames_become_passages(tracked: bool) -> None:
         people += [(17, 740 - 8 * (n - 30))] if 30 <= n < 110 else []
         lines.append(scene(n / 10, people, tracked=tracked))
 
-    events = read(SceneScape({"cam1": (800, 600)}, tracked=tracked), lines)
+    events = read(SceneScape({"cam1": (800, 600)}, is_tracked=tracked), lines)
 
     assert [(e.kind, round(e.t - T, 3), e.x) for e in events] == [
         ("entry", 1.5, 0.0375),
@@ -550,7 +550,7 @@ def test_events_have_the_class_as_label_and_nothing_else() -> None:
 
     assert labels_of(Frigate(SIZES), says.passage(t=T)) == both
     assert labels_of(deepstream(), [minimal(0), *deep, minimal(9)]) == both
-    assert labels_of(SceneScape({"cam1": (800, 600)}, tracked=False), walk) == both
+    assert labels_of(SceneScape({"cam1": (800, 600)}, is_tracked=False), walk) == both
     people = [("entry", "human"), ("exit", "human")]
     assert labels_of(Axis("gate"), [axis_frame(0), *human, axis_frame(9)]) == people
     assert labels_of(Onvif("gate"), [onvif_xml(0), *onvif, onvif_xml(9)]) == people

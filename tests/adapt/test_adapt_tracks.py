@@ -125,7 +125,7 @@ def counted_by_definition(sightings: list[tuple[float, str]]) -> set[tuple[str, 
 def test_a_track_counts_by_the_majority_of_its_sightings(steps: list[tuple[float, str]]) -> None:
     times = itertools.accumulate((step for step, _ in steps), initial=2.0)
     sightings = [(t, kind) for t, (_, kind) in zip(times, steps, strict=False)]
-    events = TrackEvents("c", SIZE, wanted=("Person",))
+    events = TrackEvents("c", SIZE, wanted_labels=("Person",))
     found = events.update([], [], 0.0)
     for t, kind in sightings:
         found += events.update([1], [BOX], t, [kind])
@@ -187,7 +187,7 @@ def test_memory_has_a_limit() -> None:
     for n in range(500):  # a tracker that gives everything a new id
         events.update(range(5 * n, 5 * n + 5), [BOX] * 5, n / 100)
         assert events.statistics()["tracks"] <= 3
-    assert events.refused > 0
+    assert events.refused_count > 0
 
 
 def test_a_clock_that_is_set_back_begins_anew_and_a_frame_out_of_order_is_left_out() -> None:
@@ -234,7 +234,7 @@ def test_the_label_is_the_most_frequent_kind_that_counts() -> None:
         (("person",), ["person", "dog", "person", "dog"], "person"),
         ((), ["", ""], None),
     ):
-        one = tracks.TrackEvents("gate", (1, 1), wanted=wanted)
+        one = tracks.TrackEvents("gate", (1, 1), wanted_labels=wanted)
         events = one.update([], [], 0.0)
         for k in range(8):
             kind = [kinds[k % len(kinds)]]
