@@ -67,11 +67,11 @@ class View:
         down = np.cross(forward, right)
 
         # Perspective projection.
-        seen = (points - position) @ np.stack([right, down, forward], axis=1)
-        depth = np.maximum(seen[:, 2], 1e-3)
-        x = 0.5 + self.focal * seen[:, 0] / depth
-        y = 0.5 + self.focal * (WIDTH / HEIGHT) * seen[:, 1] / depth
-        return np.column_stack([x, y, seen[:, 2]])
+        camera_points = (points - position) @ np.stack([right, down, forward], axis=1)
+        depth = np.maximum(camera_points[:, 2], 1e-3)
+        x = 0.5 + self.focal * camera_points[:, 0] / depth
+        y = 0.5 + self.focal * (WIDTH / HEIGHT) * camera_points[:, 1] / depth
+        return np.column_stack([x, y, camera_points[:, 2]])
 
     def feet(self, floor: Floats) -> Floats:
         """Project floor points (n, 2) to picture fractions and depth, (n, 3)."""
@@ -87,17 +87,17 @@ class View:
         ).T
         half = self.focal * SHOULDER_METRES / np.maximum(depth, 1e-3)
         left, right = np.minimum(x, head_x) - half, np.maximum(x, head_x) + half
-        seen: np.ndarray[tuple[int], np.dtype[np.bool_]] = (
+        result: np.ndarray[tuple[int], np.dtype[np.bool_]] = (
             (right > 0) & (left < 1) & (y > 0) & (head_y < 1) & (depth > 0)
         )
-        return seen
+        return result
 
     def footprint(self) -> Floats:
         """Return the corners of the floor that is in the picture, (4, 2) metres."""
-        here = np.array([(-3, -3), (3, -3), (3, 3), (-3, 3)], float) + self.target
-        seen = self.feet(here)[:, :2].astype(np.float32)
+        square = np.array([(-3, -3), (3, -3), (3, 3), (-3, 3)], float) + self.target
+        picture_points = self.feet(square)[:, :2].astype(np.float32)
         corners = np.array([[(0, 0), (1, 0), (1, 1), (0, 1)]], float)
-        homography = cv2.getPerspectiveTransform(seen, here.astype(np.float32))
+        homography = cv2.getPerspectiveTransform(picture_points, square.astype(np.float32))
         floor: Floats = cv2.perspectiveTransform(corners, homography)[0].astype(float)
         return floor
 
@@ -222,9 +222,9 @@ def _walk(plan: Plan, start: float, end: float, rng: np.random.Generator) -> Wal
 
     # Cut the corners, over 1.5 metres.
     width = round(1.5 / STEP_METRES)
-    padded = np.pad(line, ((width, width), (0, 0)), mode="edge")
+    long_line = np.pad(line, ((width, width), (0, 0)), mode="edge")
     smooth = np.column_stack(
-        [np.convolve(column, np.full(width, 1 / width), "same") for column in padded.T]
+        [np.convolve(column, np.full(width, 1 / width), "same") for column in long_line.T]
     )
     smooth = smooth[width:-width]
 
@@ -239,9 +239,9 @@ def _walk(plan: Plan, start: float, end: float, rng: np.random.Generator) -> Wal
     first = math.ceil(max(start, 0.0) * FPS)
     last = math.floor(min(start + metres[-1] / speed, end) * FPS)
     t = np.arange(first, max(first, last + 1)) / FPS
-    walked = (t - start) * speed
-    floor = np.column_stack([np.interp(walked, metres, column) for column in smooth.T])
-    return Walk(t, floor, way[np.minimum((walked / STEP_METRES).astype(np.int64), len(way) - 1)])
+    distance = (t - start) * speed
+    floor = np.column_stack([np.interp(distance, metres, column) for column in smooth.T])
+    return Walk(t, floor, way[np.minimum((distance / STEP_METRES).astype(np.int64), len(way) - 1)])
 
 
 def _route(plan: Plan, rng: np.random.Generator) -> tuple[Floats, Longs]:
@@ -277,9 +277,11 @@ def passages(plan: Plan, walks: list[Walk]) -> list[Passage]:
     result = []
     for walker, walk in enumerate(walks):
         for view in plan.views:
-            seen = np.concatenate([[False], view.sees(walk.floor), [False]]).astype(np.int8)
+            is_seen = np.concatenate([[False], view.sees(walk.floor), [False]]).astype(np.int8)
             for begin, end in zip(
-                np.flatnonzero(np.diff(seen) > 0), np.flatnonzero(np.diff(seen) < 0), strict=True
+                np.flatnonzero(np.diff(is_seen) > 0),
+                np.flatnonzero(np.diff(is_seen) < 0),
+                strict=True,
             ):
                 if begin == 0 or end == len(walk.t):
                     continue  # in view when the recording began or ended
@@ -301,30 +303,30 @@ def passages(plan: Plan, walks: list[Walk]) -> list[Passage]:
     return sorted(result, key=lambda passage: (passage.walker, passage.t_in))
 
 
-def truth_of(plan: Plan, seen: list[Passage]) -> Truth:
+def truth_of(plan: Plan, walk_passages: list[Passage]) -> Truth:
     """Return the ground truth of the recorded passages.
 
     Zones are where the edge of a picture cuts a path, links are transitions that were walked.
     """
     # Zones with their positions, numbered within their camera.
     points: dict[tuple[str, int], list[tuple[float, float]]] = defaultdict(list)
-    for passage in seen:
+    for passage in walk_passages:
         points[passage.camera, passage.way_in].append(passage.at_in)
         points[passage.camera, passage.way_out].append(passage.at_out)
     cameras = [view.camera for view in plan.views]
     ids: dict[tuple[str, int], str] = {}
     for camera in cameras:
-        mine = sorted(place for place in points if place[0] == camera)
-        ids |= {place: f"{camera}/{number}" for number, place in enumerate(mine, 1)}
+        places = sorted(place for place in points if place[0] == camera)
+        ids |= {place: f"{camera}/{number}" for number, place in enumerate(places, 1)}
     zones = [zone_at(name, place[0], np.array(points[place])) for place, name in ids.items()]
 
     # Links with the transit times that were walked.
     lags: dict[tuple[str, str], list[float]] = defaultdict(list)
-    for before, after in pairwise(seen):
+    for before, after in pairwise(walk_passages):
         if before.walker == after.walker:
             ends = ids[before.camera, before.way_out], ids[after.camera, after.way_in]
             lags[ends].append(after.t_in - before.t_out)
-    exits = Counter(ids[passage.camera, passage.way_out] for passage in seen)
+    exits = Counter(ids[passage.camera, passage.way_out] for passage in walk_passages)
     links = walked_links(lags, exits, {ends: len(seconds) for ends, seconds in lags.items()})
     pairs = pairs_of(links, {zone.id: zone.camera for zone in zones})
     return Truth(TRUTH_SCHEMA, cameras, zones, links, pairs)

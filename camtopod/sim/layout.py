@@ -45,19 +45,19 @@ class Choices:
     probability: Floats
     metres: Floats
 
-    def without(self, closed: Paths) -> Choices:
-        """Return the choices without the directed paths ``closed``.
+    def without(self, closed_paths: Paths) -> Choices:
+        """Return the choices without the directed paths ``closed_paths``.
 
         Their probability goes to the zone's other paths; where there are none, walkers leave the
         site.
         """
-        kept = self.probability.copy()
-        for u, v in closed:
-            kept[u, self.target[u] == v] = 0.0
+        probability = self.probability.copy()
+        for u, v in closed_paths:
+            probability[u, self.target[u] == v] = 0.0
         total = self.probability.sum(1, keepdims=True)
-        left = kept.sum(1, keepdims=True)
-        scale = np.divide(total, left, out=np.zeros_like(total), where=left > 0)
-        return Choices(self.target, kept * scale, self.metres)
+        open_share = probability.sum(1, keepdims=True)
+        scale = np.divide(total, open_share, out=np.zeros_like(total), where=open_share > 0)
+        return Choices(self.target, probability * scale, self.metres)
 
 
 @dataclass(frozen=True)
@@ -145,30 +145,33 @@ def _zones(counts: Longs, rng: np.random.Generator) -> tuple[Floats, Floats]:
     """
     zones: list[tuple[Floats, Floats]] = []
     for count in counts:
-        mine: list[tuple[Floats, Floats]] = []
+        camera_zones: list[tuple[Floats, Floats]] = []
         tries = 0
-        while len(mine) < count:
+        while len(camera_zones) < count:
             tries += 1
             if tries > 1000:  # those placed first leave no room
-                mine = []
+                camera_zones = []
                 tries = 0
             centre, angle = _place(rng)
-            if all(math.dist(centre, other) >= ZONE_SEPARATION for other, _ in mine):
+            if all(
+                math.dist(centre, centre_before) >= ZONE_SEPARATION
+                for centre_before, _ in camera_zones
+            ):
                 zone = centre, _ellipse(angle, rng)
-                if all(_apart(zone, other) for other in mine):
-                    mine.append(zone)
-        zones += mine
+                if all(_apart(zone, zone_before) for zone_before in camera_zones):
+                    camera_zones.append(zone)
+        zones += camera_zones
     return np.array([centre for centre, _ in zones]), np.array([cov for _, cov in zones])
 
 
-def _apart(one: tuple[Floats, Floats], other: tuple[Floats, Floats]) -> bool:
+def _apart(first: tuple[Floats, Floats], second: tuple[Floats, Floats]) -> bool:
     """Return True if two zones (centre, covariance) can be distinguished.
 
     They are five mean standard deviations apart along their line.
     """
-    between = other[0] - one[0]
+    between = second[0] - first[0]
     distance = float(np.linalg.norm(between))
-    sds = [math.sqrt(between @ cov @ between) / distance for _, cov in (one, other)]
+    sds = [math.sqrt(between @ cov @ between) / distance for _, cov in (first, second)]
     return distance >= 5.0 * sum(sds) / 2
 
 
@@ -203,9 +206,9 @@ def _streets(camera: Longs, cameras: int, rng: np.random.Generator) -> NDArray[n
     if cameras == 1:
         return np.ones(len(camera), dtype=bool)
     for c in range(cameras):
-        mine = np.flatnonzero(camera == c)
-        if street[mine].all():
-            street[rng.choice(mine)] = False
+        camera_zones = np.flatnonzero(camera == c)
+        if street[camera_zones].all():
+            street[rng.choice(camera_zones)] = False
     for c in rng.permutation(cameras):
         if street.sum() >= 2:
             break
@@ -228,28 +231,28 @@ class _Paths:
         self._distance = np.hypot(*(position[:, None] - position[None]).transpose(2, 0, 1))
         self._exclusive: set[int] = set()
 
-    def overlaps(self, count: int, each: int) -> None:
-        """Let the nearest ``count`` pairs of cameras with a free zone overlap, at most ``each`` per
-        camera.
+    def overlaps(self, count: int, per_camera: int) -> None:
+        """Let the nearest ``count`` pairs of cameras with a free zone overlap, at most
+        ``per_camera`` per camera.
         """
         a, b = np.triu_indices(len(self._distance), 1)
         for k in np.argsort(self._distance[a, b], kind="stable"):
-            zones = self._spare(int(a[k]), each), self._spare(int(b[k]), each)
+            zones = self._spare(int(a[k]), per_camera), self._spare(int(b[k]), per_camera)
             if count and all(zones):
                 u, v = (int(self._rng.choice(z)) for z in zones)
                 self._join(u, v, -self._log_uniform(OVERLAP_SECONDS))
                 self._exclusive |= {u, v}
                 count -= 1
 
-    def _spare(self, camera: int, each: int) -> list[int]:
-        """Return inner zones without a path, of a camera with fewer than ``each`` overlaps so
+    def _spare(self, camera: int, per_camera: int) -> list[int]:
+        """Return inner zones without a path, of a camera with fewer than ``per_camera`` overlaps so
         far.
         """
-        mine = self._of(camera)
-        taken = sum(u in self._exclusive for u in mine)
-        if taken >= each or (taken and len(mine) - taken < 2):  # a zone stays for other paths
-            return []
-        return [u for u in mine if not self.options[u] and not self._street[u]]
+        camera_zones = self._of(camera)
+        overlaps = sum(u in self._exclusive for u in camera_zones)
+        if overlaps >= per_camera or (overlaps and len(camera_zones) - overlaps < 2):
+            return []  # a zone stays for other paths
+        return [u for u in camera_zones if not self.options[u] and not self._street[u]]
 
     def connect(self) -> None:
         """Add unseen paths along a spanning tree of the cameras, so that the network is
@@ -266,17 +269,17 @@ class _Paths:
         """Give every inner zone a path, and two in five another one."""
         for u in self._rng.permutation(len(self._camera)).tolist():
             extra = int(self._rng.random() < 0.4)
-            wanted = min(max(1, len(self.options[u]) + extra), PATHS_PER_ZONE_MAX)
+            path_count = min(max(1, len(self.options[u]) + extra), PATHS_PER_ZONE_MAX)
             if self._street[u] or u in self._exclusive:
                 continue
-            while len(self.options[u]) < wanted and (v := self._nearby(u)) is not None:
+            while len(self.options[u]) < path_count and (v := self._nearby(u)) is not None:
                 self._join(u, v, self._log_uniform(PATH_SECONDS))
 
     def _nearby(self, u: int) -> int | None:
         """Return a zone of a near camera that can have another path."""
         for c in np.argsort(self._distance[self._camera[u]], kind="stable")[1:6]:
-            taken = self._exclusive | {v for v, _ in self.options[u]}
-            inner = [v for v in self._of(int(c)) if v not in taken and not self._street[v]]
+            taken_zones = self._exclusive | {v for v, _ in self.options[u]}
+            inner = [v for v in self._of(int(c)) if v not in taken_zones and not self._street[v]]
             free = [v for v in inner if len(self.options[v]) < PATHS_PER_ZONE_MAX]
             if free and self._rng.random() < 0.7:
                 return min(free, key=lambda v: len(self.options[v]))
@@ -322,16 +325,16 @@ def _through(camera: Longs, centre: Floats, rng: np.random.Generator) -> Choices
     u_turn = 0.03  # they leave where they entered, four metres later
     rows = []
     for zone, c in enumerate(camera):
-        others = [int(v) for v in np.flatnonzero(camera == c) if v != zone]
+        other_zones = [int(v) for v in np.flatnonzero(camera == c) if v != zone]
         metres = rng.uniform(*VIEW_METRES)
         shares = (
-            (0.2 + rng.dirichlet(np.full(len(others), 2.0)))
-            / (1 + 0.2 * len(others))
+            (0.2 + rng.dirichlet(np.full(len(other_zones), 2.0)))
+            / (1 + 0.2 * len(other_zones))
             * (1 - u_turn)
         )
         row = [
             (v, p, 2 + metres * math.dist(centre[zone], centre[v]))
-            for v, p in zip(others, shares, strict=True)
+            for v, p in zip(other_zones, shares, strict=True)
         ]
         rows.append([*row, (zone, u_turn, 4.0)])
     return _table(rows)
@@ -340,5 +343,5 @@ def _through(camera: Longs, centre: Floats, rng: np.random.Generator) -> Choices
 def _table(rows: list[list[tuple[int, float, float]]]) -> Choices:
     """Return the rows of (target, probability, metres) as arrays padded with probability 0."""
     options = max(1, max(len(row) for row in rows))
-    padded = np.array([row + [(0, 0.0, 0.0)] * (options - len(row)) for row in rows])
-    return Choices(padded[..., 0].astype(np.int64), padded[..., 1], padded[..., 2])
+    table = np.array([row + [(0, 0.0, 0.0)] * (options - len(row)) for row in rows])
+    return Choices(table[..., 0].astype(np.int64), table[..., 1], table[..., 2])

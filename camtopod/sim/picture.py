@@ -41,16 +41,14 @@ def write_map(
     maps = []
     for title, links in (("true", truth.links), ("learned", topology.links)):
         picture = _map(plan, camera_times(links), true_times)
-        framed = cv2.copyMakeBorder(
-            picture, 2 * LINE, 0, GAP, GAP, cv2.BORDER_CONSTANT, value=PAPER
-        )
-        _text(framed, f"{title} map ({LEGEND})", np.array((GAP, 1.5 * LINE)))
-        maps.append(framed)
-    both = np.hstack(maps)
-    below = np.full((LINE * (len(notes) + 2), both.shape[1], 3), PAPER, np.uint8)
+        frame = cv2.copyMakeBorder(picture, 2 * LINE, 0, GAP, GAP, cv2.BORDER_CONSTANT, value=PAPER)
+        _text(frame, f"{title} map ({LEGEND})", np.array((GAP, 1.5 * LINE)))
+        maps.append(frame)
+    maps_picture = np.hstack(maps)
+    below = np.full((LINE * (len(notes) + 2), maps_picture.shape[1], 3), PAPER, np.uint8)
     for k, note in enumerate(notes):
         _text(below, note, np.array((GAP, (k + 1.5) * LINE)))
-    if not cv2.imwrite(str(path), np.vstack([both, below])):
+    if not cv2.imwrite(str(path), np.vstack([maps_picture, below])):
         raise OSError(f"cannot write the picture {path}")
 
 

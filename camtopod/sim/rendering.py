@@ -73,8 +73,8 @@ def floor_picture(plan: Plan) -> Picture:
     picture: Picture = np.zeros((*shape, 3), dtype=np.uint8)
 
     def pixels(x: float, y: float) -> list[int]:
-        found: list[int] = np.rint(on_plan(plan, np.array((x, y)))).astype(int).tolist()
-        return found
+        result: list[int] = np.rint(on_plan(plan, np.array((x, y)))).astype(int).tolist()
+        return result
 
     # Slabs with seams, every other row shifted by half a slab.
     for area in plan.areas:
@@ -91,10 +91,10 @@ def floor_picture(plan: Plan) -> Picture:
     for a, b in plan.ways:
         begin, end = (pixels(*plan.places[name]) for name in (a, b))
         cv2.line(paths, begin, end, (214, 220, 224), round(2.6 * PIXELS_PER_METRE), cv2.LINE_AA)
-    mixed = cv2.addWeighted(picture, 0.55, paths, 0.45, 0)
+    blend = cv2.addWeighted(picture, 0.55, paths, 0.45, 0)
     coarse = np.random.default_rng(7).normal(0, 7, (shape[0] // 30 + 1, shape[1] // 30 + 1))
     stains = cv2.resize(coarse, shape[::-1], interpolation=cv2.INTER_CUBIC)[..., None]
-    return _grey_levels(mixed + stains)
+    return _grey_levels(blend + stains)
 
 
 def _grey_levels(values: NDArray[Any]) -> Picture:
@@ -108,8 +108,8 @@ def scene(plan: Plan, view: View) -> Picture:
     # Warp the floor's picture to the view at twice the size, then shade and shrink it.
     size = 2 * WIDTH, 2 * HEIGHT
     corners = np.array(((0, 0), (1, 0), (1, 1), (0, 1)), np.float32) * np.array(size, np.float32)
-    there = on_plan(plan, view.footprint()).astype(np.float32)
-    homography = cv2.getPerspectiveTransform(there, corners)
+    footprint = on_plan(plan, view.footprint()).astype(np.float32)
+    homography = cv2.getPerspectiveTransform(footprint, corners)
     large = cv2.warpPerspective(
         floor_picture(plan), homography, size, borderMode=cv2.BORDER_REFLECT
     )

@@ -56,7 +56,9 @@ def report(
     return events_of(layout.cameras, camera, entry, t, place, track, order), owner[order]
 
 
-def truth_of(layout: Layout, settings: SimSettings, recorded: Passages, owners: Longs) -> Truth:
+def truth_of(
+    layout: Layout, settings: SimSettings, recorded_passages: Passages, owners: Longs
+) -> Truth:
     """Return the network at the end of the recording, and the object that caused each event."""
     first = np.r_[0, np.flatnonzero(np.diff(layout.camera)) + 1]
     number = np.arange(len(layout.camera)) - first[layout.camera] + 1
@@ -67,7 +69,7 @@ def truth_of(layout: Layout, settings: SimSettings, recorded: Passages, owners: 
         TrueZone(f"{camera}/{k}", camera, x, y, cov)
         for camera, k, (x, y), cov in zip(cameras, number, centres, covs, strict=True)
     ]
-    links = _links(layout, settings, [zone.id for zone in zones], recorded)
+    links = _links(layout, settings, [zone.id for zone in zones], recorded_passages)
     return Truth(
         schema=TRUTH_SCHEMA,
         cameras=layout.cameras,
@@ -82,14 +84,14 @@ def truth_of(layout: Layout, settings: SimSettings, recorded: Passages, owners: 
 
 
 def _links(
-    layout: Layout, settings: SimSettings, ids: list[str], recorded: Passages
+    layout: Layout, settings: SimSettings, ids: list[str], recorded_passages: Passages
 ) -> list[TrueLink]:
     """Return every path as a link: probability, transit times, and recorded transitions."""
     rng = np.random.default_rng((settings.seed, 3))
     walkers = 20_000  # from which the true transit times are computed
     forward = seconds_per_metre(settings, rng, walkers) * jitter(rng, walkers)
     metre = {True: transit_of(forward), False: transit_of(-forward)}
-    walked = _walked(recorded)
+    walk_counts = _walked(recorded_passages)
     half_way = settings.start + settings.half_way
     closed_at = dict.fromkeys(layout.closing, half_way)
     opened_at = dict.fromkeys(layout.opening, half_way)
@@ -104,7 +106,7 @@ def _links(
                     to=ids[way[1]],
                     relation="visible" if inside else relation_of(metres),
                     probability=round(float(choices.probability[u, k]), 6),
-                    transitions=walked.get((inside, *way), 0),
+                    transitions=walk_counts.get((inside, *way), 0),
                     transit=_times(metre[metres > 0], abs(metres)),
                     closed_at=closed_at.get(way),
                     opened_at=opened_at.get(way),
@@ -113,19 +115,26 @@ def _links(
     return links
 
 
-def _times(one: Transit, metres: float) -> Transit:
+def _times(transit: Transit, metres: float) -> Transit:
     """Scale the transit time of one metre to a path's length."""
     return Transit(
         *(
             round(time * metres, 4)
-            for time in (one.mode, one.mean, one.sd, one.q10, one.q50, one.q90)
+            for time in (
+                transit.mode,
+                transit.mean,
+                transit.sd,
+                transit.q10,
+                transit.q50,
+                transit.q90,
+            )
         )
     )
 
 
-def _walked(recorded: Passages) -> dict[tuple[bool, int, int], int]:
+def _walked(recorded_passages: Passages) -> dict[tuple[bool, int, int], int]:
     """Return (through a view?, from, to) -> number of walks with both ends recorded."""
-    p = recorded.take(np.lexsort((recorded.number, recorded.walker)))
+    p = recorded_passages.take(np.lexsort((recorded_passages.number, recorded_passages.walker)))
     next_ = (p.walker[1:] == p.walker[:-1]) & (p.number[1:] == p.number[:-1] + 1)
     result: dict[tuple[bool, int, int], int] = {}
     for inside, u, v in (
@@ -158,10 +167,8 @@ def events_of(
     names = [cameras[k] for k in camera[order]]
     tracks = _track_names(names, track[order].tolist())
     return [
-        Event(name, kind, when, x, y, number)
-        for name, kind, when, (x, y), number in zip(
-            names, kinds, times, places, tracks, strict=True
-        )
+        Event(name, kind, t, x, y, number)
+        for name, kind, t, (x, y), number in zip(names, kinds, times, places, tracks, strict=True)
     ]
 
 

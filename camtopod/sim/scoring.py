@@ -121,13 +121,15 @@ def score(topology: Topology, truth: Truth) -> Score:
         for link in sorted(between, key=lambda link: link.transitions)
         if link.from_ in match and link.to in match
     }
-    walked = [link for link in between if link.transitions > 0]
-    learned = {(link.from_, link.to): link for link in topology.links if link.relation != "visible"}
+    walked_links = [link for link in between if link.transitions > 0]
+    learned_links = {
+        (link.from_, link.to): link for link in topology.links if link.relation != "visible"
+    }
 
     # Pairs of cameras.
     learned_pairs = {pair.cameras: pair.relation for pair in topology.pairs}
     true_pairs = {pair.cameras: pair.relation for pair in truth.pairs}
-    both = learned_pairs.keys() & true_pairs.keys()
+    common_pairs = learned_pairs.keys() & true_pairs.keys()
     return Score(
         cameras=len(truth.cameras),
         cameras_right=sum(
@@ -137,18 +139,22 @@ def score(topology: Topology, truth: Truth) -> Score:
         zones_true=len(truth.zones),
         zones_learned=len(topology.zones),
         zones_matched=len(match),
-        links_true=len(walked),
-        links_learned=len(learned),
-        links_found=sum((match.get(link.from_), match.get(link.to)) in learned for link in walked),
-        right=[(link, true_links[ends]) for ends, link in learned.items() if ends in true_links],
+        links_true=len(walked_links),
+        links_learned=len(learned_links),
+        links_found=sum(
+            (match.get(link.from_), match.get(link.to)) in learned_links for link in walked_links
+        ),
+        right=[
+            (link, true_links[ends]) for ends, link in learned_links.items() if ends in true_links
+        ],
         pairs_true=len(true_pairs),
         pairs_learned=len(learned_pairs),
-        pairs_right=len(both),
-        pair_relations_right=sum(learned_pairs[pair] == true_pairs[pair] for pair in both),
+        pairs_right=len(common_pairs),
+        pair_relations_right=sum(learned_pairs[pair] == true_pairs[pair] for pair in common_pairs),
     )
 
 
-def match_zones(learned: Sequence[Zone], true: Sequence[TrueZone]) -> dict[str, str]:
+def match_zones(learned_zones: Sequence[Zone], true: Sequence[TrueZone]) -> dict[str, str]:
     """Return true zone -> learned zone, one to one within a camera, least total distance
     (Hungarian), at most `ZONE_TOLERANCE` apart.
 
@@ -156,21 +162,22 @@ def match_zones(learned: Sequence[Zone], true: Sequence[TrueZone]) -> dict[str, 
     """
     result: dict[str, str] = {}
     for camera in sorted({zone.camera for zone in true}):
-        ours = [zone for zone in learned if zone.camera == camera]
-        theirs = [zone for zone in true if zone.camera == camera]
-        whole = [zone for zone in ours if zone.x is None]
-        placed = [zone for zone in ours if zone.x is not None]
+        camera_zones = [zone for zone in learned_zones if zone.camera == camera]
+        true_zones = [zone for zone in true if zone.camera == camera]
+        whole = [zone for zone in camera_zones if zone.x is None]
+        placed_zones = [zone for zone in camera_zones if zone.x is not None]
         if whole:
-            result |= {zone.id: whole[0].id for zone in theirs}
-        elif placed and theirs[0].x is not None:
-            a = np.array([(zone.x, zone.y) for zone in theirs], dtype=float)
-            b = np.array([(zone.x, zone.y) for zone in placed], dtype=float)
+            result |= {zone.id: whole[0].id for zone in true_zones}
+        elif placed_zones and true_zones[0].x is not None:
+            a = np.array([(zone.x, zone.y) for zone in true_zones], dtype=float)
+            b = np.array([(zone.x, zone.y) for zone in placed_zones], dtype=float)
             distance = np.linalg.norm(a[:, None] - b[None], axis=2)
             cost = np.where(distance <= ZONE_TOLERANCE, distance, 1e3)
             rows, columns = linear_sum_assignment(cost)
             near = distance[rows, columns] <= ZONE_TOLERANCE
             result |= {
-                theirs[i].id: placed[j].id for i, j in zip(rows[near], columns[near], strict=True)
+                true_zones[i].id: placed_zones[j].id
+                for i, j in zip(rows[near], columns[near], strict=True)
             }
     return result
 

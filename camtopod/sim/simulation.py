@@ -45,10 +45,10 @@ def simulate(settings: SimSettings) -> tuple[list[Event], Truth]:
     chance.integers(1, 4, walkers)
     chance.random(3 * walkers)
     passages = passages.take((passages.t_in >= 0) & (passages.t_out < settings.hours * 3600.0))
-    recorded = passages.take(chance.random(len(passages.t_in)) >= settings.missed)
-    events, owners = report(recorded, layout, settings, chance)
+    recorded_passages = passages.take(chance.random(len(passages.t_in)) >= settings.missed)
+    events, owners = report(recorded_passages, layout, settings, chance)
     events = _labelled(events, owners[:, 0], settings)
-    return events, truth_of(layout, settings, recorded, owners)
+    return events, truth_of(layout, settings, recorded_passages, owners)
 
 
 def _labelled(events: list[Event], walker: Longs, settings: SimSettings) -> list[Event]:
@@ -63,8 +63,8 @@ def _labelled(events: list[Event], walker: Longs, settings: SimSettings) -> list
     limits = np.cumsum(list(settings.labels.values()))
     names = [*settings.labels, None]
     draws = np.random.default_rng((settings.seed, 3)).random(int(walker.max(initial=-1)) + 1)
-    drawn = np.append(np.searchsorted(limits, draws, side="right"), len(limits))
+    label_numbers = np.append(np.searchsorted(limits, draws, side="right"), len(limits))
     return [
         replace(event, label=names[k])
-        for event, k in zip(events, drawn[np.maximum(walker, -1)].tolist(), strict=True)
+        for event, k in zip(events, label_numbers[np.maximum(walker, -1)].tolist(), strict=True)
     ]

@@ -90,8 +90,8 @@ def _arrivals(settings: SimSettings, rng: np.random.Generator) -> Floats:
         rng.uniform(begin, end, rng.poisson(rate * (1 + settings.rhythm) * (end - begin)))
     )
     phase = 2 * np.pi * (times + settings.start) / (settings.rhythm_hours * 3600.0)
-    wanted = (1 - settings.rhythm * np.cos(phase)) / (1 + settings.rhythm)
-    return times[rng.random(len(times)) < wanted]
+    acceptance = (1 - settings.rhythm * np.cos(phase)) / (1 + settings.rhythm)
+    return times[rng.random(len(times)) < acceptance]
 
 
 def jitter(rng: np.random.Generator, n: int) -> Floats:
