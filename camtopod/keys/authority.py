@@ -78,7 +78,7 @@ class Authority:
             raise KeysError(f"{path} cannot be read: {error}") from None
         self.site = ledger.site
         """The site of this authority."""
-        self.issued = ledger.issued
+        self.entries = ledger.issued
         """All certificates ever issued, oldest first."""
 
     @classmethod
@@ -129,7 +129,7 @@ class Authority:
     @property
     def access(self) -> Access:
         """The access list: all valid certificates."""
-        return Access(self.site, [one.certificate for one in self.issued if one.valid])
+        return Access(self.site, [entry.certificate for entry in self.entries if entry.valid])
 
     @property
     def hosts(self) -> list[str]:
@@ -157,8 +157,10 @@ class Authority:
         Without hosts or cameras, those of the replaced certificate are used.
         """
         # There may be one valid certificate a name; a replacement gets a new common name.
-        old = [one for one in self.issued if (one.certificate.role, one.of) == (role, name)]
-        if not replace and any(one.valid for one in old):
+        old = [
+            entry for entry in self.entries if (entry.certificate.role, entry.of) == (role, name)
+        ]
+        if not replace and any(entry.valid for entry in old):
             raise KeysError(
                 f"{role} {name} has a certificate; --replace makes a new one and revokes it"
             )
@@ -189,16 +191,18 @@ class Authority:
 
         It takes effect when the daemon has the new access list.
         """
-        theirs = [one for one in self.issued if (one.certificate.role, one.of) == (role, name)]
-        if not theirs:
+        entries = [
+            entry for entry in self.entries if (entry.certificate.role, entry.of) == (role, name)
+        ]
+        if not entries:
             raise KeysError(f"{role} {name} has no certificate; `camtopod keys list` shows who has")
-        self._keep(self._without(theirs))
+        self._keep(self._without(entries))
 
-    def _without(self, revoked: list[Issued]) -> list[Issued]:
-        """Return the ledger's entries, those of ``revoked`` no longer valid."""
+    def _without(self, entries: list[Issued]) -> list[Issued]:
+        """Return the ledger's entries, those of ``entries`` no longer valid."""
         return [
-            msgspec.structs.replace(one, valid=one.valid and one not in revoked)
-            for one in self.issued
+            msgspec.structs.replace(entry, valid=entry.valid and entry not in entries)
+            for entry in self.entries
         ]
 
     def _sign(self, folder: Path, common_name: str, days: int, hosts: Sequence[str]) -> float:
@@ -240,10 +244,10 @@ class Authority:
         secret_files.write(folder / CA, authority.public_bytes(serialization.Encoding.PEM))
         return certificate.not_valid_after_utc.timestamp()
 
-    def _keep(self, issued: list[Issued]) -> None:
-        self.issued = issued
-        encoded = msgspec.json.format(msgspec.json.encode(Ledger(self.site, issued)), indent=1)
-        secret_files.write(self.folder / "authority" / "issued.json", encoded)
+    def _keep(self, entries: list[Issued]) -> None:
+        self.entries = entries
+        data = msgspec.json.format(msgspec.json.encode(Ledger(self.site, entries)), indent=1)
+        secret_files.write(self.folder / "authority" / "issued.json", data)
 
 
 def date_text(seconds: float) -> str:

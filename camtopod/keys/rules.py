@@ -104,12 +104,12 @@ def read_access(raw: bytes) -> Access:
 def access_control(access: Access) -> Settings:
     """Return settings that allow each certificate's name its keys and deny everything else."""
     # Each certificate gets its own rules, and a policy that applies them to its name.
-    allowed: list[dict[str, Any]] = []
+    all_rules: list[dict[str, Any]] = []
     policies = []
     for certificate in access.certificates:
-        mine = _rules(access.site, certificate)
-        allowed += mine
-        policies.append({"rules": [rule["id"] for rule in mine], "subjects": [certificate.name]})
+        rules = _rules(access.site, certificate)
+        all_rules += rules
+        policies.append({"rules": [rule["id"] for rule in rules], "subjects": [certificate.name]})
 
     # The subject of a policy is the common name, over TLS only.
     subjects = [
@@ -120,7 +120,7 @@ def access_control(access: Access) -> Settings:
         "access_control": {
             "enabled": True,
             "default_permission": "deny",
-            "rules": allowed,
+            "rules": all_rules,
             "subjects": subjects,
             "policies": policies,
         }
@@ -226,36 +226,45 @@ def router_json5(access: Access, listen: list[str], message_bytes_max: int) -> s
 
 def expiring_certificates(access: Access, now: float) -> list[tuple[Certificate, float]]:
     """Return the certificates that expire soon, each with the days left (negative: expired)."""
-    soon = [one for one in access.certificates if one.expires - now < SOON_SECONDS]
-    return [(one, (one.expires - now) / 86400.0) for one in soon]
+    soon = [
+        certificate
+        for certificate in access.certificates
+        if certificate.expires - now < SOON_SECONDS
+    ]
+    return [(certificate, (certificate.expires - now) / 86400.0) for certificate in soon]
 
 
 def _rules(site: str, certificate: Certificate) -> list[dict[str, Any]]:
     """Return the rules that a certificate's role allows."""
 
-    def rule(what: str, flows: list[str], messages: tuple[str, ...], *keys: str) -> dict[str, Any]:
+    def rule(
+        purpose: str, flows: list[str], messages: tuple[str, ...], *keys: str
+    ) -> dict[str, Any]:
         return {
-            "id": f"{certificate.name} {what}",
+            "id": f"{certificate.name} {purpose}",
             "permission": "allow",
             "flows": flows,
             "messages": list(messages),
             "key_exprs": [_key(site, key) for key in keys],
         }
 
-    come = ["ingress"]
-    go = ["egress"]
+    incoming = ["ingress"]
+    outgoing = ["egress"]
     if certificate.role == "daemon":
-        return [rule("everything", come + go, _EVERYTHING, "**")]
+        return [rule("everything", incoming + outgoing, _EVERYTHING, "**")]
     watching = [
         rule(
-            "watches", come, ("declare_liveliness_subscriber", "liveliness_query"), "alive/daemon/*"
+            "watches",
+            incoming,
+            ("declare_liveliness_subscriber", "liveliness_query"),
+            "alive/daemon/*",
         ),
-        rule("sees", go, ("liveliness_token",), "alive/daemon/*"),
+        rule("sees", outgoing, ("liveliness_token",), "alive/daemon/*"),
     ]
     if certificate.role == "reader":
         return [
-            rule("asks", come, ("declare_subscriber", "query"), *READABLE),
-            rule("hears", go, ("put", "reply"), *READABLE),
+            rule("asks", incoming, ("declare_subscriber", "query"), *READABLE),
+            rule("hears", outgoing, ("put", "reply"), *READABLE),
             *watching,
         ]
     cameras = certificate.cameras or [certificate.camera]
@@ -264,13 +273,13 @@ def _rules(site: str, certificate: Certificate) -> list[dict[str, Any]]:
         return [f"{key}/{camera}" for camera in cameras for key in keys]
 
     return [
-        rule("publishes", come, ("put",), *of_each("event", "status")),
-        rule("delivers", come, ("query",), *of_each("store")),
-        rule("hears", go, ("reply",), *of_each("store")),
+        rule("publishes", incoming, ("put",), *of_each("event", "status")),
+        rule("delivers", incoming, ("query",), *of_each("store")),
+        rule("hears", outgoing, ("reply",), *of_each("store")),
         # A query for the status of all cameras reaches this one too, which answers with its own.
-        rule("is asked", go, ("query",), *of_each("status"), "status/*"),
-        rule("answers", come, ("declare_queryable", "reply"), *of_each("status")),
-        rule("is there", come, ("liveliness_token",), *of_each("alive/grabber")),
+        rule("is asked", outgoing, ("query",), *of_each("status"), "status/*"),
+        rule("answers", incoming, ("declare_queryable", "reply"), *of_each("status")),
+        rule("is there", incoming, ("liveliness_token",), *of_each("alive/grabber")),
         *watching,
     ]
 
