@@ -63,18 +63,18 @@ def _parse(text: str, name: str) -> Config:
 
     # The cameras, each on top of [vision] and [detector].
     cameras = {}
-    for camera, given in tables.items():
+    for camera, value in tables.items():
         defaults = config.new_camera
-        if isinstance(given, dict):
-            redact.remember(str(given.get("source", "")))  # hidden in all messages
-            if given.get("detector") is False:
+        if isinstance(value, dict):
+            redact.remember(str(value.get("source", "")))  # hidden in all messages
+            if value.get("detector") is False:
                 defaults = replace(defaults, detector=DetectorSettings())
-                del given["detector"]
-        cameras[camera] = reader.table(defaults, given, ("cameras", camera))
+                del value["detector"]
+        cameras[camera] = reader.table(defaults, value, ("cameras", camera))
     config = replace(config, cameras=cameras)
 
-    for path, what in _mistakes(config):
-        reader.report(path, what)
+    for path, mistake in _mistakes(config):
+        reader.report(path, mistake)
     problems += reader.problems
     if problems:
         raise ConfigError(name, problems)
@@ -135,8 +135,8 @@ def _mistakes(config: Config) -> Iterator[tuple[Keys, str]]:
             detectors[*path, "detector"] = camera.detector
     some_model = any(detector.model for detector in detectors.values())
     for path, detector in detectors.items():
-        needed = not some_model or "cameras" in path
-        if needed and not detector.model and detector != DetectorSettings():
+        is_needed = not some_model or "cameras" in path
+        if is_needed and not detector.model and detector != DetectorSettings():
             yield path, "model is missing: it is an ONNX file"
         if not detector.labels:
             yield (*path, "labels"), "is empty; name what makes events"
@@ -152,9 +152,9 @@ def _mistakes_of_topology(topology: TopologySettings) -> Iterator[tuple[Keys, st
         for a, b in getattr(topology, key):
             if a == b:
                 yield ("topology", key), f"{a} cannot be paired with itself"
-    joined = {frozenset(pair) for pair in topology.neighbours}
+    neighbours = {frozenset(pair) for pair in topology.neighbours}
     for a, b in topology.not_neighbours:
-        if {a, b} in joined:
+        if {a, b} in neighbours:
             yield ("topology", "not_neighbours"), f"{a} and {b} are among the neighbours, too"
 
 
@@ -164,16 +164,18 @@ def _mistakes_of_bus(bus: BusSettings) -> Iterator[tuple[Keys, str]]:
         return
     for key in ("ca", "certificate", "private_key"):
         if not getattr(bus.tls, key):
-            what = f"{key} is missing; ca, certificate and private_key go together"
-            yield ("bus", "tls"), what
+            mistake = f"{key} is missing; ca, certificate and private_key go together"
+            yield ("bus", "tls"), mistake
     if not bus.tls.access and not bus.connect:
-        what = "access is missing: a daemon that is the meeting point has to know who may do what"
-        yield ("bus", "tls"), what
+        mistake = (
+            "access is missing: a daemon that is the meeting point has to know who may do what"
+        )
+        yield ("bus", "tls"), mistake
     for key in ("listen", "connect"):
         for endpoint in getattr(bus, key):
             if not endpoint.startswith("tls/"):
-                what = f"{endpoint!r} is not a tls/ endpoint, but [bus.tls] is set"
-                yield ("bus", key), what
+                mistake = f"{endpoint!r} is not a tls/ endpoint, but [bus.tls] is set"
+                yield ("bus", key), mistake
 
 
 def _with_absolute_paths(folder: Path, config: Config) -> Config:

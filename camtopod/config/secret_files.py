@@ -41,8 +41,8 @@ def write(path: Path, content: bytes, mode: int = 0o600) -> None:
     with files.writing(path, mode) as file:
         if mode != 0o600:
             with contextlib.suppress(PermissionError):
-                its = path.parent.stat()
-                os.fchown(file.fileno(), its.st_uid, its.st_gid)
+                folder_stat = path.parent.stat()
+                os.fchown(file.fileno(), folder_stat.st_uid, folder_stat.st_gid)
         file.write(content)
 
 
@@ -51,7 +51,7 @@ def find_exposed(paths: Iterable[Path]) -> list[str]:
 
     A group may read a file, as services share files so. Missing files are not exposed.
     """
-    found = []
+    result = []
     for path in dict.fromkeys(paths):
         try:
             mode = path.stat().st_mode
@@ -59,8 +59,8 @@ def find_exposed(paths: Iterable[Path]) -> list[str]:
             continue
         if mode & (stat.S_IROTH | stat.S_IWOTH | stat.S_IWGRP):
             can = "read" if mode & stat.S_IROTH else "written"
-            found.append(
+            result.append(
                 f"{path} holds a secret and can be {can} by others of this machine:"
                 f" chmod 600 or 640"
             )
-    return found
+    return result

@@ -333,19 +333,19 @@ class Config(Struct, frozen=True, forbid_unknown_fields=True):
         source: used instead of the configured one, which need not be there.
         """
         cameras = self.cameras
-        known = cameras.get(camera)
-        if source is None and known is not None and known.source_file:
-            source = secret_files.read(Path(known.source_file))
+        settings = cameras.get(camera)
+        if source is None and settings is not None and settings.source_file:
+            source = secret_files.read(Path(settings.source_file))
         if source is not None:
             redact.remember(source)
-            known = known or self.new_camera
-            cameras = {**cameras, camera: replace(known, source=source, source_file="")}
+            settings = settings or self.new_camera
+            cameras = {**cameras, camera: replace(settings, source=source, source_file="")}
         return replace(self.certified(camera), cameras=cameras)
 
     @property
     def grabbed(self) -> Config:
         """The configuration with the cameras that have a source, and no others."""
-        cameras = {name: one for name, one in self.cameras.items() if one.has_source}
+        cameras = {name: settings for name, settings in self.cameras.items() if settings.has_source}
         return replace(self, cameras=cameras)
 
     def certified(self, camera: str) -> Config:
@@ -356,7 +356,11 @@ class Config(Struct, frozen=True, forbid_unknown_fields=True):
 
 TABLES: dict[str, type[Struct]] = {
     "bus.tls": TlsSettings,
-    **{one.name: one.type for one in msgspec.structs.fields(Config) if one.name != "cameras"},
+    **{
+        field.name: field.type
+        for field in msgspec.structs.fields(Config)
+        if field.name != "cameras"
+    },
 }
 """The tables with fixed keys; all others are ``[cameras.ID]``."""
 
@@ -367,5 +371,5 @@ class ConfigError(Exception):
     def __init__(self, path: str, problems: list[Problem]) -> None:
         self.problems = sorted(set(problems))
         super().__init__(
-            "\n".join(redact.redact(f"{path}:{p.line}: {p.what}") for p in self.problems)
+            "\n".join(redact.redact(f"{path}:{p.line}: {p.text}") for p in self.problems)
         )

@@ -49,7 +49,7 @@ class Problem(NamedTuple):
     """A mistake, and the line (from 1) it is on."""
 
     line: int
-    what: str
+    text: str
 
 
 def syntax(text: str) -> tuple[dict[str, Any], str, list[Problem]]:
@@ -66,12 +66,12 @@ def syntax(text: str) -> tuple[dict[str, Any], str, list[Problem]]:
         except ValueError as error:
             if not isinstance(error, tomllib.TOMLDecodeError):  # of Python's int
                 error = ValueError("a number has too many digits")
-            what, _, place = str(error).partition(" (at ")
-            found = re.match(r"line (\d+), column", place)
-            number = int(found[1]) if found else len(text.rstrip("\n").split("\n"))
+            message, _, place = str(error).partition(" (at ")
+            match = re.match(r"line (\d+), column", place)
+            number = int(match[1]) if match else len(text.rstrip("\n").split("\n"))
             if problems and number <= problems[-1].line:
                 return {}, "", problems
-            problems.append(Problem(number, _sentence(what)))
+            problems.append(Problem(number, _sentence(message)))
             if not re.match(r"\s*[^\[#=]+=", lines[number - 1]):
                 return {}, "", problems
             lines[number - 1] = ""
@@ -131,35 +131,35 @@ class TableReader:
         if not isinstance(data, dict):
             self.report(path, f"expected a table [{title}]")
             return defaults
-        known = {field.name: field for field in fields(title, type(defaults))}
+        fields_by_name = {field.name: field for field in fields(title, type(defaults))}
         values = {}
         for key, value in data.items():
             place = (*path, key)
             if is_gone(title, key):
-                why = _WHY_GONE.get(key)
-                reason = "no longer needed" if why is None else f"no longer needed, as {why}"
+                cause = _WHY_GONE.get(key)
+                reason = "no longer needed" if cause is None else f"no longer needed, as {cause}"
                 self.report(place, f"{reason}: delete it")
-            elif key not in known:
-                self.report(place, f"no such key{self._hint(key, list(known))}")
+            elif key not in fields_by_name:
+                self.report(place, f"no such key{self._hint(key, list(fields_by_name))}")
             elif isinstance(inner := getattr(defaults, key), Struct):
                 values[key] = self.table(inner, value, place)
             else:
                 try:
-                    values[key] = _converted(known[key].type, value)
+                    values[key] = _converted(fields_by_name[key].type, value)
                 except ValueError as error:
                     self.report(place, str(error))
         return msgspec.structs.replace(defaults, **values)
 
-    def report(self, path: Keys, what: str) -> None:
+    def report(self, path: Keys, text: str) -> None:
         """Report a mistake at ``path``, or at the nearest table around it that has a line."""
         place = path
         while place and place not in self._lines:
             place = place[:-1]
-        self.problems.append(Problem(self._lines.get(place, 1), f"{'.'.join(path)}: {what}"))
+        self.problems.append(Problem(self._lines.get(place, 1), f"{'.'.join(path)}: {text}"))
 
-    def _hint(self, key: str, known: list[str]) -> str:
+    def _hint(self, key: str, keys: list[str]) -> str:
         homes = [name for name, kind in self._tables.items() if key in kind.__struct_fields__]
-        return f"; it belongs in [{homes[0]}]" if homes else did_you_mean(key, known)
+        return f"; it belongs in [{homes[0]}]" if homes else did_you_mean(key, keys)
 
 
 def is_gone(table: str, key: str) -> bool:
@@ -169,13 +169,13 @@ def is_gone(table: str, key: str) -> bool:
 
 def fields(table: str, kind: type[Struct]) -> list[msgspec.structs.FieldInfo]:
     """Return the fields of ``kind`` that a file may set in ``table``."""
-    return [one for one in msgspec.structs.fields(kind) if not is_gone(table, one.name)]
+    return [field for field in msgspec.structs.fields(kind) if not is_gone(table, field.name)]
 
 
-def did_you_mean(key: str, known: list[str]) -> str:
+def did_you_mean(key: str, keys: list[str]) -> str:
     """Return the second half of a sentence about a key that does not exist."""
-    close = difflib.get_close_matches(key, known, n=1, cutoff=0.6)
-    return f"; did you mean {close[0]!r}?" if close else f"; known are {', '.join(known)}"
+    close = difflib.get_close_matches(key, keys, n=1, cutoff=0.6)
+    return f"; did you mean {close[0]!r}?" if close else f"; known are {', '.join(keys)}"
 
 
 def _converted(kind: Any, value: Any) -> Any:
@@ -183,14 +183,14 @@ def _converted(kind: Any, value: Any) -> Any:
     try:
         if kind in (Areas, Places):
             value = _polygons(value)
-        converted = msgspec.convert(value, kind)
+        result = msgspec.convert(value, kind)
     except ValueError as error:
         words = [meta.description for meta in getattr(kind, "__metadata__", ())]
-        what = next((f"expected {text}" for text in words if text), _sentence(str(error)))
-        raise ValueError(what) from None
-    if isinstance(converted, float) and not abs(converted) <= FLOAT_MAX:
+        reason = next((f"expected {text}" for text in words if text), _sentence(str(error)))
+        raise ValueError(reason) from None
+    if isinstance(result, float) and not abs(result) <= FLOAT_MAX:
         raise ValueError(f"expected a number of at most {FLOAT_MAX:g}")
-    return converted
+    return result
 
 
 def _polygons(value: Any) -> Any:
@@ -227,6 +227,6 @@ def _sentence(message: str) -> str:
         "`array`": "an array",
         "`object`": "a table",
     }
-    for theirs, ours in words.items():
-        message = message.replace(theirs, ours)
+    for foreign_word, word in words.items():
+        message = message.replace(foreign_word, word)
     return message[:1].lower() + message[1:]

@@ -24,7 +24,7 @@ EXAMPLE = DEPLOY / "camtopod.toml"
 def mistakes(text: str) -> list[tuple[int, str]]:
     with pytest.raises(ConfigError) as caught:
         parse(text)
-    return [(problem.line, problem.what) for problem in caught.value.problems]
+    return [(problem.line, problem.text) for problem in caught.value.problems]
 
 
 def test_what_is_said_is_used() -> None:
