@@ -77,13 +77,13 @@ def _pair(
     """
     # The two tests: lags, and the sum rule on every passage with a link that continues it.
     ahead = any(link.relation == "overlapped" for link in links)
-    tested = [(dwell, link.transit.q50) for link in links for dwell in passages.get(link.from_, [])]
-    during = any(sum_rule(dwell, abs(dwell + lag), abs(lag), tolerance) for dwell, lag in tested)
+    pairs = [(dwell, link.transit.q50) for link in links for dwell in passages.get(link.from_, [])]
+    during = any(sum_rule(dwell, abs(dwell + lag), abs(lag), tolerance) for dwell, lag in pairs)
 
     # Explain a difference.
     by_sums: PairRelation | None = None
     reason = None
-    if not tested:
+    if not pairs:
         reason = "no passage is known for the sum rule"
     else:
         by_sums = RELATIONS[during]

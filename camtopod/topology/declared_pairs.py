@@ -19,19 +19,19 @@ known, and between these than between cameras that are declared not to be neighb
 """
 
 
-def declared_odds(declared: Declared | None, cameras: Sequence[str]) -> Floats | None:
+def declared_odds(declarations: Declared | None, cameras: Sequence[str]) -> Floats | None:
     """Return the odds (cameras, cameras) of a path, beside those of an unknown pair.
 
     None if nothing is declared of pairs. Declared cameras that are not among ``cameras`` are left
     out.
     """
-    if declared is None or not (declared.neighbours or declared.not_neighbours):
+    if declarations is None or not (declarations.neighbours or declarations.not_neighbours):
         return None
     number = {camera: k for k, camera in enumerate(cameras)}
     odds = np.ones((len(number), len(number)))
     for pairs, factor in (
-        (declared.not_neighbours, 1.0 / NEIGHBOURS_ODDS),
-        (declared.neighbours, NEIGHBOURS_ODDS),
+        (declarations.not_neighbours, 1.0 / NEIGHBOURS_ODDS),
+        (declarations.neighbours, NEIGHBOURS_ODDS),
     ):
         for a, b in pairs:
             if a in number and b in number:

@@ -75,8 +75,8 @@ def evidence_for_links(topology: Topology, before: Topology | None) -> float | N
     """
     if links_between_views(topology):
         return None
-    known = (before and before.evidence) or 0.0
-    return round(max([known, *_shares(topology).values()]), 2)
+    evidence_before = (before and before.evidence) or 0.0
+    return round(max([evidence_before, *_shares(topology).values()]), 2)
 
 
 def waiting_for_links(topology: Topology) -> str:
@@ -97,7 +97,7 @@ def waiting_for_links(topology: Topology) -> str:
         words += f", the rest takes {duration_in_words(lacking[0][1].seconds)} at this traffic"
     second, first = sorted([0.5 / LEAD, 0.5 / LEAD, *shares.values()])[-2:]
     if first >= LEAD * second:
-        leader, _ = max(shares.items(), key=lambda one: one[1])
+        leader, _ = max(shares.items(), key=lambda item: item[1])
         words += f"; nearest are {' and '.join(leader)}"
     return f"{words}."
 
@@ -112,7 +112,7 @@ def lacks_in_words(lacks: Lacks) -> str:
 
 def duration_in_words(seconds: float) -> str:
     """Return a duration in round words."""
-    return next(words for most, words in DURATIONS if seconds <= most)
+    return next(words for limit, words in DURATIONS if seconds <= limit)
 
 
 def _joins_two_views(link: Link) -> bool:
@@ -122,14 +122,14 @@ def _joins_two_views(link: Link) -> bool:
 
 def _lacking(topology: Topology) -> list[tuple[Link, Lacks]]:
     """Return the weak links between views that more traffic would publish, nearest first."""
-    found = [
+    result = [
         (link, link.lacks)
         for link in topology.weak_links or []
         if link.lacks is not None
         and link.transitions >= NAMED_TRANSITIONS_MIN
         and _joins_two_views(link)
     ]
-    return sorted(found, key=lambda one: (one[1].seconds, one[0].q_value))
+    return sorted(result, key=lambda item: (item[1].seconds, item[0].q_value))
 
 
 def _shares(topology: Topology) -> dict[tuple[str, str], float]:

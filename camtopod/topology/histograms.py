@@ -33,10 +33,10 @@ def counts_histogram(counts: Floats, bins: LagBins, delay: float = 0.0) -> Histo
     counts (bins,): expected transitions in each of ``bins``.
     delay (seconds): to be added to the lags.
     """
-    first, kept = _trimmed(counts, bins)
-    if not len(kept):
+    first, values = _trimmed(counts, bins)
+    if not len(values):
         return Histogram(0, [])
-    return _delayed(Histogram(first, [float(f"{n:.3g}") for n in kept]), delay)
+    return _delayed(Histogram(first, [float(f"{n:.3g}") for n in values]), delay)
 
 
 def step_histogram(mass: Floats, bins: LagBins, delay: float = 0.0) -> Histogram:
@@ -45,11 +45,11 @@ def step_histogram(mass: Floats, bins: LagBins, delay: float = 0.0) -> Histogram
     mass (bins,): mass in each of ``bins``, in any unit.
     delay (seconds): to be added to the lags.
     """
-    first, kept = _trimmed(mass, bins)
-    unit = round_significant(float(kept.max(initial=0.0)) / STEPS)
+    first, values = _trimmed(mass, bins)
+    unit = round_significant(float(values.max(initial=0.0)) / STEPS)
     if unit == 0.0:
         return Histogram(0, [])
-    steps = np.rint(kept / unit).astype(np.int64).tolist()
+    steps = np.rint(values / unit).astype(np.int64).tolist()
     return _delayed(Histogram(first, steps, unit), delay)
 
 

@@ -79,7 +79,7 @@ class LagBins:
         self._cell = 0.49 * float(self.widths.min())
         cells = np.arange(int((self.edges[-1] - self.edges[0]) / self._cell) + 2)
         before = self.edges[0] + (cells - 1) * self._cell
-        self._reached = np.searchsorted(self._inner, before, side="right").astype(np.int32)
+        self._bin_of_cell = np.searchsorted(self._inner, before, side="right").astype(np.int32)
 
     def bin_of(self, lag: float) -> int:
         """Return the index of the bin of one lag (seconds); -1 if it is outside the range."""
@@ -95,8 +95,8 @@ class LagBins:
         result = np.empty(lag.size, np.int32)
         for first in range(0, lag.size, LAGS_AT_ONCE):
             part = flat[first : first + LAGS_AT_ONCE].astype(np.float64, copy=False)
-            cell = np.clip((part - self.edges[0]) / self._cell, 0, len(self._reached) - 1)
-            at = self._reached.take(cell.astype(np.intp))
+            cell = np.clip((part - self.edges[0]) / self._cell, 0, len(self._bin_of_cell) - 1)
+            at = self._bin_of_cell.take(cell.astype(np.intp))
             at += part >= self._inner.take(at)
             at[(part < self.lag_min) | (part > self.lag_max)] = -1
             result[first : first + LAGS_AT_ONCE] = at
@@ -156,11 +156,11 @@ def smooth(counts: Floats, total: Floats | None = None) -> tuple[Floats, Floats]
 
     # Each row is smoothed once, with the kernel of the highest threshold that it reaches.
     for least, sd_bins in SMOOTHING_SD_BINS:
-        reached = np.flatnonzero((total >= least) & ~above)
-        above[reached] = True
+        full_rows = np.flatnonzero((total >= least) & ~above)
+        above[full_rows] = True
         spread = lag_smoothing_matrix(size, sd_bins)
-        for part in row_slices(len(reached)):
-            rows = reached[part]
+        for part in row_slices(len(full_rows)):
+            rows = full_rows[part]
             result[rows] = counts[rows] @ spread.T
             own_share[rows] = spread[size // 2, size // 2]
     return result, own_share

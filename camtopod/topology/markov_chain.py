@@ -25,19 +25,19 @@ def estimate_markov_chain(
     """
     # Exits of each camera.
     zone_of = {zone.id: zone for zone in zones}
-    leaving: dict[str, int] = defaultdict(int)
+    exits_of: dict[str, int] = defaultdict(int)
     for zone in zone_of.values():
-        leaving[zone.camera] += zone.exits
+        exits_of[zone.camera] += zone.exits
 
     # Expected transitions between cameras, summed over links.
-    moved: dict[tuple[str, str], float] = defaultdict(float)
+    transitions: dict[tuple[str, str], float] = defaultdict(float)
     for link in links:
         if link.relation != "visible":
             source = zone_of[link.from_]
-            moved[source.camera, zone_of[link.to].camera] += link.probability * source.exits
+            transitions[source.camera, zone_of[link.to].camera] += link.probability * source.exits
 
     return [
-        ChainEdge(camera, next_camera, round(min(number / leaving[camera], 1.0), digits))
-        for (camera, next_camera), number in sorted(moved.items())
-        if leaving[camera] > 0
+        ChainEdge(camera, next_camera, round(min(number / exits_of[camera], 1.0), digits))
+        for (camera, next_camera), number in sorted(transitions.items())
+        if exits_of[camera] > 0
     ]
