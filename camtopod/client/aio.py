@@ -36,33 +36,33 @@ class Site(SiteView):
 
         Arguments and errors are those of `camtopod.client.Site.connect`.
         """
-        opened: list[Site] = []
+        sites: list[Site] = []
         given_up = threading.Event()
 
         def open_here() -> None:
-            opened.append(cls(site, connect, config))
+            sites.append(cls(site, connect, config))
             if given_up.is_set():
-                opened[0].close()
+                sites[0].close()
 
         # Connecting blocks, so it runs in a thread, which cannot be stopped: it closes the
         # connection itself if this is cancelled meanwhile.
         try:
             await asyncio.to_thread(open_here)
-            yield opened[0]
+            yield sites[0]
         finally:
             given_up.set()
-            for one in opened:
-                await asyncio.to_thread(one.close)
+            for connection in sites:
+                await asyncio.to_thread(connection.close)
 
     async def wait_for(self, version: int, seconds: float) -> Topology:
         """Return the newest version as soon as its number is at least ``version``.
 
         Raises TimeoutError after ``seconds``, or if closed meanwhile.
         """
-        found = await _awaited(self._news, lambda: self._at_least(version), seconds)
-        if found is None:
+        topology = await _awaited(self._news, lambda: self._at_least(version), seconds)
+        if topology is None:
             raise TimeoutError(self._not_there(version, seconds))
-        return found
+        return topology
 
     async def versions(self, seconds: float | None = None) -> AsyncIterator[Topology]:
         """Yield the current version, if there is one, and each later one.
@@ -107,21 +107,21 @@ class Answers(AnswerQueue[AnswerT], contextlib.AbstractAsyncContextManager["Answ
 
 
 async def _awaited(
-    news: ChangeSignal, found: Callable[[], T | None], seconds: float | None
+    news: ChangeSignal, search: Callable[[], T | None], seconds: float | None
 ) -> T | None:
     """Do what `ChangeSignal.wait_for` does, in an event loop."""
     loop = asyncio.get_running_loop()
-    came = asyncio.Event()
+    signal = asyncio.Event()
 
     def tell() -> None:
         with contextlib.suppress(RuntimeError):  # raised if the loop has been closed meanwhile
-            loop.call_soon_threadsafe(came.set)
+            loop.call_soon_threadsafe(signal.set)
 
     with news.listener_added(tell), contextlib.suppress(TimeoutError):
         async with asyncio.timeout(seconds):
-            while not news.closed:
-                if (value := found()) is not None:
+            while not news.is_closed:
+                if (value := search()) is not None:
                     return value
-                await came.wait()
-                came.clear()
+                await signal.wait()
+                signal.clear()
     return None

@@ -36,7 +36,7 @@ class AnswerQueue(Generic[AnswerT]):
     @property
     def closed(self) -> bool:
         """True once no further answers will arrive."""
-        return self._news.closed
+        return self._news.is_closed
 
     def close(self) -> None:
         """Unsubscribe and release all waiters. May be called repeatedly."""

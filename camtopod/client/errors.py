@@ -25,9 +25,9 @@ class UnknownPlace(KeyError):
     ``str()`` lists up to 20 existing names, the most similar first.
     """
 
-    def __init__(self, what: str, name: str, version: int, known: list[str]) -> None:
-        alike = ", ".join(difflib.get_close_matches(name, known, 20, cutoff=0.0)) or "none"
-        super().__init__(f"version {version} has no {what} {name!r}; there are {alike}")
+    def __init__(self, kind: str, name: str, version: int, names: list[str]) -> None:
+        alike = ", ".join(difflib.get_close_matches(name, names, 20, cutoff=0.0)) or "none"
+        super().__init__(f"version {version} has no {kind} {name!r}; there are {alike}")
 
     def __str__(self) -> str:
         return str(self.args[0])  # KeyError itself adds quotation marks
@@ -35,11 +35,11 @@ class UnknownPlace(KeyError):
 
 def zones_of(topology: Topology, camera: str) -> list[int]:
     """Return the zones (indices) of a camera. Raises `UnknownPlace` for a camera without zones."""
-    found = [k for k, zone in enumerate(topology.zones) if zone.camera == camera]
-    if not found:
-        known = list(dict.fromkeys(zone.camera for zone in topology.zones))
-        raise UnknownPlace("camera", camera, topology.version, known)
-    return found
+    rows = [k for k, zone in enumerate(topology.zones) if zone.camera == camera]
+    if not rows:
+        cameras = list(dict.fromkeys(zone.camera for zone in topology.zones))
+        raise UnknownPlace("camera", camera, topology.version, cameras)
+    return rows
 
 
 def zone_at(topology: Topology, zone: str, camera: str | None = None) -> int:
@@ -47,12 +47,14 @@ def zone_at(topology: Topology, zone: str, camera: str | None = None) -> int:
 
     Raises `UnknownPlace`.
     """
-    there = [k for k, one in enumerate(topology.zones) if camera in (None, one.camera)]
-    for k in there:
+    rows = [
+        k for k, camera_zone in enumerate(topology.zones) if camera in (None, camera_zone.camera)
+    ]
+    for k in rows:
         if topology.zones[k].id == zone:
             return k
     if camera is not None:
         zones_of(topology, camera)  # raises for an unknown camera
-    known = [topology.zones[k].id for k in there]
-    what = "zone" if camera is None else f"zone of {camera} called"
-    raise UnknownPlace(what, zone, topology.version, known)
+    ids = [topology.zones[k].id for k in rows]
+    kind = "zone" if camera is None else f"zone of {camera} called"
+    raise UnknownPlace(kind, zone, topology.version, ids)

@@ -86,16 +86,16 @@ class Gate:
         """
         source = zone_at(self.topology, from_zone)
         zones = np.array(self._zones(to_camera, to_zone), np.intp)
-        left = t_exit - self._ahead[self.topology.zones[source].camera]
-        lag = t_entry - self._ahead[to_camera] - left
+        departure_t = t_exit - self._ahead[self.topology.zones[source].camera]
+        lag = t_entry - self._ahead[to_camera] - departure_t
         if not math.isfinite(lag):
             raise ValueError(f"t_exit {t_exit} and t_entry {t_entry}: finite numbers of seconds")
         answer = outlook(self.prepared, Departure(source))
         lags = np.full(len(zones), lag)
-        linked = self._log_density(answer, zones, lags)
-        every = log_density(self.prepared, answer, zones, lags)
-        by_link = linked > every - math.log(2.0)
-        return float(np.logaddexp.reduce(np.where(by_link, linked, every)))
+        link_density = self._log_density(answer, zones, lags)
+        density = log_density(self.prepared, answer, zones, lags)
+        by_link = link_density > density - math.log(2.0)
+        return float(np.logaddexp.reduce(np.where(by_link, link_density, density)))
 
     def gate_new(self, to_camera: str, to_zone: str | None = None) -> float:
         """Return ln of the rate (1/s) at which objects from outside appear at a camera or zone.
@@ -153,39 +153,39 @@ class Gate:
         # Zones and corrected times of the events.
         odds = np.zeros((len(exits), len(entries)))
         zones = [self.prepared.zone_of(entry) for entry in entries]
-        known = np.array([k for k, zone in enumerate(zones) if zone is not None], np.intp)
-        if not len(known):
+        columns = np.array([k for k, zone in enumerate(zones) if zone is not None], np.intp)
+        if not len(columns):
             return odds
         to = np.array([zone for zone in zones if zone is not None], np.intp)
-        came = np.array([self._corrected(entries[k]) for k in known])
-        left = [self._corrected(event) for event in exits]
-        until = max([*left, *came.tolist()]) if now is None else now
+        entry_t = np.array([self._corrected(entries[k]) for k in columns])
+        exit_t = [self._corrected(event) for event in exits]
+        until = max([*exit_t, *entry_t.tolist()]) if now is None else now
 
         # Row of each exit: the transition against leaving the site and an arrival from outside.
         new = np.log(self._outside)[to]
         labels = self.prepared.labels
-        entry_labels = np.array([labels.number(entries[k].label) for k in known])
+        entry_labels = np.array([labels.number(entries[k].label) for k in columns])
         by_track = defaultdict(list)
-        for one in entries:
-            if one.track is not None:
-                by_track[one.camera, str(one.track)].append(one)
+        for candidate in entries:
+            if candidate.track is not None:
+                by_track[candidate.camera, str(candidate.track)].append(candidate)
         for row, event in enumerate(exits):
             zone = self.prepared.zone_of(event)
             if zone is not None:
                 entry = _entry_of(event, by_track[event.camera, str(event.track)])
                 passage = None if entry is None else self._passage(entry)
                 block = block_of(event.x, event.y)
-                answer = outlook(self.prepared, Departure(zone, left[row], passage, block))
-                density = self._log_density(answer, to, came - left[row])
-                odds[row, known] = density - new - _log_unseen(answer, until - left[row])
+                answer = outlook(self.prepared, Departure(zone, exit_t[row], passage, block))
+                density = self._log_density(answer, to, entry_t - exit_t[row])
+                odds[row, columns] = density - new - _log_unseen(answer, until - exit_t[row])
                 label = labels.number(event.label or (entry or event).label)
-                odds[row, known] += np.log(labels.agreement(label, entry_labels, to))
+                odds[row, columns] += np.log(labels.agreement(label, entry_labels, to))
         return odds
 
     def _log_density(self, answer: Outlook, zones: Rows, lag: Floats) -> Floats:
         """Return the `log_density` of links; on a site that nobody leaves, of all appearances."""
-        linked = not self.prepared.anywhere.nobody_leaves
-        return log_density(self.prepared, answer, zones, lag, linked)
+        by_link = not self.prepared.anywhere.nobody_leaves
+        return log_density(self.prepared, answer, zones, lag, by_link)
 
     def _corrected(self, event: Event) -> float:
         """Return the corrected time of an event; minus infinity for an unknown camera."""

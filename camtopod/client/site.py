@@ -58,10 +58,10 @@ class Site(SiteView, contextlib.AbstractContextManager["Site"]):
 
         Raises TimeoutError after ``seconds``, or if closed meanwhile.
         """
-        found = self._news.wait_for(lambda: self._at_least(version), seconds)
-        if found is None:
+        topology = self._news.wait_for(lambda: self._at_least(version), seconds)
+        if topology is None:
             raise TimeoutError(self._not_there(version, seconds))
-        return found
+        return topology
 
     def versions(self, seconds: float | None = None) -> Iterator[Topology]:
         """Yield the current version, if there is one, and each later one.

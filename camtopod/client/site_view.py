@@ -81,10 +81,12 @@ class SiteView:
         # Close the session on failure: a program with an open session does not terminate.
         with contextlib.ExitStack() as undo:
             undo.callback(self._bus.close)
-            others = sites_instead(self._bus, settings)
-            taken = site is None and take_only_site(self._bus, settings, others)
-            if others and not taken:
-                raise BusError(f"no daemon of site {self._bus.site} is there{in_words(others)}")
+            other_sites = sites_instead(self._bus, settings)
+            is_taken = site is None and take_only_site(self._bus, settings, other_sites)
+            if other_sites and not is_taken:
+                raise BusError(
+                    f"no daemon of site {self._bus.site} is there{in_words(other_sites)}"
+                )
             self._view = TopologySubscriber(self._bus)
             self._bus.subscribe("topology", lambda key, payload: self._wake.set())
             self._bus.watch_alive("daemon", self._on_daemon)
@@ -147,10 +149,10 @@ class SiteView:
         ``now`` before ``t``.
         """
         # Validate the exit as if it had been received.
-        asked = {"camera": camera, "kind": "exit", "t": t, "x": x, "y": y, "track": track}
-        asked["label"] = label
-        given = {name: _plain(value) for name, value in asked.items() if value is not None}
-        event = codec.event_from_msgpack(codec.to_msgpack(given))
+        fields = {"camera": camera, "kind": "exit", "t": t, "x": x, "y": y, "track": track}
+        fields["label"] = label
+        values = {name: _plain(value) for name, value in fields.items() if value is not None}
+        event = codec.event_from_msgpack(codec.to_msgpack(values))
         if zone is not None and x is not None:
             raise ValueError("give a zone or a position, not both")
 
@@ -224,12 +226,12 @@ class SiteView:
         self._thread.join()
         self._bus.close()
 
-    def _opened(self, opened: Callable[[Bus], QueueT]) -> QueueT:
+    def _opened(self, open_queue: Callable[[Bus], QueueT]) -> QueueT:
         """Open a subscription that `close` closes. Raises `BusError` if this is closed already."""
         with self._mutex:
             self._require_open()
-            queue = opened(self._bus)
-            still_open = [one for one in self._queues if not one.closed]
+            queue = open_queue(self._bus)
+            still_open = [answer_queue for answer_queue in self._queues if not answer_queue.closed]
             self._queues = [*still_open, queue]
         return queue
 
@@ -248,12 +250,12 @@ class SiteView:
         return self.current
 
     def _not_there(self, version: int, seconds: float) -> str:
-        there = "the daemon is there"
+        presence = "the daemon is there"
         if self.stale_since is not None:
-            there = "no daemon is there: is `camtopod run` running?"
+            presence = "no daemon is there: is `camtopod run` running?"
         return (
             f"no version {version} of site {self.site} within {seconds:g} s, "
-            f"the newest is {self.version}; {there}"
+            f"the newest is {self.version}; {presence}"
         )
 
     def _newer(self, than: Topology | None) -> Topology | None:
@@ -271,8 +273,8 @@ class SiteView:
     def _refresh(self) -> None:
         version = self._view.update()
         if version is not None:
-            prepared = PreparedVersion(_with_all_alive(version))
-            gate, predictor = Gate(version, prepared), Predictor(version, prepared)
+            prepared_version = PreparedVersion(_with_all_alive(version))
+            gate, predictor = Gate(version, prepared_version), Predictor(version, prepared_version)
             with self._mutex:
                 if self._predictor is not None:
                     predictor.take_over(self._predictor)
@@ -280,10 +282,10 @@ class SiteView:
             self._news.notify()
         self._say_there(self._bus.connected and bool(self._daemons))
 
-    def _say_there(self, there: bool) -> None:
-        if there != (self.stale_since is None):
+    def _say_there(self, is_there: bool) -> None:
+        if is_there != (self.stale_since is None):
             self.stale_since = None
-            if not there:
+            if not is_there:
                 self.stale_since = clock.wall()
             self._news.notify()
 

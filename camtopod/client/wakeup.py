@@ -17,7 +17,7 @@ class ChangeSignal:
 
     def __init__(self) -> None:
         self._listeners: list[Callable[[], None]] = []  # whose methods used here are atomic
-        self.closed = False
+        self.is_closed = False
         """True once no further changes will be announced."""
 
     def notify(self) -> None:
@@ -27,23 +27,23 @@ class ChangeSignal:
 
     def close(self) -> None:
         """Announce that no more changes will come and release all waiters."""
-        self.closed = True
+        self.is_closed = True
         self.notify()
 
-    def wait_for(self, found: Callable[[], T | None], seconds: float | None = None) -> T | None:
+    def wait_for(self, search: Callable[[], T | None], seconds: float | None = None) -> T | None:
         """Call ``found()`` after each change and return its first result that is not None.
 
         Returns None when closed or after ``seconds``.
         """
         deadline = time.monotonic() + (math.inf if seconds is None else seconds)
-        changed = threading.Event()
-        with self.listener_added(changed.set):
-            while not self.closed:
-                changed.clear()
-                if (value := found()) is not None:
+        change = threading.Event()
+        with self.listener_added(change.set):
+            while not self.is_closed:
+                change.clear()
+                if (value := search()) is not None:
                     return value
-                left = deadline - time.monotonic()
-                if not changed.wait(min(max(left, 0.0), threading.TIMEOUT_MAX)):
+                seconds_left = deadline - time.monotonic()
+                if not change.wait(min(max(seconds_left, 0.0), threading.TIMEOUT_MAX)):
                     break
         return None
 
