@@ -37,10 +37,10 @@ def configuration(args: argparse.Namespace) -> Config:
 
     Raises `CommandError`.
     """
-    loaded = Config()
+    config = Config()
     if args.config is not None:
         try:
-            loaded = config_file.load(args.config)
+            config = config_file.load(args.config)
         except ConfigError as error:
             raise CommandError(f"the configuration has mistakes:\n{error}", exits.CONFIG) from None
         except OSError as error:
@@ -53,20 +53,20 @@ def configuration(args: argparse.Namespace) -> Config:
             else:
                 say(visible(f"camtopod: configuration: {args.config}"))
         if getattr(args, "with_parent", None) is None:  # otherwise the supervisor warns
-            for sentence in secret_files.find_exposed(loaded.secrets(args.config)):
+            for sentence in secret_files.find_exposed(config.secrets(args.config)):
                 log.warning("%s", sentence)
 
     # Apply the command line, then read the one camera's source.
-    loaded = with_options(args, loaded)
+    config = with_options(args, config)
     if getattr(args, "camera", None):
         try:
-            loaded = loaded.for_camera(args.camera, getattr(args, "source", None))
+            config = config.for_camera(args.camera, getattr(args, "source", None))
         except OSError as error:
             raise InputError(
                 f"cannot read the source of camera {args.camera}: "
                 f"{error.filename}: {error.strerror}"
             ) from None
-    return loaded
+    return config
 
 
 def say(message: str) -> None:
@@ -74,15 +74,15 @@ def say(message: str) -> None:
     print(redact(message), file=sys.stderr, flush=True)
 
 
-def with_options(args: argparse.Namespace, loaded: Config) -> Config:
-    """Apply ``--site``, ``--connect`` and ``--state`` to ``loaded``. Raises `CommandError`."""
+def with_options(args: argparse.Namespace, config: Config) -> Config:
+    """Apply ``--site``, ``--connect`` and ``--state`` to ``config``. Raises `CommandError`."""
     try:
-        loaded = loaded.joining(args.site, args.connect or ())
+        config = config.joining(args.site, args.connect or ())
     except ValueError as error:
         raise CommandError(f"--{error}", exits.USAGE) from None
     if getattr(args, "state", None):
-        loaded = replace(loaded, state=StateSettings(args.state))
-    return loaded
+        config = replace(config, state=StateSettings(args.state))
+    return config
 
 
 def topology_of(path: str) -> Topology:
@@ -121,8 +121,8 @@ def writing(path: str | Path) -> Iterator[None]:
     except OSError as error:
         if error.errno is None:  # of camtopod itself
             raise
-        where = error.filename or path
-        raise CommandError(f"cannot write {where}: {error.strerror}") from None
+        place = error.filename or path
+        raise CommandError(f"cannot write {place}: {error.strerror}") from None
 
 
 @contextlib.contextmanager
@@ -163,7 +163,7 @@ class _Formatter(logging.Formatter):
         super().__init__()
         self._form = form
         self._part = f"{part}: " if part else ""
-        self._stamped = not _to_journal()
+        self._has_stamps = not _to_journal()
 
     def format(self, record: logging.LogRecord) -> str:
         """Return the line in the form "text", "logfmt" or "json"."""
@@ -177,11 +177,11 @@ class _Formatter(logging.Formatter):
             content = {"t": stamp, "level": level, "from": name, "message": message + trace}
             return visible(json.dumps(content, ensure_ascii=False))
         if self._form == "logfmt":
-            quoted = json.dumps(message + trace, ensure_ascii=False)
-            return visible(f"t={stamp} level={level} from={name} message={quoted}")
+            text = json.dumps(message + trace, ensure_ascii=False)
+            return visible(f"t={stamp} level={level} from={name} message={text}")
         message = self._part + message
         line = visible(f"{level}: {message}")
-        if not self._stamped:  # the journal has its own times
+        if not self._has_stamps:  # the journal has its own times
             return (visible(message) if level == "info" else line) + visible_lines(trace)
         return f"{stamp[:-5]}Z {line}{visible_lines(trace)}"
 
@@ -189,8 +189,8 @@ class _Formatter(logging.Formatter):
 def _to_journal() -> bool:
     """Return True if standard error is the journal, as of systemd.exec(5)."""
     with contextlib.suppress(OSError):
-        mine = os.fstat(2)
-        return os.environ.get("JOURNAL_STREAM") == f"{mine.st_dev}:{mine.st_ino}"
+        stderr_stat = os.fstat(2)
+        return os.environ.get("JOURNAL_STREAM") == f"{stderr_stat.st_dev}:{stderr_stat.st_ino}"
     return False
 
 
@@ -269,13 +269,13 @@ def ends_within(stop: threading.Event, seconds: float, parent: int | None = None
     Data that must not be lost is on disk by then. ``stop`` is also set when the process ``parent``
     is no longer this one's parent.
     """
-    done = threading.Event()
+    end = threading.Event()
 
     def watch() -> None:
         while not stop.wait(0.5):
             if parent is not None and os.getppid() != parent:
                 stop.set()
-        if not done.wait(seconds):
+        if not end.wait(seconds):
             log.warning(
                 "not everything closed within %g s; the process ends anyway, stored data is safe",
                 seconds,
@@ -286,7 +286,7 @@ def ends_within(stop: threading.Event, seconds: float, parent: int | None = None
     try:
         yield
     finally:
-        done.set()
+        end.set()
         stop.set()
 
 

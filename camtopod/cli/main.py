@@ -139,8 +139,8 @@ def main(argv: Sequence[str] | None = None) -> int:
         return _fail(str(error), error.status, form)
     except ModuleNotFoundError as error:
         name = _command_in(arguments) or "this"
-        what = f"{name} needs the package {error.name!r}, which is not installed"
-        return _fail(f"{what}; see README, 'Packages'", exits.FAILED, form)
+        message = f"{name} needs the package {error.name!r}, which is not installed"
+        return _fail(f"{message}; see README, 'Packages'", exits.FAILED, form)
     except OSError as error:
         if error.filename is not None:  # of an input, and no command translated it
             return _fail(f"cannot read {error.filename}: {error.strerror}", exits.INPUT, form)
@@ -211,8 +211,8 @@ class _PrintCompletion(argparse.Action):
 
     def __call__(self, parser: object, namespace: object, shell: object, *_: object) -> NoReturn:
         """Print the script for ``shell``."""
-        everything, _modules = parser_of(COMMANDS)
-        print(completion.script(everything, str(shell)))
+        full_parser, _modules = parser_of(COMMANDS)
+        print(completion.script(full_parser, str(shell)))
         raise SystemExit(exits.DONE)
 
 
@@ -265,9 +265,9 @@ def parser_of(whole: Collection[str]) -> tuple[argparse.ArgumentParser, dict[str
         if command in whole:
             modules[command] = importlib.import_module(_module(command))
             inner = modules[command].add_parser(add) or []
-            for its in (subparsers.choices[command], *inner):
-                _add_common(its, top=False)
-                its.set_defaults(parser=its)
+            for command_parser in (subparsers.choices[command], *inner):
+                _add_common(command_parser, top=False)
+                command_parser.set_defaults(parser=command_parser)
         else:
             add()
     return parser, modules
@@ -280,10 +280,10 @@ def _module(command: str) -> str:
 
 def _command_in(arguments: list[str]) -> str | None:
     """Return the first argument that is neither an option nor the value of a common option."""
-    rest = iter(arguments)
-    for argument in rest:
+    remainder = iter(arguments)
+    for argument in remainder:
         if argument in _COMMON or argument == "--print-completion":
-            next(rest, None)
+            next(remainder, None)
         elif not argument.startswith("-"):
             return argument
     return None
@@ -292,17 +292,19 @@ def _command_in(arguments: list[str]) -> str | None:
 def _add_common(parser: argparse.ArgumentParser, top: bool) -> None:
     """Add the common options; after the command's name they default to the values before it."""
     group = parser.add_argument_group("common options")
-    for option, its in _COMMON.items():
-        group.add_argument(option, **(its if top else {**its, "default": argparse.SUPPRESS}))
+    for option, keywords in _COMMON.items():
+        group.add_argument(
+            option, **(keywords if top else {**keywords, "default": argparse.SUPPRESS})
+        )
 
 
 def _fail(message: str, status: int, form: str) -> int:
     """Print an error in the chosen log format and return ``status``."""
     message = redact(message)
-    quoted = json.dumps(message, ensure_ascii=False)
+    text = json.dumps(message, ensure_ascii=False)
     lines = {
-        "json": visible(f'{{"level": "error", "message": {quoted}}}'),
-        "logfmt": visible(f"level=error message={quoted}"),
+        "json": visible(f'{{"level": "error", "message": {text}}}'),
+        "logfmt": visible(f"level=error message={text}"),
         "text": visible_lines(f"camtopod: {message}"),
     }
     print(lines[form], file=sys.stderr)

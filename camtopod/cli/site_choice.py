@@ -20,12 +20,12 @@ def dial_as_reader(args: argparse.Namespace, config: Config) -> tuple[Bus, Confi
     the log says so. Raises `BusError`.
     """
     bus = dial(config)
-    others = sites_instead(bus, config)
-    if args.site is None and take_only_site(bus, config, others):
+    other_sites = sites_instead(bus, config)
+    if args.site is None and take_only_site(bus, config, other_sites):
         log.info("site %s, the only one on this bus; no --site is given", bus.site)
         return bus, replace(config, site=SiteSettings(bus.site))
-    if others:
-        log.warning("no daemon of site %s is there%s", bus.site, _named(others))
+    if other_sites:
+        log.warning("no daemon of site %s is there%s", bus.site, _named(other_sites))
     return bus, config
 
 

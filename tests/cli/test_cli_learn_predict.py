@@ -258,8 +258,8 @@ def test_long_lines_are_skipped_whole(capsys: pytest.CaptureFixture[str]) -> Non
     reader = LineReader()
     found = list(reader.lines("f", io.BytesIO(raw)))
     assert [line.number for line in found] == [1, 2, 3, 8]
-    assert reader.rejected == {"too-long": 4}
+    assert reader.rejections == {"too-long": 4}
     assert capsys.readouterr().err.count("f:4:") == 1
     end = LineReader()
     assert list(end.lines("f", io.BytesIO(b"z" * 200_000))) == []
-    assert end.rejected == {"too-long": 1}
+    assert end.rejections == {"too-long": 1}

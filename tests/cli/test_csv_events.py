@@ -55,7 +55,7 @@ def test_a_table_is_read_with_seconds_and_with_dates(time: str) -> None:
 def test_a_table_is_read_as_other_programs_write_it(text: str | bytes) -> None:
     reader, events = read(text)
     assert events == WALK
-    assert not reader.rejected
+    assert not reader.rejections
 
 
 def test_each_kind_of_mistake_is_counted_and_shown_once(
@@ -106,6 +106,6 @@ def test_a_column_of_labels_is_read_and_bad_ones_are_counted(
 
     assert [event.label for event in events] == ["person", None, None]
     assert reader.labels_dropped == 1
-    assert not reader.rejected
+    assert not reader.rejections
     assert reader.summary() == "1 labels were not valid, their events count"
     assert "my.csv:3: label has no letter or digit" in capsys.readouterr().err

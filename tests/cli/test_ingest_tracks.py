@@ -231,7 +231,7 @@ def test_frames_that_come_late_begin_no_track(name: str, sends_empty: bool, stal
         "axis": Axis("lobby"),
         "onvif": Onvif("lobby"),
         "deepstream": DeepStream({"": (1000, 500)}),
-        "scenescape": SceneScape({"": (1000, 500)}, tracked=True),
+        "scenescape": SceneScape({"": (1000, 500)}, is_tracked=True),
     }[name]
     messages = walk(FORMATS[name][0])
     if not sends_empty:

@@ -34,7 +34,7 @@ PASSWORD = "p@ss:w/0rd"
 
 @pytest.fixture(autouse=True)
 def _forget(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(redact, "_known", set())
+    monkeypatch.setattr(redact, "_secrets", set())
 
 
 @pytest.fixture(scope="module")

@@ -196,7 +196,7 @@ def test_bytes_that_wait_have_a_limit_and_prefixes_may_be_any(
         source = mqtt.broker(f"mqtt://127.0.0.1:{broker.port}/frigate")
         with contextlib.closing(mqtt.MessageSubscription(source, "events")) as messages:
             broker.publish([b"x" * 400] * 5)
-            wait_for(lambda: messages.dropped == 3, "the messages")
+            wait_for(lambda: messages.dropped_count == 3, "the messages")
             stop = threading.Event()
             read = messages.read(stop)
             assert [len(next(read)) for _ in range(2)] == [400, 400]

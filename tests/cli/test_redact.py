@@ -26,7 +26,7 @@ SECRETS = [
 
 @pytest.fixture(autouse=True)
 def _forget(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(redact, "_known", set())
+    monkeypatch.setattr(redact, "_secrets", set())
 
 
 @pytest.mark.parametrize("password", SECRETS)

@@ -119,7 +119,7 @@ def test_no_more_lines_are_held_than_the_limit(kind: str, monkeypatch: pytest.Mo
     returned = []
     for k in range(1000):
         returned += waiting.add(Event("a", kind, k * 1e-3))
-        assert max(len(waiting._held), len(waiting._unanswered), len(waiting._answers)) < 10
+        assert max(len(waiting._heap), len(waiting._open_numbers), len(waiting._answers)) < 10
 
     returned += waiting.rest()
     assert len(returned) == (1000 if kind == "exit" else 0)

@@ -50,8 +50,8 @@ def camera_status(
     The reason is followed by the number of restarts and the cause of the last one.
     """
     if restarts:
-        restarted = f"restarted {counted(restarts, 'time')}, last: {last_end}"
-        reason = restarted if reason in ("", last_end) else f"{reason}; {restarted}"
+        history = f"restarted {counted(restarts, 'time')}, last: {last_end}"
+        reason = history if reason in ("", last_end) else f"{reason}; {history}"
     return {
         "camera": camera,
         "state": state,
@@ -84,10 +84,10 @@ class CameraProcess:
         self._backoff = RESTART_SECONDS_MIN
         self._receiver: HeartbeatReceiver | None = None
         self._started_at = 0.0
-        self._heard = False
+        self._has_reported = False
         self._heard_at = 0.0
         self._kill_at: float | None = None
-        self._hung = ""
+        self._hang = ""
         """How long the process was silent, in words, if it is being killed for that."""
         self._asked_to_end = False
 
@@ -99,7 +99,7 @@ class CameraProcess:
     @property
     def silent(self) -> bool:
         """Return True if no process has said anything since its start."""
-        return self.process is None or not self._heard
+        return self.process is None or not self._has_reported
 
     def look_after(self, now: float, command: Sequence[str]) -> None:
         """Start the process, read its heartbeats, or kill it, as needed; never waits.
@@ -116,7 +116,7 @@ class CameraProcess:
         status = self.process.poll()  # before reading, so that its last heartbeat counts
         if (heartbeat := self._receiver.newest()) is not None:
             self.state, self.reason = heartbeat
-            self._heard = True
+            self._has_reported = True
             self._heard_at = now
 
         # Handle its end, or kill it when its time is over.
@@ -127,8 +127,8 @@ class CameraProcess:
             if now >= self._kill_at:
                 self.process.kill()  # if it survives, wait for it: it holds the spool
         elif silence > HUNG_SECONDS:
-            self._hung = f"hung for {silence:.0f} s while {self.state}"
-            log.error("camera %s: the process %s; killing it", self.camera, self._hung)
+            self._hang = f"hung for {silence:.0f} s while {self.state}"
+            log.error("camera %s: the process %s; killing it", self.camera, self._hang)
             self._signal(signal.SIGABRT, now)  # it logs where it hangs
 
     def request_end(self, now: float, start_at: float | None = None) -> None:
@@ -170,10 +170,10 @@ class CameraProcess:
         self.state = "connecting"
         self.reason = "the process is starting"
         self._started_at = now
-        self._heard = False
+        self._has_reported = False
         self._heard_at = now + START_SECONDS
         self._kill_at = None
-        self._hung = ""
+        self._hang = ""
         self._asked_to_end = False
 
     def _ended(self, status: int, now: float) -> None:
@@ -191,11 +191,11 @@ class CameraProcess:
         elif status == exits.USAGE:
             self._give_up(f"{exit_reason(status)}; it is not restarted")
         else:
-            why = self._hung or exit_reason(status)
+            cause = self._hang or exit_reason(status)
             if self.state in ("running", "ended") and kind_of(self.settings.source) == "file":
-                self._give_up(f"{why}; not restarted, as the events of a file would count twice")
+                self._give_up(f"{cause}; not restarted, as the events of a file would count twice")
             else:
-                self._restart_later(now, now - self._started_at, why)
+                self._restart_later(now, now - self._started_at, cause)
 
     def _give_up(self, reason: str) -> None:
         """Note and log why the process is not started again."""
@@ -203,15 +203,15 @@ class CameraProcess:
         self.reason = reason
         log.error("camera %s: %s", self.camera, reason)
 
-    def _restart_later(self, now: float, ran: float, why: str) -> None:
+    def _restart_later(self, now: float, run_seconds: float, cause: str) -> None:
         """Schedule a restart; the wait doubles unless the process ran for a while."""
-        if ran >= RESTART_SECONDS_MAX:
+        if run_seconds >= RESTART_SECONDS_MAX:
             self._backoff = RESTART_SECONDS_MIN
         wait = self._backoff * (0.5 + random.random())
         self._backoff = min(2 * self._backoff, RESTART_SECONDS_MAX)
         self.start_at = now + wait
         self.restarts += 1
-        self.last_end = why
+        self.last_end = cause
         self.state = "restarting"
-        self.reason = why
-        log.warning("camera %s: %s; restarting in %.1f s", self.camera, why, wait)
+        self.reason = cause
+        log.warning("camera %s: %s; restarting in %.1f s", self.camera, cause, wait)

@@ -27,20 +27,20 @@ def streams_by_onvif(cameras: Mapping[str, str]) -> tuple[dict[str, str], dict[s
 
     Return the cameras whose source is known, and for the others why it is not.
     """
-    asked = [name for name, source in cameras.items() if source.startswith(f"{onvif.SCHEME}://")]
-    found = dict(cameras)
+    names = [name for name, source in cameras.items() if source.startswith(f"{onvif.SCHEME}://")]
+    urls = dict(cameras)
     missing = {}
     with ThreadPoolExecutor(16) as pool:
-        waiting = {name: pool.submit(onvif.streams, cameras[name]) for name in asked}
+        waiting = {name: pool.submit(onvif.streams, cameras[name]) for name in names}
         for name, answer in waiting.items():
             try:
-                offered = answer.result()
+                offers = answer.result()
             except onvif.OnvifError as error:
                 missing[name] = str(error)
-                del found[name]
+                del urls[name]
             else:
-                found[name] = _big_enough(offered).url
-    return found, missing
+                urls[name] = _big_enough(offers).url
+    return urls, missing
 
 
 def streams_by_path(
@@ -59,19 +59,19 @@ def streams_by_path(
         if _NOT_THERE.search(probes[name].problem)
         for maker, url in streams_by_maker(source).items()
     }
-    found: dict[str, tuple[str, str, Probe]] = {}
+    result: dict[str, tuple[str, str, Probe]] = {}
     for key, probe in look(guesses).items():
         name, _, maker = key.partition(" ")
-        if not probe.problem and name not in found:
-            found[name] = guesses[key], maker, probe
-    return found
+        if not probe.problem and name not in result:
+            result[name] = guesses[key], maker, probe
+    return result
 
 
-def _big_enough(offered: list[onvif.Stream]) -> onvif.Stream:
+def _big_enough(streams: list[onvif.Stream]) -> onvif.Stream:
     """Return the smallest stream that is big and fast enough, else the camera's first one."""
     enough = [
-        one
-        for one in offered
-        if one.height >= ENOUGH_HEIGHT and (one.fps >= ENOUGH_FPS or one.fps == 0.0)
+        stream
+        for stream in streams
+        if stream.height >= ENOUGH_HEIGHT and (stream.fps >= ENOUGH_FPS or stream.fps == 0.0)
     ]
-    return min(enough, key=lambda one: one.width * one.height, default=offered[0])
+    return min(enough, key=lambda stream: stream.width * stream.height, default=streams[0])

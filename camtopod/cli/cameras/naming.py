@@ -24,33 +24,37 @@ def named_sources(arguments: Sequence[str]) -> dict[str, str]:
     A source without a name is named after its host, file or device, with a number where that is
     taken. Raises `CommandError`.
     """
-    given: list[tuple[str, str]] = []
+    pairs: list[tuple[str, str]] = []
     for argument in arguments:
         lines = sys.stdin if argument == "-" else [argument]
         for text in filter(None, map(str.strip, lines)):
             match = _GIVEN.fullmatch(text)
             if match is None or not text.isprintable():
                 raise CommandError(f"{text!a}: a source has printable characters only", exits.USAGE)
-            given.append((match[1] or "", match[2]))
-    if not given:
+            pairs.append((match[1] or "", match[2]))
+    if not pairs:
         raise InputError("no camera given on standard input")
 
     # Names that are given come first: the others make way.
-    taken = {*RESERVED}
-    for name, _ in given:
-        if name in taken:
+    reserved = {*RESERVED}
+    for name, _ in pairs:
+        if name in reserved:
             raise CommandError(
                 f"{name}: this name is given twice or reserved; use another", exits.USAGE
             )
         if name:
-            taken.add(name)
+            reserved.add(name)
     cameras = {}
-    for name, source in given:
+    for name, source in pairs:
         if not name:
-            own = _id_of(source)
-            numbers = (f"{own}-{number}" for number in itertools.count(2))
-            name = next(one for one in itertools.chain([own], numbers) if one not in taken)
-            taken.add(name)
+            camera_id = _id_of(source)
+            numbers = (f"{camera_id}-{number}" for number in itertools.count(2))
+            name = next(
+                candidate
+                for candidate in itertools.chain([camera_id], numbers)
+                if candidate not in reserved
+            )
+            reserved.add(name)
         cameras[name] = source
     return cameras
 

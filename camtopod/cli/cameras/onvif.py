@@ -64,7 +64,7 @@ def streams(source: str) -> list[Stream]:
     """
     camera = _Camera(source)
     media = camera.media_service()
-    found = []
+    result = []
     for profile in all_of(camera.ask(media, f'<GetProfiles xmlns="{_MEDIA}"/>'), "Profiles"):
         for encoder in all_of(profile, "VideoEncoderConfiguration"):  # else sound or metadata only
             answer = camera.ask(
@@ -78,10 +78,10 @@ def streams(source: str) -> list[Stream]:
                 int(re.sub(r"\D.*", "", text_of(encoder, name)) or 0)
                 for name in ("Width", "Height", "FrameRateLimit")
             ]
-            found.append(Stream(camera.with_login(text_of(answer, "Uri")), *figures))
-    if not found:
+            result.append(Stream(camera.with_login(text_of(answer, "Uri")), *figures))
+    if not result:
         raise OnvifError("the camera offers no video by ONVIF")
-    return found
+    return result
 
 
 class _Camera:
@@ -108,8 +108,8 @@ class _Camera:
             f'<GetCapabilities xmlns="{_DEVICE}"><Category>Media</Category></GetCapabilities>',
         )
         for media in all_of(body, "Media"):
-            if found := re.fullmatch(r"\w+://[^/]+(/.+)", text_of(media, "XAddr")):
-                return found[1]
+            if match := re.fullmatch(r"\w+://[^/]+(/.+)", text_of(media, "XAddr")):
+                return match[1]
         raise OnvifError("the camera names no media service")
 
     def with_login(self, url: str) -> str:
@@ -117,8 +117,8 @@ class _Camera:
 
         Raises `OnvifError` if it is at another host, which must not get them.
         """
-        scheme, _, rest = url.partition("://")
-        if not self._user or "@" in rest.partition("/")[0]:
+        scheme, _, remainder = url.partition("://")
+        if not self._user or "@" in remainder.partition("/")[0]:
             return url
         try:
             host = urlsplit(url).hostname or ""
@@ -130,7 +130,7 @@ class _Camera:
                 "not get the password: give the stream's rtsp:// URL"
             )
         login = f"{quote(self._user, safe='')}:{quote(self._password, safe='')}"
-        return f"{scheme}://{login}@{rest.replace('@', '%40')}"  # one @, before the host
+        return f"{scheme}://{login}@{remainder.replace('@', '%40')}"  # one @, before the host
 
     def ask(self, path: str, body: str) -> Element:
         """Send a request and return the answer's document. Raises `OnvifError`."""
@@ -192,8 +192,8 @@ class _Camera:
         if not self._user or self._ahead is None:
             return ""
         nonce = secrets.token_bytes(16)
-        created = time.strftime("%Y-%m-%dT%H:%M:%SZ", time.gmtime(wall() + self._ahead))
-        digest = hashlib.sha1(nonce + created.encode() + self._password.encode()).digest()
+        creation = time.strftime("%Y-%m-%dT%H:%M:%SZ", time.gmtime(wall() + self._ahead))
+        digest = hashlib.sha1(nonce + creation.encode() + self._password.encode()).digest()
         return (
             f'<Security s:mustUnderstand="1" xmlns="{_SECURITY}wssecurity-secext-1.0.xsd">'
             f"<UsernameToken><Username>{escape(self._user)}</Username>"
@@ -201,7 +201,7 @@ class _Camera:
             f"{base64.b64encode(digest).decode()}</Password>"
             f'<Nonce EncodingType="{_SECURITY}soap-message-security-1.0#Base64Binary">'
             f"{base64.b64encode(nonce).decode()}</Nonce>"
-            f'<Created xmlns="{_SECURITY}wssecurity-utility-1.0.xsd">{created}'
+            f'<Created xmlns="{_SECURITY}wssecurity-utility-1.0.xsd">{creation}'
             "</Created></UsernameToken></Security>"
         )
 
@@ -214,7 +214,7 @@ def _shut(link: socket.socket) -> None:
 
 def _addresses(host: str) -> set[str]:
     """Return a host's name and its addresses, as far as they are known."""
-    found = {host}
+    addresses = {host}
     with contextlib.suppress(OSError, UnicodeError):
-        found |= {str(entry[4][0]) for entry in socket.getaddrinfo(host, None)}
-    return found
+        addresses |= {str(entry[4][0]) for entry in socket.getaddrinfo(host, None)}
+    return addresses

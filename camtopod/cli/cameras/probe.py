@@ -70,7 +70,7 @@ def _probe(settings: CameraSettings, picture: bool) -> Probe:
     request = ProbeRequest(settings.source, settings.vision, picture, settings.detector)
     seconds = PROBE_SECONDS_MAX + (SETTLE_SECONDS_MAX if picture else 0.0) + START_SECONDS
     try:
-        done = subprocess.run(
+        process = subprocess.run(
             [sys.executable, "-P", "-m", PROGRAM],
             input=msgspec.json.encode(request),
             stdout=subprocess.PIPE,
@@ -79,19 +79,19 @@ def _probe(settings: CameraSettings, picture: bool) -> Probe:
             timeout=seconds,
             check=False,
         )
-        if done.returncode == 0:
-            return msgspec.json.decode(done.stdout, type=Probe)
-        why = f"the process that tried it: {exit_reason(done.returncode)}"
+        if process.returncode == 0:
+            return msgspec.json.decode(process.stdout, type=Probe)
+        reason = f"the process that tried it: {exit_reason(process.returncode)}"
     except subprocess.TimeoutExpired:
-        why = f"no answer within {seconds:.0f} s"
+        reason = f"no answer within {seconds:.0f} s"
 
     # What the library died of: the model, if it dies of that alone, or the source.
     model = settings.detector.model
     if model and not settings.source:
-        return Probe(detector=ModelReport(f"OpenCV cannot run {model}: {why}"))
+        return Probe(detector=ModelReport(f"OpenCV cannot run {model}: {reason}"))
     if model and (report := try_detector(settings.detector)).problem:
         return Probe(detector=report)
-    return Probe(why)
+    return Probe(reason)
 
 
 def try_detector(detector: DetectorSettings) -> ModelReport:
@@ -110,8 +110,8 @@ def check_site(path: Path, config: Config) -> int:
 
     def tell(camera: str, probe: Probe) -> None:
         if probe.problem or probe.codec:
-            where = f"{path}:{lines.get(('cameras', camera), 1)}: cameras.{camera}"
-            say(visible(f"{where}: {'; '.join(probe.lines)}"))
+            place = f"{path}:{lines.get(('cameras', camera), 1)}: cameras.{camera}"
+            say(visible(f"{place}: {'; '.join(probe.lines)}"))
         if probe.problem:
             statuses.append(exits.INPUT)
         if about := probe.detector.problem or probe.detector.text:
@@ -130,7 +130,11 @@ def check_site(path: Path, config: Config) -> int:
         except OSError as error:
             tell(camera, Probe(f"cannot read {error.filename}: {error.strerror}"))
     probe_all(
-        {name: one for name, one in cameras.items() if one.source or one.detector.model},
+        {
+            name: camera_settings
+            for name, camera_settings in cameras.items()
+            if camera_settings.source or camera_settings.detector.model
+        },
         tell,
         config.web.pictures_folder,
     )

@@ -39,8 +39,8 @@ def supervise(args: argparse.Namespace, config: Config, requests: SignalRequests
     """
     _require_sources(config, args)
     for camera in config.cameras:
-        if held := lock_reason(spool_path(config.state_directory, config.site.name, camera)):
-            raise CommandError(f"{camera}: {held}", exits.STATE)
+        if reason := lock_reason(spool_path(config.state_directory, config.site.name, camera)):
+            raise CommandError(f"{camera}: {reason}", exits.STATE)
     supervisor = _Supervisor(args, config)
     try:
         while not requests.stop.is_set() and not supervisor.over:
@@ -105,13 +105,13 @@ class _Supervisor:
 
         # Start, restart and end cameras.
         now = time.monotonic()
-        every = any(getattr(old, table) != getattr(config, table) for table in _OF_ALL)
+        common_change = any(getattr(old, table) != getattr(config, table) for table in _OF_ALL)
         for name in config.cameras:
             settings = _filled(config, name)
             process = self.processes.get(name)
             if process is None:
                 self.processes[name] = CameraProcess(name, settings)
-            elif every or name not in old.cameras or process.settings != settings:
+            elif common_change or name not in old.cameras or process.settings != settings:
                 process.restart(settings, now)
         for name in self.processes.keys() - config.cameras.keys():
             self.processes[name].request_end(now)

@@ -78,16 +78,16 @@ class HomeAssistantState:
 
     def events(self, now: float) -> list[homeassistant.Messages]:
         """Return the messages of the entries since the last call, oldest first."""
-        found = []
+        result = []
         while self._answers:
             answer = self._answers.popleft()
             if isinstance(answer, Prediction):
                 self._arrivals.left(answer)
             else:
                 passing = self._arrivals.entered(answer)
-                found.append(homeassistant.walk_messages(self._topics, passing))
+                result.append(homeassistant.walk_messages(self._topics, passing))
         self._arrivals.forget(now)
-        return found
+        return result
 
     def messages(self, now: float) -> homeassistant.Messages:
         """Return the payload of every topic whose messages are retained."""
@@ -111,11 +111,11 @@ class HomeAssistantState:
         messages |= homeassistant.site_state(topics, alive, site, topology)
         # After a start of the daemon, cameras become known by their statuses.
         expected, looks = self._arrivals.expected(now), self._arrivals.looks(now)
-        known = dict.fromkeys(grabbers, CameraFigures(alive=True)) | site.cameras
+        camera_figures = dict.fromkeys(grabbers, CameraFigures(alive=True)) | site.cameras
         for camera in cameras:
-            if (counted := known.get(camera)) is not None:
+            if (figures := camera_figures.get(camera)) is not None:
                 messages |= homeassistant.camera_state(
-                    topics, camera, counted, grabbers.get(camera), zones.get(camera, 0)
+                    topics, camera, figures, grabbers.get(camera), zones.get(camera, 0)
                 )
             if (prediction := self._predictions.get(camera)) is not None:
                 messages |= homeassistant.prediction_state(topics, prediction)
@@ -149,10 +149,10 @@ class HomeAssistantState:
             if codec.is_camera(match.camera):
                 self._answers.append(match)
 
-    def _keep(self, where: dict[str, Any], camera: str, record: Any) -> None:
+    def _keep(self, table: dict[str, Any], camera: str, record: Any) -> None:
         """Store the newest ``record`` of a camera, unless there are too many cameras."""
-        if camera in where or len(where) < self._cameras_max:
-            where[camera] = record
+        if camera in table or len(table) < self._cameras_max:
+            table[camera] = record
 
 
 def run(args: argparse.Namespace) -> None:
@@ -169,7 +169,7 @@ def run(args: argparse.Namespace) -> None:
         topics = homeassistant.Topics(config.site.name, target.prefix, args.discovery.strip("/"))
         site = HomeAssistantState(bus, topics, config.limits.cameras_max)
         with broker_options.connecting(exits.FAILED):
-            retained = stack.enter_context(
+            retained_messages = stack.enter_context(
                 contextlib.closing(mqtt.RetainedMessages(target, topics.bridge))
             )
         progress = Progress()
@@ -179,6 +179,6 @@ def run(args: argparse.Namespace) -> None:
             mark.beat()
             now = wall()
             for messages in site.events(now):
-                retained.tell(messages)
-            retained.show(site.messages(now))
+                retained_messages.tell(messages)
+            retained_messages.show(site.messages(now))
             stop.wait(LOOK_SECONDS)

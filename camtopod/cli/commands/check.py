@@ -75,7 +75,7 @@ def run(args: argparse.Namespace) -> int:
         )
     try:
         raw = path.read_bytes()
-        loaded = with_options(args, config_file.load(path, raw))
+        config = with_options(args, config_file.load(path, raw))
     except ConfigError as error:
         print(error, file=sys.stderr)
         return exits.CONFIG
@@ -83,31 +83,31 @@ def run(args: argparse.Namespace) -> int:
         raise InputError(f"cannot read {path}: {error.strerror}") from None
 
     # Models that cannot be used.
-    problems = list(_model_problems(path, loaded, raw.decode()))
+    problems = list(_model_problems(path, config, raw.decode()))
     if problems:
         print("\n".join(map(visible, problems)), file=sys.stderr)
         return exits.CONFIG
 
     # Warn of files and a bus that are open to others.
-    warnings = secret_files.find_exposed(loaded.secrets(path))
-    open_to = access.openness_warning(loaded)
-    if open_to and not (loaded.listens and all(map(access.is_local, loaded.listens))):
+    warnings = secret_files.find_exposed(config.secrets(path))
+    open_to = access.openness_warning(config)
+    if open_to and not (config.listens and all(map(access.is_local, config.listens))):
         warnings.append(open_to)  # on one machine, `run` says it
     for warning in warnings:
         print(f"{path}: warning: {warning}", file=sys.stderr)
 
     # Say what holds for each camera.
-    for line in _camera_lines(path, loaded, raw.decode()):
+    for line in _camera_lines(path, config, raw.decode()):
         print(visible(line), file=sys.stderr)
     print(
-        f"{path}: no mistakes; site {loaded.site.name}, {counted(len(loaded.cameras), 'camera')}",
+        f"{path}: no mistakes; site {config.site.name}, {counted(len(config.cameras), 'camera')}",
         file=sys.stderr,
     )
     if not args.probe:
         return exits.DONE
     from camtopod.cli.cameras.probe import check_site
 
-    return check_site(path, loaded)
+    return check_site(path, config)
 
 
 def _model_problems(path: Path, config: Config, text: str) -> Iterator[str]:
@@ -132,8 +132,8 @@ def _camera_lines(path: Path, config: Config, text: str) -> Iterator[str]:
     text: content of the configuration file ``path``.
     """
     for problem in without_source(config, text, path):
-        where, _, what = problem.partition(": ")
-        yield f"{where}: warning: {what}"
+        place, _, lack = problem.partition(": ")
+        yield f"{place}: warning: {lack}"
 
     lines = key_lines(text)
     defaults = VisionSettings()

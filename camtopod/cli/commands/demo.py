@@ -75,19 +75,19 @@ def add_parser(add: Any) -> None:
         "truth and a picture of both.",
         epilog="example: camtopod demo --out my-demo --minutes 18",
     )
-    shown = " (default: %(default)s)"
+    default_note = " (default: %(default)s)"
     parser.add_argument(
         "--out",
         type=Path,
         default=Path("camtopod-demo"),
         metavar="DIR",
-        help="directory for the results" + shown,
+        help="directory for the results" + default_note,
     )
     parser.add_argument(
-        "--seed", type=int, default=1, help="seed of the simulated people; same site" + shown
+        "--seed", type=int, default=1, help="seed of the simulated people; same site" + default_note
     )
     parser.add_argument(
-        "--minutes", type=float, default=MINUTES, help="length of the recording" + shown
+        "--minutes", type=float, default=MINUTES, help="length of the recording" + default_note
     )
 
 
@@ -119,8 +119,8 @@ def run(args: argparse.Namespace) -> None:
     picture = args.out / "map.png"
     write_map(picture, plan, truth, topology, result.text().splitlines())
     print(result.text())
-    taken = time.monotonic() - begin
-    say(f"demo: picture in {picture}, topology in {args.out / 'topology.json'}; {taken:.0f} s")
+    duration = time.monotonic() - begin
+    say(f"demo: picture in {picture}, topology in {args.out / 'topology.json'}; {duration:.0f} s")
 
 
 def _rendered(
@@ -221,11 +221,11 @@ def _has_learned(daemon: Daemon, quiet: float) -> bool:
     """
     status = daemon.status()
     busy = status.events.waiting or status.learner.held
-    published = status.learner.version == status.version
-    return quiet >= QUIET_SECONDS and published and not busy
+    is_published = status.learner.version == status.version
+    return quiet >= QUIET_SECONDS and is_published and not busy
 
 
-def _until(daemon: Daemon, done: Callable[[float], bool]) -> None:
+def _until(daemon: Daemon, is_done: Callable[[float], bool]) -> None:
     """Show progress until ``done(seconds since the last change)`` returns True.
 
     Raises `exits.CommandError` if there is no progress for `PATIENCE_SECONDS` or the daemon fails.
@@ -233,7 +233,7 @@ def _until(daemon: Daemon, done: Callable[[float], bool]) -> None:
     line = ""
     moved_at = time.monotonic()
     with Progress(piped=True) as progress:
-        while not done(time.monotonic() - moved_at):
+        while not is_done(time.monotonic() - moved_at):
             if daemon.wait(0.1):
                 raise exits.CommandError("demo: the daemon has failed")
             before = line

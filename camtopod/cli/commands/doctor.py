@@ -116,8 +116,10 @@ def _remember_secrets(config: Config) -> None:
 def _versions() -> Iterator[str]:
     """Yield the versions of camtopod, Python and the packages, those of the extras included."""
     yield f"camtopod {__version__}, Python {platform.python_version()}"
-    needed = importlib.metadata.requires("camtopod") or []
-    for package in sorted({re.split(r"[^\w.-]", one)[0] for one in needed} - {"camtopod"}):
+    requirements = importlib.metadata.requires("camtopod") or []
+    for package in sorted(
+        {re.split(r"[^\w.-]", requirement)[0] for requirement in requirements} - {"camtopod"}
+    ):
         try:
             yield f"{package} {importlib.metadata.version(package)}"
         except importlib.metadata.PackageNotFoundError:
@@ -127,7 +129,7 @@ def _versions() -> Iterator[str]:
 def _machine() -> Iterator[str]:
     """Yield operating system, cores, memory and the names of environment variables."""
     yield f"{platform.platform()}; the clock says {clock.wall():.3f}"
-    load = " ".join(f"{one:.1f}" for one in os.getloadavg())
+    load = " ".join(f"{average:.1f}" for average in os.getloadavg())
     yield f"{os.cpu_count()} cores, {len(os.sched_getaffinity(0))} for this program, load {load}"
     memory = os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE")
     yield f"{memory / 2**20:.0f} MiB of memory"
@@ -170,13 +172,13 @@ def _state(config: Config) -> Iterator[str]:
 def _mode(path: Path) -> str:
     """Return permissions, owner, size and age of a file in words."""
     try:
-        found = path.stat()
+        status = path.stat()
     except OSError as error:
         return str(error.strerror)
-    age = max(0.0, clock.wall() - found.st_mtime)
+    age = max(0.0, clock.wall() - status.st_mtime)
     return (
-        f"{stat.filemode(found.st_mode)}, user {found.st_uid}, "
-        f"{found.st_size} bytes, changed {age:.0f} s ago"
+        f"{stat.filemode(status.st_mode)}, user {status.st_uid}, "
+        f"{status.st_size} bytes, changed {age:.0f} s ago"
     )
 
 
@@ -185,20 +187,20 @@ def _bus(config: Config) -> Iterator[str]:
 
     Of refused messages only the reasons are reported.
     """
-    began = time.monotonic()
+    start = time.monotonic()
     try:
         bus = dial(config.certified(next(iter(config.cameras), "")))
     except BusError as error:
         yield str(error)
         return
-    hidden = ", as a camera's certificate may not see this" if config.bus.tls.ca else ""
+    remark = ", as a camera's certificate may not see this" if config.bus.tls.ca else ""
     with bus:
-        yield f"{bus.endpoint} is reached after {time.monotonic() - began:.2f} s, site {bus.site}"
+        yield f"{bus.endpoint} is reached after {time.monotonic() - start:.2f} s, site {bus.site}"
         for role in ("daemon", "grabber"):
             names = ", ".join(sorted(bus.list_alive(role)))
-            yield f"{role}s there: {names or f'none seen{hidden}'}"
-        if others := sites_instead(bus, config):
-            yield f"sites with a daemon on this bus: {', '.join(others)}"
+            yield f"{role}s there: {names or f'none seen{remark}'}"
+        if other_sites := sites_instead(bus, config):
+            yield f"sites with a daemon on this bus: {', '.join(other_sites)}"
         statuses = {
             (name := key.removeprefix("status/")): _status(name, raw)
             for key, raw in bus.query("status/*")
@@ -209,7 +211,7 @@ def _bus(config: Config) -> Iterator[str]:
             samples[reason] = [_QUOTED.sub("", quote) for quote in quotes]
         yield f"{name}: {json.dumps(_clean(status))}"
     if not statuses:
-        yield f"no program answers a query for its status{hidden}"
+        yield f"no program answers a query for its status{remark}"
 
 
 def _status(name: str, raw: bytes) -> dict[str, Any]:
@@ -218,8 +220,8 @@ def _status(name: str, raw: bytes) -> dict[str, Any]:
         status: Any = codec.read(
             DaemonStatus if name == "daemon" else GrabberStatus, raw, pack=True
         )
-        told = msgspec.to_builtins(status).items()
-        return {field: value for field, value in told if value is not None}
+        fields = msgspec.to_builtins(status).items()
+        return {field: value for field, value in fields if value is not None}
     except codec.Rejected as error:
         return {"unreadable": str(error)}
 

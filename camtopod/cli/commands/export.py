@@ -39,5 +39,5 @@ def run(args: argparse.Namespace) -> None:
         file.write(FORMATS[args.format](topology).encode())
     if args.format == "aicity":
         numbers = camera_numbers(topology).items()
-        shown = ", ".join(f"{number} is {name}" for name, number in numbers)
-        print(f"export: cameras are numbered in this format: {shown}", file=sys.stderr)
+        numbering = ", ".join(f"{number} is {name}" for name, number in numbers)
+        print(f"export: cameras are numbered in this format: {numbering}", file=sys.stderr)

@@ -291,12 +291,12 @@ def _log_end(grabber: Grabber) -> None:
     """Log how much of a file was read, and its events; a warning if a part was not decoded."""
     names = ("frames_analysed", "frames_dropped", "entries", "exits")
     figures = grabber.statistics()
-    analysed, undecoded, entries, exited = (int(figures[name]) for name in names)
-    parts = [grabber.reason, f"{counted(analysed, 'picture')} analysed"]
-    if undecoded:
-        parts.append(f"{undecoded} could not be decoded")
-    parts += ["1 entry" if entries == 1 else f"{entries} entries", counted(exited, "exit")]
-    level = logging.WARNING if undecoded else logging.INFO
+    picture_count, undecoded_count, entries, exit_count = (int(figures[name]) for name in names)
+    parts = [grabber.reason, f"{counted(picture_count, 'picture')} analysed"]
+    if undecoded_count:
+        parts.append(f"{undecoded_count} could not be decoded")
+    parts += ["1 entry" if entries == 1 else f"{entries} entries", counted(exit_count, "exit")]
+    level = logging.WARNING if undecoded_count else logging.INFO
     log.log(level, "camera %s has ended: %s", grabber.camera, ", ".join(parts))
 
 
@@ -309,8 +309,10 @@ def _to_lines(
             out.write(codec.to_json(event) + b"\n")
             out.flush()
     if grabber.state == "connecting":
-        why = f"camera {grabber.camera} gave no picture, so no event is written: {grabber.reason}"
-        raise CommandError(why, exits.INPUT)
+        reason = (
+            f"camera {grabber.camera} gave no picture, so no event is written: {grabber.reason}"
+        )
+        raise CommandError(reason, exits.INPUT)
 
 
 def _to_bus(
@@ -380,7 +382,7 @@ class _Connection:
         self._is_there: bool | None = None
         """Whether the daemon is there; None: not known yet. If it is not, the log says so."""
         self._bus: Bus | None = None
-        self._closed = threading.Event()
+        self._stop = threading.Event()
         threading.Thread(target=self._connect, name="connect", daemon=True).start()
 
     def _connect(self) -> None:
@@ -394,7 +396,7 @@ class _Connection:
                 bus = dial(self._config)
             except BusError as error:
                 self._miss(str(error))
-            if self._closed.is_set():
+            if self._stop.is_set():
                 return
         self._publisher.attach(bus, [self._grabber.camera])
         bus.answer_queries(f"status/{self._grabber.camera}", lambda *_: self.status(), "status")
@@ -402,7 +404,7 @@ class _Connection:
         self._bus = bus
 
         # Look for the daemon once; from then on the bus tells when it appears or goes.
-        if not self._closed.wait(_DAEMON_LOOK_SECONDS) and self._is_there is None:
+        if not self._stop.wait(_DAEMON_LOOK_SECONDS) and self._is_there is None:
             self._miss(
                 f"connected to the bus at {bus.endpoint}, but no daemon of site {bus.site} is there"
                 f"{right_site(bus, self._config)}"
@@ -417,11 +419,11 @@ class _Connection:
             log.info("camera %s: connected to the daemon again", self._grabber.camera)
         self._is_there = True
 
-    def _miss(self, why: str) -> None:
+    def _miss(self, reason: str) -> None:
         """Log once that the daemon is not there."""
-        if self._is_there is not False and not self._closed.is_set():
+        if self._is_there is not False and not self._stop.is_set():
             self._is_there = False
-            log.warning("camera %s: %s; events are kept in the spool", self._grabber.camera, why)
+            log.warning("camera %s: %s; events are kept in the spool", self._grabber.camera, reason)
 
     def status(self) -> dict[str, Any]:
         """Return the content of ``status/{camera}``."""
@@ -441,7 +443,7 @@ class _Connection:
 
     def close(self) -> None:
         """End the delivery and close the bus, now or as soon as it is connected."""
-        self._closed.set()
+        self._stop.set()
         self._publisher.close()
         if self._bus is not None:
             self._bus.close()

@@ -61,7 +61,7 @@ def add_parser(add: Any) -> None:
     """Add `ingest`."""
     parser = add(
         description="Publishes events on the bus, and ends when the daemon has stored them all. "
-        f"Formats: {'; '.join(f'{name}, {one.lines}' for name, one in FORMATS.items())}.",
+        f"Formats: {'; '.join(f'{name}, {form.lines}' for name, form in FORMATS.items())}.",
         epilog="example: camtopod ingest jsonl events.jsonl --site hq",
     )
     parser.add_argument(
@@ -95,7 +95,7 @@ def run(args: argparse.Namespace) -> int:
 
         def tell() -> None:
             if args.out != "-":
-                progress.show("%d lines read, %d events", reader.read, reader.events)
+                progress.show("%d lines read, %d events", reader.lines_read, reader.events)
 
         # Read and publish, or write.
         source = events(args, reader, stack, stop)
@@ -105,51 +105,51 @@ def run(args: argparse.Namespace) -> int:
             spool = open_ingest_spool(config.state_directory, config.site.name, config.limits)
             stack.callback(spool.close)
             if is_file and not args.anew:
-                known = {boot for camera in spool.cameras() for boot in spool.boots(camera)}
-                source = numbered_by(boot_of(Path(args.file), known), source)
-            read = batches(source, TRANSACTION_EVENTS_MAX, stop, tell)
-            status = _publish(config, spool, read, stack, stop, progress)
+                boots = {boot for camera in spool.cameras() for boot in spool.boots(camera)}
+                source = numbered_by(boot_of(Path(args.file), boots), source)
+            event_batches = batches(source, TRANSACTION_EVENTS_MAX, stop, tell)
+            status = _publish(config, spool, event_batches, stack, stop, progress)
         else:
-            read = batches(source, TRANSACTION_EVENTS_MAX, stop, tell)
+            event_batches = batches(source, TRANSACTION_EVENTS_MAX, stop, tell)
             out = stack.enter_context(open_output(args.out, live=not is_file))
-            for batch in read:
+            for batch in event_batches:
                 out.writelines(to_json(event) + b"\n" for event in batch)
                 out.flush()
 
         # Report the unused part.
         if (summary := reader.summary()) is not None:
             log.warning("%s", summary)
-        if reader.read and sum(reader.rejected.values()) == reader.read:
+        if reader.lines_read and sum(reader.rejections.values()) == reader.lines_read:
             raise InputError(
                 f"no line of {args.file} is valid {args.format}: nothing to ingest, see above"
             )
-    if reader.read and not reader.events:
+    if reader.lines_read and not reader.events:
         log.warning(
             "%d lines gave no event: no object entered or left, or only such as do not count "
             "(untracked, stationary, outside the picture, a face or plate, not among --label)",
-            reader.read,
+            reader.lines_read,
         )
     return status
 
 
-def boot_of(path: Path, known: Collection[str]) -> str:
+def boot_of(path: Path, boots: Collection[str]) -> str:
     """Return the boot of a file's events: they count once however often it is ingested.
 
     It is named after the file's length and content. A file that has grown since goes on with the
     boot of its beginning.
 
-    known: boots of earlier events.
+    boots: boots of earlier events.
     """
-    lengths = sorted({int(found[1]) for boot in known if (found := _FILE_BOOT.fullmatch(boot))})
+    lengths = sorted({int(match[1]) for boot in boots if (match := _FILE_BOOT.fullmatch(boot))})
     digest = hashlib.sha256()
-    read = 0
+    position = 0
     with path.open("rb") as file:
         for length in [*lengths, sys.maxsize]:
-            while piece := file.read(min(length - read, 1 << 20)):
+            while piece := file.read(min(length - position, 1 << 20)):
                 digest.update(piece)
-                read += len(piece)
-            boot = f"file-{read}-{digest.hexdigest()[:32]}"
-            if boot in known:
+                position += len(piece)
+            boot = f"file-{position}-{digest.hexdigest()[:32]}"
+            if boot in boots:
                 break
     return boot
 
@@ -181,46 +181,46 @@ def _publish(
 
     # Publish batch by batch. Events that earlier runs have left are sent, too, but not waited for.
     limits = config.limits
-    most = min(
+    waiting_max = min(
         WAITING_EVENTS_MAX, limits.spool_events_max // 2, limits.spool_bytes_max // 2 // 1_000
     )
     for batch in source:
         publisher.publish(*batch)
-        _wait(publisher, most, stop, bus, config, progress)
+        _wait(publisher, waiting_max, stop, bus, config, progress)
     _wait(publisher, 0, stop, bus, config, progress)
 
     # Report the outcome.
-    late, refused = publisher.outcome()
+    late, refusals = publisher.outcome()
     waiting = publisher.count_waiting(own=True)
-    stored = max(0, publisher.published - waiting - publisher.dropped)
-    log.info("%s", _outcome(stored, waiting, late, refused))
-    if late + refused and late + refused >= stored:
+    stored_count = max(0, publisher.published - waiting - publisher.dropped)
+    log.info("%s", _outcome(stored_count, waiting, late, refusals))
+    if late + refusals and late + refusals >= stored_count:
         return exits.FAILED
     return exits.DONE
 
 
-def _outcome(stored: int, waiting: int, late: int, refused: int) -> str:
+def _outcome(stored_count: int, waiting: int, late: int, refusals: int) -> str:
     """Return in words what became of the events."""
-    parts = [f"{stored} events stored"]
+    parts = [f"{stored_count} events stored"]
     if late:
         parts.append(f"{late} of them late (older than the events learned last: not learned)")
-    if refused:
-        parts.append(f"{refused} refused (malformed, too many of one camera, or in the future)")
+    if refusals:
+        parts.append(f"{refusals} refused (malformed, too many of one camera, or in the future)")
     if waiting:
         parts.append(f"{waiting} wait in the spool and are published with the next ingest")
     return ", ".join(parts)
 
 
 def batches(
-    events: Iterator[Event], most: int, stop: threading.Event, tell: Callable[[], None]
+    events: Iterator[Event], batch_max: int, stop: threading.Event, tell: Callable[[], None]
 ) -> Iterator[list[Event]]:
-    """Yield batches of at most ``most`` events: those available now, so that slow input is not
+    """Yield batches of at most ``batch_max`` events: those available now, so that slow input is not
     delayed.
 
     ``tell`` is called while no events come: some files give all their events at the end. Raises
     what reading them raises.
     """
-    waiting: queue.Queue[Event | None] = queue.Queue(2 * most)
+    waiting: queue.Queue[Event | None] = queue.Queue(2 * batch_max)
 
     def read() -> None:
         try:
@@ -240,7 +240,7 @@ def batches(
         batch = []
         while event is not None:
             batch.append(event)
-            if len(batch) == most or waiting.empty():
+            if len(batch) == batch_max or waiting.empty():
                 break
             event = waiting.get()
         if batch:
@@ -252,32 +252,32 @@ def batches(
 
 def _wait(
     publisher: Publisher,
-    most: int,
+    waiting_max: int,
     stop: threading.Event,
     bus: Bus,
     config: Config,
     progress: Progress,
 ) -> None:
-    """Wait until at most ``most`` of the events of this run are not stored.
+    """Wait until at most ``waiting_max`` of the events of this run are not stored.
 
     Raises `CommandError` if no daemon stores any, or if it does not take one of the cameras.
     """
     patience = PATIENCE_SECONDS
-    told = False
+    has_told = False
     before = publisher.count_waiting(own=True)
     while not stop.is_set():
         progress.show("%d events published, %d not yet stored", publisher.published, before)
-        if publisher.wait_stored(_TICK_SECONDS, most, own=True):
+        if publisher.wait_stored(_TICK_SECONDS, waiting_max, own=True):
             return
-        if refused := publisher.own_cameras_without_room():
-            for camera in refused:
+        if reasons := publisher.own_cameras_without_room():
+            for camera in reasons:
                 publisher.drop(camera)
             raise CommandError(
-                f"{next(iter(refused.values()))}; {publisher.dropped} events of "
-                f"{counted(len(refused), 'camera')} are dropped"
+                f"{next(iter(reasons.values()))}; {publisher.dropped} events of "
+                f"{counted(len(reasons), 'camera')} are dropped"
             )
-        if unanswered := publisher.own_cameras_unanswered():
-            raise CommandError(f"camera {', '.join(unanswered)}: {UNANSWERED}", exits.BUS)
+        if silent_cameras := publisher.own_cameras_unanswered():
+            raise CommandError(f"camera {', '.join(silent_cameras)}: {UNANSWERED}", exits.BUS)
         publisher.retry()
         now = publisher.count_waiting(own=True)
         patience -= _TICK_SECONDS
@@ -285,10 +285,12 @@ def _wait(
             patience = PATIENCE_SECONDS
         elif patience <= 0 and publisher.sees_daemon:
             patience = PATIENCE_SECONDS
-            if not told:
-                told = True
-                why = publisher.own_reason() or "the daemon is busy: `camtopod doctor` tells more"
-                log.warning("still waiting, %d events are not stored: %s", now, why)
+            if not has_told:
+                has_told = True
+                reason = (
+                    publisher.own_reason() or "the daemon is busy: `camtopod doctor` tells more"
+                )
+                log.warning("still waiting, %d events are not stored: %s", now, reason)
         before = now
         if patience <= 0:
             raise CommandError(

@@ -99,15 +99,15 @@ def run(args: argparse.Namespace) -> int:
         args.config = args.out
         args.config_found = False  # it is needed
     settings = configuration(args)
-    given = named_sources(args.sources)
-    if adding and (twice := given.keys() & settings.cameras.keys()):
+    sources = named_sources(args.sources)
+    if adding and (twice := sources.keys() & settings.cameras.keys()):
         files = [settings.cameras[name].source_file for name in sorted(twice)]
         places = " and ".join(filter(None, ["that table", *files]))
         raise CommandError(
             f"{args.out} has cameras.{', cameras.'.join(sorted(twice))} already: give another name "
             f"(NAME=SOURCE) or edit {places}; --force writes the whole file anew"
         )
-    cameras, refusals = streams_by_onvif(given)
+    cameras, refusals = streams_by_onvif(sources)
     for name, reason in refusals.items():
         say(f"  {name}  left out: {visible(reason)}")
     if not cameras:
@@ -118,10 +118,10 @@ def run(args: argparse.Namespace) -> int:
         if args.credentials or redact(source) != source
     }
     pictures = _pictures_folder(args, settings, adding)
-    written = [*secrets.values()]
+    paths = [*secrets.values()]
     if pictures is not None:
-        written += [pictures / f"{name}.jpg" for name in cameras]
-    existing = [str(path) for path in written if path.exists()]
+        paths += [pictures / f"{name}.jpg" for name in cameras]
+    existing = [str(path) for path in paths if path.exists()]
     if existing and not args.force:
         raise CommandError(
             f"{', '.join(existing)}: exists already; overwrite with --force, or write elsewhere "
@@ -181,11 +181,11 @@ def _beside(out: Path, folder: Path | None) -> str:
 
 
 def _probed(
-    given: Mapping[str, str], settings: Config, pictures: Path | None
+    sources: Mapping[str, str], settings: Config, pictures: Path | None
 ) -> tuple[dict[str, str], dict[str, Probe]]:
     """Return sources and probe results of the cameras, by camera id.
 
-    given: sources as given; others are returned where a camera's stream is found elsewhere.
+    sources: sources as given; others are returned where a camera's stream is found elsewhere.
     pictures: folder for a picture of each; None for none.
     """
     from camtopod.cli.cameras.finding import streams_by_path
@@ -198,17 +198,17 @@ def _probed(
         say(f"  {name}  {'; '.join(_words(probe))}")
 
     # Probe the streams as they are given.
-    cameras = dict(given)
+    cameras = dict(sources)
     say(f"probing {counted(len(cameras), 'camera')} ...")
     if pictures is not None:
         say(f"a picture takes up to {SETTLE_SECONDS_MAX:.0f} s")
     probes = probe_all(described(cameras), tell, pictures)
 
     # Where a URL has no path, take the maker's.
-    found = streams_by_path(
+    result = streams_by_path(
         cameras, probes, lambda urls: probe_all(described(urls), lambda name, probe: None)
     )
-    for name, (url, maker, probe) in found.items():
+    for name, (url, maker, probe) in result.items():
         probe.remarks.append(f"found as by {maker}")
         tell(name, probe)
         cameras[name] = url

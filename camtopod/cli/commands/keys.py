@@ -155,9 +155,9 @@ def _run(args: argparse.Namespace, config: Config) -> None:
     """Open or create the authority, then issue, revoke or list certificates."""
     from camtopod.keys.authority import Authority
 
-    what = args.keys_command
+    subcommand = args.keys_command
     now = clock.wall()
-    if what == "init":
+    if subcommand == "init":
         authority = Authority.create(args.keys, config.site.name, now, args.replace)
         say(
             f"created an authority for site {authority.site} in {args.keys / 'authority'}: "
@@ -174,16 +174,16 @@ def _run(args: argparse.Namespace, config: Config) -> None:
 
     # The access list follows from the ledger, whatever an earlier command could not write.
     try:
-        if what == "list":
+        if subcommand == "list":
             _list(authority, now)
             return
         for name in args.names:
-            if what == "revoke":
+            if subcommand == "revoke":
                 authority.revoke(args.role, name)
             else:
                 _issue(authority, args, config, name)
     finally:
-        _write_access(authority, config, with_router=what != "list")
+        _write_access(authority, config, with_router=subcommand != "list")
     if args.role != "daemon":
         say(f"now copy {args.keys / DAEMON / ACCESS} to the daemon and restart it")
 
@@ -193,7 +193,7 @@ def _issue(authority: Authority, args: argparse.Namespace, config: Config, name:
     from camtopod.keys.authority import LOCAL_HOSTS, date_text
 
     folder = authority.issue(args.role, name, args.days, args.replace, args.host, args.cameras)
-    certificate = authority.issued[-1].certificate
+    certificate = authority.entries[-1].certificate
     example = _example(authority.site, config, certificate, folder.name)
     secret_files.write(folder / "camtopod.toml", example.encode())
     say(
@@ -229,14 +229,14 @@ def _example(site: str, config: Config, certificate: rules.Certificate, folder: 
     folder: name of the certificate's folder.
     """
     camera = certificate.camera
-    own = f"keys/{'{camera}' if camera else folder}"
+    key_folder = f"keys/{'{camera}' if camera else folder}"
     connect = [endpoint for endpoint in config.bus.connect if endpoint.startswith("tls/")]
     bus = f"connect = {msgspec.json.encode(connect or ['tls/DAEMON:7447']).decode()}"
-    tls = [f'{key} = "{own}/{file}"' for key, file in _FILES.items()]
+    tls = [f'{key} = "{key_folder}/{file}"' for key, file in _FILES.items()]
     cameras = []
     if certificate.role == "daemon":
         bus = 'listen = ["tls/0.0.0.0:7447"]   # or the address of one interface'
-        tls.append(f'access = "{own}/{ACCESS}"')
+        tls.append(f'access = "{key_folder}/{ACCESS}"')
     if camera:
         cameras = [
             f'\n[cameras."{camera}"]',
@@ -256,24 +256,26 @@ def _list(authority: Authority, now: float) -> None:
     """Print all certificates, with a warning for those that expire soon."""
     from camtopod.keys.authority import date_text
 
-    ending = [one.name for one, _ in rules.expiring_certificates(authority.access, now)]
+    ending = [
+        certificate.name for certificate, _ in rules.expiring_certificates(authority.access, now)
+    ]
     print(f"{'name':<20} {'role':<7} {'certificate':<24} {'until':<10} {'days':>6}")
-    for issued in authority.issued:
-        certificate = issued.certificate
+    for entry in authority.entries:
+        certificate = entry.certificate
         days = (certificate.expires - now) / 86400.0
         until = date_text(certificate.expires)
         remark = ""
         if certificate.cameras:
             remark = f" for {', '.join(certificate.cameras)}"
-        if not issued.valid:
+        if not entry.valid:
             remark += " revoked"
         elif certificate.name in ending:
             remark += " EXPIRES SOON"
             say(
-                f"warning: {certificate.role} {issued.of} expires on {until}; "
+                f"warning: {certificate.role} {entry.of} expires on {until}; "
                 f"renew it with --replace"
             )
         print(
-            f"{issued.of:<20} {certificate.role:<7} {certificate.name:<24} {until:<10} "
+            f"{entry.of:<20} {certificate.role:<7} {certificate.name:<24} {until:<10} "
             f"{days:>6.0f}{remark}"
         )

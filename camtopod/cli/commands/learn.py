@@ -72,7 +72,7 @@ def run(args: argparse.Namespace) -> None:
 
     # Feed all events to the learner, and write the topology.
     with ExitStack() as stack:
-        written = stack.enter_context(open_output(out)) if out else None
+        output = stack.enter_context(open_output(out)) if out else None
         learner = Learner(
             config.learner, site=config.site.name, epoch=EPOCH, only_last=args.updates is None
         )
@@ -81,21 +81,24 @@ def run(args: argparse.Namespace) -> None:
         if (summary := reader.summary()) is not None:
             print(f"camtopod: {summary}", file=sys.stderr)
         if left_out := learner.statistics()["labels_left_out"]:
-            told = f"the {LABELS_MAX} most frequent labels count, {left_out} others as none"
-            print(f"camtopod: {told}", file=sys.stderr)
+            message = f"the {LABELS_MAX} most frequent labels count, {left_out} others as none"
+            print(f"camtopod: {message}", file=sys.stderr)
         topology = learner.topology
         if topology is None:
             raise InputError(f"no event lines in {', '.join(args.events)}: nothing to learn")
-        if written is not None:
-            written.write(to_json(topology) + b"\n")
+        if output is not None:
+            output.write(to_json(topology) + b"\n")
 
     # Print the links, unless standard output is the topology's.
     if out != "-" and (args.table or not (out or args.updates)):
         print("\n".join(link_table(topology)))
     if not (out or args.updates):
         print("camtopod: --topology OUT.json keeps the topology", file=sys.stderr)
-    repeats = [one for one in topology.alarms or [] if one.kind == "camera_repeats"]
-    for line in (*topology_lines(topology), *(f"{one.subject} {one.detail}" for one in repeats)):
+    repeats = [alarm for alarm in topology.alarms or [] if alarm.kind == "camera_repeats"]
+    for line in (
+        *topology_lines(topology),
+        *(f"{alarm.subject} {alarm.detail}" for alarm in repeats),
+    ):
         print(f"camtopod: {line}", file=sys.stderr)
 
 
@@ -112,7 +115,7 @@ def _feed(learner: Learner, reader: LineReader, paths: list[str], updates: Binar
             if verdict != "accepted":
                 reader.reject(verdict, f"{line.file}:{line.number}: {_WHY[verdict]}")
             if progress.due:
-                progress.show("%d lines, %.0f %%", reader.read, 100 * (reader.share() or 0.0))
+                progress.show("%d lines, %.0f %%", reader.lines_read, 100 * (reader.share() or 0.0))
             _write(learner, updates)
         learner.flush()
         _write(learner, updates)

@@ -71,7 +71,7 @@ def run(args: argparse.Namespace) -> None:
     topology = topology_of(args.topology)
     kind: Kind = "entry" if args.walks else "exit"
     answer = matching(topology) if args.walks else predicting(topology)
-    done = "entries matched" if args.walks else "exits predicted"
+    unit = "entries matched" if args.walks else "exits predicted"
     reader = LineReader()
     out = sys.stdout.buffer
     lines: int | None = None
@@ -81,9 +81,9 @@ def run(args: argparse.Namespace) -> None:
         def texts(moment: list[Event]) -> list[bytes]:
             nonlocal count
             count += sum(event.kind == kind for event in moment)
-            progress.show(f"%d {done} of %d lines", count, lines or reader.read)
-            every = (one and shortened(one, args.top) for one in answer(moment))
-            return [to_json(one) + b"\n" if one else b"" for one in every]
+            progress.show(f"%d {unit} of %d lines", count, lines or reader.lines_read)
+            results = (result and shortened(result, args.top) for result in answer(moment))
+            return [to_json(result) + b"\n" if result else b"" for result in results]
 
         if file.seekable():
             answers = Answers(texts, kind, 0.0)
@@ -91,20 +91,20 @@ def run(args: argparse.Namespace) -> None:
             lines = count_if_ordered(args.events, file)
             file.seek(begin)
             events = (line.event for line in reader.lines(args.events, file))
-            given = answers.of(events) if lines is not None else answers.of_unordered(events)
+            answer_lines = answers.of(events) if lines is not None else answers.of_unordered(events)
         else:
             answers = Answers(texts, kind, configuration(args).learn.lateness_seconds)
             pipe = Pipe(file, out.flush, lambda: out.writelines(answers.rest()))
-            given = answers.of(line.event for line in reader.lines(args.events, pipe))
-        out.writelines(given)
+            answer_lines = answers.of(line.event for line in reader.lines(args.events, pipe))
+        out.writelines(answer_lines)
         out.flush()
 
     if answers.late:
-        what = f"{counted(answers.late, 'line')} came too late for answers before"
-        print(f"camtopod: {what} ([learn] lateness_seconds); a file is sorted", file=sys.stderr)
+        message = f"{counted(answers.late, 'line')} came too late for answers before"
+        print(f"camtopod: {message} ([learn] lateness_seconds); a file is sorted", file=sys.stderr)
     if (summary := reader.summary()) is not None:
         print(f"camtopod: {summary}", file=sys.stderr)
-    if reader.read and not reader.events:
+    if reader.lines_read and not reader.events:
         raise InputError(f"no event lines in {args.events}: nothing to predict")
 
 
@@ -116,7 +116,7 @@ def predicting(topology: Topology) -> Callable[[list[Event]], list[Prediction | 
     predictor = Predictor(topology)
 
     def answer(moment: list[Event]) -> list[Prediction | None]:
-        answers = [predictor.predict(one) if one.kind == "exit" else None for one in moment]
+        answers = [predictor.predict(event) if event.kind == "exit" else None for event in moment]
         for event in moment:
             predictor.observe(event)
         return answers
@@ -132,8 +132,11 @@ def matching(topology: Topology) -> Callable[[list[Event]], list[Match | None]]:
     walks = Walks(topology)
 
     def answer(moment: list[Event]) -> list[Match | None]:
-        begun = {(one.camera, one.track) for one in moment if one.kind == "entry"}
-        ending = [one.kind == "exit" and (one.camera, one.track) not in begun for one in moment]
+        entry_tracks = {(event.camera, event.track) for event in moment if event.kind == "entry"}
+        ending = [
+            event.kind == "exit" and (event.camera, event.track) not in entry_tracks
+            for event in moment
+        ]
         for event, first in zip(moment, ending, strict=True):
             if first:
                 walks.observe(event)
@@ -153,18 +156,21 @@ def by_moment(
         yield from answer(list(moment))
 
 
-def shortened(answer: Prediction | Match, most: int | None) -> Prediction | Match:
-    """Return an answer with the ``most`` likeliest outcomes; ``others`` or ``new`` has the rest."""
-    if most is None:
+def shortened(answer: Prediction | Match, count_max: int | None) -> Prediction | Match:
+    """Return an answer with the ``count_max`` likeliest outcomes.
+
+    ``others`` or ``new`` has the rest.
+    """
+    if count_max is None:
         return answer
     if isinstance(answer, Match):
-        rest = sum(one.probability for one in answer.from_[most:])
-        return replace(answer, from_=answer.from_[:most], new=answer.new + rest)
-    others = [one.probability for one in answer.candidates[most:]]
+        remainder = sum(candidate.probability for candidate in answer.from_[count_max:])
+        return replace(answer, from_=answer.from_[:count_max], new=answer.new + remainder)
+    other_probabilities = [candidate.probability for candidate in answer.candidates[count_max:]]
     return replace(
         answer,
-        candidates=answer.candidates[:most],
-        others=sum(others) if others else None,
-        look=answer.look and answer.look[:most],
-        in_view=answer.in_view and answer.in_view[:most],
+        candidates=answer.candidates[:count_max],
+        others=sum(other_probabilities) if other_probabilities else None,
+        look=answer.look and answer.look[:count_max],
+        in_view=answer.in_view and answer.in_view[:count_max],
     )

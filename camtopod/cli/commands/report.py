@@ -61,13 +61,13 @@ def run(args: argparse.Namespace) -> None:
 
 def _older(path: Path, topology: Topology) -> list[Topology]:
     """Return the earlier versions of the topology's epoch, the newest `OLDER_MAX`."""
-    found: deque[Topology] = deque(maxlen=OLDER_MAX)
+    topologies: deque[Topology] = deque(maxlen=OLDER_MAX)
     with path.open("rb") as file:  # `main` reports an OSError
         for number, line in enumerate(file, 1):
             try:
-                one = decode_topology(line)
+                candidate = decode_topology(line)
             except Rejected as error:
                 raise InputError(f"{path}, line {number} is not a topology: {error}") from None
-            if one.epoch == topology.epoch and one.version < topology.version:
-                found.append(one)
-    return [*found]
+            if candidate.epoch == topology.epoch and candidate.version < topology.version:
+                topologies.append(candidate)
+    return [*topologies]

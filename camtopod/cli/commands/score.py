@@ -78,7 +78,9 @@ def run(args: argparse.Namespace) -> None:
     """Print the scores. Raises `InputError`."""
     topology = topology_of(args.topology)
     reader = LineReader()
-    events = sorted((line.event for line in reader.merged([args.events])), key=lambda one: one.t)
+    events = sorted(
+        (line.event for line in reader.merged([args.events])), key=lambda event: event.t
+    )
     if (summary := reader.summary()) is not None:
         print(f"camtopod: {summary}", file=sys.stderr)
     passages = passages_of(events, args.identities)
@@ -88,22 +90,22 @@ def run(args: argparse.Namespace) -> None:
     # Score the events after the window, up to the last exit whose outcome is certain.
     window = min(WINDOW_SECONDS_MAX, (events[-1].t - events[0].t) / 10)
     begin, end = topology.as_of, events[-1].t - window
-    if not any(begin < one.left <= end for one in passages.values()):
+    if not any(begin < passage.left <= end for passage in passages.values()):
         print("camtopod: these events were learned: the scores are too good", file=sys.stderr)
         begin = -math.inf
     lines = link_lines(topology, passages.values())
-    every = list(_given(by_moment(predicting(topology), events), len(events), "predicted"))
-    lines += prediction_lines(every, passages, begin, end)
+    predictions = list(_given(by_moment(predicting(topology), events), len(events), "predicted"))
+    lines += prediction_lines(predictions, passages, begin, end)
     every_match = _given(by_moment(matching(topology), events), len(events), "matched")
-    found = [one for one in every_match if one.t > begin]
-    print("\n".join([*lines, *match_lines(found, passages, window)]))
+    matches = [match for match in every_match if match.t > begin]
+    print("\n".join([*lines, *match_lines(matches, passages, window)]))
 
 
-def _given(answers: Iterator[AnswerT | None], count: int, done: str) -> Iterator[AnswerT]:
+def _given(answers: Iterator[AnswerT | None], count: int, unit: str) -> Iterator[AnswerT]:
     """Yield the answers that are one, and show progress through ``count`` events."""
     with Progress() as progress:
         for number, answer in enumerate(answers, 1):
-            progress.show("%d of %d events %s", number, count, done)
+            progress.show("%d of %d events %s", number, count, unit)
             if answer is not None:
                 yield answer
 
@@ -121,24 +123,28 @@ def passages_of(events: Sequence[Event], path: str) -> dict[Key, Passage]:
     of_identity: dict[str, list[Passage]] = defaultdict(list)
     for event in events:
         key = event.camera, str(event.track)
-        who = identity.get(key) or identity.get((None, key[1]))
-        if not who:
+        person = identity.get(key) or identity.get((None, key[1]))
+        if not person:
             continue
         if key not in passages:
-            passages[key] = Passage(key, who, event.t, event.t)
-            of_identity[who].append(passages[key])
+            passages[key] = Passage(key, person, event.t, event.t)
+            of_identity[person].append(passages[key])
         passages[key].left = event.t
     for walk in of_identity.values():
-        for one, following in pairwise(sorted(walk, key=lambda one: (one.came, one.left, one.key))):
-            one.outcome = following.key[0]
-            following.since = following.came - one.left
+        for passage, following in pairwise(
+            sorted(walk, key=lambda passage: (passage.came, passage.left, passage.key))
+        ):
+            passage.outcome = following.key[0]
+            following.since = following.came - passage.left
     return passages
 
 
 def link_lines(topology: Topology, passages: Iterable[Passage]) -> list[str]:
     """Return the score of the links between cameras."""
     transitions = Counter(
-        (one.key[0], one.outcome) for one in passages if one.outcome not in (LEAVES, one.key[0])
+        (passage.key[0], passage.outcome)
+        for passage in passages
+        if passage.outcome not in (LEAVES, passage.key[0])
     )
     left = Counter[str]()
     for (camera, _), number in transitions.items():
@@ -148,44 +154,56 @@ def link_lines(topology: Topology, passages: Iterable[Passage]) -> list[str]:
         for pair, number in transitions.items()
         if number >= max(TRANSITIONS_MIN, TRANSITIONS_SHARE_MIN * left[pair[0]])
     }
-    published = {(camera_of(one.from_), camera_of(one.to)) for one in links_between_views(topology)}
-    right = published & true
-    false = {pair for pair in published if transitions[pair] <= SPURIOUS_TRANSITIONS_MAX}
+    published_pairs = {
+        (camera_of(link.from_), camera_of(link.to)) for link in links_between_views(topology)
+    }
+    right = published_pairs & true
+    false = {pair for pair in published_pairs if transitions[pair] <= SPURIOUS_TRANSITIONS_MAX}
     lines = [
         f"links between cameras: {len(right)} of {len(true)} true ones found, {len(false)} false; "
         f"precision {_share(len(right), len(right) + len(false))}, "
         f"recall {_share(len(right), len(true))}"
     ]
-    for what, pairs in (("missing", true - published), ("false", false)):
-        lines += [f"  {what}: {a} -> {b}, {transitions[a, b]} times" for a, b in sorted(pairs)]
+    for name, pairs in (("missing", true - published_pairs), ("false", false)):
+        lines += [f"  {name}: {a} -> {b}, {transitions[a, b]} times" for a, b in sorted(pairs)]
     return lines
 
 
 def prediction_lines(
-    every: Sequence[Prediction], passages: Mapping[Key, Passage], begin: float, end: float
+    predictions: Sequence[Prediction], passages: Mapping[Key, Passage], begin: float, end: float
 ) -> list[str]:
     """Return the score of the predictions of exits from ``begin`` to ``end``, and the oracle's."""
-    known = [
-        (one, passages[key]) for one in every if (key := (one.camera, str(one.track))) in passages
+    cases = [
+        (prediction, passages[key])
+        for prediction in predictions
+        if (key := (prediction.camera, str(prediction.track))) in passages
     ]
-    outcomes = sorted({one.key[0] for one in passages.values()} | {LEAVES})
+    outcomes = sorted({passage.key[0] for passage in passages.values()} | {LEAVES})
     counts: dict[str, Counter[str]] = defaultdict(Counter)
-    for one, passage in known:
-        for place in ("", one.camera, one.zone or one.camera):
-            counts[place][passage.outcome] += one.t <= end
+    for prediction, passage in cases:
+        for place in ("", prediction.camera, prediction.zone or prediction.camera):
+            counts[place][passage.outcome] += prediction.t <= end
 
     # Score both.
     scores: dict[str, list[tuple[bool, float]]] = {"camtopod": [], "told": []}
-    for one, passage in known:
-        if not begin < one.t <= end:
+    for prediction, passage in cases:
+        if not begin < prediction.t <= end:
             continue
-        told = dict.fromkeys(outcomes, 1.0 / len(outcomes))
-        for place in ("", one.camera, one.zone or one.camera):
-            other = counts[place] - Counter([passage.outcome])
-            total = other.total() + BACKING_EXITS
-            told = {name: (other[name] + BACKING_EXITS * told[name]) / total for name in outcomes}
-        ours = sum_by_camera((way.camera, way.probability) for way in one.candidates)
-        for name, shares in (("camtopod", ours | {LEAVES: one.leave}), ("told", told)):
+        baseline = dict.fromkeys(outcomes, 1.0 / len(outcomes))
+        for place in ("", prediction.camera, prediction.zone or prediction.camera):
+            other_counts = counts[place] - Counter([passage.outcome])
+            total = other_counts.total() + BACKING_EXITS
+            baseline = {
+                name: (other_counts[name] + BACKING_EXITS * baseline[name]) / total
+                for name in outcomes
+            }
+        predicted_shares = sum_by_camera(
+            (way.camera, way.probability) for way in prediction.candidates
+        )
+        for name, shares in (
+            ("camtopod", predicted_shares | {LEAVES: prediction.leave}),
+            ("told", baseline),
+        ):
             share = (shares.get(passage.outcome, 0.0) + LOSS_FLOOR) / (
                 1.0 + LOSS_FLOOR * len(outcomes)
             )
@@ -204,22 +222,24 @@ def prediction_lines(
 
 
 def match_lines(
-    found: Sequence[Match], passages: Mapping[Key, Passage], window: float
+    matches: Sequence[Match], passages: Mapping[Key, Passage], window: float
 ) -> list[str]:
     """Return the score of the matches with a passage that has more than one half."""
-    known = [
-        (one, passages[key]) for one in found if (key := (one.camera, str(one.track))) in passages
+    cases = [
+        (match, passages[key])
+        for match in matches
+        if (key := (match.camera, str(match.track))) in passages
     ]
-    going_on = sum(passage.since <= window for _, passage in known)
-    said = right = 0
-    for match, passage in known:
+    going_on = sum(passage.since <= window for _, passage in cases)
+    claim_count = right = 0
+    for match, passage in cases:
         if match.from_ and match.from_[0].probability > 0.5:
             before = passages.get((match.from_[0].camera, str(match.from_[0].track)))
-            said += 1
+            claim_count += 1
             right += before is not None and before.identity == passage.identity
     return [
-        f"matches: {going_on} of {len(known)} entries go on with a walk; {said} are said to with "
-        f"more than one half, {right} of them rightly ({_share(right, said)})"
+        f"matches: {going_on} of {len(cases)} entries go on with a walk; {claim_count} are said to "
+        f"with more than one half, {right} of them rightly ({_share(right, claim_count)})"
     ]
 
 

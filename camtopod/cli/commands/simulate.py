@@ -74,8 +74,8 @@ def run(args: argparse.Namespace) -> None:
     """
     # Simulate.
     try:
-        given = {name: getattr(args, name) for name, _, _ in _NUMBERS}
-        events, truth = simulate(SimSettings(**given, labels=args.labels))
+        numbers = {name: getattr(args, name) for name, _, _ in _NUMBERS}
+        events, truth = simulate(SimSettings(**numbers, labels=args.labels))
     except ValueError as error:
         raise exits.CommandError(f"simulate: {error}", exits.USAGE) from None
 

@@ -116,9 +116,9 @@ class _Part:
 
     def look(self) -> tuple[str, int]:
         """Read its notifications; return why it cannot go on, or "", and the exit status then."""
-        if said := self._receiver.lines():
+        if lines := self._receiver.lines():
             self._heard_at = time.monotonic()
-            self.ready |= "READY=1" in said
+            self.ready |= "READY=1" in lines
         status = self.process.poll()
         if status is not None:  # ended by somebody else, it has failed as well
             return exit_reason(status), max(status, exits.FAILED)
@@ -174,9 +174,9 @@ class _Parts:
         """Look at all parts until the end; the first that ends ends all."""
         while not self._stop.wait(LOOK_SECONDS):
             for part in self._running:
-                why, status = part.look()
-                if why:
-                    words = f"{part.name}: {why}, see above; all has been stopped"
+                reason, status = part.look()
+                if reason:
+                    words = f"{part.name}: {reason}, see above; all has been stopped"
                     self.failure = CommandError(words, status)
                     self._stop.set()
                     return

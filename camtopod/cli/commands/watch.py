@@ -160,5 +160,5 @@ def parts(site: SiteState, topology: Topology | None, now: float) -> list[str]:
             for link in busiest_links(topology)[:LINKS_SHOWN]
         ]
     predictions = ["PREDICTIONS", *site.prediction_lines()]
-    listed = (state, cameras, links, predictions)
-    return ["\n".join(map(visible, lines)) for lines in listed]
+    sections = (state, cameras, links, predictions)
+    return ["\n".join(map(visible, lines)) for lines in sections]

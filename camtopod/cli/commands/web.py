@@ -76,8 +76,8 @@ def run(args: argparse.Namespace) -> None:
     is_public = not access.is_local(f"tcp/{args.listen}")
     pictures = config.web.pictures_folder
     if pictures is not None and not os.access(pictures, os.R_OK | os.X_OK):
-        why = "no permission to read it" if pictures.exists() else "no such directory"
-        log.warning("[web] pictures %s: %s; cameras are shown without pictures", pictures, why)
+        reason = "no permission to read it" if pictures.exists() else "no such directory"
+        log.warning("[web] pictures %s: %s; cameras are shown without pictures", pictures, reason)
 
     login = _login(config)
     if (plan := config.map.plan) and not os.access(plan, os.R_OK):
@@ -129,8 +129,8 @@ def _login(config: Config) -> logins.Login | None:
         return None
     files = (config.web.password_file, config.web.token_file)
     paths = [Path(file) for file in files if file]
-    if exposed := secret_files.find_exposed(paths):
-        raise CommandError(f"[web]: {exposed[0]}", exits.CONFIG)
+    if sentences := secret_files.find_exposed(paths):
+        raise CommandError(f"[web]: {sentences[0]}", exits.CONFIG)
     password, *token = [secret_files.read(path) for path in paths]
     try:
         return logins.Login(password, token[0] if token else None)
@@ -154,8 +154,8 @@ def names(host: str, further: Sequence[str] = ()) -> list[str]:
     Others are refused: through a name that resolves to this machine, the page of another site could
     read this one (DNS rebinding).
     """
-    own = socket.gethostname()
-    return ["localhost", own, f"{own}.local", host, *further]
+    host_name = socket.gethostname()
+    return ["localhost", host_name, f"{host_name}.local", host, *further]
 
 
 def listening(host: str, port: int) -> socket.socket:

@@ -52,13 +52,13 @@ def rows(pieces: Iterable[bytes], path: str) -> Iterator[tuple[int, bytes]]:
 
 def _lines(pieces: Iterable[bytes], path: str) -> Iterator[str]:
     """Yield the lines of a text, without the mark at its beginning."""
-    rest = b""
+    remainder = b""
     for piece in pieces:
-        *whole, rest = (rest + piece).split(b"\n")
-        if len(rest) > LINE_BYTES_MAX:
+        *whole, remainder = (remainder + piece).split(b"\n")
+        if len(remainder) > LINE_BYTES_MAX:
             raise InputError(f"{path} has a line of more than {LINE_BYTES_MAX} bytes")
         yield from (line.decode("utf-8-sig", "surrogateescape") for line in whole)
-    yield rest.decode("utf-8-sig", "surrogateescape")
+    yield remainder.decode("utf-8-sig", "surrogateescape")
 
 
 def _value(name: str, cell: str) -> str | float:

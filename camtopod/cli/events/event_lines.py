@@ -63,15 +63,15 @@ class Line(NamedTuple):
 class LineReader:
     """Reads lines and counts them.
 
-    ``read`` counts all lines, ``events`` the resulting events, ``rejected`` the other lines by
-    mistake: a reason and, if there is one, the field.
+    ``lines_read`` counts all lines, ``events`` the resulting events, ``rejections`` the other lines
+    by mistake: a reason and, if there is one, the field.
     """
 
     def __init__(self) -> None:
-        self.rejected: Counter[str] = Counter()
+        self.rejections: Counter[str] = Counter()
         self.labels_dropped = 0
         """Events whose label is not valid; they count without it."""
-        self.read = 0
+        self.lines_read = 0
         self.events = 0
         self._files: list[BinaryIO] = []
 
@@ -106,7 +106,7 @@ class LineReader:
             self._drop_label(f"{path}:{number}", error)
 
         for number, text in messages(path, file):
-            self.read += 1
+            self.lines_read += 1
             try:
                 event = event_from_json(text, drop_label)
             except Rejected as error:
@@ -132,7 +132,7 @@ class LineReader:
             if live:
                 events = adapter.silent(time.monotonic())
             if text:
-                self.read += 1
+                self.lines_read += 1
                 try:
                     if len(text) > LINE_BYTES_MAX:
                         raise Rejected("too-long", f"more than {LINE_BYTES_MAX} bytes")
@@ -144,38 +144,38 @@ class LineReader:
                     self.reject(error.reason, f"{path}:{number}: {error}")
                 except Exception as error:  # no message of another program may end the reading
                     log.debug("%s:%d", path, number, exc_info=True)
-                    what = f"it cannot be read ({type(error).__name__})"
-                    self.reject("unreadable", f"{path}:{number}: {what}")
+                    fault = f"it cannot be read ({type(error).__name__})"
+                    self.reject("unreadable", f"{path}:{number}: {fault}")
             self.events += len(events)
             yield from events
         events = adapter.close()
         self.events += len(events)
         yield from events
 
-    def reject(self, reason: str, where: str, text: bytes = b"") -> None:
+    def reject(self, reason: str, position: str, text: bytes = b"") -> None:
         """Count a rejected line; print the first one of each reason and place in a message."""
-        place = where.partition(" - at ")[2]
+        place = position.partition(" - at ")[2]
         mistake = " ".join(filter(None, [reason, place.strip("`$.")]))
-        self.rejected[mistake] += 1
-        if self.rejected[mistake] == 1:
-            quoted = text[:120].decode("utf-8", "backslashreplace")
-            message = visible(redact(": ".join(filter(None, [where, quoted]))))
+        self.rejections[mistake] += 1
+        if self.rejections[mistake] == 1:
+            quote = text[:120].decode("utf-8", "backslashreplace")
+            message = visible(redact(": ".join(filter(None, [position, quote]))))
             print(f"camtopod: {message} (further ones are only counted)", file=sys.stderr)
 
-    def _drop_label(self, where: str, error: Rejected) -> None:
+    def _drop_label(self, position: str, error: Rejected) -> None:
         """Count an invalid label; print the first one's mistake in a message."""
         self.labels_dropped += 1
         if self.labels_dropped == 1:
-            what = f"{where}: {error}; the event counts without its label"
-            print(f"camtopod: {what} (further ones are only counted)", file=sys.stderr)
+            warning = f"{position}: {error}; the event counts without its label"
+            print(f"camtopod: {warning} (further ones are only counted)", file=sys.stderr)
 
     def summary(self) -> str | None:
         """Return one line about the rejected lines and labels; None if there are none."""
         parts = []
-        if self.rejected:
-            mistakes = ", ".join(f"{mistake} {n}" for mistake, n in sorted(self.rejected.items()))
-            total = sum(self.rejected.values())
-            parts.append(f"{total} of {self.read} lines were rejected: {mistakes}")
+        if self.rejections:
+            mistakes = ", ".join(f"{mistake} {n}" for mistake, n in sorted(self.rejections.items()))
+            total = sum(self.rejections.values())
+            parts.append(f"{total} of {self.lines_read} lines were rejected: {mistakes}")
         if self.labels_dropped:
             parts.append(f"{self.labels_dropped} labels were not valid, their events count")
         return "; ".join(parts) or None
@@ -186,9 +186,9 @@ def messages(path: str, file: Readable) -> Iterator[tuple[int, bytes]]:
 
     Raises `InputError` for a table without the columns it needs.
     """
-    rest = pieces(path, file)
-    beginning = next(rest, b"")
-    whole = itertools.chain([beginning], rest)
+    later_pieces = pieces(path, file)
+    beginning = next(later_pieces, b"")
+    whole = itertools.chain([beginning], later_pieces)
     if csv_rows.is_table(beginning):
         return csv_rows.rows(whole, path)
     return frames(whole, EVENT_BYTES_MAX)

@@ -67,7 +67,7 @@ def add_options(parser: argparse.ArgumentParser) -> None:
     group = parser.add_argument_group("formats")
     for option, (meaning, arguments) in _OPTIONS.items():
         group.add_argument(f"--{option}", help=f"{meaning} ({_formats(option)})", **arguments)
-    names = ", ".join(name for name, one in FORMATS.items() if one.mqtt)
+    names = ", ".join(name for name, input_format in FORMATS.items() if input_format.mqtt)
     group = parser.add_argument_group(
         "MQTT",
         f"FILE may be mqtt[s]://[USER@]HOST[:PORT]/PREFIX ({names}); + in PREFIX is any level",
@@ -92,7 +92,7 @@ def events(
                 source, adapter.topic, with_topics=adapter.topic == "#"
             )
         stack.callback(messages.close)
-        lines = ((reader.read + 1, text) for text in messages.read(stop, ticks=True))
+        lines = ((reader.lines_read + 1, text) for text in messages.read(stop, ticks=True))
         return reader.adapted(messages.topic, lines, adapter, live=True)
 
     if args.password_file or args.ca:
@@ -102,28 +102,30 @@ def events(
         stack.callback(file.close)
     if adapter is None:
         return (line.event for line in reader.lines(args.file, file))
-    found = frames(pieces(args.file, file), LINE_BYTES_MAX, adapter.begins)
-    return reader.adapted(args.file, found, adapter)
+    frame_messages = frames(pieces(args.file, file), LINE_BYTES_MAX, adapter.begins)
+    return reader.adapted(args.file, frame_messages, adapter)
 
 
 def adapter_for(args: argparse.Namespace) -> Adapter | None:
     """Return the adapter of the format; None for event lines. Raises `CommandError`."""
-    chosen = FORMATS[args.format]
-    for option in _OPTIONS.keys() - {*chosen.options}:
+    input_format = FORMATS[args.format]
+    for option in _OPTIONS.keys() - {*input_format.options}:
         if getattr(args, option):
             raise CommandError(
                 f"--{option} is for {_formats(option)}, not {args.format}", exits.USAGE
             )
-    if chosen.make is None:
+    if input_format.make is None:
         return None
     try:
-        adapter = chosen.make(args)
+        adapter = input_format.make(args)
     except ValueError as error:
         raise CommandError(str(error), exits.USAGE) from None
-    adapter.cameras.renamed = dict(args.rename)
+    adapter.cameras.new_names = dict(args.rename)
     return adapter
 
 
 def _formats(option: str) -> str:
     """Return the names of the formats that have an option."""
-    return ", ".join(name for name, one in FORMATS.items() if option in one.options)
+    return ", ".join(
+        name for name, input_format in FORMATS.items() if option in input_format.options
+    )

@@ -46,9 +46,9 @@ class Answers:
         """Number of events that came late."""
         self._late_in_a_row = 0
         self._numbers = itertools.count()
-        self._held: list[tuple[float, int, Event]] = []
+        self._heap: list[tuple[float, int, Event]] = []
         """Events that wait for earlier ones: a heap by time, then by number."""
-        self._unanswered: deque[int] = deque()
+        self._open_numbers: deque[int] = deque()
         """Numbers of the events of ``kind`` whose answers have not been returned, in order."""
         self._answers: dict[int, bytes] = {}
         """Answers that have not been returned, by number."""
@@ -83,19 +83,19 @@ class Answers:
     def add(self, event: Event) -> list[bytes]:
         """Add an event; return the answers that this makes possible."""
         number = next(self._numbers)
-        heapq.heappush(self._held, (event.t, number, event))
+        heapq.heappush(self._heap, (event.t, number, event))
         if event.kind == self._kind:
-            self._unanswered.append(number)
+            self._open_numbers.append(number)
         self._newest = max(self._newest, event.t)
         before = math.nextafter(self._newest, -math.inf)
-        answered = min(self._newest - self._lateness, before)
-        is_late = event.t <= answered
+        answer_until = min(self._newest - self._lateness, before)
+        is_late = event.t <= answer_until
         self.late += is_late
         self._late_in_a_row = self._late_in_a_row + 1 if is_late else 0
-        held = max(len(self._held), len(self._unanswered))
-        if held >= LINES_HELD_MAX or self._late_in_a_row >= LATE_LINES_MAX:
+        held_count = max(len(self._heap), len(self._open_numbers))
+        if held_count >= LINES_HELD_MAX or self._late_in_a_row >= LATE_LINES_MAX:
             return self.rest()
-        return self._until(answered)
+        return self._until(answer_until)
 
     def rest(self) -> list[bytes]:
         """Return all remaining answers, without waiting for earlier events."""
@@ -104,19 +104,19 @@ class Answers:
 
     def _until(self, t: float) -> list[bytes]:
         """Answer the events up to a time, and return the answers whose turn it is."""
-        held = self._held
-        while held and held[0][0] <= t:
-            moment = [heapq.heappop(held)]
-            while held and held[0][0] == moment[0][0]:
-                moment.append(heapq.heappop(held))
+        heap = self._heap
+        while heap and heap[0][0] <= t:
+            moment = [heapq.heappop(heap)]
+            while heap and heap[0][0] == moment[0][0]:
+                moment.append(heapq.heappop(heap))
             answers = self._answer([event for _, _, event in moment])
             for (_, number, event), answer in zip(moment, answers, strict=True):
                 if event.kind == self._kind:
                     self._answers[number] = answer
 
         turn = []
-        while self._unanswered and self._unanswered[0] in self._answers:
-            turn.append(self._answers.pop(self._unanswered.popleft()))
+        while self._open_numbers and self._open_numbers[0] in self._answers:
+            turn.append(self._answers.pop(self._open_numbers.popleft()))
         return turn
 
 

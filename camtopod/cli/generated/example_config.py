@@ -35,26 +35,26 @@ def example() -> str:
     parts = [_HEAD, table("site", TABLES["site"], {"name": "hq"})]
     parts += [table(name, TABLES[name]) for name in ("bus", "bus.tls", "state", "keep")]
     parts += [_CAMERAS, table("cameras.hall", CameraSettings, _HALL)]
-    rest = ("vision", "detector", "learn", "topology", "limits", "health", "web", "map")
-    parts += [table(name, TABLES[name]) for name in rest]
+    names = ("vision", "detector", "learn", "topology", "limits", "health", "web", "map")
+    parts += [table(name, TABLES[name]) for name in names]
     return "\n".join(part.rstrip("\n") + "\n" for part in parts)
 
 
-def table(name: str, kind: type[Struct], given: dict[str, Any] | None = None) -> str:
+def table(name: str, kind: type[Struct], values: dict[str, Any] | None = None) -> str:
     """Return one table with every setting: its explanation, and its value.
 
-    Those that are not in ``given`` are comments with the default.
+    Those that are not in ``values`` are comments with the default.
     """
-    given = given or {}
+    values = values or {}
     documents = attribute_docs(kind)
-    own = inspect.get_annotations(kind)
+    own_fields = inspect.get_annotations(kind)
     lines = [f"[{name}]"]
     for field in fields(name, kind):
-        if field.name not in own or isinstance(field.default, Struct):  # a table of its own
+        if field.name not in own_fields or isinstance(field.default, Struct):  # a table of its own
             continue
         lines += [f"# {line}" for line in textwrap.wrap(documents[field.name], 110 - 2)]
-        if field.name in given:
-            lines.append(f"{field.name} = {json.dumps(given[field.name])}")  # the same in TOML
+        if field.name in values:
+            lines.append(f"{field.name} = {json.dumps(values[field.name])}")  # the same in TOML
         else:
             lines.append(f"# {field.name} = {json.dumps(field.default)}")
     return "\n".join(lines)
@@ -63,10 +63,10 @@ def table(name: str, kind: type[Struct], given: dict[str, Any] | None = None) ->
 def attribute_docs(kind: type[Struct]) -> dict[str, str]:
     """Return field -> docstring (the string literal below each field in the source of a Struct)."""
     documents = {}
-    for one in [*kind.__bases__, kind]:
-        if one is Struct:
+    for base in [*kind.__bases__, kind]:
+        if base is Struct:
             continue
-        body = ast.parse(textwrap.dedent(inspect.getsource(one))).body[0]
+        body = ast.parse(textwrap.dedent(inspect.getsource(base))).body[0]
         assert isinstance(body, ast.ClassDef)
         for statement, following in itertools.pairwise(body.body):
             if (

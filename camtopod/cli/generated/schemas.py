@@ -68,8 +68,8 @@ def schema(name: str) -> dict[str, Any]:
     references, types = msgspec.json.schema_components(
         _TYPES_OF[name], ref_template="#/$defs/{name}"
     )
-    for kind, described in types.items():
-        _describe(described, _KINDS[kind])
+    for kind, description in types.items():
+        _describe(description, _KINDS[kind])
 
     # Rules that the types cannot express.
     if "Event" in types:  # a position has both coordinates
@@ -92,10 +92,10 @@ def schema(name: str) -> dict[str, Any]:
     return {"$schema": dialect, "title": f"camtopod {name}", **reference, "$defs": types}
 
 
-def _describe(described: dict[str, Any], kind: type[Struct]) -> None:
+def _describe(description: dict[str, Any], kind: type[Struct]) -> None:
     """Add the docstrings of a type's fields to its schema; leave out what no file may set."""
     documents = attribute_docs(kind)
-    properties = described["properties"]
+    properties = description["properties"]
     for field in msgspec.structs.fields(kind):
         if field.name in documents:
             properties[field.encode_name]["description"] = documents[field.name]
@@ -103,7 +103,7 @@ def _describe(described: dict[str, Any], kind: type[Struct]) -> None:
             del properties[field.encode_name]["default"]
     if kind in _TABLES:
         settable = [field.name for field in fields(_TABLES[kind], kind)]
-        described["properties"] = {key: properties[key] for key in settable}
+        description["properties"] = {key: properties[key] for key in settable}
 
 
 def _allow_further_forms(properties: dict[str, Any]) -> None:

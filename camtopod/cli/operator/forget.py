@@ -62,11 +62,11 @@ def carry_out(args: argparse.Namespace, command: Command) -> None:
         except QueryError as error:
             raise CommandError(str(error)) from None
         if not answers:
-            what = f"no daemon of site {bus.site} answers at {bus.endpoint}"
-            what += right_site(bus, config)
+            message = f"no daemon of site {bus.site} answers at {bus.endpoint}"
+            message += right_site(bus, config)
             if config.bus.tls.ca:
-                what += "; with certificates, only that of the daemon may do this"
-            raise CommandError(what, exits.BUS)
+                message += "; with certificates, only that of the daemon may do this"
+            raise CommandError(message, exits.BUS)
     try:
         print(visible(codec.read(Done, answers[0][1], pack=True).done))
     except codec.Rejected as error:

@@ -33,10 +33,10 @@ def run(args: argparse.Namespace) -> None:
 
 def _confirm(args: argparse.Namespace) -> None:
     """Ask for the site's name on the terminal. Raises `CommandError` without the right answer."""
-    what = "everything that was learned is forgotten"
+    warning = "everything that was learned is forgotten"
     if not sys.stdin.isatty():
-        raise CommandError(f"{what}: confirm it with --yes", exits.USAGE)
+        raise CommandError(f"{warning}: confirm it with --yes", exits.USAGE)
     site = configuration(args).site.name
-    print(f"{what} of site {site}; type its name to go on: ", end="", flush=True)
+    print(f"{warning} of site {site}; type its name to go on: ", end="", flush=True)
     if sys.stdin.readline().strip() != site:
         raise CommandError("not confirmed: nothing was changed")
