@@ -47,37 +47,41 @@ def ranges(first: Indices, length: Indices) -> tuple[Rows, Rows]:
     return at, element
 
 
-def ranges_in_parts(first: Indices, length: Indices, most: int) -> Iterator[tuple[Rows, Rows]]:
-    """Yield `ranges` with about ``most`` elements at a time, of at least one range."""
-    reached = np.concatenate(([0], np.cumsum(length)))
+def ranges_in_parts(first: Indices, length: Indices, size_max: int) -> Iterator[tuple[Rows, Rows]]:
+    """Yield `ranges` with about ``size_max`` elements at a time, of at least one range."""
+    cumulative = np.concatenate(([0], np.cumsum(length)))
     begin = 0
     while begin < len(first):
-        end = max(int(np.searchsorted(reached, reached[begin] + most, "right")) - 1, begin + 1)
+        end = max(
+            int(np.searchsorted(cumulative, cumulative[begin] + size_max, "right")) - 1, begin + 1
+        )
         at, element = ranges(first[begin:end], length[begin:end])
         yield at + begin, element
         begin = end
 
 
-def find_rows(keys: Indices, wanted: Indices) -> tuple[NDArray[np.intp], NDArray[np.bool_]]:
-    """Return the index among ``keys`` of each of the ``wanted`` (n,), and whether it is there.
+def find_rows(keys: Indices, targets: Indices) -> tuple[NDArray[np.intp], NDArray[np.bool_]]:
+    """Return the index among ``keys`` of each of the ``targets`` (n,), and whether it is there.
 
     Both results have shape (n,); the index of a missing key is arbitrary but valid, unless there
     are no keys at all.
     """
     if len(keys) == 0:
-        return np.zeros(len(wanted), np.intp), np.zeros(len(wanted), np.bool_)
+        return np.zeros(len(targets), np.intp), np.zeros(len(targets), np.bool_)
     order = np.argsort(keys, kind="stable")
-    at = order[np.minimum(np.searchsorted(keys[order], wanted), len(keys) - 1)]
-    return at, keys[at] == wanted
+    at = order[np.minimum(np.searchsorted(keys[order], targets), len(keys) - 1)]
+    return at, keys[at] == targets
 
 
 def find_pairs(
-    pairs: tuple[Indices, Indices], wanted: tuple[Indices, Indices]
+    pairs: tuple[Indices, Indices], targets: tuple[Indices, Indices]
 ) -> tuple[NDArray[np.intp], NDArray[np.bool_]]:
     """Return what `find_rows` does, for pairs of numbers, each given as two columns."""
-    size = 1 + max(int(second.max(initial=0)) for _, second in (pairs, wanted))
-    keys, sought = (first.astype(np.int64) * size + second for first, second in (pairs, wanted))
-    return find_rows(keys, sought)
+    size = 1 + max(int(second.max(initial=0)) for _, second in (pairs, targets))
+    keys, target_keys = (
+        first.astype(np.int64) * size + second for first, second in (pairs, targets)
+    )
+    return find_rows(keys, target_keys)
 
 
 ROWS_AT_ONCE = 1024

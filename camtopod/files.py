@@ -23,9 +23,9 @@ def writing(path: str | Path, mode: int | None = None) -> Iterator[BinaryIO]:
 
     Raises `OSError`; if the file cannot be opened, with ``path`` as it was given.
     """
-    given = Path(path)
+    target = Path(path)
     try:
-        fd, new = _opened(given, mode)
+        fd, new = _opened(target, mode)
     except OSError as error:
         raise OSError(error.errno, error.strerror, str(path)) from None
     if new is None:
@@ -39,7 +39,7 @@ def writing(path: str | Path, mode: int | None = None) -> Iterator[BinaryIO]:
             yield file
             file.flush()
             os.fsync(fd)
-        _put(new, given.resolve())
+        _put(new, target.resolve())
     finally:
         new.unlink(missing_ok=True)
 

@@ -110,7 +110,7 @@ class _Connection:
         self._at = at
         self._ready = threading.Event()
         """Set when the first connection is made or refused."""
-        self._refused = ""
+        self._refusal = ""
         properties = Properties(PacketTypes.CONNECT)  # type: ignore[no-untyped-call]
         properties.MaximumPacketSize = PACKET_BYTES_MAX
         self._client = client = Client(
@@ -133,10 +133,10 @@ class _Connection:
             raise MqttError(f"cannot reach {at.host}:{at.port}: {error}") from None
         client.loop_start()
         if not self._ready.wait(CONNECT_SECONDS):
-            self._refused = "does not answer as an MQTT broker"
-        if self._refused:
+            self._refusal = "does not answer as an MQTT broker"
+        if self._refusal:
             self._leave()
-            raise MqttError(f"{at.host}:{at.port} {self._refused}")
+            raise MqttError(f"{at.host}:{at.port} {self._refusal}")
 
     def _prepare(self, client: Client) -> None:
         """Set up a client before it connects."""
@@ -158,7 +158,7 @@ class _Connection:
             self._joined()
 
     def _on_disconnect(self, _: Client, __: Any, ___: Any, code: ReasonCode, ____: Any) -> None:
-        if self._ready.is_set() and not self._refused:
+        if self._ready.is_set() and not self._refusal:
             log.warning("lost %s:%d (%s); trying again", self._at.host, self._at.port, code)
         else:
             self._fail("does not answer as an MQTT broker")
@@ -166,9 +166,9 @@ class _Connection:
     def _fail(self, refusal: str) -> None:
         """Report a refusal: to the caller at the start, later in the log (paho retries then)."""
         if not self._ready.is_set():
-            self._refused = refusal
+            self._refusal = refusal
             self._ready.set()
-        elif not self._refused:
+        elif not self._refusal:
             log.warning("%s:%d %s", self._at.host, self._at.port, refusal)
 
 
@@ -182,7 +182,7 @@ class MessageSubscription(_Connection):
 
     def __init__(self, source: Broker, topic: str, with_topics: bool = False) -> None:
         self.topic = f"{source.prefix}/{topic}"
-        self.dropped = 0
+        self.dropped_count = 0
         """Number of messages dropped because too many bytes were waiting."""
         self._with_topics = with_topics
         self._waiting: queue.Queue[bytes] = queue.Queue()
@@ -209,8 +209,8 @@ class MessageSubscription(_Connection):
     def close(self) -> None:
         """Disconnect, and log how many messages were dropped."""
         self._leave()
-        if self.dropped:
-            log.warning("%d messages of %s were dropped", self.dropped, self.topic)
+        if self.dropped_count:
+            log.warning("%d messages of %s were dropped", self.dropped_count, self.topic)
 
     def _prepare(self, client: Client) -> None:
         client.on_subscribe = self._on_subscribe
@@ -237,8 +237,8 @@ class MessageSubscription(_Connection):
                 self._waiting.put(payload)
                 self._waiting_bytes += sys.getsizeof(payload)
                 return
-        self.dropped += 1
-        if self.dropped == 1:
+        self.dropped_count += 1
+        if self.dropped_count == 1:
             log.warning("messages come faster than they are read: some are dropped")
 
 
@@ -255,7 +255,7 @@ class RetainedMessages(_Connection):
     def __init__(self, target: Broker, availability: str) -> None:
         self._availability = availability
         self._mutex = threading.Lock()
-        self._published: dict[str, str] = {}
+        self._texts: dict[str, str] = {}
         super().__init__(target)
 
     def show(self, messages: Mapping[str, str]) -> None:
@@ -265,9 +265,9 @@ class RetainedMessages(_Connection):
         """
         with self._mutex:
             for topic, text in messages.items():
-                if self._client.is_connected() and self._published.get(topic) != text:
+                if self._client.is_connected() and self._texts.get(topic) != text:
                     self._client.publish(topic, text, retain=True)
-                    self._published[topic] = text
+                    self._texts[topic] = text
 
     def tell(self, messages: Mapping[str, str]) -> None:
         """Publish messages that are not retained; without a connection they are lost."""
@@ -288,7 +288,7 @@ class RetainedMessages(_Connection):
     def _joined(self) -> None:
         """Appear as online, and have the next `show` publish everything again."""
         with self._mutex:
-            self._published.clear()
+            self._texts.clear()
         self._client.publish(self._availability, ONLINE, qos=1, retain=True)
         log.info("publishing below %s at %s:%d", self._at.prefix, self._at.host, self._at.port)
         self._ready.set()

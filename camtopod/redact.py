@@ -37,7 +37,7 @@ _TOKEN = re.compile(
 One with hyphens or the like must have capital and small letters, or hexadecimal digits only.
 """
 _KEY = re.compile(r"-----BEGIN ([A-Z ]*PRIVATE KEY)-----.*?(-----END \1-----|\Z)", re.DOTALL)
-_known: set[str] = set()
+_secrets: set[str] = set()
 """Secrets to hide wherever they appear."""
 
 
@@ -47,8 +47,8 @@ def remember(source: str) -> None:
     They may hold any characters.
     """
     # Tokens in the path and in the query.
-    for _, rest in _PATH.findall(_with_userinfo("", source)):
-        _known.update(_TOKEN.findall(rest))
+    for _, remainder in _PATH.findall(_with_userinfo("", source)):
+        _secrets.update(_TOKEN.findall(remainder))
 
     # User name and password, as written and with percent-encoding undone or done.
     match = _USERINFO.match(source)
@@ -57,9 +57,9 @@ def remember(source: str) -> None:
     userinfo = match[1]
     password = userinfo.partition(":")[2]
     plain = unquote(password)
-    _known.update({f"{userinfo}@", f"{unquote(userinfo)}@"})
+    _secrets.update({f"{userinfo}@", f"{unquote(userinfo)}@"})
     forms = {password, plain, quote(password, safe=""), quote(plain, safe="")}
-    _known.update(form for form in forms if len(form) >= _SECRET_CHARACTERS_MIN)
+    _secrets.update(form for form in forms if len(form) >= _SECRET_CHARACTERS_MIN)
 
 
 def redact(text: str) -> str:
@@ -69,7 +69,7 @@ def redact(text: str) -> str:
     private keys, and remembered secrets.
     """
     text = _KEY.sub(HIDDEN, text)
-    for secret in sorted(_known, key=len, reverse=True):
+    for secret in sorted(_secrets, key=len, reverse=True):
         whole = re.escape(secret)
         if secret.isalpha():  # with the password "secret", "secrets" stays
             whole = rf"(?<![A-Za-z]){whole}(?![A-Za-z])"

@@ -46,17 +46,17 @@ def _unknown(topology: Topology) -> Iterator[str]:
     of_zones: dict[str, Names] = {
         "cameras": (name for camera in topology.cameras for name in camera.zones),
         **{
-            place: (name for link in some for name in (link.from_, link.to))
-            for place, some in links.items()
+            place: (name for link in place_links for name in (link.from_, link.to))
+            for place, place_links in links.items()
         },
     }
     if topology.model is not None:
         of_zones |= _zones_of(topology.model)
 
-    for known, places in ((cameras, of_cameras), (zones, of_zones)):
+    for ids, places in ((cameras, of_cameras), (zones, of_zones)):
         for place, names in places.items():
             for name in names:
-                if name not in known:
+                if name not in ids:
                     yield f"there is no {name!r} in it - at `$.{place}`"
 
 
@@ -85,19 +85,19 @@ def _repeated(topology: Topology) -> Iterator[str]:
     keys: dict[str, list[Hashable]] = {
         "cameras": [camera.id for camera in topology.cameras],
         "zones": [zone.id for zone in topology.zones],
-        "links": [(one.from_, one.to, one.relation) for one in topology.links],
-        "weak_links": [(one.from_, one.to, one.relation) for one in topology.weak_links or []],
+        "links": [(link.from_, link.to, link.relation) for link in topology.links],
+        "weak_links": [(link.from_, link.to, link.relation) for link in topology.weak_links or []],
         "pairs": [pair.cameras for pair in topology.pairs],
     }
-    for place, listed in keys.items():
-        if len(set(listed)) < len(listed):
+    for place, entries in keys.items():
+        if len(set(entries)) < len(entries):
             yield f"two items have the same key - at `$.{place}`"
 
 
 def _shapes(topology: Topology) -> Iterator[str]:
     """Check zones, pairs and dwell times, each by itself."""
     camera_of = {zone.id: zone.camera for zone in topology.zones}
-    if any(camera_of[zone] != one.id for one in topology.cameras for zone in one.zones):
+    if any(camera_of[zone] != camera.id for camera in topology.cameras for zone in camera.zones):
         yield "a zone is another camera's - at `$.cameras`"
     for k, zone in enumerate(topology.zones):
         if zone.id.rpartition("/")[0] != zone.camera:
@@ -136,10 +136,14 @@ def _histograms(topology: Topology, model: Model) -> Iterator[str]:
     histograms: dict[str, Iterable[Histogram | None]] = {
         "links": (link.histogram for link in between),
         "weak_links": (link.histogram for link in topology.weak_links or []),
-        "model.onward": (one.hazard for row in model.onward or [] for one in row.next_),
+        "model.onward": (outcome.hazard for row in model.onward or [] for outcome in row.next_),
         "model.entered": (kernel.hazard for kernel in model.entered or []),
     }
-    for place, some in histograms.items():
-        for one in some:
-            if one is not None and one.mass and not first <= one.first <= end - len(one.mass):
+    for place, group in histograms.items():
+        for histogram in group:
+            if (
+                histogram is not None
+                and histogram.mass
+                and not first <= histogram.first <= end - len(histogram.mass)
+            ):
                 yield f"a histogram is not on the model's lag bins - at `$.{place}`"

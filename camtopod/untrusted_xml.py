@@ -42,9 +42,9 @@ def tag_of(element: Element) -> str:
 
 def all_of(element: Element, tag: str) -> Iterator[Element]:
     """Yield the elements of a name, an element itself and those below it."""
-    return (one for one in element.iter() if tag_of(one) == tag)
+    return (node for node in element.iter() if tag_of(node) == tag)
 
 
 def text_of(element: Element, tag: str) -> str:
     """Return the text of the first element of a name; "" if there is none."""
-    return next(((one.text or "").strip() for one in all_of(element, tag)), "")
+    return next(((node.text or "").strip() for node in all_of(element, tag)), "")

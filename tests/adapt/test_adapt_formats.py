@@ -509,10 +509,10 @@ def test_no_message_ends_the_reading(capsys: pytest.CaptureFixture[str]) -> None
         reader = LineReader()
         given = [*lines, *(line for line in good for _ in "12")]
         events = [*reader.adapted(name, enumerate(given), one.make(OPTIONS))]
-        assert reader.read == len(given)
+        assert reader.lines_read == len(given)
         assert all(isinstance(event, Event) for event in events)
-        assert reader.rejected.total() < len(given)
-        assert "unreadable" not in reader.rejected, name
+        assert reader.rejections.total() < len(given)
+        assert "unreadable" not in reader.rejections, name
 
 
 def survived(lines: list[bytes]) -> None:

@@ -310,7 +310,7 @@ def test_tls_is_whole_or_not_at_all() -> None:
         parse(
             '[bus]\nlisten = ["tcp/0.0.0.0:7447"]\n[bus.tls]\nca = "ca.pem"\ncertifcate = "c.pem"\n'
         )
-    assert [(p.line, p.what) for p in caught.value.problems] == [
+    assert [(p.line, p.text) for p in caught.value.problems] == [
         (2, "bus.listen: 'tcp/0.0.0.0:7447' is not a tls/ endpoint, but [bus.tls] is set"),
         (
             3,

@@ -39,7 +39,7 @@ return [...document.querySelectorAll('.overlay')].map((one) => one.getBoundingCl
 @pytest.fixture(autouse=True)
 def no_secrets(monkeypatch: pytest.MonkeyPatch) -> None:
     """Forget the secrets of other tests: one may be "password", which messages have, too."""
-    monkeypatch.setattr(redact, "_known", set())
+    monkeypatch.setattr(redact, "_secrets", set())
 
 
 @pytest.mark.parametrize("size", [(1280, 800), (390, 844)])
