@@ -59,10 +59,10 @@ class Anywhere:
         """(cameras, 1/s) rate of arrivals that no departure explains."""
         self.within_camera = rate / np.maximum(self._entering[camera_of], 1e-300)
         """(zones,) share of each zone in those of its camera."""
-        declared = model_of(topology).declared
-        self.nobody_leaves = declared is not None and declared.nobody_leaves
-        self._declared = declared_odds(declared, cameras)
-        self._linked = _linked_cameras(topology, camera_of)
+        declarations = model_of(topology).declared
+        self.nobody_leaves = declarations is not None and declarations.nobody_leaves
+        self._declared_odds = declared_odds(declarations, cameras)
+        self._neighbours = _linked_cameras(topology, camera_of)
         by_rate = np.argsort(rate, kind="stable")
         self.busiest = np.zeros(len(cameras), np.intp)
         """(cameras,) index of the zone of each camera with the most such arrivals."""
@@ -75,12 +75,12 @@ class Anywhere:
             leave[zone], by_paths[zone] = outcomes.leaving
             weight[zone] = outcomes.paths_weight
         departures = np.array(hazards.departures, float)
-        missed = missed_shares(departures * leave, leave, rate, hazards.bins.lag_max)
+        missed_share = missed_shares(departures * leave, leave, rate, hazards.bins.lag_max)
         first, second = (
-            surplus(departures, gone, len(topology.cameras)) for gone in (leave, by_paths)
+            surplus(departures, absence, len(topology.cameras)) for absence in (leave, by_paths)
         )
         leave, by_paths = (1.0 - weight) * leave, weight * by_paths
-        self.unknown = (leave * first * missed + by_paths * second) / (leave + by_paths)
+        self.unknown = (leave * first * missed_share + by_paths * second) / (leave + by_paths)
         if self.nobody_leaves:
             self.unknown[:] = 1.0 - LEAVE_FLOOR
 
@@ -94,11 +94,17 @@ class Anywhere:
         left; where objects leave, those that take a link have been found.
         """
         camera = int(self._camera_of[zone])
-        odds = np.ones(len(self._entering)) if self._declared is None else self._declared[camera]
+        odds = (
+            np.ones(len(self._entering))
+            if self._declared_odds is None
+            else self._declared_odds[camera]
+        )
         likely = self._entering * odds
         if self.nobody_leaves:
-            linked = self._linked.get(camera, [])
-            likely[linked] = self._entering[linked] * np.maximum(odds[linked], LINKED_ODDS)
+            neighbours = self._neighbours.get(camera, [])
+            likely[neighbours] = self._entering[neighbours] * np.maximum(
+                odds[neighbours], LINKED_ODDS
+            )
         else:
             likely[camera] = 0.0
         shares: Floats = self.unknown[zone] * likely / max(float(likely.sum()), 1e-300)
@@ -108,11 +114,11 @@ class Anywhere:
 def _linked_cameras(topology: Topology, camera_of: Rows) -> dict[int, list[int]]:
     """Return the cameras to which published links lead from each, by number of camera."""
     camera = dict(zip((zone.id for zone in topology.zones), camera_of.tolist(), strict=True))
-    linked: dict[int, list[int]] = {}
+    neighbours: dict[int, list[int]] = {}
     for link in topology.links:
         if link.relation != "visible" and {link.from_, link.to} <= camera.keys():
-            linked.setdefault(camera[link.from_], []).append(camera[link.to])
-    return linked
+            neighbours.setdefault(camera[link.from_], []).append(camera[link.to])
+    return neighbours
 
 
 def surplus(departures: Floats, leave: Floats, cameras: int) -> float:
@@ -126,10 +132,10 @@ def surplus(departures: Floats, leave: Floats, cameras: int) -> float:
     return 1.0 - min(usual / max(float(departures @ leave), 1e-9), SURE_MAX)
 
 
-def missed_shares(gone: Floats, leave: Floats, rate: Floats, lag_max: float) -> Floats:
+def missed_shares(absences: Floats, leave: Floats, rate: Floats, lag_max: float) -> Floats:
     """Return the probability (zones,) that a path of all that leave would not have been found.
 
-    gone (zones,): number of departures of each zone that are said to leave.
+    absences (zones,): number of departures of each zone that are said to leave.
     leave (zones,): share of them in all departures.
     rate (zones, 1/s): rate of arrivals at each zone that no departure explains.
     lag_max (seconds): longest lag.
@@ -139,11 +145,11 @@ def missed_shares(gone: Floats, leave: Floats, rate: Floats, lag_max: float) -> 
     spread = np.geomspace(1.0, lag_max, SPREAD_STEPS)
     chance = spread * (rate @ rate) / max(float(rate.sum()), 1e-9)
     share = leave[:, None] / (leave[:, None] + np.maximum(chance, 1e-6))
-    evidence = gone[:, None] * (-np.log1p(-share) - share)
+    evidence = absences[:, None] * (-np.log1p(-share) - share)
 
     # The probability that it falls short of what tells a path from all others that are possible;
     # the variance of a log likelihood ratio is about twice its mean.
-    needed = np.log(max(len(rate), 1) * lag_max / spread)
-    short = (needed - evidence) / np.sqrt(2.0 * evidence + 1.0)
-    missed: Floats = np.vectorize(NormalDist().cdf, otypes=[float])(short).mean(axis=1)
-    return missed
+    nats_needed = np.log(max(len(rate), 1) * lag_max / spread)
+    short = (nats_needed - evidence) / np.sqrt(2.0 * evidence + 1.0)
+    result: Floats = np.vectorize(NormalDist().cdf, otypes=[float])(short).mean(axis=1)
+    return result

@@ -62,7 +62,7 @@ class _Exit:
         self.probability = np.array([row.probability for row in rows])
         self.window = np.array([(row.q10, row.q50, row.q90) for row in rows]).reshape(-1, 3)
         later = self.probability @ share_later(self.window, np.zeros(len(rows)))
-        self.gone = 1.0 - float(later)
+        self.absence = 1.0 - float(later)
         """Odds that it is not to come: it leaves, or has been seen already."""
         self.claims: dict[ExitKey, float] = {}
         """Odds that it is the object of each of the newest entries."""
@@ -70,7 +70,7 @@ class _Exit:
     def unclaimed(self, t: float) -> float:
         """Return the odds of all but the newest entries, at a time (Unix seconds)."""
         age = np.full(len(self.to), max(t - self.t, 0.0))
-        return self.gone + float(self.probability @ share_later(self.window, age))
+        return self.absence + float(self.probability @ share_later(self.window, age))
 
 
 class BetweenCameras:
@@ -92,12 +92,12 @@ class BetweenCameras:
     def left(self, prediction: Prediction) -> None:
         """Observe an exit."""
         key = (prediction.camera, prediction.t, prediction.track)
-        one = _Exit(prediction, self._number)
-        if prediction.t < self.since or not len(one.to):
+        exit_ = _Exit(prediction, self._number)
+        if prediction.t < self.since or not len(exit_.to):
             return
-        self._exits.setdefault(key, []).append(one)
-        self._in_order.append((key, one))
-        self._appearances += len(one.to)
+        self._exits.setdefault(key, []).append(exit_)
+        self._in_order.append((key, exit_))
+        self._appearances += len(exit_.to)
         while len(self._in_order) > EXITS_MAX or self._appearances > APPEARANCES_MAX:
             self._forget_oldest()
 
@@ -106,21 +106,21 @@ class BetweenCameras:
         entry = (match.camera, match.t, match.track)
         for passage in match.from_:
             exits = self._exits.get((passage.camera, passage.t, passage.track), [])
-            for one in exits:
+            for exit_ in exits:
                 probability = min(passage.probability / len(exits), SURE_MAX)
-                one.claims.pop(entry, None)
-                others = one.unclaimed(match.t) + sum(one.claims.values())
-                one.claims[entry] = others * probability / (1.0 - probability)
-                if len(one.claims) > CLAIMS_MAX:
-                    one.gone += one.claims.pop(next(iter(one.claims)))
+                exit_.claims.pop(entry, None)
+                other_odds = exit_.unclaimed(match.t) + sum(exit_.claims.values())
+                exit_.claims[entry] = other_odds * probability / (1.0 - probability)
+                if len(exit_.claims) > CLAIMS_MAX:
+                    exit_.absence += exit_.claims.pop(next(iter(exit_.claims)))
 
     def forget_cameras(self, cameras: Collection[str]) -> None:
         """Forget the exits from cameras, and that objects may appear there."""
         numbers = [self._numbers[name] for name in cameras if name in self._numbers]
-        kept = [(key, one) for key, one in self._in_order if one.camera not in numbers]
-        self._keep(kept)
-        for _, one in kept:
-            one.probability[np.isin(one.to, numbers)] = 0.0
+        items = [(key, exit_) for key, exit_ in self._in_order if exit_.camera not in numbers]
+        self._keep(items)
+        for _, exit_ in items:
+            exit_.probability[np.isin(exit_.to, numbers)] = 0.0
 
     def expected(
         self, now: float, pairs_max: int | None = None, horizon: float = HORIZON_SECONDS
@@ -132,30 +132,34 @@ class BetweenCameras:
         """
         while self._in_order and now - self._in_order[0][1].t > HORIZON_SECONDS:
             self._forget_oldest()
-        exits = [one for _, one in self._in_order if one.t <= now <= one.t + HORIZON_SECONDS]
+        exits = [
+            departure
+            for _, departure in self._in_order
+            if departure.t <= now <= departure.t + HORIZON_SECONDS
+        ]
         if not exits:
             return Between(now, self.since, 0.0, 0, 0, [])
 
         # The probability of each appearance that is still to come, within the horizon.
-        exit_ = np.repeat(np.arange(len(exits)), [len(one.to) for one in exits])
-        age = now - np.array([one.t for one in exits])
-        chance = np.concatenate([one.probability for one in exits])
-        window = np.concatenate([one.window for one in exits])
+        exit_ = np.repeat(np.arange(len(exits)), [len(departure.to) for departure in exits])
+        age = now - np.array([departure.t for departure in exits])
+        chance = np.concatenate([departure.probability for departure in exits])
+        window = np.concatenate([departure.window for departure in exits])
         later = chance * share_later(window, age[exit_])
         too_late = chance * share_later(window, age[exit_] + horizon)
-        against = [one.gone + sum(one.claims.values()) for one in exits]
-        unseen = np.array(against) + np.bincount(exit_, later, len(exits))
-        probability = (later - too_late) / np.maximum(unseen[exit_], 1e-300)
+        against = [departure.absence + sum(departure.claims.values()) for departure in exits]
+        no_arrival = np.array(against) + np.bincount(exit_, later, len(exits))
+        probability = (later - too_late) / np.maximum(no_arrival[exit_], 1e-300)
 
         # Forget those who have almost certainly been seen again, or left.
-        settled = np.bincount(exit_, later, len(exits)) < SETTLED_MAX * unseen
-        over = {id(exits[k]) for k in np.flatnonzero(settled)}
+        is_settled = np.bincount(exit_, later, len(exits)) < SETTLED_MAX * no_arrival
+        over = {id(exits[k]) for k in np.flatnonzero(is_settled)}
         self._keep([row for row in self._in_order if id(row[1]) not in over])
 
         # By pair of cameras, and in all.
         cameras = len(self._numbers)
-        to = np.concatenate([one.to for one in exits])
-        pair = np.array([one.camera for one in exits])[exit_] * cameras + to
+        to = np.concatenate([departure.to for departure in exits])
+        pair = np.array([departure.camera for departure in exits])[exit_] * cameras + to
         by_pair = self._pairs(pair, probability, pairs_max)
         number = float(probability.sum())
         return Between(now, self.since, round(number, 3), *interval(number), by_pair)
@@ -177,22 +181,22 @@ class BetweenCameras:
             if mean >= PROBABILITY_MIN
         ]
 
-    def _keep(self, kept: list[tuple[ExitKey, _Exit]]) -> None:
+    def _keep(self, items: list[tuple[ExitKey, _Exit]]) -> None:
         """Forget all exits but these, which are in order."""
-        self._in_order, self._exits = deque(kept), {}
-        for key, one in kept:
-            self._exits.setdefault(key, []).append(one)
-        self._appearances = sum(len(one.to) for _, one in kept)
+        self._in_order, self._exits = deque(items), {}
+        for key, exit_ in items:
+            self._exits.setdefault(key, []).append(exit_)
+        self._appearances = sum(len(exit_.to) for _, exit_ in items)
 
     def _number(self, camera: str) -> int:
         return self._numbers.setdefault(camera, len(self._numbers))
 
     def _forget_oldest(self) -> None:
-        key, one = self._in_order.popleft()
-        self._exits[key].remove(one)
+        key, exit_ = self._in_order.popleft()
+        self._exits[key].remove(exit_)
         if not self._exits[key]:
             del self._exits[key]
-        self._appearances -= len(one.to)
+        self._appearances -= len(exit_.to)
 
 
 def share_later(window: Floats, age: Floats) -> Floats:

@@ -96,9 +96,9 @@ class ContextMultipliers:
                 continue
             total = self._departures[number] + BACK_OFF_DEPARTURES
             of_context = slice(self._end[number], self._end[number + 1])
-            moved = np.zeros(self._zones + 1)
-            moved[self._to[of_context]] = self._transitions[of_context]
-            share_here = (moved[targets] + BACK_OFF_DEPARTURES * share) / total
+            transitions = np.zeros(self._zones + 1)
+            transitions[self._to[of_context]] = self._transitions[of_context]
+            share_here = (transitions[targets] + BACK_OFF_DEPARTURES * share) / total
             leave_here = (self._not_seen_again[number] + BACK_OFF_DEPARTURES * leave) / total
             share = probability * share_here + (1.0 - probability) * share
             leave = probability * leave_here + (1.0 - probability) * leave

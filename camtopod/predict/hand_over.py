@@ -40,12 +40,12 @@ class HandOver:
         self._bins = offset_bins(model.lag_scale, model.lag_step)
         self._from: dict[str, list[_Overlap]] = {}
         for row in model.overlaps or []:
-            same = masses_on_bins(row.same, self._bins)
-            others = masses_on_bins(row.others, self._bins)
+            same_object = masses_on_bins(row.same, self._bins)
+            other_objects = masses_on_bins(row.others, self._bins)
 
             # Smaller rates are stored as 0.
-            resolution = max(float(others.max()) / STEPS, 1e-9)
-            odds = np.append(same / np.maximum(others, resolution), 0.0)
+            resolution = max(float(other_objects.max()) / STEPS, 1e-9)
+            odds = np.append(same_object / np.maximum(other_objects, resolution), 0.0)
             overlap = (row.to, min(row.share, 0.98), odds.tolist())
             self._from.setdefault(row.camera, []).append(overlap)
 
@@ -69,24 +69,27 @@ class HandOver:
         offsets (seconds): clock offset by camera.
         labels: the labels of the version.
         """
-        found: list[InView] = []
+        result: list[InView] = []
         for camera, share, odds in self._from.get(passage.camera, ()):
             offset = offsets.get(camera, 0.0)
             tracks = open_passages.open_at(camera, t, t + offset)
 
             # Odds of each open passage against all others and against none of them.
-            weights = [odds[self._bins.bin_of(other.t - passage.t)] for _, other in tracks]
+            weights = [odds[self._bins.bin_of(candidate.t - passage.t)] for _, candidate in tracks]
             if labels:
                 label = passage.label
                 weights = [
-                    weight * labels.of_two(label, other.label, other.entry)
-                    for weight, (_, other) in zip(weights, tracks, strict=True)
+                    weight * labels.of_two(label, candidate.label, candidate.entry)
+                    for weight, (_, candidate) in zip(weights, tracks, strict=True)
                 ]
             total = 1.0 - share + sum(weights)
-            for (track, other), weight in zip(tracks, weights, strict=True):
+            for (track, candidate), weight in zip(tracks, weights, strict=True):
                 if weight > PROBABILITY_MIN * total:
-                    found.append(InView(camera, track, other.t + offset, weight / total))
-        return sorted(found, key=lambda one: (-one.probability, one.camera, one.track))
+                    result.append(InView(camera, track, candidate.t + offset, weight / total))
+        return sorted(
+            result,
+            key=lambda candidate: (-candidate.probability, candidate.camera, candidate.track),
+        )
 
 
 def cameras_to_watch(in_view: Iterable[InView], following: Iterable[NextCamera]) -> list[Look]:
@@ -99,11 +102,13 @@ def cameras_to_watch(in_view: Iterable[InView], following: Iterable[NextCamera])
     each other.
     """
     # Cameras that see the object now.
-    now = sum_by_camera((one.camera, one.probability) for one in in_view)
-    unseen = math.prod(1.0 - min(probability, 1.0) for probability in now.values())
+    now = sum_by_camera((candidate.camera, candidate.probability) for candidate in in_view)
+    no_view = math.prod(1.0 - min(probability, 1.0) for probability in now.values())
 
     # Cameras where the object appears next, if no camera sees it now.
-    following_unseen = ((one.camera, unseen * one.probability) for one in following)
+    following_unseen = (
+        (candidate.camera, no_view * candidate.probability) for candidate in following
+    )
     return _looks([*now.items(), *following_unseen], PROBABILITY_MIN)
 
 
@@ -112,14 +117,16 @@ def seen_now(in_view: Iterable[InView]) -> list[Look]:
 
     in_view: open passages that may be of the object; those of one camera are added up.
     """
-    return _looks(((one.camera, one.probability) for one in in_view), SEEN_NOW_MIN)
+    return _looks(
+        ((candidate.camera, candidate.probability) for candidate in in_view), SEEN_NOW_MIN
+    )
 
 
 def _looks(shares: Iterable[tuple[str, float]], least: float) -> list[Look]:
     """Return the cameras with at least this probability in all, likeliest first."""
     total = sum_by_camera(shares)
     looks = [Look(camera, min(p, 1.0)) for camera, p in total.items() if p >= least]
-    return sorted(looks, key=lambda one: (-one.probability, one.camera))
+    return sorted(looks, key=lambda look: (-look.probability, look.camera))
 
 
 def sum_by_camera(shares: Iterable[tuple[str, float]]) -> dict[str, float]:

@@ -30,13 +30,13 @@ class Labels:
     """
 
     def __init__(self, topology: Topology) -> None:
-        known = model_of(topology).labels
-        self.names = known.names if known else []
+        label_model = model_of(topology).labels
+        self.names = label_model.names if label_model else []
         self._number = {name: k for k, name in enumerate(self.names)}
-        self._persistence = known.persistence if known else 0.0
+        self._persistence = label_model.persistence if label_model else 0.0
         self._share = np.ones((len(topology.zones), len(self.names) + 1))
         """(zones, labels + 1) share of each label among the arrivals; the last is of unknown."""
-        shares = known.shares if known else {}
+        shares = label_model.shares if label_model else {}
         for k, zone in enumerate(topology.zones):
             if zone.id in shares:
                 self._share[k, :-1] = np.maximum(shares[zone.id], SHARE_MIN)
@@ -56,25 +56,35 @@ class Labels:
         number = self.number(label)
         return None if number == UNKNOWN_LABEL else self.names[number]
 
-    def agreement(self, left: Numbers, came: Numbers, zone: Numbers) -> Floats | float:
+    def agreement(
+        self, departure_label: Numbers, arrival_label: Numbers, zone: Numbers
+    ) -> Floats | float:
         """Return the likelihood ratio (n,) of one object over two; 1.0 if there are no labels.
 
-        left, came (n,): labels of a passage and of an arrival.
+        departure_label, arrival_label (n,): labels of a passage and of an arrival.
         zone (n,): zone of the arrival.
         """
         if not self.names:
             return 1.0
-        left, came, zone = np.asarray(left), np.asarray(came), np.asarray(zone)
-        ratio = self._persistence * (left == came) / self._share[zone, came] + (
-            1.0 - self._persistence
+        departure_label, arrival_label, zone = (
+            np.asarray(departure_label),
+            np.asarray(arrival_label),
+            np.asarray(zone),
         )
-        return np.where((left >= 0) & (came >= 0), ratio, 1.0)
+        ratio = self._persistence * (departure_label == arrival_label) / self._share[
+            zone, arrival_label
+        ] + (1.0 - self._persistence)
+        return np.where((departure_label >= 0) & (arrival_label >= 0), ratio, 1.0)
 
-    def of_two(self, left: int, came: int, zone: int) -> float:
+    def of_two(self, departure_label: int, arrival_label: int, zone: int) -> float:
         """Return the `agreement` of one passage and one arrival."""
-        if left < 0 or came < 0:
+        if departure_label < 0 or arrival_label < 0:
             return 1.0
-        ratio = self._persistence * (left == came) / float(self._share[zone, came])
+        ratio = (
+            self._persistence
+            * (departure_label == arrival_label)
+            / float(self._share[zone, arrival_label])
+        )
         return ratio + 1.0 - self._persistence
 
     def moved(self, older: Labels) -> dict[int, int]:

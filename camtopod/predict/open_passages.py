@@ -56,7 +56,7 @@ class OpenPassages:
         """Open passages by (camera, track), in the order in which they began."""
         self._in_view: dict[str, dict[str, Passage]] = {}
         """The open passages by camera, then track."""
-        self._ended: dict[tuple[str, str], tuple[float, Passage | None]] = {}
+        self._ended_passages: dict[tuple[str, str], tuple[float, Passage | None]] = {}
         """The newest exits by (camera, track), oldest first.
 
         Each is the time by the camera's clock, and the passage that ended; None if unknown.
@@ -74,35 +74,38 @@ class OpenPassages:
     def end(self, camera: str, track: str, t: float) -> Passage | None:
         """End the passage of a track at ``t`` by the camera's clock; return it if it was open."""
         passage = self._remove(camera, track)
-        self._ended.pop((camera, track), None)  # the newest come last
-        self._ended[camera, track] = t, passage
+        self._ended_passages.pop((camera, track), None)  # the newest come last
+        self._ended_passages[camera, track] = t, passage
         self._note_last_exit(camera, track, t, passage)
-        if len(self._ended) > OPEN_MAX:
-            del self._ended[next(iter(self._ended))]
+        if len(self._ended_passages) > OPEN_MAX:
+            del self._ended_passages[next(iter(self._ended_passages))]
         return passage
 
     def left_at(self, camera: str, track: str, t: float) -> Passage | None:
         """Return the passage that ended at ``t`` by the camera's clock, or that is still open."""
-        ended_at, passage = self._ended.get((camera, track), (None, None))
+        ended_at, passage = self._ended_passages.get((camera, track), (None, None))
         return passage if ended_at == t else self._passages.get((camera, track))
 
     def in_view(self, camera: str) -> Collection[Passage]:
         """Return a camera's open passages."""
         return self._in_view.get(camera, {}).values()
 
-    def was_in_view(self, camera: str, entry: int, began: float, t: float) -> bool:
+    def was_in_view(self, camera: str, entry: int, start: float, t: float) -> bool:
         """Return True if a given passage was open until ``t`` at least.
 
         camera, entry: camera and zone of entry of the passage.
-        began (seconds): corrected time of its entry.
+        start (seconds): corrected time of its entry.
         t (seconds): by the camera's clock.
         """
-        ended = (
+        ended_passages = (
             passage
-            for (of, _), (ended_at, passage) in self._ended.items()
+            for (of, _), (ended_at, passage) in self._ended_passages.items()
             if of == camera and passage is not None and ended_at >= t
         )
-        return any(one.t == began and one.entry == entry for one in (*self.in_view(camera), *ended))
+        return any(
+            passage.t == start and passage.entry == entry
+            for passage in (*self.in_view(camera), *ended_passages)
+        )
 
     def open_at(self, camera: str, t: float, by_clock: float) -> list[tuple[str, Passage]]:
         """Return the passages of a camera that are open at the present moment, as (track, passage).
@@ -113,9 +116,9 @@ class OpenPassages:
         simultaneous events does not matter.
         """
         still_open = self._in_view.get(camera, {}).items()
-        last, ended = self._last_exits.get(camera, (None, []))
-        just_ended = ended if last == by_clock else []
-        return [each for each in [*still_open, *just_ended] if each[1].t < t]
+        last, ended_passages = self._last_exits.get(camera, (None, []))
+        just_ended = ended_passages if last == by_clock else []
+        return [item for item in [*still_open, *just_ended] if item[1].t < t]
 
     def forget_stale(self, now: float) -> None:
         """Forget the oldest open passages as long as they last too long or are too many.
@@ -133,27 +136,31 @@ class OpenPassages:
         """Return (camera, track, passage) of all open passages, oldest first."""
         return [(camera, track, passage) for (camera, track), passage in self._passages.items()]
 
-    def take_over(self, older: OpenPassages, moved: dict[int, int], labels: dict[int, int]) -> None:
+    def take_over(
+        self, older: OpenPassages, new_zones: dict[int, int], labels: dict[int, int]
+    ) -> None:
         """Take over the passages stored for an older version; this must be new.
 
-        moved: new index of each zone by its old index, without zones that are gone.
+        new_zones: new index of each zone by its old index, without zones that are gone.
         labels: new number of each label by its old number.
         """
         # Open passages, except those whose zone of entry is gone.
         for (camera, track), passage in older._passages.items():
-            if passage.entry in moved:
-                self.begin(camera, track, _moved(passage, moved, labels))
+            if passage.entry in new_zones:
+                self.begin(camera, track, _moved(passage, new_zones, labels))
 
         # Ended passages.
-        self._ended = {
+        self._ended_passages = {
             key: (
                 t,
-                None if one is None or one.entry not in moved else _moved(one, moved, labels),
+                None
+                if ended_passage is None or ended_passage.entry not in new_zones
+                else _moved(ended_passage, new_zones, labels),
             )
-            for key, (t, one) in older._ended.items()
+            for key, (t, ended_passage) in older._ended_passages.items()
         }
-        for (camera, track), (t, ended) in self._ended.items():
-            self._note_last_exit(camera, track, t, ended)
+        for (camera, track), (t, ended_passage) in self._ended_passages.items():
+            self._note_last_exit(camera, track, t, ended_passage)
 
     def _note_last_exit(self, camera: str, track: str, t: float, passage: Passage | None) -> None:
         """Add an exit to the newest exits of its camera, or let it replace earlier ones."""
@@ -173,12 +180,12 @@ class OpenPassages:
         return passage
 
 
-def _moved(passage: Passage, moved: dict[int, int], labels: dict[int, int]) -> Passage:
+def _moved(passage: Passage, new_zones: dict[int, int], labels: dict[int, int]) -> Passage:
     """Return the passage with the new index of its zone of entry, and number of its label.
 
-    moved, labels: new index of each zone, and number of each label, by the old one.
+    new_zones, labels: new index of each zone, and number of each label, by the old one.
     """
-    entry, label = moved[passage.entry], labels.get(passage.label, -1)
+    entry, label = new_zones[passage.entry], labels.get(passage.label, -1)
     if (entry, label) == (passage.entry, passage.label):
         return passage
     return msgspec.structs.replace(passage, entry=entry, label=label)

@@ -73,8 +73,8 @@ class Outcomes(NamedTuple):
         exposure (bins,): exposure to lags from the exit. Transitions with a delay are always
             exposed.
         """
-        either: Floats = np.maximum(exposure, (self.delay > 0.0)[:, None])
-        return either
+        result: Floats = np.maximum(exposure, (self.delay > 0.0)[:, None])
+        return result
 
     def probabilities(self, odds: Floats, leave: float) -> tuple[Floats, float]:
         """Return the probability of each row for an exit, and that of leaving.
@@ -94,19 +94,19 @@ class Outcomes(NamedTuple):
 
 def with_paths(
     outcomes: Outcomes,
-    linked: float,
+    link_share: float,
     paths: Sequence[CameraPath],
     zones: list[Zone],
     bins: LagBins,
 ) -> Outcomes:
     """Return the mean of the outcomes of an exit and of the paths from its camera.
 
-    linked: sum of the probabilities of the published links from its zone. The more of the shares
-        rests on these, the less the paths count: links have been tested, paths have not.
+    link_share: sum of the probabilities of the published links from its zone. The more of the
+        shares rests on these, the less the paths count: links have been tested, paths have not.
     zones: all zones of the version.
     """
-    shared = max(float(outcomes.share.sum()), FLOOR)
-    weight = PATHS_WEIGHT_MAX * max(1.0 - linked / shared, 0.0)
+    total_share = max(float(outcomes.share.sum()), FLOOR)
+    weight = PATHS_WEIGHT_MAX * max(1.0 - link_share / total_share, 0.0)
     if not weight:
         return outcomes
 
@@ -115,24 +115,24 @@ def with_paths(
     shares, hazards, delays = [], [], []
     exposure = outcomes.exposure
     for path in paths:
-        there = [k for k, zone in enumerate(zones) if path.to in (zone.camera, zone.id)]
-        entries = np.array([zones[k].entries for k in there]) + 1e-9
+        zone_rows = [k for k, zone in enumerate(zones) if path.to in (zone.camera, zone.id)]
+        entries = np.array([zones[k].entries for k in zone_rows]) + 1e-9
         mass, delay = _lags(path, bins)
         hazard = mass / (bins.widths * (1.0 if delay else exposure))
         share = path.share * entries / entries.sum()
-        targets += there
+        targets += zone_rows
         shares.append(share)
         hazards.append(share[:, None] * hazard)
-        delays.append(np.full(len(there), delay))
+        delays.append(np.full(len(zone_rows), delay))
 
     # Both opinions.
-    none = np.zeros((0, bins.size))
+    no_rows = np.zeros((0, bins.size))
     beside = np.concatenate([np.zeros(0), *shares])
     return Outcomes(
         targets=np.append(outcomes.targets, np.array(targets, np.intp)),
         share=np.concatenate((outcomes.share, beside)),
         leave=outcomes.leave,
-        hazard=np.concatenate([none, outcomes.hazard, *hazards]).astype(np.float32),
+        hazard=np.concatenate([no_rows, outcomes.hazard, *hazards]).astype(np.float32),
         exposure=exposure,
         doubt=np.concatenate((outcomes.doubt, np.zeros(len(beside)))),
         delay=np.concatenate((outcomes.delay, *delays)),

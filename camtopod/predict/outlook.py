@@ -79,7 +79,7 @@ class Seen(NamedTuple):
     """(n,) True for arrivals before the exit."""
     label: Ints
     """(n,) number of the label."""
-    remembered: float
+    memory_start: float
     """Time, in seconds after the exit, since which all arrivals are remembered."""
     is_alive: Floats
     """(cameras,) probability that each camera still reports."""
@@ -138,60 +138,71 @@ class Outlook(NamedTuple):
         windows: list[list[float]] = np.round(lags + shift, 3).tolist()
         return windows
 
-    def unseen(self, seconds: Floats, linked: bool = False) -> Floats:
+    def unseen(self, seconds: Floats, links_only: bool = False) -> Floats:
         """Return the probability (n,) of not having been seen by each of n lags in seconds.
 
-        linked: True to leave out what may appear anywhere, as if it were not seen again.
+        links_only: True to leave out what may appear anywhere, as if it were not seen again.
         """
-        unseen = np.full(len(seconds), self.unlinked)
-        if not linked:
+        result = np.full(len(seconds), self.unlinked)
+        if not links_only:
             first, last = self.span
             part = np.clip((seconds - first) / max(last - first, 1e-9), 0.0, 1.0)
-            unseen -= part * float(self.elsewhere.sum())
+            result -= part * float(self.elsewhere.sum())
         if self.table is not None:
             by_bin = self.mass * self.scale[:, None]
             delay = self.table.outcomes.delay
             for late in np.unique(delay):
-                reached = np.append(0.0, by_bin[delay == late].sum(axis=0).cumsum())
-                unseen += reached[-1] - np.interp(seconds - late, self.edges, reached)
-        return unseen
+                cumulative = np.append(0.0, by_bin[delay == late].sum(axis=0).cumsum())
+                result += cumulative[-1] - np.interp(seconds - late, self.edges, cumulative)
+        return result
 
 
-def outlook(version: PreparedVersion, departure: Departure, seen: Seen | None = None) -> Outlook:
+def outlook(
+    version: PreparedVersion, departure: Departure, observations: Seen | None = None
+) -> Outlook:
     """Return the outlook of an exit.
 
-    seen: what has been observed by the moment of the question; None for an exit that is seen alone,
-        of which it is not known whether its object has appeared before.
+    observations: what has been observed by the moment of the question; None for an exit that is
+        seen alone, of which it is not known whether its object has appeared before.
     """
     zone, passage = departure.zone, departure.passage
     table = version.table(zone)
     if table is None:
-        none = np.zeros((0, version.hazards.bins.size))
-        edges, no_rows = version.hazards.bins.edges, none[:, 0]
-        alone = Outlook(departure, None, none, edges, no_rows, no_rows, None, no_rows, (0, 0), 1.0)
+        no_mass = np.zeros((0, version.hazards.bins.size))
+        edges, no_rows = version.hazards.bins.edges, no_mass[:, 0]
+        alone = Outlook(
+            departure, None, no_mass, edges, no_rows, no_rows, None, no_rows, (0, 0), 1.0
+        )
         return _with_elsewhere(version, alone)
 
     # The context multiplies the odds at the exit. Odds that may be spurious count as leaving the
     # site, from the exit on.
     outcomes = table.outcomes
-    begun = passage or UNKNOWN
+    entry_passage = passage or UNKNOWN
     multiplier, leave = version.contexts.multipliers(
-        zone, outcomes, departure.block, begun.entry, begun.previous, begun.sure
+        zone,
+        outcomes,
+        departure.block,
+        entry_passage.entry,
+        entry_passage.previous,
+        entry_passage.sure,
     )
-    before = seen
-    if seen is not None and departure.elapsed:
-        before = seen.take(np.flatnonzero(seen.before))
+    before = observations
+    if observations is not None and departure.elapsed:
+        before = observations.take(np.flatnonzero(observations.before))
     mass, edges = _odds(version, table, departure._replace(elapsed=0.0), before)
     early = np.zeros(len(mass))
-    if seen is None and passage is not None:
+    if observations is None and passage is not None:
         early = _expected_early(version, outcomes.targets, departure) * table.is_first
     odds = multiplier * (mass.sum(axis=1) + early)
     leave += float(outcomes.doubt @ odds)
 
     # Odds at a later moment; their lag bins are those of the object's pace already.
-    pace = version.paces.of_passage(begun.entry, zone, departure.dwell)
+    pace = version.paces.of_passage(entry_passage.entry, zone, departure.dwell)
     if departure.elapsed > 0.0:
-        mass, edges = _odds(version, table, departure, seen, 1.0 if pace is None else pace.factor)
+        mass, edges = _odds(
+            version, table, departure, observations, 1.0 if pace is None else pace.factor
+        )
         odds = multiplier * mass.sum(axis=1)
         leave = max(leave, LEAVE_FLOOR)
         pace = None
@@ -202,24 +213,26 @@ def outlook(version: PreparedVersion, departure: Departure, seen: Seen | None = 
     total = leave + float(chance.sum())
     chance, leave = chance / total, leave / total
     nowhere = np.zeros(0)
-    linked = Outlook(departure, table, mass, edges, early, chance, pace, nowhere, (0, 0), leave)
-    return _with_elsewhere(version, linked)
+    link_outlook = Outlook(
+        departure, table, mass, edges, early, chance, pace, nowhere, (0, 0), leave
+    )
+    return _with_elsewhere(version, link_outlook)
 
 
-def _with_elsewhere(version: PreparedVersion, linked: Outlook) -> Outlook:
+def _with_elsewhere(version: PreparedVersion, link_outlook: Outlook) -> Outlook:
     """Return an outlook in which a part of what leaves may appear anywhere, later than now."""
-    anywhere, departure = version.anywhere, linked.departure
+    anywhere, departure = version.anywhere, link_outlook.departure
     latest = version.hazards.bins.lag_max
     elapsed = min(departure.elapsed, latest)
     odds = 1.0 - elapsed / latest
     if anywhere.nobody_leaves:  # whenever it is asked for
         odds, elapsed, latest = 1.0, departure.elapsed, latest + departure.elapsed
-    elsewhere = linked.leave * odds * anywhere.shares(departure.zone)
+    elsewhere = link_outlook.leave * odds * anywhere.shares(departure.zone)
     elsewhere[elsewhere < NEXT_PROBABILITY_MIN] = 0.0
-    return linked._replace(
+    return link_outlook._replace(
         elsewhere=elsewhere,
         span=(elapsed, latest),
-        leave=linked.leave - float(elsewhere.sum()),
+        leave=link_outlook.leave - float(elsewhere.sum()),
     )
 
 
@@ -227,7 +240,7 @@ def _odds(
     version: PreparedVersion,
     table: ExitTable,
     departure: Departure,
-    seen: Seen | None,
+    observations: Seen | None,
     slowness: float = 1.0,
 ) -> tuple[Floats, Floats]:
     """Return the odds (rows, bins) by target and lag against leaving, and the edges of the bins.
@@ -246,65 +259,65 @@ def _odds(
     exposure = outcomes.exposure_by_row(exposure)
     edges = scale_lags(hazards.bins.edges, slowness)
     mass = table.masses * exposure
-    if seen is None:
+    if observations is None:
         return mass, edges
 
     # Mass of arrivals that would not be observed yet.
-    mass *= unknown_share(edges, departure.elapsed, seen.remembered, table.report_shift)
-    mass *= seen.is_alive[table.target_cameras][:, None]
+    mass *= unknown_share(edges, departure.elapsed, observations.memory_start, table.report_shift)
+    mass *= observations.is_alive[table.target_cameras][:, None]
 
     # Observed arrivals at targets, at lags that have a bin.
-    which, row = hazards.rows_to(departure.zone, seen.zone)
-    lag = seen.t[which] - departure.t - outcomes.delay[row]
+    event_row, row = hazards.rows_to(departure.zone, observations.zone)
+    lag = observations.t[event_row] - departure.t - outcomes.delay[row]
     at = hazards.bins.index(scale_lags(lag, 1.0 / slowness))
     fits = np.flatnonzero(at >= 0)
     if not len(fits):
         return mass, edges
-    seen, row, at = seen.take(which[fits]), row[fits], at[fits]
+    observations, row, at = observations.take(event_row[fits]), row[fits], at[fits]
 
     # The mass of each is the object's hazard over the rate of all other causes.
     hazard = outcomes.hazard[row, at] * exposure[row, at]
     hazard *= hazards.bins.widths[at] / (edges[at + 1] - edges[at])
-    entered = np.zeros(len(row))
+    entry_rates = np.zeros(len(row))
     if departure.passage is not None:
-        since = seen.t - departure.passage.t
-        entered = hazards.rates_entered(departure.passage.entry, seen.zone, since)
-    others = seen.rate - _own_rate(version, departure, seen, entered)
-    hazard += entered * seen.before * table.is_first[row]
-    hazard *= version.labels.agreement(departure.label, seen.label, seen.zone)
-    np.add.at(mass, (row, at), hazard / np.maximum(others, RATE_MIN))
+        since = observations.t - departure.passage.t
+        entry_rates = hazards.rates_entered(departure.passage.entry, observations.zone, since)
+    other_rate = observations.rate - _own_rate(version, departure, observations, entry_rates)
+    hazard += entry_rates * observations.before * table.is_first[row]
+    hazard *= version.labels.agreement(departure.label, observations.label, observations.zone)
+    np.add.at(mass, (row, at), hazard / np.maximum(other_rate, RATE_MIN))
     return mass, edges
 
 
 def _own_rate(
-    version: PreparedVersion, departure: Departure, seen: Seen, entered: Floats
+    version: PreparedVersion, departure: Departure, observations: Seen, entry_rates: Floats
 ) -> Floats:
     """Return the part (n, 1/s) that the object itself has in the rate of each seen arrival.
 
-    entered (n, 1/s): rate of the arrivals by the entry kernels of the object's entry.
+    entry_rates (n, 1/s): rate of the arrivals by the entry kernels of the object's entry.
 
     While its passage is open, the object is a cause of arrivals in two ways: by its zone of entry,
     and as an object in view. When its exit is observed, the hazard of the exit takes the place of
     the latter (`Predictor`). This part is subtracted to get the rate of all other causes.
     """
     # What follows from the entry, by the label that the entry had.
-    if not len(seen.t):
-        return entered
+    if not len(observations.t):
+        return entry_rates
     labels, hazards = version.labels, version.hazards
     label = (departure.passage or UNKNOWN).label
-    entered = entered * labels.agreement(label, seen.label, seen.zone)
+    entry_rates = entry_rates * labels.agreement(label, observations.label, observations.zone)
     if departure.is_observed:
-        rate = hazards.rates_from(departure.zone, seen.zone, seen.t - departure.t)
-        rate *= labels.agreement(departure.label, seen.label, seen.zone)
-        return rate + entered * seen.before
+        rate = hazards.rates_from(departure.zone, observations.zone, observations.t - departure.t)
+        rate *= labels.agreement(departure.label, observations.label, observations.zone)
+        return rate + entry_rates * observations.before
     if departure.passage is None:
-        return np.zeros(len(seen.t))
+        return np.zeros(len(observations.t))
 
     # The passage is still open, also for arrivals after the exit, but in other views only.
-    in_view = hazards.rates_before_exit(version.zones[departure.zone].camera, seen.zone)
-    in_view = in_view * labels.agreement(label, seen.label, seen.zone)
-    in_other_views = version.camera_of[seen.zone] != version.camera_of[departure.zone]
-    return np.where(in_other_views, entered + in_view, 0.0)
+    in_view = hazards.rates_before_exit(version.zones[departure.zone].camera, observations.zone)
+    in_view = in_view * labels.agreement(label, observations.label, observations.zone)
+    in_other_views = version.camera_of[observations.zone] != version.camera_of[departure.zone]
+    return np.where(in_other_views, entry_rates + in_view, 0.0)
 
 
 def _expected_early(version: PreparedVersion, targets: Rows, departure: Departure) -> Floats:
@@ -313,48 +326,48 @@ def _expected_early(version: PreparedVersion, targets: Rows, departure: Departur
     assert passage is not None
     stay = departure.t - passage.t
     seconds = np.clip(stay - bins.edges[:-1], 0.0, bins.widths) * (bins.centres > 0)
-    some = np.flatnonzero(seconds)
+    early_bins = np.flatnonzero(seconds)
     expected = [
         version.hazards.rates_entered(
-            passage.entry, np.full(len(some), target, np.int32), bins.centres[some]
+            passage.entry, np.full(len(early_bins), target, np.int32), bins.centres[early_bins]
         )
-        @ seconds[some]
+        @ seconds[early_bins]
         for target in targets.tolist()
     ]
     return np.array(expected)
 
 
 def log_density(
-    version: PreparedVersion, alone: Outlook, zones: Rows, lag: Floats, linked: bool = False
+    version: PreparedVersion, alone: Outlook, zones: Rows, lag: Floats, links_only: bool = False
 ) -> Floats:
     """Return ln of the density (1/s) of appearing at zones (m,) with lags (m,) in seconds.
 
     alone: outlook of an exit that is seen alone.
-    linked: True to leave out what may appear anywhere.
+    links_only: True to leave out what may appear anywhere.
     """
     # Density by lag bin.
     hazards, bins = version.hazards, version.hazards.bins
     density = np.zeros(len(zones))
     if alone.table is not None:
-        which, row = hazards.rows_to(alone.departure.zone, zones)
-        at = bins.index(lag[which] - alone.table.outcomes.delay[row])
-        row, which, at = row[at >= 0], which[at >= 0], at[at >= 0]
+        event_row, row = hazards.rows_to(alone.departure.zone, zones)
+        at = bins.index(lag[event_row] - alone.table.outcomes.delay[row])
+        row, event_row, at = row[at >= 0], event_row[at >= 0], at[at >= 0]
         scale = alone.scale
-        np.add.at(density, which, alone.mass[row, at] * scale[row] / bins.widths[at])
+        np.add.at(density, event_row, alone.mass[row, at] * scale[row] / bins.widths[at])
 
         # Before the exit, the rates that follow from the entry are added.
         departure = alone.departure
         if departure.passage is not None:
-            kept = (lag[which] <= 0) & alone.table.is_first[row]
-            row, before = row[kept], which[kept]
+            mask = (lag[event_row] <= 0) & alone.table.is_first[row]
+            row, before = row[mask], event_row[mask]
             since = departure.t - departure.passage.t + lag[before]
-            entered = hazards.rates_entered(
+            entry_rates = hazards.rates_entered(
                 departure.passage.entry, zones[before].astype(np.int32), since
             )
-            density[before] += scale[row] * entered
+            density[before] += scale[row] * entry_rates
 
     # What may appear anywhere, after no particular lag.
-    if not linked:
+    if not links_only:
         density += anywhere_rates(version, alone)[zones] * ((lag > 0) & (lag <= bins.lag_max))
     with np.errstate(divide="ignore"):
         return np.log(density)
@@ -378,17 +391,17 @@ def outside_rates(version: PreparedVersion) -> Floats:
     entries = np.array([float(zone.entries) for zone in version.zones])
 
     # Arrivals explained by departures, with and without spurious transitions.
-    explained, surely = np.zeros((2, len(rate)))
+    expected_entries, surely = np.zeros((2, len(rate)))
     for zone, outcomes in version.hazards.outcomes.items():
         departures = version.hazards.departures[zone]
         alone = outlook(version, Departure(zone))
-        np.add.at(explained, outcomes.targets, departures * outcomes.weight * outcomes.share)
+        np.add.at(expected_entries, outcomes.targets, departures * outcomes.weight * outcomes.share)
         np.add.at(surely, outcomes.targets, departures * alone.chance)
 
     # Duration of the window learned from, by zones with enough entries from outside.
-    some = entries - explained > OUTSIDE_SHARE_MIN * entries
-    if not some.any():
+    is_clear = entries - expected_entries > OUTSIDE_SHARE_MIN * entries
+    if not is_clear.any():
         return rate
-    span = np.median((entries - explained)[some] / rate[some])  # seconds
-    balanced: Floats = np.maximum(rate, (entries - surely) / span)
-    return balanced
+    span = np.median((entries - expected_entries)[is_clear] / rate[is_clear])  # seconds
+    result: Floats = np.maximum(rate, (entries - surely) / span)
+    return result

@@ -84,11 +84,11 @@ class Predictor:
 
     def take_over(self, older: Predictor) -> None:
         """Take over the observed events from a predictor by an older version; this must be new."""
-        moved = moved_zones(older.zones, self.zones)
+        new_zones = moved_zones(older.zones, self.zones)
         labels = self.prepared.labels.moved(older.prepared.labels)
-        self._arrivals.take_over(older._arrivals, moved, labels)
-        self._exits.take_over(older._exits, moved, labels)
-        self._open_passages.take_over(older._open_passages, moved, labels)
+        self._arrivals.take_over(older._arrivals, new_zones, labels)
+        self._exits.take_over(older._exits, new_zones, labels)
+        self._open_passages.take_over(older._open_passages, new_zones, labels)
         self._reporting.load(older._reporting.events, older._reporting.last_events())
         self._since = older._since
 
@@ -182,30 +182,34 @@ class Predictor:
         label: class of the object; None for that of its entry.
         """
         _check(t, now)
-        begun = passage or UNKNOWN
-        corrected = t - self.prepared.offset_of[zone]
+        entry_passage = passage or UNKNOWN
+        site_t = t - self.prepared.offset_of[zone]
         departure = Departure(
             zone,
-            corrected,
+            site_t,
             passage,
             block,
-            self.prepared.labels.number(label, begun.label),
-            is_observed=now is not None and self._exits.has(corrected, zone),
+            self.prepared.labels.number(label, entry_passage.label),
+            is_observed=now is not None and self._exits.has(site_t, zone),
             elapsed=0.0 if now is None else now - t,
         )
         answer = outlook(self.prepared, departure, self._seen(departure))
         following = self._following(answer)
-        here = self.zones[zone]
+        exit_zone = self.zones[zone]
         prediction = Prediction(
-            here.camera, here.id, t, track, self.version, answer.leave, following
+            exit_zone.camera, exit_zone.id, t, track, self.version, answer.leave, following
         )
-        if passage is None or now is not None or not self.prepared.hand_over.overlaps(here.camera):
+        if (
+            passage is None
+            or now is not None
+            or not self.prepared.hand_over.overlaps(exit_zone.camera)
+        ):
             return prediction
 
         # The hand-over, where views overlap.
         in_view = self.prepared.hand_over.in_view(
             passage,
-            corrected,
+            site_t,
             self._open_passages,
             self.prepared.clock_offset,
             self.prepared.labels,
@@ -262,20 +266,22 @@ class Predictor:
         # that ends first counts as the earlier one (`_is_open`).
         arrivals, zone, t = self._arrivals, departure.zone, departure.t
         rows = self._arrivals_before(zone, t, departure.began)
-        tied = rows[arrivals.t[rows] == departure.began]
-        if len(tied):
-            rows = np.setdiff1d(rows, [row for row in tied if not self._is_open(row, t)])
+        simultaneous_rows = rows[arrivals.t[rows] == departure.began]
+        if len(simultaneous_rows):
+            rows = np.setdiff1d(
+                rows, [row for row in simultaneous_rows if not self._is_open(row, t)]
+            )
         before = len(rows)
-        remembered = min(self._since - t, 0.0)
+        memory_start = min(self._since - t, 0.0)
 
         # Since the exit, as far as they are reported by the moment of the question.
         if departure.elapsed:
             offsets = self.prepared.offset_of
-            reported = arrivals.t + (offsets[arrivals.zone] - offsets[zone])
-            since = (reported >= t) & (reported <= t + departure.elapsed)
+            report_t = arrivals.t + (offsets[arrivals.zone] - offsets[zone])
+            since = (report_t >= t) & (report_t <= t + departure.elapsed)
             rows = np.concatenate((rows, np.flatnonzero(since)))
             if len(arrivals.t) == RECENT_MAX:  # older ones may have been forgotten
-                remembered = float(reported[0]) - t
+                memory_start = float(report_t[0]) - t
 
         return Seen(
             arrivals.zone[rows],
@@ -283,23 +289,23 @@ class Predictor:
             arrivals.rate[rows],
             np.arange(len(rows)) < before,
             arrivals.label[rows],
-            remembered,
+            memory_start,
             self._reporting.is_alive(),
         )
 
-    def _arrivals_before(self, zone: int, t: float, began: float) -> Rows:
+    def _arrivals_before(self, zone: int, t: float, start: float) -> Rows:
         """Return the arrivals (rows) that may be of an object leaving at a zone.
 
         zone: index of the zone.
         t (seconds): corrected time of the exit.
-        began (seconds): corrected time of the object's entry into the view; minus infinity if
+        start (seconds): corrected time of the object's entry into the view; minus infinity if
             unknown.
 
         These are arrivals in other views, since the entry, and reported before the exit.
         """
         # Recent enough.
         times = self._arrivals.t
-        [rows] = (times >= max(t + self.prepared.hazards.bins.lag_min, began)).nonzero()
+        [rows] = (times >= max(t + self.prepared.hazards.bins.lag_min, start)).nonzero()
 
         # At zones where objects may appear before they leave at ``zone``, and reported before the
         # exit.
@@ -319,10 +325,10 @@ class Predictor:
         first.
         """
         zone = int(self._arrivals.zone[row])
-        began = float(self._arrivals.t[row])
+        start = float(self._arrivals.t[row])
         camera = self.zones[zone].camera
         return self._open_passages.was_in_view(
-            camera, zone, began, t + self.prepared.clock_offset[camera]
+            camera, zone, start, t + self.prepared.clock_offset[camera]
         )
 
     # --- Observed events ---
@@ -358,12 +364,12 @@ class Predictor:
         arrivals = self._arrivals
         rows = self._arrivals_before(zone, t, (passage or UNKNOWN).t)
         targets = arrivals.zone[rows]
-        labels, came = self.prepared.labels, arrivals.label[rows]
+        labels, arrival_labels = self.prepared.labels, arrivals.label[rows]
         rates = self.prepared.hazards.rates_from(zone, targets, arrivals.t[rows] - t)
-        arrivals.rate[rows] += rates * labels.agreement(label, came, targets)
+        arrivals.rate[rows] += rates * labels.agreement(label, arrival_labels, targets)
         if passage is not None:
             rates = self.prepared.hazards.rates_before_exit(event.camera, targets)
-            arrivals.rate[rows] -= rates * labels.agreement(passage.label, came, targets)
+            arrivals.rate[rows] -= rates * labels.agreement(passage.label, arrival_labels, targets)
 
     def _add_simultaneous_cause(self, passage: Passage) -> None:
         """Add a passage that begins to the causes of arrivals in other views at the same time."""
@@ -376,9 +382,9 @@ class Predictor:
             if self.zones[target].camera != passage.camera:
                 before_exit = hazards.rate_before_exit(passage.camera, target)
                 rate = before_exit + hazards.rate_entered(passage.entry, target, 0.0)
-                came = int(arrivals.label[row])
+                arrival_label = int(arrivals.label[row])
                 arrivals.rate[row] += rate * self.prepared.labels.of_two(
-                    passage.label, came, target
+                    passage.label, arrival_label, target
                 )
 
     def _causes(self, zone: int, t: float, label: int) -> dict[str, float]:
@@ -391,20 +397,20 @@ class Predictor:
         """
         # Objects that have left.
         hazards = self.prepared.hazards
-        exit_times, zones, left = self._exits.after(
+        exit_times, zones, exit_labels = self._exits.after(
             t - hazards.lag_max - self.prepared.offset_range
         )
-        which, _, rates = hazards.rates_by_row(zones, zone, t - exit_times)
-        rates = rates * self.prepared.labels.agreement(left[which], label, zone)
+        exit_row, _, rates = hazards.rates_by_row(zones, zone, t - exit_times)
+        rates = rates * self.prepared.labels.agreement(exit_labels[exit_row], label, zone)
         total = np.bincount(
-            self.prepared.camera_of[zones[which]], rates, minlength=len(self.prepared.cameras)
+            self.prepared.camera_of[zones[exit_row]], rates, minlength=len(self.prepared.cameras)
         )
         causes = {self.prepared.cameras[k]: float(total[k]) for k in np.flatnonzero(total)}
 
         # Objects in other views that may appear at the zone before they leave.
-        here = self.zones[zone].camera
+        entry_camera = self.zones[zone].camera
         for camera in hazards.cameras_before.get(zone, []):
-            if camera == here:
+            if camera == entry_camera:
                 continue
             before_exit = hazards.rate_before_exit(camera, zone)
             for passage in self._open_passages.in_view(camera):

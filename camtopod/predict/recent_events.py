@@ -97,19 +97,21 @@ class RecentEvents:
         first = int(self.t.searchsorted(t))
         return self.t[first:], self.zone[first:], self.label[first:]
 
-    def take_over(self, older: RecentEvents, moved: dict[int, int], labels: dict[int, int]) -> None:
+    def take_over(
+        self, older: RecentEvents, new_zones: dict[int, int], labels: dict[int, int]
+    ) -> None:
         """Replace all events by those of an older version, except at zones that are gone.
 
-        moved: new index of each zone by its old index (`moved_zones`).
+        new_zones: new index of each zone by its old index (`moved_zones`).
         labels: new number of each label by its old number.
         """
         # New number of each old zone; -1 if it is gone.
         zones = int(older.zone.max(initial=0)) + 1
-        number = np.array([moved.get(zone, -1) for zone in range(zones)], np.int32)
+        number = np.array([new_zones.get(zone, -1) for zone in range(zones)], np.int32)
         zone = number[older.zone]
-        kept = zone >= 0
+        mask = zone >= 0
         label = np.array([*labels.values(), -1], np.int32)[older.label]
-        self.load(RecentState(older.t[kept], zone[kept], older.rate[kept], label[kept]))
+        self.load(RecentState(older.t[mask], zone[mask], older.rate[mask], label[mask]))
 
     @property
     def _first(self) -> int:

@@ -48,7 +48,9 @@ class Reporting:
         """Return the number of each camera's last event in the order of all events."""
         return dict(zip(self._cameras, self._last.tolist(), strict=True))
 
-    def load(self, events: int, known: dict[str, int]) -> None:
+    def load(self, events: int, last_events: dict[str, int]) -> None:
         """Go on from earlier counts; a new camera counts as if it just had an event."""
         self.events = events
-        self._last = np.array([known.get(camera, events) for camera in self._cameras], np.int64)
+        self._last = np.array(
+            [last_events.get(camera, events) for camera in self._cameras], np.int64
+        )

@@ -46,12 +46,12 @@ def scale_lags(lags: Floats, factor: float) -> Floats:
     return lags if factor == 1.0 else np.where(lags > 0, factor * lags, lags)
 
 
-def unknown_share(edges: Floats, elapsed: float, remembered: float, shift: Floats) -> Floats:
+def unknown_share(edges: Floats, elapsed: float, memory_start: float, shift: Floats) -> Floats:
     """Return the share of each lag bin in which an arrival would not be known, (targets, bins).
 
     edges (bins + 1, seconds): edges of the lag bins.
     elapsed: seconds since the exit.
-    remembered: time, in seconds after the exit, since which all arrivals are remembered; below 0
+    memory_start: time, in seconds after the exit, since which all arrivals are remembered; below 0
         for one before the exit.
     shift (targets, seconds): to be added to a lag to get the seconds from the exit to the report of
         the arrival.
@@ -60,7 +60,7 @@ def unknown_share(edges: Floats, elapsed: float, remembered: float, shift: Float
     """
     # The seconds of each bin that are known, in lags of each target.
     by_target = shift[:, None]
-    begin = np.maximum(edges[:-1], remembered - by_target)
+    begin = np.maximum(edges[:-1], memory_start - by_target)
     end = np.minimum(edges[1:], elapsed - by_target)
     share: Floats = 1.0 - np.maximum(end - begin, 0.0) / np.diff(edges)
     return share
@@ -77,15 +77,15 @@ def quantiles(mass: Floats, edges: Floats) -> Floats:
     # Mass below each edge, and the mass to be reached.
     below = np.zeros((len(mass), mass.shape[1] + 1))
     np.cumsum(mass, axis=1, out=below[:, 1:])
-    wanted = np.array(WINDOW) * below[:, -1:]
+    levels = np.array(WINDOW) * below[:, -1:]
 
     # Bin in which that mass is reached.
     row = np.arange(len(mass))[:, None]
-    at = np.argmax(below[:, None, :] > wanted[:, :, None], axis=2) - 1
+    at = np.argmax(below[:, None, :] > levels[:, :, None], axis=2) - 1
 
     # Interpolate within the bin.
     seconds_per_mass = (edges[at + 1] - edges[at]) / (below[row, at + 1] - below[row, at])
-    lags: Floats = edges[at] + seconds_per_mass * (wanted - below[row, at])
+    lags: Floats = edges[at] + seconds_per_mass * (levels - below[row, at])
     return lags
 
 
@@ -158,14 +158,14 @@ def windows_at_pace(pace: Pace | None, lags: Floats, transitions: Floats) -> Flo
 
     # Subtract the width that smoothing has added, half at most, and add the pace's uncertainty.
     smoothing = np.count_nonzero(transitions[:, None] < _SMOOTHING_TRANSITIONS, axis=1)
-    added = _SMOOTHING_WIDTHS[smoothing, None]
-    width = np.sqrt(np.maximum(width**2 - added**2, (0.5 * width) ** 2) + pace.spread**2)
+    smoothing_width = _SMOOTHING_WIDTHS[smoothing, None]
+    width = np.sqrt(np.maximum(width**2 - smoothing_width**2, (0.5 * width) ** 2) + pace.spread**2)
 
     # The quantiles at this pace; a quantile before the exit is scaled only.
-    adjusted = lags * pace.factor
-    adjusted[:, 2] = adjusted[:, 1] * np.exp(width[:, 1])
-    low = adjusted[:, 1] * np.exp(-width[:, 0])
-    adjusted[:, 0] = np.where(lags[:, 0] > 0, low, adjusted[:, 0])
+    result = lags * pace.factor
+    result[:, 2] = result[:, 1] * np.exp(width[:, 1])
+    low = result[:, 1] * np.exp(-width[:, 0])
+    result[:, 0] = np.where(lags[:, 0] > 0, low, result[:, 0])
 
     # Short lags do not scale with speed.
-    return np.where(lags[:, 1:2] > LAG_SECONDS_MIN, adjusted, lags)
+    return np.where(lags[:, 1:2] > LAG_SECONDS_MIN, result, lags)

@@ -22,11 +22,11 @@ class Step:
     t (seconds): time of its entry by the camera's clock; of its exit if the entry is unknown.
     name: name of the walk that it would begin.
     entry: index of the zone of entry; None if unknown.
-    began (seconds): corrected time of the entry.
+    entry_t (seconds): corrected time of the entry.
     """
 
     def __init__(
-        self, camera: str, track: str | None, t: float, name: str, entry: int | None, began: float
+        self, camera: str, track: str | None, t: float, name: str, entry: int | None, entry_t: float
     ) -> None:
         self.camera = camera
         self.track = track
@@ -35,7 +35,7 @@ class Step:
         self.t = t
         self.name = name
         self.entry = entry
-        self.began = began
+        self.entry_t = entry_t
         self.before: Step | None = None
         """The passage that it continues; None if it begins a walk."""
         self.is_forgotten = False
@@ -43,15 +43,15 @@ class Step:
         """Edges from the passages that it may continue."""
         self.outside = 0.0
         """Rate at which objects from outside enter where it does, 1/s."""
-        self.told: list[tuple[Edge, float]] = []
+        self.match_edges: list[tuple[Edge, float]] = []
         """The probabilities of its edges when its match was given."""
         self.claims: dict[str, Claims] = {}
         """By the entries that may continue it: by their camera while in view, "" afterwards."""
 
         # The exit.
-        self.ended: float | None = None
+        self.exit_t: float | None = None
         """Time of the exit by the camera's clock; None while the object is in view."""
-        self.left = began
+        self.departure_t = entry_t
         """Corrected time of the exit, seconds."""
         self.zone = -1
         """Index of the zone of exit."""
@@ -73,13 +73,13 @@ class Expected(NamedTuple):
     """Where and when the object of an exit is likely to be seen again.
 
     scale (rows,): factor on the hazards of the zone of exit, by the context.
-    unseen (bins + 1): probability of not having been seen again by each edge of the lag bins.
-    lost (zones, 1/s): rates of appearing after no particular lag; None for 0.
+    no_arrival (bins + 1): probability of not having been seen again by each edge of the lag bins.
+    rates (zones, 1/s): rates of appearing after no particular lag; None for 0.
     """
 
     scale: list[float]
-    unseen: list[float]
-    lost: list[float] | None
+    no_arrival: list[float]
+    rates: list[float] | None
 
 
 class Claims:
@@ -128,8 +128,8 @@ def pass_messages(competing: Sequence[tuple[Step, Sequence[tuple[Edge, float]]]]
     for _ in range(SWEEPS):
         for entry, edges in competing:
             offers = [
-                edge.weight / (unclaimed + edge.claims.odds - edge.weight * edge.message)
-                for edge, unclaimed in edges
+                edge.weight / (unclaimed_odds + edge.claims.odds - edge.weight * edge.message)
+                for edge, unclaimed_odds in edges
             ]
             total = entry.outside + sum(offers)
             for (edge, _), offer in zip(edges, offers, strict=True):

@@ -52,12 +52,12 @@ UNSEEN_IN_VIEW = 0.5
 class Walks:
     """The walks of the last hour, by one version of the topology; events come in order of time."""
 
-    def __init__(self, topology: Topology, prepared: PreparedVersion | None = None) -> None:
-        """Begin without passages; ``prepared`` is the same topology, if it is prepared already."""
-        self._prepared = prepared = prepared or PreparedVersion(topology)
-        self._hazards, self._labels = prepared.hazards, prepared.labels
-        self._outside = outside_rates(prepared)
-        self._nobody_leaves = prepared.anywhere.nobody_leaves
+    def __init__(self, topology: Topology, prepared_version: PreparedVersion | None = None) -> None:
+        """Begin without passages; ``prepared_version`` is of the same topology."""
+        self._prepared_version = prepared_version = prepared_version or PreparedVersion(topology)
+        self._hazards, self._labels = prepared_version.hazards, prepared_version.labels
+        self._outside = outside_rates(prepared_version)
+        self._nobody_leaves = prepared_version.anywhere.nobody_leaves
         self._dwell_bins = dwell_bins()
         self._dwell = self._dwell_densities(topology)
         self.forget()
@@ -70,47 +70,49 @@ class Walks:
         """Their names."""
         self._open: dict[str, dict[str, Step]] = {}
         """Passages in view by camera, then by track or name, oldest first."""
-        self._left: dict[int, deque[Step]] = {}
+        self._ended_steps: dict[int, deque[Step]] = {}
         """The newest passages by zone of exit, oldest first."""
-        self._given: deque[Step] = deque()
+        self._recent_steps: deque[Step] = deque()
         """Entries whose match has been given once, oldest first."""
 
     def forget_cameras(self, cameras: Collection[str]) -> None:
         """Forget the passages of cameras; what came after one of them begins a walk."""
         steps = {id(step): step for _, step in self._events}.values()
-        gone = {step.name for step in steps if step.camera in cameras}
+        names = {step.name for step in steps if step.camera in cameras}
         for step in steps:
-            step.is_forgotten |= step.name in gone
-        self._events = deque(one for one in self._events if one[1].name not in gone)
-        self._given = deque(step for step in self._given if step.name not in gone)
-        self._names -= gone
-        self._open = {name: one for name, one in self._open.items() if name not in cameras}
-        for left in self._left.values():
-            for step in [step for step in left if step.name in gone]:
-                left.remove(step)
+            step.is_forgotten |= step.name in names
+        self._events = deque(item for item in self._events if item[1].name not in names)
+        self._recent_steps = deque(step for step in self._recent_steps if step.name not in names)
+        self._names -= names
+        self._open = {name: steps for name, steps in self._open.items() if name not in cameras}
+        for zone_steps in self._ended_steps.values():
+            for step in [step for step in zone_steps if step.name in names]:
+                zone_steps.remove(step)
 
         # What other passages know of them.
         for _, step in self._events:
-            step.edges = [edge for edge in step.edges if edge.source.name not in gone]
-            step.told = [one for one in step.told if one[0].source.name not in gone]
+            step.edges = [edge for edge in step.edges if edge.source.name not in names]
+            step.match_edges = [
+                item for item in step.match_edges if item[0].source.name not in names
+            ]
             for claims in step.claims.values():
-                claims.edges = [edge for edge in claims.edges if edge.entry.name not in gone]
+                claims.edges = [edge for edge in claims.edges if edge.entry.name not in names]
                 claims.odds = sum(edge.weight * edge.message for edge in claims.edges)
 
     def take_over(self, older: Walks) -> None:
         """Take over the passages from walks by an older version; this must be new."""
-        moved = moved_zones(older._prepared.zones, self._prepared.zones)
+        new_zones = moved_zones(older._prepared_version.zones, self._prepared_version.zones)
         self._events = older._events
         self._names = older._names
         self._open = older._open
-        self._given = older._given
+        self._recent_steps = older._recent_steps
         for step in {id(step): step for _, step in self._events}.values():
-            step.entry = moved.get(-1 if step.entry is None else step.entry)
-        for zone, steps in older._left.items():
-            if zone in moved:
-                self._left[moved[zone]] = steps
+            step.entry = new_zones.get(-1 if step.entry is None else step.entry)
+        for zone, steps in older._ended_steps.items():
+            if zone in new_zones:
+                self._ended_steps[new_zones[zone]] = steps
                 for step in steps:
-                    step.zone = moved[zone]
+                    step.zone = new_zones[zone]
                     step.expected = None
 
     def observe(self, event: Event, is_matched: bool = True) -> Match | None:
@@ -122,8 +124,8 @@ class Walks:
         """
         require_event(event)
         self._forget(event.t)
-        zone = self._prepared.zone_of(event)
-        t = event.t - self._prepared.clock_offset.get(event.camera, 0.0)
+        zone = self._prepared_version.zone_of(event)
+        t = event.t - self._prepared_version.clock_offset.get(event.camera, 0.0)
         if event.kind == "exit":
             self._end(event, zone, t)
             return None
@@ -139,7 +141,7 @@ class Walks:
                 edge.add()
             self._settle(step, t)
         self._open.setdefault(event.camera, {})[step.track or step.name] = step
-        self._given.append(step)
+        self._recent_steps.append(step)
         return self._match(step)
 
     def revised(self, now: float, entries_max: int = EVENTS_MAX) -> list[Match]:
@@ -149,19 +151,22 @@ class Walks:
         entries_max: largest number of entries to look at; the others wait for the next call.
         """
         self._forget(now)
-        found = []
+        matches = []
         for _ in range(entries_max):
-            if not self._given or self._given[0].t + REVISE_SECONDS > now:
+            if not self._recent_steps or self._recent_steps[0].t + REVISE_SECONDS > now:
                 break
-            step = self._given.popleft()
+            step = self._recent_steps.popleft()
             walk = step.walk
             self._add_late(step)
-            self._settle(step, step.began + REVISE_SECONDS)
-            moved = any(abs(edge.probability - told) > REVISE_CHANGE for edge, told in step.told)
+            self._settle(step, step.entry_t + REVISE_SECONDS)
+            has_changed = any(
+                abs(edge.probability - probability) > REVISE_CHANGE
+                for edge, probability in step.match_edges
+            )
             match = self._match(step)
-            if moved or match.walk != walk:
-                found.append(match)
-        return found
+            if has_changed or match.walk != walk:
+                matches.append(match)
+        return matches
 
     def _add_late(self, step: Step) -> None:
         """Add the passages whose exit came after the entry that it was earlier than.
@@ -170,15 +175,15 @@ class Walks:
         """
         if step.entry is None:
             return
-        known = {id(edge.source) for edge in step.edges}
+        source_ids = {id(edge.source) for edge in step.edges}
         candidates = [
             edge
             for edge in self._candidates(step, step.entry)
-            if edge.source.began < step.began and id(edge.source) not in known
+            if edge.source.entry_t < step.entry_t and id(edge.source) not in source_ids
         ]
-        for edge in self._likely(step, candidates, step.began + REVISE_SECONDS):
+        for edge in self._likely(step, candidates, step.entry_t + REVISE_SECONDS):
             edge.add()
-            step.told.append((edge, 0.0))
+            step.match_edges.append((edge, 0.0))
 
     # --- Passages ---
 
@@ -199,28 +204,34 @@ class Walks:
         in_view = self._open.get(event.camera, {})
         key = str(event.track) if event.track is not None else self._through(in_view, zone, t)
         step = in_view.pop(key, None) or self._step(event, None, t)
-        step.ended = event.t
-        step.left = t
+        step.exit_t = event.t
+        step.departure_t = t
         step.label = event.label or step.label
         self._events.append((event.t, step))
         if zone is not None:
             step.zone = zone
             step.block = block_of(event.x, event.y)
-            self._left.setdefault(zone, deque(maxlen=CANDIDATES_MAX)).append(step)
+            self._ended_steps.setdefault(zone, deque(maxlen=CANDIDATES_MAX)).append(step)
 
     def _expected(self, step: Step) -> Expected:
         """Return the outlook after a passage that has ended; computed once a version."""
         if step.expected is None:
             passage = None
-            if step.entry is not None and step.left > step.began:
-                passage = Passage(step.began, step.camera, step.entry)
-            answer = outlook(self._prepared, Departure(step.zone, step.left, passage, step.block))
+            if step.entry is not None and step.departure_t > step.entry_t:
+                passage = Passage(step.entry_t, step.camera, step.entry)
+            answer = outlook(
+                self._prepared_version, Departure(step.zone, step.departure_t, passage, step.block)
+            )
             scale = answer.scale
             if answer.table is not None:
                 scale = scale / np.maximum(answer.table.outcomes.weight, 1e-300)
-            rates = anywhere_rates(self._prepared, answer).tolist() if self._nobody_leaves else None
-            unseen = answer.unseen(self._hazards.bins.edges, linked=not self._nobody_leaves)
-            step.expected = Expected(scale.tolist(), unseen.tolist(), rates)
+            rates = (
+                anywhere_rates(self._prepared_version, answer).tolist()
+                if self._nobody_leaves
+                else None
+            )
+            no_arrival = answer.unseen(self._hazards.bins.edges, links_only=not self._nobody_leaves)
+            step.expected = Expected(scale.tolist(), no_arrival.tolist(), rates)
         return step.expected
 
     def _through(self, in_view: dict[str, Step], zone: int | None, t: float) -> str:
@@ -228,7 +239,7 @@ class Walks:
         weights = {}
         for key, step in in_view.items():
             density = self._dwell.get((-1 if step.entry is None else step.entry, zone))
-            at = self._dwell_bins.bin_of(t - step.began)
+            at = self._dwell_bins.bin_of(t - step.entry_t)
             if step.track is None and density is not None and at >= 0:
                 weights[key] = density[at]
         best = max(weights, key=weights.__getitem__, default="")
@@ -255,7 +266,7 @@ class Walks:
             now - self._events[0][0] > MEMORY_SECONDS or len(self._events) > EVENTS_MAX
         ):
             t, step = self._events.popleft()
-            if t < (step.t if step.ended is None else step.ended):
+            if t < (step.t if step.exit_t is None else step.exit_t):
                 continue
             self._names.discard(step.name)
             step.is_forgotten = True
@@ -263,45 +274,47 @@ class Walks:
             key = step.track or step.name
             if in_view.get(key) is step:
                 del in_view[key]
-            if step in (left := self._left.get(step.zone, deque())):
-                left.remove(step)
-            step.edges, step.told, step.claims, step.before = [], [], {}, None
-        while self._given and self._given[0].is_forgotten:
-            self._given.popleft()
+            if step in (zone_steps := self._ended_steps.get(step.zone, deque())):
+                zone_steps.remove(step)
+            step.edges, step.match_edges, step.claims, step.before = [], [], {}, None
+        while self._recent_steps and self._recent_steps[0].is_forgotten:
+            self._recent_steps.popleft()
 
     # --- Matching ---
 
     def _candidates(self, step: Step, zone: int) -> list[Edge]:
         """Return the passages that the entry of a step may continue."""
         # Passages that have ended.
-        t = step.began
+        t = step.entry_t
         longest = self._hazards.lag_max
-        left = [
-            one
-            for source in (self._left if self._nobody_leaves else self._hazards.sources(zone))
-            for one in self._left.get(source, ())
-            if 0.0 <= t - one.left <= longest
+        ended_steps = [
+            source_step
+            for source in (
+                self._ended_steps if self._nobody_leaves else self._hazards.sources(zone)
+            )
+            for source_step in self._ended_steps.get(source, ())
+            if 0.0 <= t - source_step.departure_t <= longest
         ]
-        weights = np.zeros(len(left))
-        sources = np.array([one.zone for one in left], np.int32)
-        lag = t - np.array([one.left for one in left])
-        for which, row, rate in zip(
+        weights = np.zeros(len(ended_steps))
+        sources = np.array([source_step.zone for source_step in ended_steps], np.int32)
+        lag = t - np.array([source_step.departure_t for source_step in ended_steps])
+        for source_row, row, rate in zip(
             *(column.tolist() for column in self._hazards.rates_by_row(sources, zone, lag)),
             strict=True,
         ):
             if rate:
-                weights[which] += rate * self._expected(left[which]).scale[row]
+                weights[source_row] += rate * self._expected(ended_steps[source_row]).scale[row]
         if self._nobody_leaves:
             for k in np.flatnonzero((lag > 0.0) & (lag <= self._hazards.bins.lag_max)).tolist():
-                lost = self._expected(left[k]).lost
-                weights[k] += 0.0 if lost is None else lost[zone]
+                rates = self._expected(ended_steps[k]).rates
+                weights[k] += 0.0 if rates is None else rates[zone]
         if self._labels:
-            labels = [self._labels.number(one.label) for one in left]
+            labels = [self._labels.number(source_step.label) for source_step in ended_steps]
             weights *= self._labels.agreement(labels, self._labels.number(step.label), zone)
         least = PROBABILITY_MIN * step.outside * LEAVE_FLOOR  # else unlikely without rivals, too
         edges = [
-            Edge(one, step, "", weight)
-            for one, weight in zip(left, weights.tolist(), strict=True)
+            Edge(source_step, step, "", weight)
+            for source_step, weight in zip(ended_steps, weights.tolist(), strict=True)
             if weight > least
         ]
 
@@ -310,12 +323,14 @@ class Walks:
             if camera == step.camera:
                 continue
             before_exit = self._hazards.rate_before_exit(camera, zone)
-            for one in list(self._open.get(camera, {}).values())[-CANDIDATES_MAX:]:
-                if one.entry is not None:
-                    entered = self._hazards.rate_entered(one.entry, zone, t - one.began)
-                    rate = (before_exit + entered) * self._agreement(one, step, zone)
+            for source_step in list(self._open.get(camera, {}).values())[-CANDIDATES_MAX:]:
+                if source_step.entry is not None:
+                    entry_rate = self._hazards.rate_entered(
+                        source_step.entry, zone, t - source_step.entry_t
+                    )
+                    rate = (before_exit + entry_rate) * self._agreement(source_step, step, zone)
                     if rate > 0.0:
-                        edges.append(Edge(one, step, step.camera, rate))
+                        edges.append(Edge(source_step, step, step.camera, rate))
         return self._with_simultaneous(edges, step, zone)
 
     def _with_simultaneous(self, edges: list[Edge], step: Step, zone: int) -> list[Edge]:
@@ -325,26 +340,34 @@ class Walks:
         learner. So each of the two may be the cause of the other, and the entry that comes second
         gets both rates: the reverse one as it competes with the other causes of the first entry.
         """
-        known = {id(edge.source): edge for edge in edges if edge.slot}
-        for one in reversed(self._given):
-            if one.began != step.began:
+        edge_of_source = {id(edge.source): edge for edge in edges if edge.slot}
+        for source_step in reversed(self._recent_steps):
+            if source_step.entry_t != step.entry_t:
                 break
-            if one.entry is None or one.camera == step.camera or one.ended is not None:
+            if (
+                source_step.entry is None
+                or source_step.camera == step.camera
+                or source_step.exit_t is not None
+            ):
                 continue
-            rate = self._hazards.rate_before_exit(step.camera, one.entry)
-            rate += self._hazards.rate_entered(zone, one.entry, 0.0)
-            rate *= self._agreement(step, one, one.entry)
-            causes = one.outside / max(1.0 - sum(edge.probability for edge in one.edges), 1e-9)
+            rate = self._hazards.rate_before_exit(step.camera, source_step.entry)
+            rate += self._hazards.rate_entered(zone, source_step.entry, 0.0)
+            rate *= self._agreement(step, source_step, source_step.entry)
+            causes = source_step.outside / max(
+                1.0 - sum(edge.probability for edge in source_step.edges), 1e-9
+            )
             if rate > 0.0:
-                edge = known.get(id(one)) or Edge(one, step, step.camera, 0.0)
+                edge = edge_of_source.get(id(source_step)) or Edge(
+                    source_step, step, step.camera, 0.0
+                )
                 edge.weight += rate * step.outside / causes
-                known[id(one)] = edge
-        return [edge for edge in edges if not edge.slot] + [*known.values()]
+                edge_of_source[id(source_step)] = edge
+        return [edge for edge in edges if not edge.slot] + [*edge_of_source.values()]
 
-    def _agreement(self, one: Step, step: Step, zone: int) -> float:
+    def _agreement(self, source_step: Step, step: Step, zone: int) -> float:
         """Return how far the labels of a passage and of one that begins in a zone agree."""
         labels = self._labels
-        return labels.of_two(labels.number(one.label), labels.number(step.label), zone)
+        return labels.of_two(labels.number(source_step.label), labels.number(step.label), zone)
 
     def _likely(self, step: Step, edges: list[Edge], t: float) -> list[Edge]:
         """Return the edges that are likely enough, given what other entries claim."""
@@ -360,7 +383,7 @@ class Walks:
         # The entries that compete; each edge with the odds that its passage has no successor.
         rivals = {id(step): step}
         for edge in step.edges:
-            rivals |= {id(one.entry): one.entry for one in edge.claims.edges}
+            rivals |= {id(rival_edge.entry): rival_edge.entry for rival_edge in edge.claims.edges}
         competing = [
             (rival, [(edge, self._no_successor(edge, t)) for edge in rival.edges])
             for rival in rivals.values()
@@ -371,9 +394,9 @@ class Walks:
         """Return the probability that an edge's passage has no successor by ``t``."""
         if edge.slot:
             return UNSEEN_IN_VIEW
-        unseen = self._expected(edge.source).unseen
-        at = bisect_right(self._hazards.bins.limits, t - edge.source.left)
-        return max(unseen[min(at, len(unseen) - 1)], LEAVE_FLOOR)
+        no_arrival = self._expected(edge.source).no_arrival
+        at = bisect_right(self._hazards.bins.limits, t - edge.source.departure_t)
+        return max(no_arrival[min(at, len(no_arrival) - 1)], LEAVE_FLOOR)
 
     def _match(self, step: Step) -> Match:
         """Give a step its walk, and return its match."""
@@ -381,14 +404,16 @@ class Walks:
         edges = [edge for edge in edges if edge.probability >= PROBABILITY_MIN]
         is_known = bool(edges) and edges[0].probability > 0.5
         step.before = edges[0].source if is_known else None
-        step.told = [(edge, edge.probability) for edge in step.edges]
+        step.match_edges = [(edge, edge.probability) for edge in step.edges]
         rows = [_row(edge) for edge in edges]
         new = 1.0 - sum(row.probability for row in rows)
-        return Match(step.camera, step.t, self._prepared.number, rows, new, step.walk, step.track)
+        return Match(
+            step.camera, step.t, self._prepared_version.number, rows, new, step.walk, step.track
+        )
 
 
 def _row(edge: Edge) -> MatchedPassage:
     """Return the record of a passage that an entry may continue."""
-    one = edge.source
-    t = one.t if edge.slot or one.ended is None else one.ended
-    return MatchedPassage(one.camera, t, edge.probability, one.track)
+    source_step = edge.source
+    t = source_step.t if edge.slot or source_step.exit_t is None else source_step.exit_t
+    return MatchedPassage(source_step.camera, t, edge.probability, source_step.track)

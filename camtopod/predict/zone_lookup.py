@@ -48,14 +48,14 @@ class ZoneLookup:
             return self._busiest[event.camera]
 
         likeliest = camera_zones[0]
-        most = -math.inf
+        density_max = -math.inf
         for zone, x, y, xx, two_xy, yy, det, weight in self._shapes[event.camera]:
             dx = event.x - x
             dy = event.y - y
             density = weight - 0.5 * ((yy * dx * dx - two_xy * dx * dy + xx * dy * dy) / det)
-            if density > most:
+            if density > density_max:
                 likeliest = zone
-                most = density
+                density_max = density
         return likeliest
 
 

@@ -93,7 +93,7 @@ def test_one_passage_has_one_successor(walks: Walks) -> None:
 def test_two_entries_at_one_instant_may_be_of_one_object(walks: Walks) -> None:
     """Learned is the direction from the entry that comes second to the first."""
     events = [entry("a", T, "1"), entry("b", T, "2"), entry("b", T + 0.1, "3")]
-    a, b = (walks._prepared.zone_of(event) for event in events[:2])
+    a, b = (walks._prepared_version.zone_of(event) for event in events[:2])
     assert a is not None
     assert b is not None
     walks._hazards._entered = {b: {a: [0.5] * walks._hazards.bins.size}}
@@ -143,9 +143,9 @@ def test_passages_are_forgotten_after_an_hour(walks: Walks) -> None:
     events = [entry("a", T, "1"), exit_("a", T + 4, "1"), entry("a", T + 5, "2")]
     matched(walks, events)
     matched(walks, [entry("b", T + 5 + MEMORY_SECONDS + 1, "3")])
-    assert len(walks._events) == len(walks._given) == 1
+    assert len(walks._events) == len(walks._recent_steps) == 1
     assert not walks._open["a"]
-    assert not any(walks._left.values())
+    assert not any(walks._ended_steps.values())
 
 
 def test_a_passage_is_remembered_from_its_last_event_on(walks: Walks) -> None:
