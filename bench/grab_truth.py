@@ -41,7 +41,7 @@ from bench.support.truth_clips import Clip, TruthError, clip_of, clips_in
 from bench.support.watched_clips import HERE, VTEST, one_by_one
 from camtopod.records import Event
 from camtopod.vision.detector.detector import Detector
-from camtopod.vision.detector.model import Model
+from camtopod.vision.detector.model import DetectorModel
 from camtopod.vision.pipeline import ViewPipeline
 from camtopod.vision.settings import DetectorSettings
 
@@ -175,7 +175,7 @@ def detector_of(model: str | None) -> Callable[[], Detector | None]:
     if not model:
         return lambda: None
     settings = DetectorSettings(model=model)
-    loaded = Model(settings)
+    loaded = DetectorModel(settings)
     return lambda: Detector(loaded, settings)
 
 

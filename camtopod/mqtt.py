@@ -94,7 +94,7 @@ def broker(
     return Broker(parts.hostname, port, parts.scheme == "mqtts", prefix, user, password, ca)
 
 
-class _Connection:
+class _BrokerConnection:
     """A client of the broker, which reconnects by itself.
 
     Raises `MqttError` if the first connection fails.
@@ -172,7 +172,7 @@ class _Connection:
             log.warning("%s:%d %s", self._at.host, self._at.port, refusal)
 
 
-class MessageSubscription(_Connection):
+class MessageSubscription(_BrokerConnection):
     """The messages of one topic below the broker's prefix, oldest first.
 
     with_topics: put each message's topic and a blank in front of it, as `mosquitto_sub -v` does.
@@ -242,7 +242,7 @@ class MessageSubscription(_Connection):
             log.warning("messages come faster than they are read: some are dropped")
 
 
-class RetainedMessages(_Connection):
+class RetainedMessages(_BrokerConnection):
     """Retained messages, one for each topic, and others that are not retained.
 
     availability: a topic that is ``online`` while this program runs and the broker reaches it, and

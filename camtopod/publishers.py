@@ -31,7 +31,7 @@ def is_gone(state: str, last: float | None, newest: float) -> bool:
     return old and state in ("no grabber", "silent")
 
 
-class Publisher(Struct):
+class CameraBoots(Struct):
     """The boot ids that have published a camera.
 
     boot: boot of the newest event.

@@ -26,23 +26,23 @@ _SOURCE = re.compile(r"(com\.axis|axis\.scene)\..*|frame(\.v\d.*)?")
 """A topic level that names the kind of data, not the camera."""
 
 
-class _Box(Struct, frozen=True):
+class _AxisBox(Struct, frozen=True):
     left: float
     top: float
     right: float
     bottom: float
 
 
-class _Class(Struct, frozen=True):
+class _AxisClass(Struct, frozen=True):
     type: str = ""
 
 
-class _Detection(Struct, frozen=True):
-    bounding_box: _Box | None = None
+class _AxisDetection(Struct, frozen=True):
+    bounding_box: _AxisBox | None = None
     object_track_id: Name = None
     track_id: Name = None
     """As ``object_track_id``, in the forerunner."""
-    kind: _Class = field(name="class", default=_Class())
+    kind: _AxisClass = field(name="class", default=_AxisClass())
 
 
 class _TrackEvent(Struct, frozen=True):
@@ -52,17 +52,17 @@ class _TrackEvent(Struct, frozen=True):
     """As ``object_track_id``, in the forerunner."""
 
 
-class _Frame(Struct, frozen=True):
+class _AxisFrame(Struct, frozen=True):
     """A frame, or what it is in; of each pair of names the second is the forerunner's."""
 
     timestamp: str = ""
     channel_id: int = 1
-    detections: list[_Detection] | None = None
-    observations: list[_Detection] | None = None
+    detections: list[_AxisDetection] | None = None
+    observations: list[_AxisDetection] | None = None
     track_events: list[_TrackEvent] | None = None
     operations: list[_TrackEvent] | None = None
-    frame: _Frame | None = None
-    data: _Frame | None = None
+    frame: _AxisFrame | None = None
+    data: _AxisFrame | None = None
 
 
 class Axis(StreamAdapter):
@@ -79,7 +79,7 @@ class Axis(StreamAdapter):
     def receive(self, line: bytes) -> list[Event]:
         """Return the events that a frame makes certain. Raises `Rejected`."""
         levels, text = split_topic(line)
-        frame = codec.read(_Frame, text)
+        frame = codec.read(_AxisFrame, text)
         frame = frame.data or frame
         frame = frame.frame or frame
         boxes = frame.detections or frame.observations

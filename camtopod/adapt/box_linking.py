@@ -19,7 +19,7 @@ Box = tuple[float, float, float, float]
 Point = tuple[float, float]
 
 
-class _Track(Struct):
+class _BoxTrack(Struct):
     kind: str
     box: Box
     t: float
@@ -54,7 +54,7 @@ class BoxLinker:
     """
 
     def __init__(self) -> None:
-        self._tracks: dict[int, _Track] = {}
+        self._tracks: dict[int, _BoxTrack] = {}
         self._count = 0
 
     def link(self, kinds: Sequence[str], boxes: Sequence[Box], t: float) -> list[int | None]:
@@ -79,7 +79,7 @@ class BoxLinker:
         if len(self._tracks) >= TRACKS_MAX:
             return None
         self._count += 1
-        self._tracks[self._count] = _Track(kind, box, t)
+        self._tracks[self._count] = _BoxTrack(kind, box, t)
         return self._count
 
     def _pairs(

@@ -29,16 +29,16 @@ class _Sensor(Struct, frozen=True):
     id: str | int = ""
 
 
-class _Box(Struct, frozen=True):
+class _DeepStreamBox(Struct, frozen=True):
     left: float = field(name="topleftx")
     top: float = field(name="toplefty")
     right: float = field(name="bottomrightx")
     bottom: float = field(name="bottomrighty")
 
 
-class _Object(Struct, frozen=True):
+class _DeepStreamObject(Struct, frozen=True):
     id: str | int
-    bbox: _Box | None = None
+    bbox: _DeepStreamBox | None = None
     person: object = None
     vehicle: object = None
     face: object = None
@@ -52,12 +52,12 @@ class _Object(Struct, frozen=True):
         )
 
 
-class _Message(Struct, frozen=True):
+class _DeepStreamMessage(Struct, frozen=True):
     time: str | int | float = field(name="@timestamp")
     sensorId: str | int = ""
     objects: list[str] | None = None
     sensor: _Sensor = _Sensor()
-    object: _Object | None = None
+    object: _DeepStreamObject | None = None
 
 
 class DeepStream(StreamAdapter):
@@ -76,7 +76,7 @@ class DeepStream(StreamAdapter):
 
     def receive(self, line: bytes) -> list[Event]:
         """Return the events that a message makes certain. Raises `Rejected`."""
-        message = codec.read(_Message, split_topic(line)[1])
+        message = codec.read(_DeepStreamMessage, split_topic(line)[1])
         sensor = message.sensor.id
         if message.sensorId != "":
             sensor = message.sensorId

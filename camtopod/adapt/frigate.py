@@ -59,13 +59,13 @@ class _Seen(Struct, frozen=True):
     """Path of its foot point so far."""
 
 
-class _Message(Struct, frozen=True):
+class _FrigateMessage(Struct, frozen=True):
     type: str
     before: _Seen
     after: _Seen
 
 
-class _Object(Struct):
+class _FrigateObject(Struct):
     """State of an object: its ``entry`` until that is told, and whether it has ended."""
 
     entry: Event | None
@@ -93,14 +93,14 @@ class Frigate(Adapter):
         super().__init__()
         self._sizes = sizes
         self._labels = frozenset(map(plain, labels))
-        self._objects: dict[str, _Object] = {}  # in order of the latest message
+        self._objects: dict[str, _FrigateObject] = {}  # in order of the latest message
 
     def receive(self, line: bytes) -> list[Event]:
         """Return the entry or exit (or both) that a message makes certain. Raises `Rejected`."""
         text = split_topic(line, "*/events")[1]
         if b'"before"' not in text:  # as what /api/events returns
             raise Rejected("bad-value", "is no message of frigate/events, with type, before, after")
-        message = codec.read(_Message, text)
+        message = codec.read(_FrigateMessage, text)
         if message.type not in ("new", "update", "end"):
             raise Rejected("bad-value", "type is not new, update or end - at `$.type`")
 
@@ -121,10 +121,10 @@ class Frigate(Adapter):
             count_label(track.labels, now.label)
         return self._changed(track, message)
 
-    def _met(self, message: _Message) -> _Object:
+    def _met(self, message: _FrigateMessage) -> _FrigateObject:
         """Return the state of an object at its first message; it enters if it is new."""
         if message.type != "new":
-            return _Object(None, {})
+            return _FrigateObject(None, {})
         first = message.before
         now = message.after
         if first.id == now.id and first.false_positive and self._knows_size(now.camera):
@@ -133,9 +133,9 @@ class Frigate(Adapter):
             entry = _at_point("entry", now, now.path_data[0])
         else:
             entry = self._event("entry", now)
-        return _Object(entry, {})
+        return _FrigateObject(entry, {})
 
-    def _changed(self, track: _Object, message: _Message) -> list[Event]:
+    def _changed(self, track: _FrigateObject, message: _FrigateMessage) -> list[Event]:
         """Return the events that a message makes certain, and update the object."""
         if track.ended:
             return []

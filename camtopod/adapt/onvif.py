@@ -52,7 +52,7 @@ class _Transformation(Struct, frozen=True):
         return self.scale.x * x + self.translate.x, self.scale.y * y + self.translate.y
 
 
-class _Box(Struct, frozen=True):
+class _OnvifBox(Struct, frozen=True):
     left: float = field(name="@left")
     top: float = field(name="@top")
     right: float = field(name="@right")
@@ -60,7 +60,7 @@ class _Box(Struct, frozen=True):
 
 
 class _Shape(Struct, frozen=True):
-    box: _Box | None = field(name="BoundingBox", default=None)
+    box: _OnvifBox | None = field(name="BoundingBox", default=None)
 
 
 class _Type(Struct, frozen=True):
@@ -68,7 +68,7 @@ class _Type(Struct, frozen=True):
     likelihood: float | None = field(name="@Likelihood", default=None)
 
 
-class _Class(Struct, frozen=True):
+class _OnvifClass(Struct, frozen=True):
     types: list[_Type] | _Type = field(name="Type", default_factory=list)
 
     def likeliest(self) -> str:
@@ -79,28 +79,28 @@ class _Class(Struct, frozen=True):
 class _Appearance(Struct, frozen=True):
     transformation: _Transformation = field(name="Transformation", default=_Transformation())
     shape: _Shape = field(name="Shape", default=_Shape())
-    kind: _Class = field(name="Class", default=_Class())
+    kind: _OnvifClass = field(name="Class", default=_OnvifClass())
 
 
-class _Object(Struct, frozen=True):
+class _OnvifObject(Struct, frozen=True):
     id: int | str | None = field(name="@ObjectId", default=None)
     appearance: _Appearance = field(name="Appearance", default=_Appearance())
 
 
 class _ObjectTree(Struct, frozen=True):
-    delete: list[_Object] | _Object = field(name="Delete", default_factory=list)
+    delete: list[_OnvifObject] | _OnvifObject = field(name="Delete", default_factory=list)
 
 
-class _Frame(Struct, frozen=True):
+class _OnvifFrame(Struct, frozen=True):
     time: str = field(name="@UtcTime")
     source: str = field(name="@Source", default="")
     transformation: _Transformation = field(name="Transformation", default=_Transformation())
-    objects: list[_Object] | _Object = field(name="Object", default_factory=list)
+    objects: list[_OnvifObject] | _OnvifObject = field(name="Object", default_factory=list)
     tree: _ObjectTree = field(name="ObjectTree", default=_ObjectTree())
 
 
-class _Message(Struct, frozen=True):
-    frames: list[_Frame] | _Frame = field(name="Frame")
+class _OnvifMessage(Struct, frozen=True):
+    frames: list[_OnvifFrame] | _OnvifFrame = field(name="Frame")
 
 
 class Onvif(StreamAdapter):
@@ -123,9 +123,11 @@ class Onvif(StreamAdapter):
         name = ""
         if levels:
             name = levels[levels.index("onvif-mj") - 1]
-        return self._read(self.cameras.id_of(name), _many(codec.read(_Message, message).frames))
+        return self._read(
+            self.cameras.id_of(name), _many(codec.read(_OnvifMessage, message).frames)
+        )
 
-    def _read(self, camera: str, frames: list[_Frame]) -> list[Event]:
+    def _read(self, camera: str, frames: list[_OnvifFrame]) -> list[Event]:
         """Return the events that frames make certain. Raises `Rejected`."""
         events = []
         for frame in frames:
@@ -159,18 +161,18 @@ def _name(module: str, number: int | str | None) -> Name:
     return f"{module}-{number}"
 
 
-def _fractions(box: _Box, inner: _Transformation, outer: _Transformation) -> Box:
+def _fractions(box: _OnvifBox, inner: _Transformation, outer: _Transformation) -> Box:
     """Return a box in fractions of the picture, y down."""
     left, top = outer.apply(*inner.apply(box.left, box.top))
     right, bottom = outer.apply(*inner.apply(box.right, box.bottom))
     return (left + 1) / 2, (1 - max(top, bottom)) / 2, (right + 1) / 2, (1 - min(top, bottom)) / 2
 
 
-def _frames_of(document: bytes) -> list[_Frame]:
+def _frames_of(document: bytes) -> list[_OnvifFrame]:
     """Return the frames of an XML document. Raises `Rejected`."""
     root = parse_xml(document)
     frames = [_plain(element) for element in all_of(root, "Frame")]
-    return codec.read(_Message, codec.to_json({"Frame": frames})).frames  # type: ignore[return-value]
+    return codec.read(_OnvifMessage, codec.to_json({"Frame": frames})).frames  # type: ignore[return-value]
 
 
 def _plain(element: Element, levels: int = 6) -> dict[str, Any]:

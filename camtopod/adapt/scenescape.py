@@ -29,15 +29,15 @@ class _Pixels(Struct, frozen=True):
     height: Annotated[float, Meta(ge=0)]
 
 
-class _Detection(Struct, frozen=True):
+class _SceneScapeDetection(Struct, frozen=True):
     id: Name = None
     bounding_box_px: _Pixels | None = None
 
 
-class _Message(Struct, frozen=True):
+class _SceneScapeMessage(Struct, frozen=True):
     id: str
     timestamp: str
-    objects: dict[str, list[_Detection]]
+    objects: dict[str, list[_SceneScapeDetection]]
 
 
 class SceneScape(StreamAdapter):
@@ -60,7 +60,7 @@ class SceneScape(StreamAdapter):
 
     def receive(self, line: bytes) -> list[Event]:
         """Return the events that a frame makes certain. Raises `Rejected`."""
-        message = codec.read(_Message, split_topic(line, "*/data/camera/*")[1])
+        message = codec.read(_SceneScapeMessage, split_topic(line, "*/data/camera/*")[1])
         t = seconds_of(message.timestamp)
         camera = self.cameras.id_of(message.id)
         stream = self._stream(camera, size_of(camera, self._sizes))

@@ -20,7 +20,7 @@ from camtopod.config.settings import (
     TlsSettings,
     WebSettings,
 )
-from camtopod.config.toml_tables import Keys, Problem, TableReader, did_you_mean, key_lines, syntax
+from camtopod.config.toml_tables import Keys, Mistake, TableReader, did_you_mean, key_lines, syntax
 from camtopod.learn.settings import TopologySettings
 from camtopod.records import NAME_PATTERN, RESERVED
 from camtopod.vision.detector.coco import LABELS
@@ -40,7 +40,7 @@ def load(path: Path, raw: bytes | None = None) -> Config:
         text = raw.decode("utf-8-sig")  # Windows' editors put a byte order mark in front
     except UnicodeDecodeError as error:
         line = raw.count(b"\n", 0, error.start) + 1
-        raise ConfigError(str(path), [Problem(line, "the file is not UTF-8")]) from None
+        raise ConfigError(str(path), [Mistake(line, "the file is not UTF-8")]) from None
     return _with_absolute_paths(path.parent, parse(text, str(path)))
 
 
@@ -49,7 +49,7 @@ def parse(text: str, name: str = "configuration") -> Config:
     try:
         return _parse(text, name)
     except RecursionError:  # of the parser, or of what reads its tables
-        raise ConfigError(name, [Problem(1, "tables or arrays are nested too deeply")]) from None
+        raise ConfigError(name, [Mistake(1, "tables or arrays are nested too deeply")]) from None
 
 
 def _parse(text: str, name: str) -> Config:

@@ -20,7 +20,7 @@ from msgspec.structs import replace
 
 from camtopod import redact
 from camtopod.config import secret_files
-from camtopod.config.toml_tables import Problem
+from camtopod.config.toml_tables import Mistake
 from camtopod.learn.settings import LearnSettings, Settings, TopologySettings
 from camtopod.records import NAME_PATTERN
 from camtopod.vision.settings import DetectorSettings, VisionSettings
@@ -368,7 +368,7 @@ TABLES: dict[str, type[Struct]] = {
 class ConfigError(Exception):
     """The configuration is wrong; ``str()`` has one ``file:line: problem`` for each mistake."""
 
-    def __init__(self, path: str, problems: list[Problem]) -> None:
+    def __init__(self, path: str, problems: list[Mistake]) -> None:
         self.problems = sorted(set(problems))
         super().__init__(
             "\n".join(redact.redact(f"{path}:{p.line}: {p.text}") for p in self.problems)

@@ -45,20 +45,20 @@ Keys = tuple[str, ...]
 _T = TypeVar("_T", bound=Struct)
 
 
-class Problem(NamedTuple):
+class Mistake(NamedTuple):
     """A mistake, and the line (from 1) it is on."""
 
     line: int
     text: str
 
 
-def syntax(text: str) -> tuple[dict[str, Any], str, list[Problem]]:
+def syntax(text: str) -> tuple[dict[str, Any], str, list[Mistake]]:
     """Parse TOML; return the tables, the text that could be parsed, and the syntax errors.
 
     A line ``key = value`` with a mistake is left out and parsing continues, to find further
     mistakes.
     """
-    problems: list[Problem] = []
+    problems: list[Mistake] = []
     lines = text.split("\n")
     while True:
         try:
@@ -71,7 +71,7 @@ def syntax(text: str) -> tuple[dict[str, Any], str, list[Problem]]:
             number = int(match[1]) if match else len(text.rstrip("\n").split("\n"))
             if problems and number <= problems[-1].line:
                 return {}, "", problems
-            problems.append(Problem(number, _sentence(message)))
+            problems.append(Mistake(number, _sentence(message)))
             if not re.match(r"\s*[^\[#=]+=", lines[number - 1]):
                 return {}, "", problems
             lines[number - 1] = ""
@@ -118,7 +118,7 @@ class TableReader:
     """
 
     def __init__(self, tables: dict[str, type[Struct]], lines: dict[Keys, int]) -> None:
-        self.problems: list[Problem] = []
+        self.problems: list[Mistake] = []
         self._tables = tables
         self._lines = lines
 
@@ -155,7 +155,7 @@ class TableReader:
         place = path
         while place and place not in self._lines:
             place = place[:-1]
-        self.problems.append(Problem(self._lines.get(place, 1), f"{'.'.join(path)}: {text}"))
+        self.problems.append(Mistake(self._lines.get(place, 1), f"{'.'.join(path)}: {text}"))
 
     def _hint(self, key: str, keys: list[str]) -> str:
         homes = [name for name, kind in self._tables.items() if key in kind.__struct_fields__]

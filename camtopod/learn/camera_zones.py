@@ -8,7 +8,7 @@ from camtopod.arrays import Longs
 from camtopod.event_time import MICROSECONDS, utc_text
 from camtopod.learn.changes import News, find_moves
 from camtopod.learn.limits import ZONES_PER_CAMERA_MAX
-from camtopod.learn.snapshot import CameraState, LearnerState, RetiredCamera
+from camtopod.learn.snapshot import LearnedCamera, LearnerState, RetiredCamera
 from camtopod.learn.window import NONE, Window
 from camtopod.learn.zones import (
     ZoneMap,
@@ -81,7 +81,7 @@ def refresh_camera_zones(state: LearnerState, window: Window, anew: bool = False
             retired_camera = state.retired.pop(window.cameras[camera], RetiredCamera())
             zones = find_zones(cell_sums(px, py), retired_camera.zones, retired_camera.next_number)
             vanished_zones = _vanished(retired_camera.zones, zones)
-            state.cameras.append(CameraState(zones, events, vanished_zones, events))
+            state.cameras.append(LearnedCamera(zones, events, vanished_zones, events))
             continue
 
         # A known camera.

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from camtopod.learn.changes import News
 from camtopod.learn.snapshot import LearnerState
-from camtopod.publishers import RETURNS_MIN, Publisher
+from camtopod.publishers import RETURNS_MIN, CameraBoots
 from camtopod.records import Event
 
 
@@ -18,7 +18,7 @@ def find_doubled_cameras(state: LearnerState, batch: list[tuple[int, Event]]) ->
     for _, event in batch:
         if event.boot is None:
             continue
-        publisher = state.publishers.setdefault(event.camera, Publisher(event.boot))
+        publisher = state.publishers.setdefault(event.camera, CameraBoots(event.boot))
         if publisher.note_boot(event.boot) and publisher.returns == RETURNS_MIN:
             state.doubled.append(event.camera)
 

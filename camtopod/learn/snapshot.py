@@ -22,7 +22,7 @@ from camtopod.learn.self_score import ScorerState
 from camtopod.learn.settings import Settings
 from camtopod.learn.window import ReorderBufferState, WindowState
 from camtopod.learn.zones import ZoneMap, ZoneShape
-from camtopod.publishers import Publisher
+from camtopod.publishers import CameraBoots
 from camtopod.records import Topology
 
 FORMAT = 4
@@ -41,7 +41,7 @@ class NewerSnapshot(SnapshotError):
     """The snapshot was written by a newer program."""
 
 
-class CameraState(Struct):
+class LearnedCamera(Struct):
     """State that a `Learner` has of one camera: its zones, and when they were updated."""
 
     zones: ZoneMap
@@ -74,7 +74,7 @@ class LearnerState(Struct):
     clocks: ClockState = field(default_factory=ClockState)
     alarms: AlarmState = field(default_factory=AlarmState)
     scorer: ScorerState = field(default_factory=ScorerState)
-    cameras: list[CameraState] = []
+    cameras: list[LearnedCamera] = []
     """State of each camera, by index in the window."""
     moved: list[tuple[int, float, Move]] = []
     """Cameras turned since the last version: index, time in seconds, move."""
@@ -88,7 +88,7 @@ class LearnerState(Struct):
     """Number of events learned since the newest version."""
     followed: dict[int, FollowedSources] = {}
     """Zones of departure that screening follows, by `place` of the zone of arrival."""
-    publishers: dict[str, Publisher] = {}
+    publishers: dict[str, CameraBoots] = {}
     """Programs that publish each camera."""
     doubled: list[str] = []
     """Cameras found to have two publishers since the last version."""

@@ -47,7 +47,7 @@ ExitKey = tuple[str, float, str | None]
 """Camera, time and track of an event."""
 
 
-class _Exit:
+class _PendingExit:
     """An exit whose object may still be between cameras.
 
     to: number of the camera of each possible next appearance.
@@ -81,9 +81,9 @@ class BetweenCameras:
 
     def __init__(self, since: float) -> None:
         self.since = since
-        self._exits: dict[ExitKey, list[_Exit]] = {}
+        self._exits: dict[ExitKey, list[_PendingExit]] = {}
         """By camera, time and track; those without a track may have these in common."""
-        self._in_order: deque[tuple[ExitKey, _Exit]] = deque()
+        self._in_order: deque[tuple[ExitKey, _PendingExit]] = deque()
         self._appearances = 0
         """Number of all their possible next appearances."""
         self._numbers: dict[str, int] = {}
@@ -92,7 +92,7 @@ class BetweenCameras:
     def left(self, prediction: Prediction) -> None:
         """Observe an exit."""
         key = (prediction.camera, prediction.t, prediction.track)
-        exit_ = _Exit(prediction, self._number)
+        exit_ = _PendingExit(prediction, self._number)
         if prediction.t < self.since or not len(exit_.to):
             return
         self._exits.setdefault(key, []).append(exit_)
@@ -181,7 +181,7 @@ class BetweenCameras:
             if mean >= PROBABILITY_MIN
         ]
 
-    def _keep(self, items: list[tuple[ExitKey, _Exit]]) -> None:
+    def _keep(self, items: list[tuple[ExitKey, _PendingExit]]) -> None:
         """Forget all exits but these, which are in order."""
         self._in_order, self._exits = deque(items), {}
         for key, exit_ in items:

@@ -20,7 +20,7 @@ from camtopod.arrays import Bools, Floats, Ints, Rows
 from camtopod.predict.labels import UNKNOWN_LABEL
 from camtopod.predict.open_passages import UNKNOWN, Passage
 from camtopod.predict.time_windows import (
-    Pace,
+    PassagePace,
     quantiles,
     scale_lags,
     unknown_share,
@@ -109,7 +109,7 @@ class Outlook(NamedTuple):
     """(rows,) odds of arrivals before the exit that follow from the entry alone."""
     chance: Floats
     """(rows,) probability of appearing at each row's target, by its opinion."""
-    pace: Pace | None
+    pace: PassagePace | None
     """Pace that windows are still to be adjusted to; None if the lags are of this speed already."""
     elsewhere: Floats
     """(cameras,) probability of appearing at each camera after no particular lag."""

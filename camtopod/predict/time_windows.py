@@ -7,7 +7,7 @@ the lag. As time passes without a matching arrival, lags that have passed are no
 Windows are adjusted to an object's speed. The slowness of an object is the log of its dwell time
 over the usual one for the same zones of entry and exit (`camtopod.learn.traffic.speed`). It
 persists in part from one view to the next; the topology version says how far. `PaceModel` computes
-the expected `Pace` of an object after a passage, and `windows_at_pace` changes time windows
+the expected `PassagePace` of an object after a passage, and `windows_at_pace` changes time windows
 accordingly.
 """
 
@@ -89,7 +89,7 @@ def quantiles(mass: Floats, edges: Floats) -> Floats:
     return lags
 
 
-class Pace(NamedTuple):
+class PassagePace(NamedTuple):
     """The expected transit time of an object to the next view, relative to the usual one."""
 
     factor: float
@@ -112,7 +112,7 @@ class PaceModel:
             for route in self._pace.ways:
                 self._usual_dwell[index[route.entry], index[route.exit]] = route.stay
 
-    def of_passage(self, entry: int | None, exit_: int, dwell: float | None) -> Pace | None:
+    def of_passage(self, entry: int | None, exit_: int, dwell: float | None) -> PassagePace | None:
         """Return the expected pace of an object after a passage; None if the version has none.
 
         entry, exit_: zones (indices) of the passage; the entry is None if unknown.
@@ -138,10 +138,10 @@ class PaceModel:
             expected = slowness * (1.0 + correlation) / 2.0
             uncertain = sd * math.sqrt(1.0 - correlation**2) / 2.0
         scaling = self._pace.scaling
-        return Pace(math.exp(scaling * expected), NORMAL_Q90 * scaling * uncertain)
+        return PassagePace(math.exp(scaling * expected), NORMAL_Q90 * scaling * uncertain)
 
 
-def windows_at_pace(pace: Pace | None, lags: Floats, transitions: Floats) -> Floats:
+def windows_at_pace(pace: PassagePace | None, lags: Floats, transitions: Floats) -> Floats:
     """Return the time windows (n, 3, seconds) of an object of a given pace.
 
     pace: the expected pace; None for the usual pace.

@@ -15,7 +15,7 @@ SWEEPS = 3
 """Sweeps of messages over the entries that compete."""
 
 
-class Step:
+class WalkStep:
     """A passage as a step of a walk.
 
     camera, track: as in its events; track None if they have none.
@@ -36,14 +36,14 @@ class Step:
         self.name = name
         self.entry = entry
         self.entry_t = entry_t
-        self.before: Step | None = None
+        self.before: WalkStep | None = None
         """The passage that it continues; None if it begins a walk."""
         self.is_forgotten = False
-        self.edges: list[Edge] = []
+        self.edges: list[WalkEdge] = []
         """Edges from the passages that it may continue."""
         self.outside = 0.0
         """Rate at which objects from outside enter where it does, 1/s."""
-        self.match_edges: list[tuple[Edge, float]] = []
+        self.match_edges: list[tuple[WalkEdge, float]] = []
         """The probabilities of its edges when its match was given."""
         self.claims: dict[str, Claims] = {}
         """By the entries that may continue it: by their camera while in view, "" afterwards."""
@@ -57,7 +57,7 @@ class Step:
         """Index of the zone of exit."""
         self.block: int | None = None
         """Block of the image where the object left."""
-        self.expected: Expected | None = None
+        self.expected: ExitOutlook | None = None
         """Outlook after the exit; None until the first candidate needs it."""
 
     @property
@@ -69,7 +69,7 @@ class Step:
         return step.name
 
 
-class Expected(NamedTuple):
+class ExitOutlook(NamedTuple):
     """Where and when the object of an exit is likely to be seen again.
 
     scale (rows,): factor on the hazards of the zone of exit, by the context.
@@ -90,18 +90,18 @@ class Claims:
     """
 
     def __init__(self) -> None:
-        self.edges: list[Edge] = []
+        self.edges: list[WalkEdge] = []
         self.odds = 0.0
 
 
-class Edge:
+class WalkEdge:
     """An entry, and an earlier passage that it may continue.
 
-    slot: key of `Step.claims`.
+    slot: key of `WalkStep.claims`.
     weight: rate at which the passage would cause the entry, 1/s.
     """
 
-    def __init__(self, source: Step, entry: Step, slot: str, weight: float) -> None:
+    def __init__(self, source: WalkStep, entry: WalkStep, slot: str, weight: float) -> None:
         self.source = source
         self.entry = entry
         self.slot = slot
@@ -119,7 +119,7 @@ class Edge:
         self.claims.odds += self.weight * self.message
 
 
-def pass_messages(competing: Sequence[tuple[Step, Sequence[tuple[Edge, float]]]]) -> None:
+def pass_messages(competing: Sequence[tuple[WalkStep, Sequence[tuple[WalkEdge, float]]]]) -> None:
     """Update messages and probabilities of the edges of entries that compete.
 
     competing: the entries, each with its edges; each edge with the odds that its passage has no

@@ -27,7 +27,7 @@ from camtopod.predict.open_passages import Passage
 from camtopod.predict.outlook import Departure, anywhere_rates, outlook, outside_rates
 from camtopod.predict.recent_events import moved_zones
 from camtopod.predict.version import PreparedVersion
-from camtopod.predict.walk_graph import Edge, Expected, Step, pass_messages
+from camtopod.predict.walk_graph import ExitOutlook, WalkEdge, WalkStep, pass_messages
 from camtopod.records import Event, Match, MatchedPassage, Topology
 from camtopod.topology import LEAVE_FLOOR, block_of, dwell_bins, masses_on_bins
 
@@ -64,15 +64,15 @@ class Walks:
 
     def forget(self) -> None:
         """Forget all passages; needed when event time has been taken back."""
-        self._events: deque[tuple[float, Step]] = deque()
+        self._events: deque[tuple[float, WalkStep]] = deque()
         """Time of each event, and its passage, oldest first."""
         self._names: set[str] = set()
         """Their names."""
-        self._open: dict[str, dict[str, Step]] = {}
+        self._open: dict[str, dict[str, WalkStep]] = {}
         """Passages in view by camera, then by track or name, oldest first."""
-        self._ended_steps: dict[int, deque[Step]] = {}
+        self._ended_steps: dict[int, deque[WalkStep]] = {}
         """The newest passages by zone of exit, oldest first."""
-        self._recent_steps: deque[Step] = deque()
+        self._recent_steps: deque[WalkStep] = deque()
         """Entries whose match has been given once, oldest first."""
 
     def forget_cameras(self, cameras: Collection[str]) -> None:
@@ -168,7 +168,7 @@ class Walks:
                 matches.append(match)
         return matches
 
-    def _add_late(self, step: Step) -> None:
+    def _add_late(self, step: WalkStep) -> None:
         """Add the passages whose exit came after the entry that it was earlier than.
 
         A tracker reports an exit seconds late, once the object has not been found again.
@@ -187,13 +187,13 @@ class Walks:
 
     # --- Passages ---
 
-    def _step(self, event: Event, entry: int | None, t: float) -> Step:
+    def _step(self, event: Event, entry: int | None, t: float) -> WalkStep:
         """Return a new passage that begins with an event, under a name of its own."""
         first = f"{event.camera}@{event.t:.6f}".rstrip("0").rstrip(".")
         names = itertools.chain([first], (f"{first}/{number}" for number in itertools.count(2)))
         name = next(name for name in names if name not in self._names)
         track = None if event.track is None else str(event.track)
-        step = Step(event.camera, track, event.t, name, entry, t)
+        step = WalkStep(event.camera, track, event.t, name, entry, t)
         step.label = event.label
         self._events.append((event.t, step))
         self._names.add(name)
@@ -213,7 +213,7 @@ class Walks:
             step.block = block_of(event.x, event.y)
             self._ended_steps.setdefault(zone, deque(maxlen=CANDIDATES_MAX)).append(step)
 
-    def _expected(self, step: Step) -> Expected:
+    def _expected(self, step: WalkStep) -> ExitOutlook:
         """Return the outlook after a passage that has ended; computed once a version."""
         if step.expected is None:
             passage = None
@@ -231,10 +231,10 @@ class Walks:
                 else None
             )
             no_arrival = answer.unseen(self._hazards.bins.edges, links_only=not self._nobody_leaves)
-            step.expected = Expected(scale.tolist(), no_arrival.tolist(), rates)
+            step.expected = ExitOutlook(scale.tolist(), no_arrival.tolist(), rates)
         return step.expected
 
-    def _through(self, in_view: dict[str, Step], zone: int | None, t: float) -> str:
+    def _through(self, in_view: dict[str, WalkStep], zone: int | None, t: float) -> str:
         """Return the key of the passage without a track that ends in a zone; "" if none does."""
         weights = {}
         for key, step in in_view.items():
@@ -282,7 +282,7 @@ class Walks:
 
     # --- Matching ---
 
-    def _candidates(self, step: Step, zone: int) -> list[Edge]:
+    def _candidates(self, step: WalkStep, zone: int) -> list[WalkEdge]:
         """Return the passages that the entry of a step may continue."""
         # Passages that have ended.
         t = step.entry_t
@@ -313,7 +313,7 @@ class Walks:
             weights *= self._labels.agreement(labels, self._labels.number(step.label), zone)
         least = PROBABILITY_MIN * step.outside * LEAVE_FLOOR  # else unlikely without rivals, too
         edges = [
-            Edge(source_step, step, "", weight)
+            WalkEdge(source_step, step, "", weight)
             for source_step, weight in zip(ended_steps, weights.tolist(), strict=True)
             if weight > least
         ]
@@ -330,10 +330,12 @@ class Walks:
                     )
                     rate = (before_exit + entry_rate) * self._agreement(source_step, step, zone)
                     if rate > 0.0:
-                        edges.append(Edge(source_step, step, step.camera, rate))
+                        edges.append(WalkEdge(source_step, step, step.camera, rate))
         return self._with_simultaneous(edges, step, zone)
 
-    def _with_simultaneous(self, edges: list[Edge], step: Step, zone: int) -> list[Edge]:
+    def _with_simultaneous(
+        self, edges: list[WalkEdge], step: WalkStep, zone: int
+    ) -> list[WalkEdge]:
         """Add to the edges of an entry what passages that began at the same time add.
 
         Of passages that began together the one that ends first counts as the earlier one, as in the
@@ -357,25 +359,25 @@ class Walks:
                 1.0 - sum(edge.probability for edge in source_step.edges), 1e-9
             )
             if rate > 0.0:
-                edge = edge_of_source.get(id(source_step)) or Edge(
+                edge = edge_of_source.get(id(source_step)) or WalkEdge(
                     source_step, step, step.camera, 0.0
                 )
                 edge.weight += rate * step.outside / causes
                 edge_of_source[id(source_step)] = edge
         return [edge for edge in edges if not edge.slot] + [*edge_of_source.values()]
 
-    def _agreement(self, source_step: Step, step: Step, zone: int) -> float:
+    def _agreement(self, source_step: WalkStep, step: WalkStep, zone: int) -> float:
         """Return how far the labels of a passage and of one that begins in a zone agree."""
         labels = self._labels
         return labels.of_two(labels.number(source_step.label), labels.number(step.label), zone)
 
-    def _likely(self, step: Step, edges: list[Edge], t: float) -> list[Edge]:
+    def _likely(self, step: WalkStep, edges: list[WalkEdge], t: float) -> list[WalkEdge]:
         """Return the edges that are likely enough, given what other entries claim."""
         offers = [edge.weight / (self._no_successor(edge, t) + edge.claims.odds) for edge in edges]
         least = PROBABILITY_MIN * (step.outside + sum(offers))
         return [edge for edge, offer in zip(edges, offers, strict=True) if offer >= least]
 
-    def _settle(self, step: Step, t: float) -> None:
+    def _settle(self, step: WalkStep, t: float) -> None:
         """Update the probabilities of an entry, and the messages of those that compete with it.
 
         t (seconds): corrected time of the question.
@@ -390,7 +392,7 @@ class Walks:
         ]
         pass_messages(competing)
 
-    def _no_successor(self, edge: Edge, t: float) -> float:
+    def _no_successor(self, edge: WalkEdge, t: float) -> float:
         """Return the probability that an edge's passage has no successor by ``t``."""
         if edge.slot:
             return UNSEEN_IN_VIEW
@@ -398,7 +400,7 @@ class Walks:
         at = bisect_right(self._hazards.bins.limits, t - edge.source.departure_t)
         return max(no_arrival[min(at, len(no_arrival) - 1)], LEAVE_FLOOR)
 
-    def _match(self, step: Step) -> Match:
+    def _match(self, step: WalkStep) -> Match:
         """Give a step its walk, and return its match."""
         edges = sorted(step.edges, key=lambda edge: -edge.probability)
         edges = [edge for edge in edges if edge.probability >= PROBABILITY_MIN]
@@ -412,7 +414,7 @@ class Walks:
         )
 
 
-def _row(edge: Edge) -> MatchedPassage:
+def _row(edge: WalkEdge) -> MatchedPassage:
     """Return the record of a passage that an entry may continue."""
     source_step = edge.source
     t = source_step.t if edge.slot or source_step.exit_t is None else source_step.exit_t

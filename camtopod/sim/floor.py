@@ -142,7 +142,7 @@ class Walk:
 
 
 @dataclass(frozen=True)
-class Passage:
+class FloorPassage:
     """One person's passage through a view.
 
     Times are seconds since the start, positions of the feet are fractions of the picture,
@@ -272,7 +272,7 @@ def _route(plan: Plan, rng: np.random.Generator) -> tuple[Floats, Longs]:
     return np.concatenate(points), np.concatenate(ways)
 
 
-def passages(plan: Plan, walks: list[Walk]) -> list[Passage]:
+def passages(plan: Plan, walks: list[Walk]) -> list[FloorPassage]:
     """Return all passages that begin and end within the recording, by walker and time."""
     result = []
     for walker, walk in enumerate(walks):
@@ -289,7 +289,7 @@ def passages(plan: Plan, walks: list[Walk]) -> list[Passage]:
                     view.feet(walk.floor[[begin, end - 1]]), 0.0, 1.0
                 )
                 result.append(
-                    Passage(
+                    FloorPassage(
                         camera=view.camera,
                         walker=walker,
                         t_in=float(walk.t[begin]),
@@ -303,7 +303,7 @@ def passages(plan: Plan, walks: list[Walk]) -> list[Passage]:
     return sorted(result, key=lambda passage: (passage.walker, passage.t_in))
 
 
-def truth_of(plan: Plan, walk_passages: list[Passage]) -> Truth:
+def truth_of(plan: Plan, walk_passages: list[FloorPassage]) -> Truth:
     """Return the ground truth of the recorded passages.
 
     Zones are where the edge of a picture cuts a path, links are transitions that were walked.

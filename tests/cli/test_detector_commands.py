@@ -139,12 +139,12 @@ def test_grab_uses_the_detector_of_the_camera(
 
     loaded = []
 
-    class Noted(package.Model):
+    class Noted(package.DetectorModel):
         def __init__(self, settings: DetectorSettings) -> None:
             loaded.append(settings)
             super().__init__(settings)
 
-    monkeypatch.setattr(package, "Model", Noted)
+    monkeypatch.setattr(package, "DetectorModel", Noted)
     write_model(tmp_path / "person.onnx", "yolox")
     path = write(
         tmp_path,

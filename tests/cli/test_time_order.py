@@ -16,7 +16,7 @@ from serving import closing_event, walkers
 
 from camtopod.cli import exits, main
 from camtopod.cli.events import time_order
-from camtopod.cli.events.time_order import LATE_LINES_MAX, Answers, by_key, count_if_ordered
+from camtopod.cli.events.time_order import LATE_LINES_MAX, OrderedAnswers, by_key, count_if_ordered
 from camtopod.codec import to_json
 from camtopod.records import Event
 
@@ -57,8 +57,8 @@ def right(events: Iterable[Event]) -> list[bytes]:
     ]
 
 
-def answers(lateness: float = 0.0) -> Answers:
-    return Answers(Ledger(), "exit", lateness)
+def answers(lateness: float = 0.0) -> OrderedAnswers:
+    return OrderedAnswers(Ledger(), "exit", lateness)
 
 
 def lines(events: Iterable[Event]) -> bytes:

@@ -14,7 +14,7 @@ from serving import T0, closing_event, walkers
 from camtopod.adapt.frigate import Frigate
 from camtopod.learn.learner import Learner
 from camtopod.predict import Walks
-from camtopod.predict.walk_graph import Edge, Step
+from camtopod.predict.walk_graph import WalkEdge, WalkStep
 from camtopod.predict.walks import (
     MEMORY_SECONDS,
     REVISE_CHANGE,
@@ -208,13 +208,13 @@ def test_marginals_are_exact_where_the_graph_is_a_tree(walks: Walks) -> None:
     """Two entries with one candidate in common: sum-product equals enumeration."""
     weights = np.array([[0.3, 0.0], [0.5, 0.4], [0.0, 0.2]])
     outside = np.array([0.1, 0.2])
-    sources = [Step("a", str(k), T, f"a{k}", 0, T) for k in range(3)]
-    entries = [Step("b", str(k), T, f"b{k}", 0, T) for k in range(2)]
+    sources = [WalkStep("a", str(k), T, f"a{k}", 0, T) for k in range(3)]
+    entries = [WalkStep("b", str(k), T, f"b{k}", 0, T) for k in range(2)]
     for k, one in enumerate(entries):
         one.outside = float(outside[k])
         for x, source in enumerate(sources):
             if weights[x, k]:
-                Edge(source, one, "b", float(weights[x, k])).add()
+                WalkEdge(source, one, "b", float(weights[x, k])).add()
     for one in (*entries, entries[0]):
         walks._settle(one, T)
 

@@ -17,7 +17,7 @@ from camtopod.records import Event
 from camtopod.vision.boxes import Box, area, box_height, common_area
 from camtopod.vision.detect import Blob
 from camtopod.vision.detector.detector import Detector
-from camtopod.vision.detector.model import Detection, Image as Picture, Model
+from camtopod.vision.detector.model import Detection, DetectorModel, Image as Picture
 from camtopod.vision.pipeline import ViewPipeline
 from camtopod.vision.settings import DetectorSettings
 
@@ -108,7 +108,7 @@ def detector(tmp_path: Path) -> Callable[..., Detector]:
     def make(blind: bool = False) -> Detector:
         path = write_model(tmp_path / "m.onnx", "yolox", blind=blind)
         settings = DetectorSettings(model=str(path))
-        return Detector(Model(settings), settings)
+        return Detector(DetectorModel(settings), settings)
 
     return make
 

@@ -13,7 +13,7 @@ from onnx_models import Picture, draw_person, write_model
 from camtopod.vision.boxes import Box
 from camtopod.vision.detector import layouts
 from camtopod.vision.detector.crops import whole
-from camtopod.vision.detector.model import Detection, DetectorError, Model
+from camtopod.vision.detector.model import Detection, DetectorError, DetectorModel
 from camtopod.vision.detector.onnx_header import read_header
 from camtopod.vision.settings import DetectorSettings, Layout
 
@@ -34,7 +34,7 @@ def settings(path: Path, **given: Any) -> DetectorSettings:
     return DetectorSettings(model=str(path), **given)
 
 
-def found(model: Model) -> list[Detection]:
+def found(model: DetectorModel) -> list[Detection]:
     return sorted(model.infer(picture(), whole((300, 200), model.size)))
 
 
@@ -47,7 +47,7 @@ def assert_near(box: Box, expected: tuple[int, int, int, int], pixels: float) ->
 
 @pytest.mark.parametrize("layout", layouts.LAYOUTS)
 def test_a_layout_is_recognised_and_its_boxes_are_right(tmp_path: Path, layout: Layout) -> None:
-    model = Model(settings(write_model(tmp_path / "m.onnx", layout)))
+    model = DetectorModel(settings(write_model(tmp_path / "m.onnx", layout)))
 
     assert model.form.layout == layout
     assert model.size == (160, 160)
@@ -62,10 +62,10 @@ def test_a_layout_is_recognised_and_its_boxes_are_right(tmp_path: Path, layout: 
 def test_positions_may_be_pixels_where_the_layout_is_named(tmp_path: Path) -> None:
     path = write_model(tmp_path / "m.onnx", "yolox", decoded=True)
     with pytest.raises(DetectorError, match='they can be layout = "yolox"') as caught:
-        Model(settings(path))
+        DetectorModel(settings(path))
 
     assert caught.value.key == "model"
-    people = found(Model(settings(path, layout="yolox")))
+    people = found(DetectorModel(settings(path, layout="yolox")))
     assert len(people) == 2
     assert_near(people[0].box, PEOPLE[0], 3.0)
 
@@ -76,7 +76,7 @@ def test_what_exporters_of_rt_detr_write_is_recognised(
     tmp_path: Path, exporter: str, classes: int
 ) -> None:
     path = write_model(tmp_path / "m.onnx", "rt-detr", exporter=exporter, classes=classes)
-    model = Model(settings(path, labels=(0,)))
+    model = DetectorModel(settings(path, labels=(0,)))
     assert model.form.layout == "rt-detr"
     (one,) = found(model)
     assert one.score > 0.9
@@ -85,15 +85,15 @@ def test_what_exporters_of_rt_detr_write_is_recognised(
 
 def test_rf_detr_numbers_its_91_classes_as_coco_does(tmp_path: Path) -> None:
     path = write_model(tmp_path / "m.onnx", "rt-detr", exporter="RF-DETR", classes=91)
-    assert found(Model(settings(path))) == [], "its person is class 1"
-    assert len(found(Model(settings(path, labels=(0,))))) == 1
+    assert found(DetectorModel(settings(path))) == [], "its person is class 1"
+    assert len(found(DetectorModel(settings(path, labels=(0,))))) == 1
 
 
 @pytest.mark.parametrize("exporter", ["", "D-FINE"])
 def test_nodes_need_not_be_in_order(tmp_path: Path, exporter: str) -> None:
     plain = write_model(tmp_path / "m.onnx", "rt-detr", exporter=exporter)
     mixed = write_model(tmp_path / "mixed.onnx", "rt-detr", exporter=exporter, shuffled=True)
-    assert found(Model(settings(mixed))) == found(Model(settings(plain))) != []
+    assert found(DetectorModel(settings(mixed))) == found(DetectorModel(settings(plain))) != []
 
 
 @pytest.mark.parametrize("shape", [[1, 1575, 85], [1, 1, 100, 7], [1, 100, 4]])
@@ -113,7 +113,7 @@ def test_other_outputs_are_refused_with_the_names_of_the_known(
     with pytest.raises(
         DetectorError, match="known are yolox, yolov8, end-to-end, rt-detr"
     ) as caught:
-        Model(settings(tmp_path / "m.onnx"))
+        DetectorModel(settings(tmp_path / "m.onnx"))
     assert str(tuple(shape)) in str(caught.value)
 
 
@@ -122,14 +122,14 @@ def test_other_outputs_are_refused_with_the_names_of_the_known(
 
 def test_labels_are_names_of_coco_or_numbers(tmp_path: Path) -> None:
     path = write_model(tmp_path / "m.onnx", "yolox")
-    assert found(Model(settings(path, labels=("bicycle", 7)))) == []
-    assert len(found(Model(settings(path, labels=(0,))))) == 2
+    assert found(DetectorModel(settings(path, labels=("bicycle", 7)))) == []
+    assert len(found(DetectorModel(settings(path, labels=(0,))))) == 2
 
     other = write_model(tmp_path / "other.onnx", "yolox", classes=5)
-    assert len(found(Model(settings(other, labels=(0, 3))))) == 2
+    assert len(found(DetectorModel(settings(other, labels=(0, 3))))) == 2
     for labels, words in ((("person",), "5 classes"), ((5,), "no class 5")):
         with pytest.raises(DetectorError, match=words) as caught:
-            Model(settings(other, labels=labels))
+            DetectorModel(settings(other, labels=labels))
         assert caught.value.key == "labels"
 
 
@@ -149,7 +149,7 @@ def test_a_file_that_is_no_model_is_refused(tmp_path: Path, content: bytes, word
     path = tmp_path / "m.onnx"
     path.write_bytes(content)
     with pytest.raises(DetectorError, match=words) as caught:
-        Model(settings(path))
+        DetectorModel(settings(path))
     assert caught.value.key == "model"
 
 

@@ -206,13 +206,13 @@ def _detector(args: argparse.Namespace, settings: CameraSettings) -> Detector | 
         return None
     from camtopod.cli.cameras.probe import try_detector
     from camtopod.vision.detector.detector import Detector
-    from camtopod.vision.detector.model import Model
+    from camtopod.vision.detector.model import DetectorModel
 
     report = try_detector(settings.detector)
     if report.problem:
         line, name = detector_line(args.config.read_text("utf-8"), args.camera, report.key)
         raise CommandError(f"{args.config}:{line}: {name}: {report.problem}", exits.CONFIG)
-    return Detector(Model(settings.detector), settings.detector)
+    return Detector(DetectorModel(settings.detector), settings.detector)
 
 
 def _preview(args: argparse.Namespace, settings: VisionSettings) -> Preview | None:
@@ -333,7 +333,7 @@ def _to_bus(
         spool = open_spool(config.state_directory, config.site.name, args.camera, config.limits)
         stack.callback(spool.close)
         publisher = Publisher(spool)
-        connection = _Connection(config, grabber, publisher, args)
+        connection = _GrabberConnection(config, grabber, publisher, args)
         stack.callback(connection.close)
 
         # Publish events, and a status from time to time.
@@ -366,7 +366,7 @@ def _to_bus(
             heartbeats.beat(grabber.state, f"waiting for the daemon to store {waiting} events")
 
 
-class _Connection:
+class _GrabberConnection:
     """Connection of the grabber to the bus, which is made in the background.
 
     Until then events wait in the spool. It logs when the daemon is not there, and when it is again.

@@ -15,7 +15,7 @@ from msgspec.structs import replace
 
 from camtopod.cli.common import configuration, counted, topology_of
 from camtopod.cli.events.event_lines import LineReader, open_input
-from camtopod.cli.events.time_order import Answers, Pipe, count_if_ordered
+from camtopod.cli.events.time_order import OrderedAnswers, Pipe, count_if_ordered
 from camtopod.cli.exits import InputError
 from camtopod.cli.terminal import Progress
 from camtopod.codec import to_json
@@ -86,14 +86,14 @@ def run(args: argparse.Namespace) -> None:
             return [to_json(result) + b"\n" if result else b"" for result in results]
 
         if file.seekable():
-            answers = Answers(texts, kind, 0.0)
+            answers = OrderedAnswers(texts, kind, 0.0)
             begin = file.tell()
             lines = count_if_ordered(args.events, file)
             file.seek(begin)
             events = (line.event for line in reader.lines(args.events, file))
             answer_lines = answers.of(events) if lines is not None else answers.of_unordered(events)
         else:
-            answers = Answers(texts, kind, configuration(args).learn.lateness_seconds)
+            answers = OrderedAnswers(texts, kind, configuration(args).learn.lateness_seconds)
             pipe = Pipe(file, out.flush, lambda: out.writelines(answers.rest()))
             answer_lines = answers.of(line.event for line in reader.lines(args.events, pipe))
         out.writelines(answer_lines)

@@ -44,7 +44,7 @@ Key = tuple[str, str]
 """Camera and track of a passage."""
 
 
-class Passage(Struct, eq=False):
+class TruePassage(Struct, eq=False):
     """A passage (times in seconds) with its identity, and what came before and after it."""
 
     key: Key
@@ -110,7 +110,7 @@ def _given(answers: Iterator[AnswerT | None], count: int, unit: str) -> Iterator
                 yield answer
 
 
-def passages_of(events: Sequence[Event], path: str) -> dict[Key, Passage]:
+def passages_of(events: Sequence[Event], path: str) -> dict[Key, TruePassage]:
     """Return the passages that have an identity in a file. Raises `InputError`, OSError."""
     with open(path, newline="", encoding="utf-8-sig") as file:
         rows = csv.DictReader(file)
@@ -119,15 +119,15 @@ def passages_of(events: Sequence[Event], path: str) -> dict[Key, Passage]:
         identity = {(row.get("camera"), row["track"]): row["identity"] for row in rows}
 
     # Passages, and those of each identity in order.
-    passages: dict[Key, Passage] = {}
-    of_identity: dict[str, list[Passage]] = defaultdict(list)
+    passages: dict[Key, TruePassage] = {}
+    of_identity: dict[str, list[TruePassage]] = defaultdict(list)
     for event in events:
         key = event.camera, str(event.track)
         person = identity.get(key) or identity.get((None, key[1]))
         if not person:
             continue
         if key not in passages:
-            passages[key] = Passage(key, person, event.t, event.t)
+            passages[key] = TruePassage(key, person, event.t, event.t)
             of_identity[person].append(passages[key])
         passages[key].left = event.t
     for walk in of_identity.values():
@@ -139,7 +139,7 @@ def passages_of(events: Sequence[Event], path: str) -> dict[Key, Passage]:
     return passages
 
 
-def link_lines(topology: Topology, passages: Iterable[Passage]) -> list[str]:
+def link_lines(topology: Topology, passages: Iterable[TruePassage]) -> list[str]:
     """Return the score of the links between cameras."""
     transitions = Counter(
         (passage.key[0], passage.outcome)
@@ -170,7 +170,7 @@ def link_lines(topology: Topology, passages: Iterable[Passage]) -> list[str]:
 
 
 def prediction_lines(
-    predictions: Sequence[Prediction], passages: Mapping[Key, Passage], begin: float, end: float
+    predictions: Sequence[Prediction], passages: Mapping[Key, TruePassage], begin: float, end: float
 ) -> list[str]:
     """Return the score of the predictions of exits from ``begin`` to ``end``, and the oracle's."""
     cases = [
@@ -222,7 +222,7 @@ def prediction_lines(
 
 
 def match_lines(
-    matches: Sequence[Match], passages: Mapping[Key, Passage], window: float
+    matches: Sequence[Match], passages: Mapping[Key, TruePassage], window: float
 ) -> list[str]:
     """Return the score of the matches with a passage that has more than one half."""
     cases = [

@@ -27,7 +27,7 @@ SILENT_SECONDS = 2.0
 """Time without anything new in a pipe after which nothing earlier is waited for."""
 
 
-class Answers:
+class OrderedAnswers:
     """Answers events in order of time; returns the answers in the order of the events' arrival.
 
     answer: is given all events of one moment, and returns a text for each; of ``kind``, its answer.

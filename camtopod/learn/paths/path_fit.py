@@ -56,7 +56,7 @@ class Paths(NamedTuple):
     """(K,) scale of the lags, which have Student's t distribution with 5 degrees, seconds."""
 
 
-class Expected(NamedTuple):
+class PathExpectation(NamedTuple):
     """Result of an E step: n candidates near any path, and e pairs of one and a path near it."""
 
     rows: Rows
@@ -136,7 +136,7 @@ class PathFit:
         nats = np.maximum(nats + log_density(place, width, self.lags.lag_max), 0.0)
         return PathEvidence(source, pair % lags.cameras, place, width, nats)
 
-    def _maximise(self, step: Expected) -> Floats:
+    def _maximise(self, step: PathExpectation) -> Floats:
         """Do the M step with the result of an E step; return the transitions of each path, (K,)."""
         lags, path, part = self.lags, step.path, step.part
         transitions: Floats = np.bincount(path, part, minlength=len(self.paths.pair)).astype(float)
@@ -149,7 +149,7 @@ class PathFit:
         self.paths = Paths(self.paths.pair, self._shares(transitions), place, width)
         return transitions
 
-    def _expect(self) -> Expected:
+    def _expect(self) -> PathExpectation:
         """Do the E step on the candidates near any path, which may be near several."""
         lags = self.lags
         pair, share, place, width = self.paths
@@ -162,7 +162,7 @@ class PathFit:
         total = np.bincount(row, rate, minlength=len(rows)).astype(float)
         responsibility = self._responsibility(rows, total)
         part = responsibility[row] * rate / np.maximum(total[row], 1e-300)
-        return Expected(rows, responsibility, row, path, part)
+        return PathExpectation(rows, responsibility, row, path, part)
 
     def _responsibility(self, rows: Rows, rate: Floats) -> Floats:
         """Return the responsibility (n,) of candidates.

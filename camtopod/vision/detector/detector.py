@@ -20,7 +20,7 @@ from camtopod.vision.settings import DetectorSettings
 
 
 class InferenceModel(Protocol):
-    """Finds objects in images: a `Model`."""
+    """Finds objects in images: a `DetectorModel`."""
 
     size: Size
     """Width and height of its input, pixels."""

@@ -54,7 +54,7 @@ class ModelReport(Struct, frozen=True):
     """Layout, size, milliseconds and boxes, in words."""
 
 
-class Model:
+class DetectorModel:
     """A loaded model. For a single thread.
 
     size (width, height): its input, pixels.
@@ -134,7 +134,7 @@ def try_model(settings: DetectorSettings, image: Image | None = None) -> ModelRe
     image (H, W, 3): blue, green, red; None for an empty one.
     """
     try:
-        model = Model(settings)
+        model = DetectorModel(settings)
     except DetectorError as error:
         return ModelReport(str(error), error.key)
     width, height = model.size
