@@ -156,6 +156,7 @@ class Associated(NamedTuple):
         departures or no arrivals, so that `between` is empty.
     sources_by_place: `Known.sources_by_place` for the next refit.
     weights (zones, zones): weight of each pair of zones by what was declared; None for 1.
+    paths: paths by the second opinion; None where the fit by zones needs none.
     """
 
     between: LinkTable
@@ -164,6 +165,7 @@ class Associated(NamedTuple):
     posterior: Posterior | None
     sources_by_place: dict[int, FollowedSources]
     weights: Floats | None
+    paths: list[CameraPath] | None = None
 
 
 def refit(
@@ -203,11 +205,11 @@ def refit(
     # 3. to 7. Links between views, and the prediction model.
     association = associate(scene, problem, silences, overlap, window, knowledge, settings, on_step)
     on_step("prediction")
-    association, paths = with_paths(association, scene, window.cameras)
+    association = with_paths(association, scene, window.cameras)
     all_pairs, changes = association.between, association.changes
     verdict = rule.judge(all_pairs, views)
     likely_pairs, model, outcomes = predict_next(
-        scene, window, clocks, association, verdict.misses, overlapping, paths, knowledge, settings
+        scene, window, clocks, association, verdict.misses, overlapping, knowledge, settings
     )
 
     # 8. The links to publish, as they are at present.
@@ -252,16 +254,11 @@ def _problem(scene: Scene, overlap: Bools, settings: Settings) -> Problem:
     return problem
 
 
-def with_paths(
-    association: Associated, scene: Scene, cameras: list[str]
-) -> tuple[Associated, list[CameraPath] | None]:
-    """Return the result of steps 3 to 6 with the second opinion's evidence, and its paths.
-
-    The paths are None where the fit by zones needs no second opinion.
-    """
+def with_paths(association: Associated, scene: Scene, cameras: list[str]) -> Associated:
+    """Return the result of steps 3 to 6 with the second opinion's evidence and paths, if any."""
     problem, posterior = association.problem, association.posterior
     if posterior is None or not is_wanted(scene, len(cameras)):
-        return association, None
+        return association
     persistence = posterior.fit.persistence.label
     paths, evidence = second_opinion(
         scene, cameras, problem.bins.lag_min, problem.odds, persistence
@@ -270,7 +267,7 @@ def with_paths(
         view = np.array([zone.camera for zone in scene.zones])
         between = with_second_opinion(association.between, evidence, view, problem.zones)
         association = association._replace(between=between)
-    return association, paths
+    return association._replace(paths=paths)
 
 
 def associate(
@@ -346,7 +343,6 @@ def predict_next(
     association: Associated,
     misses: MissedTransitions | None,
     overlapping: list[OverlappingViews],
-    paths: list[CameraPath] | None,
     knowledge: Known,
     settings: Settings,
 ) -> tuple[LinkTable, Model, list[Happened | None]]:
@@ -354,8 +350,8 @@ def predict_next(
 
     Return every pair of zones with expected transitions in this fit, the model and the outcomes.
 
-    association: result of steps 3 to 6.
-    misses, overlapping, paths: as for `build_model`.
+    association: result of steps 3 to 6, with the second opinion.
+    overlapping, misses: as for `build_model`.
     """
     problem = association.problem
     cameras = window.cameras
@@ -370,7 +366,7 @@ def predict_next(
         association.changes,
         settings.correct_clocks,
         overlapping,
-        paths,
+        association.paths,
         misses,
     )
     if posterior is None:
