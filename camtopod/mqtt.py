@@ -185,7 +185,7 @@ class MessageSubscription(_BrokerConnection):
         self.dropped_count = 0
         """Number of messages dropped because too many bytes were waiting."""
         self._with_topics = with_topics
-        self._waiting: queue.Queue[bytes] = queue.Queue()
+        self._messages: queue.Queue[bytes] = queue.Queue()
         self._mutex = threading.Lock()
         self._waiting_bytes = 0
         super().__init__(source)
@@ -197,7 +197,7 @@ class MessageSubscription(_BrokerConnection):
         """
         while not stop.is_set():
             try:
-                message = self._waiting.get(timeout=0.2)
+                message = self._messages.get(timeout=0.2)
             except queue.Empty:
                 if ticks:
                     yield b""
@@ -234,7 +234,7 @@ class MessageSubscription(_BrokerConnection):
             payload = message.topic.encode() + b" " + payload
         with self._mutex:
             if self._waiting_bytes + sys.getsizeof(payload) <= WAITING_BYTES_MAX:
-                self._waiting.put(payload)
+                self._messages.put(payload)
                 self._waiting_bytes += sys.getsizeof(payload)
                 return
         self.dropped_count += 1

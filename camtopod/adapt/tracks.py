@@ -130,7 +130,7 @@ class TrackEvents:
         self._start = self._t = -math.inf
         self.entries = 0
         self.exits = 0
-        self.untracked = 0
+        self.untracked_count = 0
         """Boxes without an id (None or negative), which the tracker does not follow (yet)."""
         self.unusable = 0
         """Boxes that are not four finite numbers."""
@@ -246,7 +246,7 @@ class TrackEvents:
             "tracks": len(self._tracks),
             "entries": self.entries,
             "exits": self.exits,
-            "untracked": self.untracked,
+            "untracked": self.untracked_count,
             "unusable": self.unusable,
             "outside": self.outside,
             "refused": self.refused_count,
@@ -279,7 +279,7 @@ class TrackEvents:
     ) -> list[Event]:
         """Record a box; return the entry if its track now counts as an object."""
         if label is None:
-            self.untracked += 1
+            self.untracked_count += 1
             return []
         if not all(map(math.isfinite, corners)):
             self.unusable += 1

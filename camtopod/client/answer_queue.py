@@ -25,7 +25,7 @@ class AnswerQueue(Generic[AnswerT]):
             codec.require_camera(camera)
         self._kind: type[AnswerT] = kind
         self._seconds = seconds
-        self._waiting: deque[AnswerT] = deque(maxlen=WAITING_MAX)
+        self._answers: deque[AnswerT] = deque(maxlen=WAITING_MAX)
         self._news = ChangeSignal()
         self.dropped = 0
         """Answers dropped because the queue was full."""
@@ -49,12 +49,12 @@ class AnswerQueue(Generic[AnswerT]):
             answer = codec.read(self._kind, payload, pack=True)
         except codec.Rejected:  # of another program than the daemon
             return
-        self.dropped += len(self._waiting) == self._waiting.maxlen
-        self._waiting.append(answer)
+        self.dropped += len(self._answers) == self._answers.maxlen
+        self._answers.append(answer)
         self._news.notify()
 
     def _take(self) -> AnswerT | None:
         try:
-            return self._waiting.popleft()
+            return self._answers.popleft()
         except IndexError:
             return None

@@ -211,16 +211,16 @@ def router_json5(access: Access, listen: list[str], message_bytes_max: int) -> s
     settings |= {"transport/link/rx/max_message_size": message_bytes_max}
 
     # Nest them by the parts of their paths.
-    nested: dict[str, Any] = {}
+    router_config: dict[str, Any] = {}
     for path, value in settings.items():
         *folders, name = path.split("/")
-        place = nested
+        place = router_config
         for folder in folders:
             place = place.setdefault(folder, {})
         place[name] = value
     return (
         f"// The bus of site {access.site}: who may do what. By `camtopod keys`;"
-        f" start the router in this folder.\n" + json.dumps(nested, indent=1) + "\n"
+        f" start the router in this folder.\n" + json.dumps(router_config, indent=1) + "\n"
     )
 
 
@@ -248,24 +248,24 @@ def _rules(site: str, certificate: Certificate) -> list[dict[str, Any]]:
             "key_exprs": [_key(site, key) for key in keys],
         }
 
-    incoming = ["ingress"]
-    outgoing = ["egress"]
+    ingress = ["ingress"]
+    egress = ["egress"]
     if certificate.role == "daemon":
-        return [rule("everything", incoming + outgoing, _EVERYTHING, "**")]
-    watching = [
+        return [rule("everything", ingress + egress, _EVERYTHING, "**")]
+    presence_rules = [
         rule(
             "watches",
-            incoming,
+            ingress,
             ("declare_liveliness_subscriber", "liveliness_query"),
             "alive/daemon/*",
         ),
-        rule("sees", outgoing, ("liveliness_token",), "alive/daemon/*"),
+        rule("sees", egress, ("liveliness_token",), "alive/daemon/*"),
     ]
     if certificate.role == "reader":
         return [
-            rule("asks", incoming, ("declare_subscriber", "query"), *READABLE),
-            rule("hears", outgoing, ("put", "reply"), *READABLE),
-            *watching,
+            rule("asks", ingress, ("declare_subscriber", "query"), *READABLE),
+            rule("hears", egress, ("put", "reply"), *READABLE),
+            *presence_rules,
         ]
     cameras = certificate.cameras or [certificate.camera]
 
@@ -273,14 +273,14 @@ def _rules(site: str, certificate: Certificate) -> list[dict[str, Any]]:
         return [f"{key}/{camera}" for camera in cameras for key in keys]
 
     return [
-        rule("publishes", incoming, ("put",), *of_each("event", "status")),
-        rule("delivers", incoming, ("query",), *of_each("store")),
-        rule("hears", outgoing, ("reply",), *of_each("store")),
+        rule("publishes", ingress, ("put",), *of_each("event", "status")),
+        rule("delivers", ingress, ("query",), *of_each("store")),
+        rule("hears", egress, ("reply",), *of_each("store")),
         # A query for the status of all cameras reaches this one too, which answers with its own.
-        rule("is asked", outgoing, ("query",), *of_each("status"), "status/*"),
-        rule("answers", incoming, ("declare_queryable", "reply"), *of_each("status")),
-        rule("is there", incoming, ("liveliness_token",), *of_each("alive/grabber")),
-        *watching,
+        rule("is asked", egress, ("query",), *of_each("status"), "status/*"),
+        rule("answers", ingress, ("declare_queryable", "reply"), *of_each("status")),
+        rule("is there", ingress, ("liveliness_token",), *of_each("alive/grabber")),
+        *presence_rules,
     ]
 
 

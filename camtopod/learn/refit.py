@@ -197,8 +197,8 @@ def refit(
     silent = silent_odds(silences, seconds[0], seconds[-1])[[zone.camera for zone in scene.zones]]
     views = Views(through, silent)
     repeats = find_repeats(window)
-    overlapping = find_overlapping(scene.departures.passages(), len(window.cameras), offset_bins())
-    overlap = overlap_table(overlapping, len(window.cameras))
+    overlaps = find_overlapping(scene.departures.passages(), len(window.cameras), offset_bins())
+    overlap = overlap_table(overlaps, len(window.cameras))
     problem = _problem(scene, overlap, settings)
     bins = problem.bins
 
@@ -209,7 +209,7 @@ def refit(
     all_pairs, changes = association.between, association.changes
     verdict = rule.judge(all_pairs, views)
     likely_pairs, model, outcomes = predict_next(
-        scene, window, clocks, association, verdict.misses, overlapping, knowledge, settings
+        scene, window, clocks, association, verdict.misses, overlaps, knowledge, settings
     )
 
     # 8. The links to publish, as they are at present.
@@ -342,7 +342,7 @@ def predict_next(
     clocks: Clocks,
     association: Associated,
     misses: MissedTransitions | None,
-    overlapping: list[OverlappingViews],
+    overlaps: list[OverlappingViews],
     knowledge: Known,
     settings: Settings,
 ) -> tuple[LinkTable, Model, list[Happened | None]]:
@@ -351,7 +351,7 @@ def predict_next(
     Return every pair of zones with expected transitions in this fit, the model and the outcomes.
 
     association: result of steps 3 to 6, with the second opinion.
-    overlapping, misses: as for `build_model`.
+    overlaps, misses: as for `build_model`.
     """
     problem = association.problem
     cameras = window.cameras
@@ -365,7 +365,7 @@ def predict_next(
         window,
         association.changes,
         settings.correct_clocks,
-        overlapping,
+        overlaps,
         association.paths,
         misses,
     )

@@ -50,13 +50,13 @@ def rewind(state: LearnerState, to: float) -> LearnerState:
         reported={subject: min(t, to) for subject, t in state.alarms.reported.items()},
         repeats={name: repeat for name, repeat in state.alarms.repeats.items() if repeat[0] <= to},
     )
-    waiting = [prediction for prediction in state.scorer.waiting if prediction.t <= to]
+    predictions = [prediction for prediction in state.scorer.waiting if prediction.t <= to]
     return replace(
         state,
         intake=intake,
         window=window,
         alarms=alarms,
-        scorer=replace(state.scorer, predictor=None, waiting=waiting),
+        scorer=replace(state.scorer, predictor=None, waiting=predictions),
         moved=[move for move in state.moved if move[1] <= to],
         done_us=None if state.done_us is None else min(state.done_us, last_tick_us),
         fitted_us=None if state.fitted_us is None else min(state.fitted_us, last_tick_us),

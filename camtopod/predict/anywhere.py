@@ -53,11 +53,11 @@ class Anywhere:
         self, topology: Topology, hazards: Hazards, cameras: list[str], camera_of: Rows
     ) -> None:
         self._camera_of = camera_of
-        entering = {row.zone: row.arrival_rate for row in model_of(topology).zones}
-        rate = np.array([entering.get(zone.id, 0.0) for zone in topology.zones])
-        self._entering = np.bincount(camera_of, rate, minlength=len(cameras))
+        arrival_rate = {row.zone: row.arrival_rate for row in model_of(topology).zones}
+        rate = np.array([arrival_rate.get(zone.id, 0.0) for zone in topology.zones])
+        self._arrival_rate = np.bincount(camera_of, rate, minlength=len(cameras))
         """(cameras, 1/s) rate of arrivals that no departure explains."""
-        self.within_camera = rate / np.maximum(self._entering[camera_of], 1e-300)
+        self.within_camera = rate / np.maximum(self._arrival_rate[camera_of], 1e-300)
         """(zones,) share of each zone in those of its camera."""
         declarations = model_of(topology).declared
         self.nobody_leaves = declarations is not None and declarations.nobody_leaves
@@ -95,14 +95,14 @@ class Anywhere:
         """
         camera = int(self._camera_of[zone])
         odds = (
-            np.ones(len(self._entering))
+            np.ones(len(self._arrival_rate))
             if self._declared_odds is None
             else self._declared_odds[camera]
         )
-        likely = self._entering * odds
+        likely = self._arrival_rate * odds
         if self.nobody_leaves:
             neighbours = self._neighbours.get(camera, [])
-            likely[neighbours] = self._entering[neighbours] * np.maximum(
+            likely[neighbours] = self._arrival_rate[neighbours] * np.maximum(
                 odds[neighbours], LINKED_ODDS
             )
         else:

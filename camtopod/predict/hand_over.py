@@ -92,11 +92,11 @@ class HandOver:
         )
 
 
-def cameras_to_watch(in_view: Iterable[InView], following: Iterable[NextCamera]) -> list[Look]:
+def cameras_to_watch(in_view: Iterable[InView], next_cameras: Iterable[NextCamera]) -> list[Look]:
     """Return the cameras that see the object now, or are the next to see it, likeliest first.
 
     in_view: open passages that may be of the object.
-    following: the cameras where it appears next, with probabilities.
+    next_cameras: the cameras where it appears next, with probabilities.
 
     The next camera counts only if no camera sees the object now. Views are taken as independent of
     each other.
@@ -107,7 +107,7 @@ def cameras_to_watch(in_view: Iterable[InView], following: Iterable[NextCamera])
 
     # Cameras where the object appears next, if no camera sees it now.
     following_unseen = (
-        (candidate.camera, no_view * candidate.probability) for candidate in following
+        (candidate.camera, no_view * candidate.probability) for candidate in next_cameras
     )
     return _looks([*now.items(), *following_unseen], PROBABILITY_MIN)
 

@@ -194,10 +194,10 @@ class Predictor:
             elapsed=0.0 if now is None else now - t,
         )
         answer = outlook(self.prepared, departure, self._seen(departure))
-        following = self._following(answer)
+        next_cameras = self._following(answer)
         exit_zone = self.zones[zone]
         prediction = Prediction(
-            exit_zone.camera, exit_zone.id, t, track, self.version, answer.leave, following
+            exit_zone.camera, exit_zone.id, t, track, self.version, answer.leave, next_cameras
         )
         if (
             passage is None
@@ -214,7 +214,7 @@ class Predictor:
             self.prepared.clock_offset,
             self.prepared.labels,
         )
-        return replace(prediction, look=cameras_to_watch(in_view, following), in_view=in_view)
+        return replace(prediction, look=cameras_to_watch(in_view, next_cameras), in_view=in_view)
 
     def _following(self, answer: Outlook) -> list[NextCamera]:
         """Return the next appearances by an outlook, likeliest first."""

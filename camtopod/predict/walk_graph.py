@@ -119,14 +119,14 @@ class WalkEdge:
         self.claims.odds += self.weight * self.message
 
 
-def pass_messages(competing: Sequence[tuple[WalkStep, Sequence[tuple[WalkEdge, float]]]]) -> None:
+def pass_messages(entries: Sequence[tuple[WalkStep, Sequence[tuple[WalkEdge, float]]]]) -> None:
     """Update messages and probabilities of the edges of entries that compete.
 
-    competing: the entries, each with its edges; each edge with the odds that its passage has no
+    entries: the entries, each with its edges; each edge with the odds that its passage has no
         successor.
     """
     for _ in range(SWEEPS):
-        for entry, edges in competing:
+        for entry, edges in entries:
             offers = [
                 edge.weight / (unclaimed_odds + edge.claims.odds - edge.weight * edge.message)
                 for edge, unclaimed_odds in edges

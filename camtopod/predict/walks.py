@@ -386,11 +386,11 @@ class Walks:
         rivals = {id(step): step}
         for edge in step.edges:
             rivals |= {id(rival_edge.entry): rival_edge.entry for rival_edge in edge.claims.edges}
-        competing = [
+        entries = [
             (rival, [(edge, self._no_successor(edge, t)) for edge in rival.edges])
             for rival in rivals.values()
         ]
-        pass_messages(competing)
+        pass_messages(entries)
 
     def _no_successor(self, edge: WalkEdge, t: float) -> float:
         """Return the probability that an edge's passage has no successor by ``t``."""

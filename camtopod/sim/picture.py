@@ -96,15 +96,15 @@ def _map(plan: Plan, times: Times, true_times: Times) -> Picture:
         cv2.circle(picture, np.rint(at).astype(int).tolist(), 11, NODE, -1, cv2.LINE_AA)
         labels.append((at + np.array((0, 32)), name, INK))
     for at, text, colour in labels:
-        _text(picture, text, at, colour, centred=True)
+        _text(picture, text, at, colour, is_centred=True)
     return picture
 
 
 def _text(
-    picture: Picture, text: str, at: Floats, colour: Colour = INK, centred: bool = False
+    picture: Picture, text: str, at: Floats, colour: Colour = INK, is_centred: bool = False
 ) -> None:
-    """Write ``text`` on a light ground; ``at`` is its left end, or its middle if ``centred``."""
+    """Write ``text`` on a light ground; ``at`` is its left end, or its middle if ``is_centred``."""
     size, _ = cv2.getTextSize(text, cv2.FONT_HERSHEY_DUPLEX, 0.5, 1)
-    x, y = np.rint(at - np.array((size[0] / 2 * centred, 0.0))).astype(int).tolist()
+    x, y = np.rint(at - np.array((size[0] / 2 * is_centred, 0.0))).astype(int).tolist()
     cv2.rectangle(picture, (x - 2, y - size[1] - 2), (x + size[0] + 2, y + 4), PAPER, -1)
     cv2.putText(picture, text, (x, y), cv2.FONT_HERSHEY_DUPLEX, 0.5, colour, 1, cv2.LINE_AA)

@@ -121,8 +121,8 @@ def pairs_of(links: list[TrueLink], camera_of: dict[str, str]) -> list[Pair]:
 def zone_at(name: str, camera: str, at: Floats) -> TrueZone:
     """Return a zone with the mean and covariance of its positions (n, 2)."""
     x, y = np.round(at.mean(0), 4).tolist()
-    centred = at - at.mean(0)
-    cov = centred.T @ centred / max(len(at) - 1, 1)
+    deviation = at - at.mean(0)
+    cov = deviation.T @ deviation / max(len(at) - 1, 1)
     return TrueZone(name, camera, x, y, np.round(cov, 7).tolist())
 
 

@@ -93,8 +93,8 @@ def waiting_for_links(topology: Topology) -> str:
     shares = _shares(topology)
     share = evidence_for_links(topology, topology) or 0.0
     words = f"No two cameras are linked yet: {share:.0%} of the evidence is there"
-    if lacking := _lacking(topology):
-        words += f", the rest takes {duration_in_words(lacking[0][1].seconds)} at this traffic"
+    if shortfalls := _lacking(topology):
+        words += f", the rest takes {duration_in_words(shortfalls[0][1].seconds)} at this traffic"
     second, first = sorted([0.5 / LEAD, 0.5 / LEAD, *shares.values()])[-2:]
     if first >= LEAD * second:
         leader, _ = max(shares.items(), key=lambda item: item[1])

@@ -41,7 +41,7 @@ class Analysis(NamedTuple):
     """Capture time, seconds."""
     frame: Luma
     """The working image (H, W), filtered if it was noisy."""
-    moving: Luma | None
+    moving_mask: Luma | None
     """Mask (H, W) of the foreground; None while most of the image differs from the background."""
     tracks: Sequence[Track]
     """Tracks that are followed, tentative ones included."""
@@ -84,7 +84,7 @@ class ViewPipeline:
         self._numbers = itertools.count(1)
         self._latest: Analysis | None = None
         self._motion = MotionDetector(settings)
-        self._waiting: list[tuple[float, Luma]] = []
+        self._first_frames: list[tuple[float, Luma]] = []
         self._tracker: Tracker | None = None
         self._t: float | None = None
         self.frame_count = 0
@@ -104,23 +104,23 @@ class ViewPipeline:
 
         # Tracking ends: the scene has changed, or the image its size.
         events = []
-        if self._waiting and self._waiting[0][1].shape != small.shape:
-            self._waiting.clear()
-        if not self._waiting and self._tracker is not None:
+        if self._first_frames and self._first_frames[0][1].shape != small.shape:
+            self._first_frames.clear()
+        if not self._first_frames and self._tracker is not None:
             self._tracker.crossings.now = t
             events = self._tracker.finish("scene changed")
-        self._waiting.append((t, small))
-        enough = t - self._waiting[0][0] >= BOOTSTRAP_SECONDS
-        if enough or len(self._waiting) >= BOOTSTRAP_FRAMES_KEPT:
+        self._first_frames.append((t, small))
+        enough = t - self._first_frames[0][0] >= BOOTSTRAP_SECONDS
+        if enough or len(self._first_frames) >= BOOTSTRAP_FRAMES_KEPT:
             events += self._bootstrap()
         return events
 
     def _bootstrap(self) -> list[Event]:
         """Initialise the background from the waiting frames, then analyse them."""
-        waiting = self._waiting
-        self._waiting = []
-        self._motion.bootstrap([frame for _, frame in waiting])
-        height, width = waiting[0][1].shape
+        first_frames = self._first_frames
+        self._first_frames = []
+        self._motion.bootstrap([frame for _, frame in first_frames])
+        height, width = first_frames[0][1].shape
 
         # Tracking begins, or goes on with new tracks.
         events = []
@@ -134,10 +134,10 @@ class ViewPipeline:
                 self._take,
             )
             self._tracker = Tracker(self._settings, crossings, self._numbers)
-        self._tracker.crossings.start_t = waiting[0][0]
-        self._tracker.crossings.now = waiting[-1][0]
+        self._tracker.crossings.start_t = first_frames[0][0]
+        self._tracker.crossings.now = first_frames[-1][0]
         self._t = None
-        for t, frame in waiting:
+        for t, frame in first_frames:
             if self._motion.ready:
                 events += self._step(t, frame)
         return events
@@ -160,7 +160,7 @@ class ViewPipeline:
         self._tracker.crossings.anywhere = False
         if self._detector is not None and image is not None:
             objects = self._detector.step(
-                t, image, motion.moving, blobs, [track.box for track in self._tracker.active]
+                t, image, motion.moving_mask, blobs, [track.box for track in self._tracker.active]
             )
             self._tracker.crossings.anywhere = self._detector.result.is_trusted
         events = [] if objects is None else self._tracker.step(t, objects)
@@ -178,7 +178,7 @@ class ViewPipeline:
             if track.confirmed
         ]
         self._motion.learn(motion, dt, claimed_boxes)
-        self._show(t, motion.frame, motion.moving, events)
+        self._show(t, motion.frame, motion.moving_mask, events)
         return events
 
     def _take(self, decision: Decision) -> None:
@@ -187,7 +187,9 @@ class ViewPipeline:
         if self._observer is not None:
             self._decisions.append(decision)
 
-    def _show(self, t: float, frame: Luma, moving: Luma | None, events: Sequence[Event]) -> None:
+    def _show(
+        self, t: float, frame: Luma, moving_mask: Luma | None, events: Sequence[Event]
+    ) -> None:
         """Pass the analysis of a frame to the observer, if there is one."""
         if self._observer is None:
             return
@@ -195,7 +197,7 @@ class ViewPipeline:
         self._latest = Analysis(
             t,
             frame,
-            moving,
+            moving_mask,
             self._tracker.active,
             self._tracker.crossings.doors.learned(self._tracker.stature.height),
             events,
@@ -210,7 +212,7 @@ class ViewPipeline:
 
         Objects still in view have no exit.
         """
-        events = self._bootstrap() if self._waiting else []
+        events = self._bootstrap() if self._first_frames else []
         if self._tracker is not None:
             last_events = self._tracker.finish("in view")
             if self._observer is not None and self._latest is not None:

@@ -166,7 +166,7 @@ def test_what_is_not_tracked_is_counted_and_nothing_else() -> None:
         assert events.update([None, -1, math.nan], [BOX, BOX, BOX], t) == []
         assert events.update([3], [[math.nan, 0, 5, 5]], t) == []
     assert events.close() == []
-    assert (events.untracked, events.unusable, events.entries) == (50, 10, 0)
+    assert (events.untracked_count, events.unusable, events.entries) == (50, 10, 0)
 
 
 def test_who_is_in_view_at_the_start_has_not_come_in_and_at_the_end_not_left() -> None:

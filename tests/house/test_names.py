@@ -18,23 +18,26 @@ PRONOUNS = """
     why yours
 """
 PARTICIPLES = """
-    accepted added adjusted agreed allowed analysed answered appeared arrived asked associated
-    awaited balanced begun began called came cancelled captured changed checked chosen claimed
-    closed come confined contradicted contributed converted copied corrected counted covered
-    created damaged declared decoded delayed departed described differed discarded done doubled
-    doubted drawn dropped emptied encoded ended entered exited explained exported exposed faded
-    failed fetched filled fitted followed forgotten forked found framed gained given gone got
-    grabbed greeted grouped guarded had handed happened heard held hidden hung identified ignored
-    issued joined judged kept known learned leaving left linked listed lived loaded logged looked
-    lost made matched measured meant merged missed mixed moved named needed numbered occluded
-    occupied offered opened ordered overlapped packed padded passed paused piped placed predicted
-    prepared published put quoted ran ranked reached read received recorded recovered refused
-    rejected related released relearned remaining remembered removed renamed renumbered replaced
-    reported required rescued restarted retained retired returned revoked said scaled scheduled
-    seen sent settled shared shown skipped smoothed sought spent spooled squared stamped started
-    stated stayed stored stuck taken tested tied timed told tracked trusted unanswered unchanged
-    unclaimed uncut undecoded unexplained unmatched unmet unseen untied untrusted used vanished
-    waited walked wanted watched weighed woken written
+    accepted added adding adjusted agreed agreeing aligned allowed analysed answered appeared
+    arrived asked associated awaited balanced began begun called came cancelled captured centred
+    changed checked chosen claimed closed come competing confined contradicted
+    contributed converted copied corrected counted covered created damaged declared decoded
+    delayed departed described differed differing discarded done doubled doubted drawn dropped
+    emptied encoded ended entered entering existing exited explained exported exposed faded
+    failed fetched filled fitted followed following forgotten forked found framed gained given
+    gone got grabbed greeted grouped guarded had handed happened heard held hidden hung
+    identified ignored incoming issued joined judged judging kept known lacking learned leaving
+    left linked listed listening lived loaded logged looked lost made matched meant measured
+    merged missed missing mixed moved moving named needed nested numbered occluded occupied
+    offered opened ordered outgoing overlapped overlapping packed padded passed passing paused
+    piped placed predicted prepared published put quoted ran ranked reached read received
+    recorded recovered refused rejected related relearned released remaining remembered removed
+    renamed renumbered replaced reported required rescued reserved restarted retained retired
+    returned revoked running said scaled scheduled seen sent settled shared shown skipped
+    smoothed sought spent spooled squared stamped started stated stayed stored stuck taken
+    tested tied timed told tracked trusted unanswered unchanged unclaimed uncut undecoded
+    unexplained unmatched unmet unplaced unrelated unseen untied untimed untracked untrusted
+    used vanished waited waiting walked wanted watched watching weighed woken written
 """
 WORDS = frozenset((PRONOUNS + PARTICIPLES).split())
 """Words that say nothing of what a variable holds. Counts that are *expected* and *observed* are

@@ -29,18 +29,18 @@ def streams_by_onvif(cameras: Mapping[str, str]) -> tuple[dict[str, str], dict[s
     """
     names = [name for name, source in cameras.items() if source.startswith(f"{onvif.SCHEME}://")]
     urls = dict(cameras)
-    missing = {}
+    reasons = {}
     with ThreadPoolExecutor(16) as pool:
-        waiting = {name: pool.submit(onvif.streams, cameras[name]) for name in names}
-        for name, answer in waiting.items():
+        answers = {name: pool.submit(onvif.streams, cameras[name]) for name in names}
+        for name, answer in answers.items():
             try:
                 offers = answer.result()
             except onvif.OnvifError as error:
-                missing[name] = str(error)
+                reasons[name] = str(error)
                 del urls[name]
             else:
                 urls[name] = _big_enough(offers).url
-    return urls, missing
+    return urls, reasons
 
 
 def streams_by_path(

@@ -36,14 +36,14 @@ def named_sources(arguments: Sequence[str]) -> dict[str, str]:
         raise InputError("no camera given on standard input")
 
     # Names that are given come first: the others make way.
-    reserved = {*RESERVED}
+    used_names = {*RESERVED}
     for name, _ in pairs:
-        if name in reserved:
+        if name in used_names:
             raise CommandError(
                 f"{name}: this name is given twice or reserved; use another", exits.USAGE
             )
         if name:
-            reserved.add(name)
+            used_names.add(name)
     cameras = {}
     for name, source in pairs:
         if not name:
@@ -52,9 +52,9 @@ def named_sources(arguments: Sequence[str]) -> dict[str, str]:
             name = next(
                 candidate
                 for candidate in itertools.chain([camera_id], numbers)
-                if candidate not in reserved
+                if candidate not in used_names
             )
-            reserved.add(name)
+            used_names.add(name)
         cameras[name] = source
     return cameras
 

@@ -84,8 +84,8 @@ class _Supervisor:
         for name in self.processes.keys() - self._config.cameras.keys():
             if self.processes[name].over:
                 del self.processes[name]
-        running = sum(process.state == "running" for process in self.processes.values())
-        self._heartbeats.beat(f"{running} of {len(self.processes)} cameras run", "")
+        running_count = sum(process.state == "running" for process in self.processes.values())
+        self._heartbeats.beat(f"{running_count} of {len(self.processes)} cameras run", "")
 
     def reload(self) -> None:
         """Reload the configuration.
@@ -180,5 +180,5 @@ def _filled(config: Config, camera: str) -> CameraSettings:
 
 def _require_sources(config: Config, args: argparse.Namespace) -> None:
     """Raise `CommandError`, with file and line, if cameras of the configuration have no source."""
-    if missing := without_source(config, args.config.read_text("utf-8"), args.config):
-        raise CommandError("\n".join(missing), exits.CONFIG)
+    if problems := without_source(config, args.config.read_text("utf-8"), args.config):
+        raise CommandError("\n".join(problems), exits.CONFIG)

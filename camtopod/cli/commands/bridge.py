@@ -84,8 +84,8 @@ class HomeAssistantState:
             if isinstance(answer, Prediction):
                 self._arrivals.left(answer)
             else:
-                passing = self._arrivals.entered(answer)
-                result.append(homeassistant.walk_messages(self._topics, passing))
+                passages = self._arrivals.entered(answer)
+                result.append(homeassistant.walk_messages(self._topics, passages))
         self._arrivals.forget(now)
         return result
 

@@ -189,17 +189,17 @@ def _grabbers(
     videos: dict[str, Path], start: float, endpoint: str, work: Path
 ) -> Iterator[dict[str, subprocess.Popen[bytes]]]:
     """Run one `camtopod grab` process per camera; they end with the block, whatever happens."""
-    running: dict[str, subprocess.Popen[bytes]] = {}
+    processes: dict[str, subprocess.Popen[bytes]] = {}
     try:
         for camera, video in videos.items():
             command = [sys.executable, "-m", "camtopod", "grab", "--camera", camera, str(video)]
             command += ["--start", repr(start)]
             command += ["--site", SITE, "--connect", endpoint, "--state", str(work / "spools")]
             command += ["--config", "none", "--log-level", "error"]
-            running[camera] = subprocess.Popen(command, stdin=subprocess.DEVNULL)
-        yield running
+            processes[camera] = subprocess.Popen(command, stdin=subprocess.DEVNULL)
+        yield processes
     finally:
-        for grabber in running.values():
+        for grabber in processes.values():
             grabber.kill()
             grabber.wait()
 

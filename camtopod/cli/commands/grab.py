@@ -355,15 +355,15 @@ def _to_bus(
             connection.publish_status()
             if publisher.wait_stored(0.2):
                 break
-            waiting = publisher.waiting
+            backlog = publisher.waiting
             if time.monotonic() >= deadline:
                 raise CommandError(
-                    f"{waiting} events are not stored: is `camtopod run` running for site "
+                    f"{backlog} events are not stored: is `camtopod run` running for site "
                     f"{config.site.name}? They are kept in {spool.path} and published when this "
                     "camera is grabbed again",
                     exits.BUS,
                 )
-            heartbeats.beat(grabber.state, f"waiting for the daemon to store {waiting} events")
+            heartbeats.beat(grabber.state, f"waiting for the daemon to store {backlog} events")
 
 
 class _GrabberConnection:

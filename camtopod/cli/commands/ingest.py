@@ -191,23 +191,23 @@ def _publish(
 
     # Report the outcome.
     late, refusals = publisher.outcome()
-    waiting = publisher.count_waiting(own=True)
-    stored_count = max(0, publisher.published - waiting - publisher.dropped)
-    log.info("%s", _outcome(stored_count, waiting, late, refusals))
+    backlog = publisher.count_waiting(own=True)
+    stored_count = max(0, publisher.published - backlog - publisher.dropped)
+    log.info("%s", _outcome(stored_count, backlog, late, refusals))
     if late + refusals and late + refusals >= stored_count:
         return exits.FAILED
     return exits.DONE
 
 
-def _outcome(stored_count: int, waiting: int, late: int, refusals: int) -> str:
+def _outcome(stored_count: int, backlog: int, late: int, refusals: int) -> str:
     """Return in words what became of the events."""
     parts = [f"{stored_count} events stored"]
     if late:
         parts.append(f"{late} of them late (older than the events learned last: not learned)")
     if refusals:
         parts.append(f"{refusals} refused (malformed, too many of one camera, or in the future)")
-    if waiting:
-        parts.append(f"{waiting} wait in the spool and are published with the next ingest")
+    if backlog:
+        parts.append(f"{backlog} wait in the spool and are published with the next ingest")
     return ", ".join(parts)
 
 
@@ -220,29 +220,29 @@ def batches(
     ``tell`` is called while no events come: some files give all their events at the end. Raises
     what reading them raises.
     """
-    waiting: queue.Queue[Event | None] = queue.Queue(2 * batch_max)
+    event_queue: queue.Queue[Event | None] = queue.Queue(2 * batch_max)
 
     def read() -> None:
         try:
             for event in events:
-                waiting.put(event)
+                event_queue.put(event)
         finally:
-            waiting.put(None)
+            event_queue.put(None)
 
     reading = ThreadPoolExecutor(1).submit(read)
     event: Event | None
     while not stop.is_set():
         try:
-            event = waiting.get(timeout=_TICK_SECONDS)
+            event = event_queue.get(timeout=_TICK_SECONDS)
         except queue.Empty:
             tell()
             continue
         batch = []
         while event is not None:
             batch.append(event)
-            if len(batch) == batch_max or waiting.empty():
+            if len(batch) == batch_max or event_queue.empty():
                 break
-            event = waiting.get()
+            event = event_queue.get()
         if batch:
             yield batch
         if event is None:

@@ -94,13 +94,13 @@ def run(args: argparse.Namespace) -> int:
     from camtopod.cli.cameras.naming import named_sources
 
     # Read the configuration to add to, if there is one, and find the cameras' streams.
-    adding = args.out.exists() and not args.force
-    if adding:
+    is_addition = args.out.exists() and not args.force
+    if is_addition:
         args.config = args.out
         args.config_found = False  # it is needed
     settings = configuration(args)
     sources = named_sources(args.sources)
-    if adding and (twice := sources.keys() & settings.cameras.keys()):
+    if is_addition and (twice := sources.keys() & settings.cameras.keys()):
         files = [settings.cameras[name].source_file for name in sorted(twice)]
         places = " and ".join(filter(None, ["that table", *files]))
         raise CommandError(
@@ -117,22 +117,22 @@ def run(args: argparse.Namespace) -> int:
         for name, source in cameras.items()
         if args.credentials or redact(source) != source
     }
-    pictures = _pictures_folder(args, settings, adding)
+    pictures = _pictures_folder(args, settings, is_addition)
     paths = [*secrets.values()]
     if pictures is not None:
         paths += [pictures / f"{name}.jpg" for name in cameras]
-    existing = [str(path) for path in paths if path.exists()]
-    if existing and not args.force:
+    present_paths = [str(path) for path in paths if path.exists()]
+    if present_paths and not args.force:
         raise CommandError(
-            f"{', '.join(existing)}: exists already; overwrite with --force, or write elsewhere "
-            f"with --out"
+            f"{', '.join(present_paths)}: exists already; overwrite with --force, or write "
+            f"elsewhere with --out"
         )
 
     # Probe the cameras, then write the configuration and the secrets.
     cameras, probes = _probed(cameras, settings, pictures)
     tables = camera_tables(cameras, probes, secrets.keys(), args.credentials)
     mode = 0o644  # the services' users have to read it; it contains no password
-    if adding:
+    if is_addition:
         mode = args.out.stat().st_mode & 0o777
         text = with_cameras(args.out, tables)
     else:
@@ -148,7 +148,7 @@ def run(args: argparse.Namespace) -> int:
     say(f"{args.out} has {', '.join(cameras)}")
     if secrets:
         say(f"sources with secrets are in {args.out.parent / SECRETS}, readable only by you")
-    if pictures is not None and pictures != settings.web.pictures_folder and adding:
+    if pictures is not None and pictures != settings.web.pictures_folder and is_addition:
         say(f"for the page to show the pictures, set [web] pictures in {args.out}")
     say(_next(args, settings, cameras))
     if refusals or any(probe.problem for probe in probes.values()):
@@ -156,12 +156,12 @@ def run(args: argparse.Namespace) -> int:
     return exits.DONE
 
 
-def _pictures_folder(args: argparse.Namespace, settings: Config, adding: bool) -> Path | None:
+def _pictures_folder(args: argparse.Namespace, settings: Config, is_addition: bool) -> Path | None:
     """Return where to keep a picture of each camera; None: nowhere.
 
     A new configuration's user is asked, on a terminal that has nothing else to read.
     """
-    if args.pictures is not None or adding:
+    if args.pictures is not None or is_addition:
         return args.pictures or settings.web.pictures_folder
     if args.credentials or "-" in args.sources or not (sys.stdin.isatty() and sys.stderr.isatty()):
         return None

@@ -53,13 +53,11 @@ def run(args: argparse.Namespace) -> None:
         log_to_standard_output()
         pages = {"/metrics": lambda: metrics.page(daemon, config.limits.cameras_max)}
         with (
-            health.serving(
-                config.health.listen, daemon.failing, daemon.unready, pages
-            ) as listening,
+            health.serving(config.health.listen, daemon.failing, daemon.unready, pages) as address,
             systemd.watchdog(daemon.failing, lambda: not daemon.started),
         ):
-            if listening:
-                log.info("health at http://%s/healthz, /readyz and /metrics", listening)
+            if address:
+                log.info("health at http://%s/healthz, /readyz and /metrics", address)
             systemd.notify(systemd.status("starting"))
             _run(daemon, requests)
     log.info("ended cleanly")

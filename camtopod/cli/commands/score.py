@@ -131,11 +131,11 @@ def passages_of(events: Sequence[Event], path: str) -> dict[Key, TruePassage]:
             of_identity[person].append(passages[key])
         passages[key].left = event.t
     for walk in of_identity.values():
-        for passage, following in pairwise(
+        for passage, next_passage in pairwise(
             sorted(walk, key=lambda passage: (passage.came, passage.left, passage.key))
         ):
-            passage.outcome = following.key[0]
-            following.since = following.came - passage.left
+            passage.outcome = next_passage.key[0]
+            next_passage.since = next_passage.came - passage.left
     return passages
 
 

@@ -143,7 +143,7 @@ class _Parts:
     def __init__(self, args: argparse.Namespace, stop: threading.Event) -> None:
         self._args = args
         self._stop = stop
-        self._running: list[_Part] = []
+        self._parts: list[_Part] = []
         self._ready = threading.Event()
         self._thread = threading.Thread(target=self._watch, name="parts", daemon=True)
         self.failure: CommandError | None = None
@@ -152,7 +152,7 @@ class _Parts:
     def start(self) -> None:
         """Start the daemon, and wait for it for a while; the others start once it is ready."""
         state = ["--state", self._args.state] if self._args.state else []
-        self._running.append(_Part(self._args, "run", *state))
+        self._parts.append(_Part(self._args, "run", *state))
         self._thread.start()
         deadline = time.monotonic() + START_SECONDS
         while not self._ready.is_set() and time.monotonic() < deadline:
@@ -164,25 +164,25 @@ class _Parts:
         self._stop.set()
         if self._thread.ident is not None:
             self._thread.join()
-        for part in self._running:
+        for part in self._parts:
             part.process.terminate()
         deadline = time.monotonic() + STOP_SECONDS
-        for part in self._running:
+        for part in self._parts:
             part.end(deadline)
 
     def _watch(self) -> None:
         """Look at all parts until the end; the first that ends ends all."""
         while not self._stop.wait(LOOK_SECONDS):
-            for part in self._running:
+            for part in self._parts:
                 reason, status = part.look()
                 if reason:
                     words = f"{part.name}: {reason}, see above; all has been stopped"
                     self.failure = CommandError(words, status)
                     self._stop.set()
                     return
-            if not self._ready.is_set() and self._running[0].ready:
+            if not self._ready.is_set() and self._parts[0].ready:
                 self._ready.set()
-                self._running += self._readers()
+                self._parts += self._readers()
 
     def _readers(self) -> list[_Part]:
         """Start page and bridge, which look for the daemon once."""

@@ -91,7 +91,7 @@ def run(args: argparse.Namespace) -> None:
         bus, config = dial_as_reader(args, config)
         stack.enter_context(bus)
         progress = Progress()
-        running = stack.enter_context(
+        is_running = stack.enter_context(
             app.serving(
                 bus,
                 listener,
@@ -114,7 +114,7 @@ def run(args: argparse.Namespace) -> None:
                 warning = "there is no password ([web] password_file): anyone can read the page"
             log.warning("%s listens beyond this machine: %s", _shown(listener), warning)
         while not stop.wait(1.0):
-            if not running():  # it has printed its traceback
+            if not is_running():  # it has printed its traceback
                 raise CommandError("the web server has failed, see above; start it again")
 
 

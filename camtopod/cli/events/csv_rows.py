@@ -36,8 +36,8 @@ def rows(pieces: Iterable[bytes], path: str) -> Iterator[tuple[int, bytes]]:
     header = next(lines)
     delimiter = _DELIMITER.findall(header)[0]
     names = [name.strip() for name in next(csv.reader([header], delimiter=delimiter))]
-    if missing := [name for name in COLUMNS if name not in names]:
-        raise InputError(f"{path}: the header has no column {' and no '.join(missing)}")
+    if missing_columns := [name for name in COLUMNS if name not in names]:
+        raise InputError(f"{path}: the header has no column {' and no '.join(missing_columns)}")
 
     reader = csv.reader(lines, delimiter=delimiter)
     try:

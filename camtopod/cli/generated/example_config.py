@@ -68,12 +68,12 @@ def attribute_docs(kind: type[Struct]) -> dict[str, str]:
             continue
         body = ast.parse(textwrap.dedent(inspect.getsource(base))).body[0]
         assert isinstance(body, ast.ClassDef)
-        for statement, following in itertools.pairwise(body.body):
+        for statement, next_statement in itertools.pairwise(body.body):
             if (
                 isinstance(statement, ast.AnnAssign)
                 and isinstance(statement.target, ast.Name)
-                and isinstance(following, ast.Expr)
-                and isinstance(following.value, ast.Constant)
+                and isinstance(next_statement, ast.Expr)
+                and isinstance(next_statement.value, ast.Constant)
             ):
-                documents[statement.target.id] = " ".join(str(following.value.value).split())
+                documents[statement.target.id] = " ".join(str(next_statement.value.value).split())
     return documents

@@ -182,14 +182,14 @@ class Em:
         self._message[:] = 1.0
         if len(c.lag) == 0:
             return np.zeros((self.pairs, bins.size), np.float32)
-        weight, unrelated = self._first_weights()
+        weight, factor = self._first_weights()
         histograms = self._count(weight)
         near = self.model.near
         null_model = NullRates(
             departures.t[near], departures.zone[near], arrivals.t, arrivals.zone, zones
         )
         rates = null_model.rates_of(c.source, c.target)
-        rates *= unrelated
+        rates *= factor
         return initial_hazards(
             histograms, rates, self.exposure, self.range_of, bins, noise_sd, START_FLOOR
         ).astype(np.float32)
@@ -201,8 +201,8 @@ class Em:
         likeness, share = self.adjustment.likeness, arrivals.label_share
         if likeness is None or share is None:
             return weight, 1.0
-        by_label, unrelated = first_weights(likeness, share, self.adjustment.persistence.label)
-        return weight * by_label, unrelated
+        by_label, factor = first_weights(likeness, share, self.adjustment.persistence.label)
+        return weight * by_label, factor
 
     def run(self, hazard: Singles) -> Singles:
         """Return the hazards (P, bins) after a run of EM.
@@ -246,8 +246,8 @@ class Em:
 
     def maximise(self) -> Singles:
         """Do the M step for the entry kernels and the hazards (P, bins); return the hazards."""
-        if self.model.entering is not None:
-            self.model.entering.learn(self.responsibility)
+        if self.model.kernels is not None:
+            self.model.kernels.learn(self.responsibility)
         self._estimate_outside()
         counts = self.transitions()
         self.monitor.report(counts.sum(axis=1))
@@ -340,8 +340,8 @@ class Em:
     def _at_exit(self) -> Singles:
         """Return the responsibilities (M,) without the shares of the entry kernels."""
         at_exit = self.responsibility.copy()
-        if self.model.entering is not None:
-            at_exit[self.model.entering.rows] *= np.maximum(1.0 - self.model.entering.share, 0.0)
+        if self.model.kernels is not None:
+            at_exit[self.model.kernels.rows] *= np.maximum(1.0 - self.model.kernels.share, 0.0)
         return at_exit
 
     # --- Rates ------------------------------------------------------------------------------------
@@ -364,13 +364,13 @@ class Em:
             weight *= agreement
 
         # The rates of the entry kernels, and their share in the sum.
-        entering = self.model.entering
-        if entering is not None:
-            rates = entering.rates(self.responsibility.take(entering.rows))
+        kernels = self.model.kernels
+        if kernels is not None:
+            rates = kernels.rates(self.responsibility.take(kernels.rows))
             if agreement is not None:
-                rates *= agreement.take(entering.rows)
-            weight[entering.rows] += rates
-            entering.share = rates / np.maximum(weight.take(entering.rows), NOTHING)
+                rates *= agreement.take(kernels.rows)
+            weight[kernels.rows] += rates
+            kernels.share = rates / np.maximum(weight.take(kernels.rows), NOTHING)
 
         if self.model.multiplier is not None:
             weight *= self.model.multiplier

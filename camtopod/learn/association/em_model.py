@@ -46,7 +46,7 @@ class PairPrior(Protocol):
 class EmModel(NamedTuple):
     """The additions of one fit, none by default; `Em.model` is replaced as the fit goes on."""
 
-    entering: Beside | None = None
+    kernels: Beside | None = None
     """Rates by the time since the entry, in overlapping views (`next_camera.entry_kernels`)."""
     prior: PairPrior | None = None
     """Prior over the transitions of pairs of zones."""

@@ -281,12 +281,12 @@ def _likely(traffic: Traffic, pairs: ZonePairs, block: Block) -> Block:
 
     # Share each arrival among its candidates and the null model.
     weight = hazard.ravel()[cell]
-    unrelated = arrivals.rate[block.arrivals]
-    total = unrelated + np.bincount(block.at, weight, minlength=len(unrelated))
+    unrelated_rate = arrivals.rate[block.arrivals]
+    total = unrelated_rate + np.bincount(block.at, weight, minlength=len(unrelated_rate))
     share = weight / total[block.at]
 
     # Drop improbable candidates.
-    pairs_max = max(LIKELY_PER_ARRIVAL, LIKELY_MAX // len(arrivals.t)) * len(unrelated)
+    pairs_max = max(LIKELY_PER_ARRIVAL, LIKELY_MAX // len(arrivals.t)) * len(unrelated_rate)
     least = np.partition(share, -pairs_max)[-pairs_max] if len(share) > pairs_max else 0.0
     mask = share > max(least, LIKELY_MIN)
     at, departure, pair = block.at[mask], block.departure[mask], block.pair[mask]
@@ -368,10 +368,10 @@ class Traffic:
         np.cumsum(counts, axis=0, dtype=self._kind, out=counts)
 
         # Arrivals before each edge, added up over the departures from each zone.
-        ones: NDArray[Any] = np.ones(len(departures.t), self._kind)
+        unit_weights: NDArray[Any] = np.ones(len(departures.t), self._kind)
         size = (len(self._first) - 1, len(counts))
         before = [
-            (csr_matrix((ones, number.take(first), self._first), shape=size) @ counts)
+            (csr_matrix((unit_weights, number.take(first), self._first), shape=size) @ counts)
             .reshape(size[0] // zones, zones, len(targets))
             .sum(axis=0, dtype=self._kind)
             for first in self._first_arrivals
@@ -395,7 +395,7 @@ def negative_without_overlap(
     problem: Problem,
     candidates: Candidates,
     responsibility: Singles,
-    overlapping: Bools,
+    overlap: Bools,
 ) -> NDArray[np.bool_]:
     """Return a mask (M,) of candidates with a negative lag between views that do not overlap.
 
@@ -405,10 +405,10 @@ def negative_without_overlap(
     more evidence than the null model gives any pair of cameras with probability `OVERLAP_FALSE`.
 
     responsibility (M,): probability that the candidate is of one object.
-    overlapping (cameras, cameras): True where the search found an overlap.
+    overlap (cameras, cameras): True where the search found an overlap.
     """
     # Number the pairs of cameras among the candidates with a negative lag.
-    cameras = len(overlapping)
+    cameras = len(overlap)
     c = candidates
     ahead = np.flatnonzero(c.lag < 0)
     camera_left = problem.departures.camera[c.departure[ahead]]
@@ -431,7 +431,7 @@ def negative_without_overlap(
     of_key[number] = pair
     nats = np.bincount(of_key, -np.log1p(-arrival_share) - arrival_share, minlength=len(present))
     overlaps = nats >= np.log(max(cameras * (cameras - 1) / 2, 1.0) / OVERLAP_FALSE)
-    overlaps |= (overlapping | overlapping.T)[present // cameras, present % cameras]
+    overlaps |= (overlap | overlap.T)[present // cameras, present % cameras]
 
     result = np.zeros(len(c.lag), bool)
     result[ahead] = ~overlaps[pair]

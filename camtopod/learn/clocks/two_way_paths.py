@@ -101,8 +101,8 @@ def find_two_way_paths(forth: Counts, back: Counts) -> list[TwoWayPath]:
         return []
 
     # Peaks that both directions have at this shift.
-    aligned = ndimage.shift(clear[0], (0, -shift), order=0)
-    together = ndimage.gaussian_filter1d(aligned * clear[1], PEAK_BINS, axis=1, mode="constant")
+    first_way = ndimage.shift(clear[0], (0, -shift), order=0)
+    together = ndimage.gaussian_filter1d(first_way * clear[1], PEAK_BINS, axis=1, mode="constant")
 
     # Refine those of each pair of zones that are high enough.
     paths = [

@@ -155,7 +155,7 @@ class Halves:
 
     def __init__(self, problem: Problem, judge: Problem, fit: Fit, first: float) -> None:
         self.problem = problem
-        self._judging = judge
+        self._judge_problem = judge
         self.fit = fit
         self.first = first
 
@@ -190,7 +190,7 @@ class Halves:
             c.target,
         )
 
-        problem = self._judging if for_judging else self.problem
+        problem = self._judge_problem if for_judging else self.problem
         return Em(
             problem._replace(arrivals=problem.arrivals.take(arrives)),
             candidates,
@@ -260,11 +260,13 @@ def _evidence(
     # Point-process likelihood ratio against no link: arrivals explained, less arrivals expected.
     departure_seconds = fitter.exposure[fitter.range_of] * fitter.problem.bins.widths
     expected: Floats = (hazard * departure_seconds).sum(axis=1)
-    unrelated: Floats = np.bincount(c.pair, -np.log1p(-share), minlength=fitter.pairs) - expected
+    against_unrelated: Floats = (
+        np.bincount(c.pair, -np.log1p(-share), minlength=fitter.pairs) - expected
+    )
 
     cycle = evidence_against_cycle(fitter.problem, c, hazard, share, outside, period)
-    unrelated = np.where(period > 0.0, cycle.sum(axis=1), unrelated)
+    against_unrelated = np.where(period > 0.0, cycle.sum(axis=1), against_unrelated)
 
     # Likelihood ratio against the same number of transitions spread evenly over all lags.
     flat = flatness(fitter, hazard)
-    return unrelated, evidence_against_untimed(c.pair, share, flat, fitter.pairs)
+    return against_unrelated, evidence_against_untimed(c.pair, share, flat, fitter.pairs)

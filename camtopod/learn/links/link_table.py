@@ -186,10 +186,10 @@ def with_second_opinion(
     pair = camera[table.source].astype(np.int64) * cameras + camera[table.target]
     order = np.lexsort((-table.transit.total, pair))
     best_rows = order[np.diff(pair[order], prepend=-1) != 0]
-    agreeing = best_rows[table.ratio[best_rows] >= AGREEMENT_NATS]
+    agreeing_rows = best_rows[table.ratio[best_rows] >= AGREEMENT_NATS]
 
-    row, exists = find_rows(pair[agreeing], paths.source * cameras + paths.target)
-    row, place, width, nats = agreeing[row[exists]], *(column[exists] for column in paths[2:])
+    row, exists = find_rows(pair[agreeing_rows], paths.source * cameras + paths.target)
+    row, place, width, nats = agreeing_rows[row[exists]], *(column[exists] for column in paths[2:])
     early, _, late = table.transit.quantiles[row].T
     is_same = (place >= early - width) & (place <= late + width)
     ratio = table.ratio + np.bincount(row[is_same], nats[is_same], len(table.ratio))

@@ -37,8 +37,10 @@ def log_likelihood_ratio(
         model), over the hazard at its lag.
     pairs: number of pairs, P.
     """
-    unrelated = evidence_against_unrelated(pair, responsibility, pairs)
-    return np.minimum(unrelated, evidence_against_untimed(pair, responsibility, flat, pairs))
+    against_unrelated = evidence_against_unrelated(pair, responsibility, pairs)
+    return np.minimum(
+        against_unrelated, evidence_against_untimed(pair, responsibility, flat, pairs)
+    )
 
 
 def evidence_against_untimed(
@@ -89,9 +91,9 @@ def repeated_evidence(
         np.bincount(cell, weight, pairs * PARTS).astype(float).reshape(pairs, PARTS)
         for weight in (-np.log1p(-share), share)
     )
-    untimed = evidence_against_untimed(cell, responsibility, flat, pairs * PARTS)
-    unrelated = nats_by_part - (transitions_by_part if expected is None else expected)
-    nats = np.stack((unrelated, untimed.reshape(pairs, PARTS)))
+    against_untimed = evidence_against_untimed(cell, responsibility, flat, pairs * PARTS)
+    against_unrelated = nats_by_part - (transitions_by_part if expected is None else expected)
+    nats = np.stack((against_unrelated, against_untimed.reshape(pairs, PARTS)))
     evidence: Floats = repeated(nats).min(axis=0)
     return evidence
 

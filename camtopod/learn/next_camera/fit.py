@@ -73,11 +73,11 @@ class Posterior(NamedTuple):
 
 
 def fit_window(
-    problem: Problem, candidates: Candidates, overlapping: NDArray[np.bool_]
+    problem: Problem, candidates: Candidates, overlap: NDArray[np.bool_]
 ) -> tuple[Posterior, Fit]:
     """Fit which departure and which arrival are of one object; return the posterior and the links.
 
-    overlapping (cameras, cameras): True where two views are known to overlap.
+    overlap (cameras, cameras): True where two views are known to overlap.
 
     The second result goes on from the first one, with a sparse prior (`fit_sparsely`), as a link
     has to be significant. The posterior has no `Posterior.doubt` yet.
@@ -87,7 +87,7 @@ def fit_window(
     """
     fitter = PosteriorFitter(problem, candidates)
     del candidates  # most of them are given up early
-    fitter.learn(overlapping)
+    fitter.learn(overlap)
     posterior = fitter.posterior()
     return posterior, fit_sparsely(fitter.em)
 
@@ -115,7 +115,7 @@ class PosteriorFitter:
 
     share (P,), leave (zones,): as in `Posterior`; the present estimates.
     contexts: contexts of all departures.
-    entering: the entry kernels.
+    entry_kernels: the entry kernels.
     """
 
     def __init__(self, problem: Problem, candidates: Candidates) -> None:
@@ -137,17 +137,17 @@ class PosteriorFitter:
     def _extend(self) -> None:
         """Give the EM model its entry kernels and prior, for the present candidates."""
         em = self.em
-        self.entering = EntryKernels(self.problem, em.candidates, self.contexts.entry)
+        self.entry_kernels = EntryKernels(self.problem, em.candidates, self.contexts.entry)
         prior = Prior(em.candidates, em.range_of, self.problem.zones)
-        em.model = EmModel(entering=self.entering, prior=prior)
+        em.model = EmModel(kernels=self.entry_kernels, prior=prior)
 
-    def learn(self, overlapping: NDArray[np.bool_]) -> None:
+    def learn(self, overlap: NDArray[np.bool_]) -> None:
         """Run the fit: rounds without contexts, then iterations with contexts.
 
-        overlapping (cameras, cameras): True where two views are known to overlap.
+        overlap (cameras, cameras): True where two views are known to overlap.
         """
         # First hazards and entry kernels, from the excess over the null model.
-        self.entering.start(CLEAR_NOISE_SD)
+        self.entry_kernels.start(CLEAR_NOISE_SD)
         self.hazard = self.em.start(CLEAR_NOISE_SD)
         if self.problem.arrivals.label is not None:
             self.em.learn_speed(self.hazard)
@@ -156,15 +156,15 @@ class PosteriorFitter:
         # Rounds without contexts; impossible candidates are left out as soon as they show.
         for before in range(FIRST_ROUNDS):
             self._iterate(contexts=False)
-            self._keep(self.em.live() if before else self._possible(overlapping))
+            self._keep(self.em.live() if before else self._possible(overlap))
             self.hazard = self.em.learn_speed(self.hazard)
         self._iterate(contexts=True)
 
-    def _possible(self, overlapping: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    def _possible(self, overlap: NDArray[np.bool_]) -> NDArray[np.bool_]:
         """Return a mask (M,) of the candidates that are neither unlikely nor impossible."""
         em = self.em
         impossible = negative_without_overlap(
-            self.problem, em.candidates, em.responsibility, overlapping
+            self.problem, em.candidates, em.responsibility, overlap
         )
         return em.live() & ~impossible
 
@@ -172,11 +172,11 @@ class PosteriorFitter:
         """Leave out all candidates but those of the mask ``mask`` (M,) from here on."""
         em = self.em
         share = np.zeros(len(mask))
-        share[self.entering.rows] = self.entering.share
+        share[self.entry_kernels.rows] = self.entry_kernels.share
         self.hazard = self.hazard[em.keep(mask)]
         self._extend()
-        self.entering.share = share[mask][self.entering.rows]
-        self.entering.learn(em.responsibility)
+        self.entry_kernels.share = share[mask][self.entry_kernels.rows]
+        self.entry_kernels.learn(em.responsibility)
 
     def posterior(self) -> Posterior:
         """Return the result of the fit, without doubt."""
@@ -190,9 +190,9 @@ class PosteriorFitter:
             self.share,
             self.leave,
             np.zeros(em.pairs),
-            self.entering.source,
-            self.entering.target,
-            self.entering.kernels(em.responsibility),
+            self.entry_kernels.source,
+            self.entry_kernels.target,
+            self.entry_kernels.kernels(em.responsibility),
             self.problem.delays(em.candidates.source, em.candidates.target),
             levels,
         )

@@ -48,10 +48,10 @@ class OverlappingViews(NamedTuple):
     """(bins,) mean number, per exit, of open passages of other objects, by offset."""
 
 
-def overlap_table(overlapping: list[OverlappingViews], cameras: int) -> NDArray[np.bool_]:
+def overlap_table(overlaps: list[OverlappingViews], cameras: int) -> NDArray[np.bool_]:
     """Return a table (cameras, cameras) with True for [source, target] of each overlap."""
     table = np.zeros((cameras, cameras), np.bool_)
-    for overlap in overlapping:
+    for overlap in overlaps:
         table[overlap.source, overlap.target] = True
     return table
 

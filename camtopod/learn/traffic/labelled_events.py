@@ -68,7 +68,7 @@ def number_zones(window: Window, maps: list[ZoneMap]) -> tuple[list[ZoneRef], ND
     -1 for clutter. The last column is for events without position: they belong to the single
     zone of a camera none of whose events has a position, and otherwise to no zone.
     """
-    unplaced = set(window.column("camera")[~window.has_position()].tolist())
+    unplaced_cameras = set(window.column("camera")[~window.has_position()].tolist())
     zones: list[ZoneRef] = []
     tables = []
     for camera, zone_map in enumerate(maps):
@@ -78,7 +78,7 @@ def number_zones(window: Window, maps: list[ZoneMap]) -> tuple[list[ZoneRef], ND
         table = np.append(np.where(cells >= 0, cells + first, -1), -1)
 
         # A camera whose events have no positions is one zone.
-        if not zone_map.zones and camera in unplaced:
+        if not zone_map.zones and camera in unplaced_cameras:
             table[-1] = len(zones)
             zones.append(ZoneRef(camera, 1, None))
         tables.append(table)

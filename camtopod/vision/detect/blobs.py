@@ -66,9 +66,9 @@ class Blob:
 
 def find_blobs(motion: Motion, expected_height: ExpectedHeight) -> list[Blob]:
     """Return the blobs of a frame, in no particular order."""
-    if not cv2.countNonZero(motion.moving):
+    if not cv2.countNonZero(motion.moving_mask):
         return []
-    mask = cv2.morphologyEx(motion.moving, cv2.MORPH_CLOSE, _CLOSE)
+    mask = cv2.morphologyEx(motion.moving_mask, cv2.MORPH_CLOSE, _CLOSE)
 
     # Connected fragments of half of the smallest blob, the largest if there are too many.
     labels, stats = _fragments(mask)

@@ -66,7 +66,7 @@ class Motion:
 
     frame: Luma
     """The frame, aligned with the scene if the camera shakes."""
-    moving: Luma
+    moving_mask: Luma
     """Changed pixels without shadows and reflections."""
     change_mask: Luma
     """Pixels that differ from the scene, without dynamic background."""
@@ -127,7 +127,7 @@ class MotionDetector:
         self._swaying = Swaying(frames[0].shape[:2])
         self._unclaimed_seconds: cv2.typing.MatLike = np.zeros(frames[0].shape, np.float32)
         self._changed_seconds = 0.0
-        self._moving: Luma = (
+        self._moving_mask: Luma = (
             self.watched_mask
         )  # of the last frame; nothing is sudden in the first one
         self._sudden: Luma = np.zeros_like(self.watched_mask)
@@ -155,8 +155,8 @@ class MotionDetector:
         least = DIFFERENCE_MIN * max(light / sensitivity, min(self.noise / NOISE_TO_FILTER, 1.0))
         differs = cv2.threshold(cv2.absdiff(frame, expected), least, 255, cv2.THRESH_BINARY)[1]
         differs = cv2.bitwise_and(differs, self.watched_mask)
-        moving = self._swaying.without(differs, frame, expected, least)
-        if self._has_changed(moving):
+        moving_mask = self._swaying.without(differs, frame, expected, least)
+        if self._has_changed(moving_mask):
             self._changed_seconds += dt
             if self._changed_seconds > CHANGED_SECONDS:
                 self.ready = False
@@ -167,31 +167,31 @@ class MotionDetector:
         # Keep moving pixels near edges of the image's own, or that no shadow causes. A shadow
         # or a reflection multiplies the scene by a factor that varies slowly: in logarithms a
         # flat patch, whatever lies below. Edges are looked for two pixels around them.
-        left, top, width, height = cv2.boundingRect(moving)
-        part = pixels((left - 2, top - 2, left + width + 2, top + height + 2), moving.shape)
+        left, top, width, height = cv2.boundingRect(moving_mask)
+        part = pixels((left - 2, top - 2, left + width + 2, top + height + 2), moving_mask.shape)
         ratio = cv2.absdiff(cv2.LUT(frame[part], _LOGARITHM), cv2.LUT(expected[part], _LOGARITHM))
         steps = cv2.dilate(cv2.morphologyEx(ratio, cv2.MORPH_GRADIENT, _CROSS), _SQUARE)
         near = cv2.threshold(steps, EDGE_MIN / sensitivity, 255, cv2.THRESH_BINARY)[1]
         strong = cv2.threshold(ratio, STRONG_MIN / sensitivity, 255, cv2.THRESH_BINARY)[1]
-        solid = np.zeros_like(moving)
-        solid[part] = cv2.bitwise_and(moving[part], cv2.bitwise_or(near, strong))
+        solid = np.zeros_like(moving_mask)
+        solid[part] = cv2.bitwise_and(moving_mask[part], cv2.bitwise_or(near, strong))
         # Opening removes lines, such as outlines of furniture.
         solid[part] = cv2.morphologyEx(solid[part], cv2.MORPH_OPEN, _CROSS)
-        return Motion(frame, solid, moving, differs, expected)
+        return Motion(frame, solid, moving_mask, differs, expected)
 
-    def _has_changed(self, moving: Luma) -> bool:
+    def _has_changed(self, moving_mask: Luma) -> bool:
         """Return True if most of the image differs, or a large part of it since the last frame."""
-        new_pixels = cv2.subtract(moving, self._moving)
-        self._moving = moving
+        new_pixels = cv2.subtract(moving_mask, self._moving_mask)
+        self._moving_mask = moving_mask
         large = SUDDEN_SHARE * cv2.countNonZero(self.watched_mask)
-        stays = cv2.countNonZero(cv2.bitwise_and(moving, self._sudden))
+        stays = cv2.countNonZero(cv2.bitwise_and(moving_mask, self._sudden))
         if stays > min(large, cv2.countNonZero(self._sudden) / 2):
             return True
-        differing = cv2.countNonZero(moving)
+        moving_count = cv2.countNonZero(moving_mask)
         new = cv2.countNonZero(new_pixels)
-        is_sudden = new > large and 2 * new > differing
-        self._sudden = new_pixels if is_sudden else np.zeros_like(moving)
-        return is_sudden or 2 * differing > cv2.countNonZero(self.watched_mask)
+        is_sudden = new > large and 2 * new > moving_count
+        self._sudden = new_pixels if is_sudden else np.zeros_like(moving_mask)
+        return is_sudden or 2 * moving_count > cv2.countNonZero(self.watched_mask)
 
     def learn(self, motion: Motion, dt: float, boxes: Iterable[Box]) -> None:
         """Adapt to the scene where nothing moves.
@@ -231,7 +231,7 @@ class MotionDetector:
         """
         left, top, right, bottom = (max(0, int(value)) for value in box)
         part = slice(max(0, top - 2), bottom + 2), slice(max(0, left - 2), right + 2)
-        mask = motion.moving[part]
+        mask = motion.moving_mask[part]
         if mask.size == 0:
             return False
         outline = cv2.morphologyEx(mask, cv2.MORPH_GRADIENT, _SQUARE) != 0

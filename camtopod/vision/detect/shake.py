@@ -54,13 +54,13 @@ def aligning(image: Luma, scene: Luma, settled_mask: Luma, first: Map) -> Map:
         equations = _least_squares(model, weight_mask, 6, 1)
         trial, least = first, float("inf")
         for _ in range(_STEPS_MAX):
-            aligned = warped(small, model, trial)
-            off = cv2.absdiff(aligned, model)
+            aligned_image = warped(small, model, trial)
+            off = cv2.absdiff(aligned_image, model)
             residual = cv2.mean(np.minimum(off, np.uint8(_OUTLIER)), weight_mask)[0]
             if residual >= least:
                 break
             first, least = trial, residual
-            trial = trial @ _step(aligned, model, *equations, 1)
+            trial = trial @ _step(aligned_image, model, *equations, 1)
     return first
 
 

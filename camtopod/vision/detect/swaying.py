@@ -30,19 +30,23 @@ class Swaying:
         self._differs_before: Luma = np.zeros(shape, np.uint8)
         self._seconds = 0.0  # since the beginning
 
-    def without(self, moving: Luma, frame: Luma, expected: Luma, difference_min: float) -> Luma:
-        """Return the mask ``moving`` (H, W) without dynamic background.
+    def without(
+        self, moving_mask: Luma, frame: Luma, expected: Luma, difference_min: float
+    ) -> Luma:
+        """Return the mask ``moving_mask`` (H, W) without dynamic background.
 
         expected (H, W): image of the scene.
         difference_min (grey levels): smallest difference of a moving pixel.
         """
         if cv2.norm(self._share, cv2.NORM_INF) <= 255 * SWAY_SHARE:
-            return moving
+            return moving_mask
         sway_mask = np.where(self._share > 255 * SWAY_SHARE, np.uint8(255), np.uint8(0))
         above = cv2.subtract(frame, cv2.dilate(expected, _REACH))
         outside = cv2.max(above, cv2.subtract(cv2.erode(expected, _REACH), frame))
         _, within = cv2.threshold(outside, difference_min, 255, cv2.THRESH_BINARY_INV)
-        return cv2.subtract(moving, cv2.bitwise_and(within, cv2.dilate(sway_mask, _NEIGHBOURS)))
+        return cv2.subtract(
+            moving_mask, cv2.bitwise_and(within, cv2.dilate(sway_mask, _NEIGHBOURS))
+        )
 
     def learn(self, differs: Luma, dt: float, free_mask: Luma) -> None:
         """Update each pixel's share of alternations, ``dt`` seconds after the last frame.

@@ -54,16 +54,21 @@ class Detector:
         self._inference_seconds = 0.0
 
     def step(
-        self, t: float, image: Image, moving: Luma, blobs: list[Blob], track_boxes: Sequence[Box]
+        self,
+        t: float,
+        image: Image,
+        moving_mask: Luma,
+        blobs: list[Blob],
+        track_boxes: Sequence[Box],
     ) -> list[Blob] | None:
         """Return the objects in the frame captured at ``t`` seconds; None if it was not examined.
 
         image (H, W, 3): blue, green, red; larger than the working image, or as large.
-        moving (h, w): mask of moving pixels of the working image.
+        moving_mask (h, w): mask of moving pixels of the working image.
         blobs, track_boxes: motion and tracks, pixels of the working image.
         """
         is_trusted = self._trust.is_trusted
-        factor = image.shape[1] / moving.shape[1]
+        factor = image.shape[1] / moving_mask.shape[1]
         regions = [*(blob.box for blob in blobs), *track_boxes]
         self.result = DetectorResult((), is_trusted, self._trust.share)
         if not regions:
@@ -88,8 +93,8 @@ class Detector:
         ]
 
         # Is it trusted? Then its boxes are the objects.
-        boxes, outside = objects(detections, moving, blobs, track_boxes, self._settings.score)
-        self._trust.add(float((moving != 0).mean()), outside)
+        boxes, outside = objects(detections, moving_mask, blobs, track_boxes, self._settings.score)
+        self._trust.add(float((moving_mask != 0).mean()), outside)
         self.result = DetectorResult(detections, self._trust.is_trusted, self._trust.share)
         return boxes if self._trust.is_trusted else blobs
 

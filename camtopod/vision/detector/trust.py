@@ -57,7 +57,7 @@ class Trust:
 
 def objects(
     detections: Sequence[Detection],
-    moving: Luma,
+    moving_mask: Luma,
     blobs: Sequence[Blob],
     track_boxes: Sequence[Box],
     score_min: float,
@@ -69,11 +69,11 @@ def objects(
     ``score_min``; then it may begin a track (ByteTrack: Y. Zhang et al., 2022). What stands and
     only looks like a person begins none, also while others pass it.
 
-    moving (H, W): mask of moving pixels of the working image; boxes are in its pixels, areas in
-    shares of it.
+    moving_mask (H, W): mask of moving pixels of the working image; boxes are in its pixels, areas
+        in shares of it.
     """
-    height, width = moving.shape
-    free_pixels = moving != 0
+    height, width = moving_mask.shape
+    free_pixels = moving_mask != 0
     result = []
     for detection in sorted(detections, key=lambda detection: -detection.score):
         part = free_pixels[pixels(detection.box, (height, width))]

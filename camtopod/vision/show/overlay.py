@@ -129,13 +129,13 @@ class Preview:
                 _draw_corners(image, np.multiply(area, size), colour)
         for door in analysis.learned_doors:
             _draw_corners(image, factor * np.array([door]), _DOOR)
-        if analysis.moving is not None:
-            moving = cv2.resize(analysis.moving, size, interpolation=cv2.INTER_NEAREST)
-            outlines, _ = cv2.findContours(moving, cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_SIMPLE)
+        if analysis.moving_mask is not None:
+            moving_mask = cv2.resize(analysis.moving_mask, size, interpolation=cv2.INTER_NEAREST)
+            outlines, _ = cv2.findContours(moving_mask, cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_SIMPLE)
             cv2.drawContours(image, outlines, -1, _FOREGROUND)
 
         # Detections, tracks, events.
-        state = "" if analysis.moving is not None else "  most of the image has changed"
+        state = "" if analysis.moving_mask is not None else "  most of the image has changed"
         if analysis.detector is not None:
             state += f"  detector {'' if analysis.detector.is_trusted else 'not '}trusted, "
             state += f"agreement {analysis.detector.agreement:.2f}"

@@ -70,7 +70,7 @@ class RecordedSource(Source):
         What cannot be read is passed over, up to the declared end. Raises `SourceError` if no frame
         of the file can be decoded.
         """
-        waiting: list[Frame | None] = []
+        held_frames: list[Frame | None] = []
         """Frames whose positions are not known yet; None for those that are not analysed."""
         failures = 0
         start = time.monotonic()
@@ -85,15 +85,15 @@ class RecordedSource(Source):
 
             # Decode it if it is to be analysed, and yield it when its position is known.
             positions = self._times.place(stamp)
-            waiting.append(None)
+            held_frames.append(None)
             if self._selector.wants(self._times.latest):
-                waiting[-1] = self._capture.frame()
-                self.frames_dropped += waiting[-1] is None
+                held_frames[-1] = self._capture.frame()
+                self.frames_dropped += held_frames[-1] is None
             if positions:
-                yield from self._placed(waiting, positions, start)
-                waiting.clear()
+                yield from self._placed(held_frames, positions, start)
+                held_frames.clear()
 
-        yield from self._placed(waiting, self._times.rest(), start)
+        yield from self._placed(held_frames, self._times.rest(), start)
         if self._capture.is_open:
             self._end()
 

@@ -130,13 +130,13 @@ class Tracker:
     def _update_groups(self, t: float, blobs: list[Blob]) -> list[Blob]:
         """Update tracks by blobs that cover several people; return the other blobs."""
         free = []
-        waiting = [(track, track.box) for track in self.active]
+        candidates = [(track, track.box) for track in self.active]
         for blob in blobs:
-            group = group_in(blob, waiting, self.crossings)
+            group = group_in(blob, candidates, self.crossings)
             if not group:
                 free.append(blob)
                 continue
-            waiting = [(track, box) for track, box in waiting if track not in group]
+            candidates = [(track, box) for track, box in candidates if track not in group]
             for track, box in boxes_in_group(blob, group):
                 self._seen(track, Sighting(t, ((box[0] + box[2]) / 2, box[3]), box))
         return free

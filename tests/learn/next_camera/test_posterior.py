@@ -166,9 +166,11 @@ def test_entry_kernels_count_as_by_hand(seed: int, n: int) -> None:
     found = find_candidates(problem)
     fitter = PosteriorFitter(problem, found)
     exposed, early = naive.entry_kernels(departures, arrivals, found, bins, 4)
-    assert fitter.entering.exposure.tolist() == exposed.tolist()
-    pairs = list(zip(fitter.entering.source.tolist(), fitter.entering.target.tolist(), strict=True))
+    assert fitter.entry_kernels.exposure.tolist() == exposed.tolist()
+    pairs = list(
+        zip(fitter.entry_kernels.source.tolist(), fitter.entry_kernels.target.tolist(), strict=True)
+    )
     assert pairs == sorted({pair for pair, _ in early.values()})
-    assert fitter.entering.rows.tolist() == sorted(early)
-    cells = [(pairs[k // bins.size], k % bins.size) for k in fitter.entering.cell.tolist()]
+    assert fitter.entry_kernels.rows.tolist() == sorted(early)
+    cells = [(pairs[k // bins.size], k % bins.size) for k in fitter.entry_kernels.cell.tolist()]
     assert cells == [early[c] for c in sorted(early)]
