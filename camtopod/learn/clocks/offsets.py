@@ -108,7 +108,7 @@ class ClockState(Struct):
     """Number of events learned at the last estimate."""
 
     def keep_cameras(self, mask: Bools) -> None:
-        """Keep only the cameras of the mask ``mask`` (cameras,), and renumber them."""
+        """Keep only the cameras of a mask (cameras,), and renumber them."""
         # Cameras added since the last estimate are not in ``clocks`` yet.
         clock_mask = mask[: len(self.clocks.offset)]
         offset, sd, is_identified = self.clocks
@@ -250,7 +250,7 @@ def solve_offsets(
 ) -> Clocks:
     """Estimate the offsets of all clocks from measured differences between pairs of them.
 
-    differences: the differences.
+    differences: by how much the clocks of pairs of cameras differ.
     weight (cameras,): number of events of each camera.
     clocks_before: an earlier estimate.
 

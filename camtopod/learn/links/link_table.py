@@ -276,7 +276,7 @@ def select_weak_links(likely: LinkTable, published_links: LinkTable, zones: int)
     """Return the weak links: of each zone of departure, the likeliest pairs that are not published.
 
     likely: pairs of zones by the fit for prediction, the posterior.
-    published_links: the published links.
+    published_links: links that meet the rule for publishing.
     zones: number of zones.
 
     The share of a zone's departures that published links leave over is divided among its weak links

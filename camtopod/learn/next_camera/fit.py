@@ -115,7 +115,7 @@ class PosteriorFitter:
 
     share (P,), leave (zones,): as in `Posterior`; the present estimates.
     contexts: contexts of all departures.
-    entry_kernels: the entry kernels.
+    entry_kernels: rates by the time since the entry, in overlapping views.
     """
 
     def __init__(self, problem: Problem, candidates: Candidates) -> None:
@@ -169,7 +169,7 @@ class PosteriorFitter:
         return em.live() & ~impossible
 
     def _keep(self, mask: NDArray[np.bool_]) -> None:
-        """Leave out all candidates but those of the mask ``mask`` (M,) from here on."""
+        """Leave out all candidates but those of a mask (M,) from here on."""
         em = self.em
         share = np.zeros(len(mask))
         share[self.entry_kernels.rows] = self.entry_kernels.share
