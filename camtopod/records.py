@@ -794,9 +794,6 @@ class EventCounts(Struct, frozen=True):
     late: int = 0
     lost: Annotated[int, _metric("events_lost_total", "Events missing between others")] = 0
     waiting: Annotated[int, _metric("events_waiting", "Events stored and not learned yet")] = 0
-    merging: Annotated[
-        int, _metric("events_merging", "Events that wait for others or their time")
-    ] = 0
 
 
 class LearnerCounts(Struct, frozen=True):

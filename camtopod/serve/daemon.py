@@ -2,8 +2,7 @@
 
 Theory of operation. Besides the bus's own there are these threads:
 
-- *receive* hears events, predicts from exits with the newest version, and merges by time what is to
-  be stored;
+- *receive* hears events, predicts from exits with the newest version, and decides what is stored;
 - *store* owns the journal: it commits events, queues them for the learner, answers the grabbers'
   requests, and stores each version before it is published;
 - *learn* passes committed events, in the journal's order, to the learner, which runs in its own
@@ -33,11 +32,11 @@ from camtopod.redact import redact
 from camtopod.serve.admin_queries import Done, command_of
 from camtopod.serve.bus import Bus, OtherDaemons, QueryError, open_daemon_session
 from camtopod.serve.ingest import (
+    Backlogs,
     Cameras,
     CommandRefused,
     EventClock,
     Intake,
-    Merger,
     Names,
     Numbers,
     execute,
@@ -254,7 +253,6 @@ class Daemon:
                 **intake.counts,
                 lost=intake.numbers.lost,
                 waiting=learning.waiting,
-                merging=intake.merger.waiting,
             ),
             rejects=dict(intake.rejects.counts),
             reject_samples=intake.rejects.samples(),
@@ -383,7 +381,7 @@ class Daemon:
             numbers,
             cameras,
             Names(read_names(self._journal), self._clock),
-            Merger(lateness, limits.future_seconds_max, event_clock, now),
+            Backlogs(lateness, event_clock, now),
             event_clock,
             JournalWriter(self._journal, self._clock),
             limits,

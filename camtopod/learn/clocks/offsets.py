@@ -114,19 +114,20 @@ class ClockState(Struct):
         offset, sd, identified = self.clocks
         self.clocks = Clocks(offset[known], sd[known], identified[known])
 
-    def update(self, scene: Scene, cameras: int, learned: int) -> None:
+    def update(self, scene: Scene, cameras: int, learned: int, anew: bool = False) -> None:
         """Estimate the clocks again if there are new cameras or enough new events.
 
         scene: the labelled events, with uncorrected times.
         cameras: number of cameras.
         learned: number of events learned so far.
+        anew: True to estimate them in any case.
         """
         # New cameras have right clocks so far.
         known = self.clocks
         if cameras > len(known.offset):
             more = right_clocks(cameras - len(known.offset))
             known = Clocks(*(np.concatenate(columns) for columns in zip(known, more, strict=True)))
-        elif learned - self.learned < REFRESH_SHARE * (
+        elif not anew and learned - self.learned < REFRESH_SHARE * (
             len(scene.departures.t) + len(scene.arrivals.t)
         ):
             return

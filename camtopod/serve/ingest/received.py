@@ -25,6 +25,7 @@ class Received(Struct, frozen=True, gc=False):
 
     event: the event to be learned; None if it is only stored.
     advance: event time that advances without an event, Unix seconds.
+    waited: cameras that the learner waits for from here on.
     command: a command.
     meta: what is stored under other keys in the same transaction (`Journal.set_meta`).
     """
@@ -32,6 +33,7 @@ class Received(Struct, frozen=True, gc=False):
     entry: Entry
     event: Event | None = None
     advance: float | None = None
+    waited: frozenset[str] | None = None
     command: Command | None = None
     meta: dict[str, str] = {}
 

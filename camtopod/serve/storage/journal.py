@@ -49,11 +49,14 @@ CHUNK_ENTRIES = 1_000
 """Entries read at a time; a long read would keep SQLite from checkpointing the log."""
 VERSIONS_TRIED_MAX = 10
 """Newest versions of which the first undamaged one is used at a start."""
-EntryKind = Literal["event", "future", "refused", "advance", "command", "correction", "skipped"]
+EntryKind = Literal[
+    "event", "future", "refused", "advance", "waits", "command", "correction", "skipped"
+]
 """Kinds of entries.
 
 ``event``: learned. ``future``, ``refused``: kept for the record and for the sequence, not learned.
 ``advance``: event time advanced without an event; ``raw`` is the time as decimal text.
+``waits``: cameras that the learner waits for from here on; ``raw`` is the list in JSON.
 ``command``: an operator's command. ``correction``: one that begins an epoch. ``skipped``: the
 learner died of it twice.
 """
