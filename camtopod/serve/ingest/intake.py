@@ -29,8 +29,6 @@ import threading
 from collections import Counter
 from collections.abc import Callable, Sequence, Set
 
-from msgspec.structs import replace
-
 from camtopod import codec
 from camtopod.admin import Rewind
 from camtopod.config import Limits
@@ -200,7 +198,7 @@ class Intake:
         self.queue.done()
         for name in {entry.camera for entry in entries if entry.boot is not None}:
             self._answers.note_stored(name)
-        self.writer.prune()
+        self.writer.prune(self.names.erased)
         return True
 
     def _take(self, name: str, content: bytes, reply: Reply, wall: float, now: float) -> None:
@@ -323,7 +321,7 @@ class Intake:
         if event is not None and not camera.note_time(
             event.t, wall, self.limits.future_seconds_max
         ):
-            received = received.only_stored("future")
+            received = received.set_aside()
         for named in self.names.apply(received):
             self._ready += self._cut_flood(named)
 
@@ -335,7 +333,7 @@ class Intake:
         self.counts["flood"] += 1
         if received.entry.seq is None:
             return []
-        return [Received(replace(received.entry, kind="refused", raw=b""))]  # a disk is finite
+        return [received.only_number()]
 
     def _rewind(self, wall: float) -> None:
         """Take event time back, as this machine's clock was set back to ``wall``."""

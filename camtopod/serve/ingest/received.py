@@ -7,7 +7,6 @@ not learned. An invalid publication is dropped.
 from __future__ import annotations
 
 import re
-from typing import Literal
 
 from msgspec import Struct
 from msgspec.structs import replace
@@ -37,9 +36,13 @@ class Received(Struct, frozen=True, gc=False):
     command: Command | None = None
     meta: dict[str, str] = {}
 
-    def only_stored(self, kind: Literal["future", "refused"]) -> Received:
-        """Return the entry by which an event is stored and not learned."""
-        return Received(replace(self.entry, kind=kind))
+    def set_aside(self) -> Received:
+        """Return the entry by which an event from the future is stored and not learned."""
+        return Received(replace(self.entry, kind="future"))
+
+    def only_number(self) -> Received:
+        """Return the entry by which an event's number alone is stored, as a disk is finite."""
+        return Received(replace(self.entry, kind="refused", raw=b""))
 
 
 def command_received(command: Command, meta: dict[str, str]) -> Received:

@@ -270,6 +270,14 @@ class Journal:
                 )
             return gone > 0 and until <= oldest
 
+    def forget(self, cameras: Sequence[str]) -> bool:
+        """Delete some of what is kept of forgotten cameras; return True if more is left.
+
+        As `prune`, it is called again and again.
+        """
+        with self._access(), sqlite_file.transaction(self._db):
+            return journal_schema.forget(self._db, cameras)
+
     def entries(self, after: int = 0) -> Iterator[tuple[int, Entry | None]]:
         """Yield the entries after ``after`` in order as (id, entry).
 
