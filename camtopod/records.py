@@ -804,7 +804,7 @@ class LearnerCounts(Struct, frozen=True):
 
     accepted: int = 0
     duplicate: int = 0
-    late: Annotated[int, _metric("events_late_total", "Events too late to be learned")] = 0
+    late: Annotated[int, _metric("events_late_total", "Events that came later than others")] = 0
     refused: int = 0
     surplus: int = 0
     held: Annotated[

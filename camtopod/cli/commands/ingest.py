@@ -194,7 +194,7 @@ def _publish(
     waiting = publisher.count_waiting(own=True)
     stored = max(0, publisher.published - waiting - publisher.dropped)
     log.info("%s", _outcome(stored, waiting, late, refused))
-    if late + refused and late + refused >= stored:
+    if refused and refused >= stored:
         return exits.FAILED
     return exits.DONE
 
@@ -203,7 +203,7 @@ def _outcome(stored: int, waiting: int, late: int, refused: int) -> str:
     """Return in words what became of the events."""
     parts = [f"{stored} events stored"]
     if late:
-        parts.append(f"{late} of them late (older than the events learned last: not learned)")
+        parts.append(f"{late} of them late (older than the events learned last)")
     if refused:
         parts.append(f"{refused} refused (malformed, too many of one camera, or in the future)")
     if waiting:

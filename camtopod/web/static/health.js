@@ -77,7 +77,7 @@ export class Health {
         fact("Stored since start", count(events.stored)),
         fact("Learned ever", count(daemon.learner?.learned)),
         fact("Waiting to be learned", count(events.waiting)),
-        fact("Late ever", count(daemon.learner?.late), "Events that came too late to be learned"),
+        fact("Late ever", count(daemon.learner?.late), "Events that came later than others; they are learned all the same"),
         fact(
           "Rejected since start",
           count(rejected),
