@@ -12,6 +12,7 @@ from msgspec import Struct, field
 from msgspec.structs import replace
 
 from camtopod.records import Match, Prediction
+from camtopod.words import LIKELY
 
 MEMORY_SECONDS = 3600.0
 """Age at which exits and entries are forgotten."""
@@ -21,21 +22,20 @@ ENTRIES_MAX = 10_000
 """Largest number of entries that are remembered."""
 LOOK_SECONDS = 10.0
 """Time for which to look at a camera from when the object is there, seconds."""
-PROBABLE = 0.5
-"""A probability above this is called probable."""
 
 
 class Awaited(Struct, frozen=True):
     """An arrival at a camera.
 
     camera: where the object left.
-    from_, until (Unix seconds): when it is likely to arrive, or to be worth a look.
+    from_, until (Unix seconds): when it is likely to arrive, or to be worth a look; None if that is
+        not known.
     """
 
     probability: float
     camera: str
-    from_: float
-    until: float
+    from_: float | None
+    until: float | None
 
 
 class Passing(Struct, frozen=True):
@@ -131,7 +131,8 @@ class Arrivals:
                 from_, until = prediction.t + row.q10, prediction.t + row.q90
                 if not now <= until:
                     continue
-                arrival = Awaited(row.probability * missing, prediction.camera, from_, until)
+                window = (None, None) if row.prior else (from_, until)
+                arrival = Awaited(row.probability * missing, prediction.camera, *window)
                 shares[row.camera] += arrival.probability
                 best = likeliest.get(row.camera, arrival)
                 likeliest[row.camera] = max(best, arrival, key=lambda one: one.probability)
@@ -154,9 +155,9 @@ class Arrivals:
             from_ = t
             until = t + max([LOOK_SECONDS, *(row.q90 for row in rows[:1])])
             for (other, entered), probability in one.seen.items():
-                if probability > PROBABLE and other != camera:
+                if probability > LIKELY and other != camera:
                     look, sees, from_, until = other, probability, entered, entered + LOOK_SECONDS
-            if sees > PROBABLE and now <= until:
+            if sees > LIKELY and now <= until:
                 found[look] = Awaited(sees, camera, from_, until)
         return found
 

@@ -62,7 +62,8 @@ class Anywhere:
         declared = model_of(topology).declared
         self.nobody_leaves = declared is not None and declared.nobody_leaves
         self._declared = declared_odds(declared, cameras)
-        self._linked = _linked_cameras(topology, camera_of)
+        self.linked = _linked_cameras(topology, camera_of)
+        """Cameras to which published links lead from each, by number of camera."""
         by_rate = np.argsort(rate, kind="stable")
         self.busiest = np.zeros(len(cameras), np.intp)
         """(cameras,) index of the zone of each camera with the most such arrivals."""
@@ -97,7 +98,7 @@ class Anywhere:
         odds = np.ones(len(self._entering)) if self._declared is None else self._declared[camera]
         likely = self._entering * odds
         if self.nobody_leaves:
-            linked = self._linked.get(camera, [])
+            linked = self.linked.get(camera, [])
             likely[linked] = self._entering[linked] * np.maximum(odds[linked], LINKED_ODDS)
         else:
             likely[camera] = 0.0

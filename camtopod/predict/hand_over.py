@@ -18,8 +18,9 @@ import numpy as np
 from camtopod.predict.hazards import model_of
 from camtopod.predict.labels import Labels
 from camtopod.predict.open_passages import OpenPassages, Passage
-from camtopod.records import SEEN_NOW_MIN, InView, Look, NextCamera, Topology
+from camtopod.records import InView, Look, NextCamera, Topology
 from camtopod.topology import STEPS, masses_on_bins, offset_bins
+from camtopod.words import LIKELY
 
 PROBABILITY_MIN = 1e-3
 """Least probability of passages and cameras that are reported."""
@@ -112,7 +113,7 @@ def seen_now(in_view: Iterable[InView]) -> list[Look]:
 
     in_view: open passages that may be of the object; those of one camera are added up.
     """
-    return _looks(((one.camera, one.probability) for one in in_view), SEEN_NOW_MIN)
+    return _looks(((one.camera, one.probability) for one in in_view), LIKELY)
 
 
 def _looks(shares: Iterable[tuple[str, float]], least: float) -> list[Look]:

@@ -19,6 +19,11 @@ from camtopod.predict.time_windows import PaceModel
 from camtopod.predict.zone_lookup import ZoneLookup
 from camtopod.records import Event, Topology
 
+LEARNED_EXITS = 100
+"""Exits of a camera after which it is known where objects go, without any link: one that a tenth of
+them takes would have the ten passages of a link.
+"""
+
 
 class ExitTable:
     """Figures of a topology version about objects that leave at one zone.
@@ -91,6 +96,13 @@ class PreparedVersion:
         self.event_share = np.array([share.get(camera, 0.0) for camera in self.cameras])
         """(cameras,) share of each camera in all events of the site."""
         self.anywhere = Anywhere(topology, self.hazards, self.cameras, self.camera_of)
+
+        # By a link, or as none of many objects went anywhere.
+        exits = np.bincount(self.camera_of, [zone.exits for zone in self.zones], len(self.cameras))
+        learned = exits >= LEARNED_EXITS
+        learned[list(self.anywhere.linked)] = True
+        self.is_learned = learned[self.camera_of]
+        """(zones,) True if it is known where objects of each zone's camera go."""
 
     @property
     def longest_lag(self) -> float:

@@ -249,6 +249,7 @@ class Daemon:
             site=self._config.site.name,
             epoch=self.epoch,
             t=self._clock(),
+            status_seconds=self._config.limits.status_seconds,
             events=EventCounts(
                 **intake.counts,
                 lost=intake.numbers.lost,

@@ -90,7 +90,7 @@ class Versions:
         # Log the new alarms and the version.
         for alarm in topology.alarms or []:
             if alarm.version == topology.version:
-                log.warning("%s %s: %s", alarm.kind, alarm.subject, alarm.detail)
+                log.warning("%s", alarm)
         links = len(links_between_views(topology))
         log.info(
             "version %d: %d cameras, %d zones, %s; looked for %s",

@@ -19,9 +19,10 @@ from camtopod.cli.common import (
 from camtopod.cli.events import broker_options
 from camtopod.cli.site_choice import dial_as_reader
 from camtopod.export import Arrivals, homeassistant
-from camtopod.records import CameraFigures, DaemonStatus, Match, Prediction, Status
+from camtopod.records import Match, Prediction
 from camtopod.serve.bus import Bus, QueryError, TopologySubscriber
 from camtopod.serve.runtime import STALL_SECONDS, Progress, wall
+from camtopod.statuses import Statuses
 
 LEAVE_SECONDS = 5.0
 """Time that a blocking part may delay the end after a signal."""
@@ -61,20 +62,19 @@ class HomeAssistantState:
         self._topics = topics
         self._cameras_max = cameras_max
         self._daemons: set[str] = set()
-        self._site = DaemonStatus()
-        self._grabbers: dict[str, Status] = {}
+        self._statuses = Statuses(wall, cameras_max)
         self._predictions: dict[str, Prediction] = {}
         self._answers: deque[Prediction | Match] = deque(maxlen=ANSWERS_MAX)
         """What `events` has not seen; the bus's threads append it."""
         self._arrivals = Arrivals()
         self._subscriber = TopologySubscriber(bus)
         bus.watch_alive("daemon", self._on_daemon)
-        bus.subscribe("status/*", self._on_status)
+        bus.subscribe("status/*", self._statuses.on_status)
         bus.subscribe("prediction/*", self._on_prediction)
         bus.subscribe("match/*", self._on_match)
         with contextlib.suppress(QueryError):
             for key, payload in bus.query("status/*"):
-                self._on_status(key, payload)
+                self._statuses.on_status(key, payload)
 
     def events(self, now: float) -> list[homeassistant.Messages]:
         """Return the messages of the entries since the last call, oldest first."""
@@ -97,26 +97,22 @@ class HomeAssistantState:
         zones = {}
         if topology is not None:
             zones = {camera.id: len(camera.zones) for camera in topology.cameras}
-        grabbers = dict(self._grabbers)  # the bus's threads change it
-        site = self._site
+        statuses = self._statuses
 
-        # Cameras, from any source, in a stable order.
-        names = {*grabbers, *site.cameras, *zones}
-        cameras = sorted(name for name in names if codec.is_camera(name))
-        cameras = cameras[: self._cameras_max]
+        # Cameras, in a stable order.
+        states = {one.id: one for one in statuses.cameras(topology) if codec.is_camera(one.id)}
+        cameras = sorted(states)[: self._cameras_max]
 
         # Messages of the site, then of each camera.
         alive = bool(self._daemons)
+        daemon = statuses.daemon_state(topology, "" if alive else "the daemon is not running")
         messages = homeassistant.discovery(topics, cameras)
-        messages |= homeassistant.site_state(topics, alive, site, topology)
-        # After a start of the daemon, cameras become known by their statuses.
+        messages |= homeassistant.site_state(topics, alive, daemon, statuses.daemon, topology)
         expected, looks = self._arrivals.expected(now), self._arrivals.looks(now)
-        known = dict.fromkeys(grabbers, CameraFigures(alive=True)) | site.cameras
         for camera in cameras:
-            if (counted := known.get(camera)) is not None:
-                messages |= homeassistant.camera_state(
-                    topics, camera, counted, grabbers.get(camera), zones.get(camera, 0)
-                )
+            state = states[camera]
+            if state.events is not None or state.state != "no grabber":  # it has been heard of
+                messages |= homeassistant.camera_state(topics, state, zones.get(camera, 0))
             if (prediction := self._predictions.get(camera)) is not None:
                 messages |= homeassistant.prediction_state(topics, prediction)
             if topology is not None:
@@ -128,14 +124,6 @@ class HomeAssistantState:
             self._daemons.add(name)
         else:
             self._daemons.discard(name)
-
-    def _on_status(self, key: str, payload: bytes) -> None:
-        camera = key.removeprefix("status/")
-        with contextlib.suppress(codec.Rejected):
-            if camera == "daemon":
-                self._site = codec.read(DaemonStatus, payload, pack=True)
-            else:
-                self._keep(self._grabbers, camera, codec.read(Status, payload, pack=True))
 
     def _on_prediction(self, key: str, payload: bytes) -> None:
         with contextlib.suppress(codec.Rejected):

@@ -1,0 +1,379 @@
+"""What state a camera or the daemon is in, and how it, a prediction and an alarm are said.
+
+Every display (page, terminal, MQTT bridge), `str` and the log take their words from here, so that
+the same status is the same words everywhere. Pure: no clock; `camtopod.statuses` collects what a
+display has received.
+"""
+
+from __future__ import annotations
+
+from collections import defaultdict
+from collections.abc import Iterable, Mapping, Sequence
+from typing import TYPE_CHECKING, Literal
+
+from msgspec import Struct
+
+if TYPE_CHECKING:  # which take their words from here
+    from camtopod.records import (
+        Alarm,
+        DaemonStatus,
+        InView,
+        NextCamera,
+        Prediction,
+        Status,
+        Topology,
+    )
+
+LIKELY = 0.5
+"""A probability above this is likely: more than all else together."""
+OUTCOMES_SAID = 3
+"""Most outcomes of a prediction that are said in words."""
+SHARE_SAID_MIN = 0.01
+"""Least probability of an outcome that is said in words."""
+STATUS_SECONDS = 1.0
+"""Status interval of a sender that does not say its own."""
+SILENT_STATUSES = 2.5
+"""Status intervals after which a sender is silent: two statuses are lost, not one that is late."""
+SILENT_SECONDS_MIN = 5.0
+"""Least silence that counts: a busy machine may send nothing for some seconds."""
+GONE_SECONDS = 86_400.0
+"""Event time without an event after which a camera without a grabber is gone."""
+OPEN_SECONDS = 86_400.0
+"""Event time for which an alarm is open."""
+AHEAD_SECONDS = 1.0
+"""Time by which a camera's clock may be ahead without being said to be."""
+TEXT_MAX = 500
+"""Longest state or reason of a sender that is shown, characters."""
+ELSEWHERE = "other program"
+"""State of a camera whose events come without the status of a grabber."""
+
+Look = Literal["good", "warn", "bad", "off"]
+"""How a state is shown: fine, worth a look, needs attention, or nothing to say of it."""
+_LOOKS: dict[str, Look] = {
+    "running": "good",
+    "ended": "off",
+    "no grabber": "off",
+    ELSEWHERE: "off",
+    "gone": "off",
+    "forgotten": "off",
+}
+"""How the states that need no attention are shown."""
+
+
+class CameraState(Struct, frozen=True):
+    """The state of a camera.
+
+    state: of its grabber; or ``forgotten``, ``silent``, ``gone``, ``no grabber``, `ELSEWHERE`.
+    reason: why, in words; "" if there is nothing to say.
+    alive: True while its events can come.
+    events: since the daemon's start; None if the daemon does not count them.
+    newest (Unix seconds): event time of its newest event; None if unknown.
+    """
+
+    id: str
+    state: str
+    reason: str
+    look: Look
+    alive: bool
+    events: int | None
+    newest: float | None
+
+
+class DaemonState(Struct, frozen=True):
+    """The state of the daemon.
+
+    live: False if nothing has been heard of it for too long.
+    words: its state, and what else somebody should know at a glance.
+    """
+
+    live: bool
+    words: str
+    reason: str
+    look: Look
+
+
+class AlarmWords(Struct, frozen=True):
+    """An alarm in words.
+
+    title: what has changed. open: whether somebody should still know (`alarms_in_words`).
+    """
+
+    title: str
+    subject: str
+    detail: str
+    version: int
+    t: float
+    open: bool
+
+
+class Headline(Struct, frozen=True):
+    """What is said of a prediction.
+
+    place: the camera that is named first, ``leaves`` or ``unknown``.
+    camera: that camera; None if it is none.
+    probability: of that.
+    words: the likeliest outcomes.
+    """
+
+    place: str
+    camera: str | None
+    probability: float
+    words: str
+
+
+# --- states
+
+
+def silent_after(status: Status) -> float:
+    """Return the time (seconds) without a status after which its sender is silent."""
+    return max(SILENT_STATUSES * (status.status_seconds or STATUS_SECONDS), SILENT_SECONDS_MIN)
+
+
+def camera_states(
+    daemon: DaemonStatus,
+    grabbers: Mapping[str, tuple[Status, float]],
+    topology: Topology | None,
+) -> list[CameraState]:
+    """Return the state of each camera that anybody knows, those that need attention first.
+
+    grabbers: newest status of each camera, and the seconds since it was received.
+    topology: the newest version.
+
+    A forgotten camera is one of them until its grabber is silent: then nothing is left of it.
+    """
+    newest: dict[str, float | None] = dict.fromkeys(grabbers)
+    last = 0.0
+    if topology is not None:
+        last = topology.as_of
+        newest |= dict.fromkeys(camera.id for camera in topology.cameras)
+        models = topology.model.cameras if topology.model else []
+        newest |= {row.camera: row.last_event for row in models if row.camera in newest}
+    newest |= {name: figures.newest for name, figures in daemon.cameras.items()}
+    last = max([last, *(t for t in newest.values() if t)])
+    states = [
+        camera_state(name, daemon, grabbers.get(name), t, last)
+        for name, t in newest.items()
+        if name not in daemon.names.forgotten
+        or name not in grabbers
+        or not _is_silent(*grabbers[name])
+    ]
+    order = ("gone", "forgotten")
+    return sorted(states, key=lambda one: (one.look != "bad", one.state in order, one.id))
+
+
+def camera_state(
+    name: str,
+    daemon: DaemonStatus,
+    grabber: tuple[Status, float] | None,
+    newest: float | None,
+    last: float,
+) -> CameraState:
+    """Return the state of a camera.
+
+    grabber: its newest status, and the seconds since it was received.
+    newest, last (Unix seconds): event time of its newest event, None if unknown, and of all.
+
+    A forgotten camera is just that, whatever its grabber says: somebody wanted it away, so it is
+    neither trouble nor fine. A grabber that has said nothing for `silent_after` is silent, unless
+    it had ended: a film has nothing more to say. A camera without a grabber that works is gone
+    after `GONE_SECONDS`, so that what was removed needs no attention for ever; with events it is
+    one of another program. All other states are the grabber's word; it needs attention unless it
+    runs or has ended.
+    """
+    counted = daemon.cameras.get(name)
+    status, quiet = grabber or (None, 0.0)
+    is_alive = status is not None if counted is None else counted.alive
+    state, reason = "no grabber", ""
+    if status is not None and status.state:
+        state, reason = status.state[:TEXT_MAX], status.reason[:TEXT_MAX]
+        if _is_silent(status, quiet):
+            state = "silent"
+            reason = f"no status from its grabber for more than {silent_after(status):.0f} s"
+    away = state == "silent" or (state == "no grabber" and not (counted and counted.alive))
+    if name in daemon.names.forgotten:
+        state = "forgotten"
+        reason = f"its events are refused until `camtopod forget --take-back {name}`"
+    elif away and newest is not None and last - newest > GONE_SECONDS:
+        state = "gone"
+        reason = ""
+    elif state == "no grabber" and counted and (counted.alive or counted.events):
+        state = ELSEWHERE
+    elif not reason and name in daemon.names.renamed:
+        reason = f"counts as {daemon.names.renamed[name]}"
+    if counted and (counted.ahead or 0.0) > AHEAD_SECONDS:
+        reason = "; ".join(filter(None, (reason, f"clock {counted.ahead:.0f} s ahead")))
+    return CameraState(
+        name,
+        state,
+        reason,
+        _LOOKS.get(state, "bad"),
+        is_alive and state not in ("silent", "gone", "forgotten"),
+        counted.events if counted else None,
+        newest,
+    )
+
+
+def _is_silent(status: Status, quiet: float) -> bool:
+    return status.state != "ended" and quiet > silent_after(status)
+
+
+def daemon_state(
+    status: DaemonStatus | None,
+    quiet: float,
+    cameras: Sequence[CameraState] = (),
+    alarms: Sequence[AlarmWords] = (),
+    away: str = "",
+) -> DaemonState:
+    """Return the state of the daemon.
+
+    status: its newest status; None if none has been received.
+    quiet: seconds since it was received.
+    away: why nothing can be heard of the daemon; "" if it can.
+
+    A daemon that is not heard of (`silent_after`) is silent, whatever it said last. One that
+    works is good only if nothing on its site waits for somebody: a degraded daemon and cameras
+    that need attention are bad, open alarms and its warnings are worth a look. While it catches
+    up, what it says is old, so it is neither good nor bad.
+    """
+    if status is None:
+        return DaemonState(False, "silent", away or "no status of a daemon received yet", "bad")
+    if away or quiet > silent_after(status):
+        away = away or f"no status from the daemon for more than {silent_after(status):.0f} s"
+        return DaemonState(False, "silent", away, "bad")
+
+    words = [status.state[:TEXT_MAX] or "running"]
+    reasons = [status.reason[:TEXT_MAX], *status.warnings]
+    if (behind := status.catching_up) is not None:
+        words.append(f"catching up, {100 * min(max(0.0, behind.share), 1.0) // 1:.0f} %")
+        reasons.append(f"{behind.seconds / 60:.0f} minutes behind")
+    if is_alarmed := any(one.open for one in alarms):
+        words.append(_counted(sum(one.open for one in alarms), "alarm"))
+    if ill := sum(one.look == "bad" for one in cameras):
+        words.append(_counted(ill, "camera needs", "cameras need") + " attention")
+    look: Look = "good"
+    if ill or words[0] != "running":
+        look = "bad"
+    elif is_alarmed or status.warnings:
+        look = "warn"
+    elif behind is not None:
+        look = "off"
+    return DaemonState(True, ", ".join(words), "; ".join(filter(None, reasons)), look)
+
+
+def _counted(number: int, noun: str, nouns: str = "") -> str:
+    return f"{number} {noun if number == 1 else nouns or f'{noun}s'}"
+
+
+# --- alarms
+
+
+def alarm_title(alarm: Alarm) -> str:
+    """Return what an alarm says has changed: ``link closed lobby/1 → hall/2``."""
+    return f"{alarm.kind.replace('_', ' ')} {alarm.subject.replace('->', ' → ')}"
+
+
+def alarms_in_words(topology: Topology | None) -> list[AlarmWords]:
+    """Return the alarms of a version, newest first.
+
+    An alarm is open for `OPEN_SECONDS` unless the same subject has a later one, as nobody closes
+    it by hand; that a camera is back is news, but nothing to look after.
+    """
+    if topology is None:
+        return []
+    alarms = topology.alarms or []
+    latest = {alarm.subject: alarm for alarm in alarms}
+    return [
+        AlarmWords(
+            alarm_title(alarm),
+            alarm.subject,
+            alarm.detail,
+            alarm.version,
+            alarm.t,
+            latest[alarm.subject] is alarm
+            and alarm.kind != "camera_back"
+            and topology.as_of - alarm.t < OPEN_SECONDS,
+        )
+        for alarm in reversed(alarms)
+    ]
+
+
+# --- predictions
+
+
+def when(row: NextCamera) -> str:
+    """Return when an object appears, in words; where views overlap it may have done so already.
+
+    Times that nobody has measured are not said as if somebody had.
+    """
+    if row.prior:
+        return "no times known yet"
+    if row.q90 < 0.5:
+        return "in view now"
+    if row.q10 < 0:
+        return f"within {row.q90:.0f} s"
+    return f"in {row.q10:.0f} to {row.q90:.0f} s"
+
+
+def headline(prediction: Prediction) -> Headline:
+    """Return what is said of a prediction: its likeliest outcomes, the first as the headline.
+
+    An outcome is told as a fact only if it is `LIKELY`. Otherwise the headline is the likeliest
+    camera, as somebody who looks needs a place to look at: "most likely" if no outcome is
+    likelier, "perhaps" if leaving the site is. Who is likely in view now comes before all that may
+    follow. Nobody is said to leave where it is not learned yet whether objects do.
+    """
+    outcomes = _outcomes(prediction)
+    is_unknown = prediction.prior or prediction.zone is None
+    if is_unknown:
+        outcomes = [one for one in outcomes if one.camera is not None]
+    first = outcomes[0] if outcomes else None
+    if first is None or (is_unknown and prediction.leave > LIKELY >= first.share):
+        return Headline("unknown", None, prediction.leave, "not known yet")
+
+    hedge = ""
+    if first.share <= LIKELY:
+        hedge = "most likely "
+        if first.camera is None and outcomes[1:]:
+            hedge = "perhaps "
+            first = outcomes[1]
+    others = [one for one in outcomes if one is not first]
+    words = "; ".join(one.words for one in [first, *others][:OUTCOMES_SAID])
+    return Headline(first.camera or "leaves", first.camera, first.share, hedge + words)
+
+
+class _Outcome(Struct):
+    """A camera, or None for leaving the site, with its probability."""
+
+    camera: str | None
+    share: float
+    words: str
+
+
+def _outcomes(prediction: Prediction) -> list[_Outcome]:
+    """Return the outcomes that are said, likeliest first, but who is in view now before all."""
+    now = _shares(prediction.in_view or [])
+    seen = {camera: share for camera, share in now.items() if share > LIKELY}
+    shares = {**_shares(prediction.candidates), **seen}
+    outcomes = [_Outcome(None, prediction.leave, f"leaves the site {_percent(prediction.leave)}")]
+    for camera, share in shares.items():
+        place = f"back to {camera}" if camera == prediction.camera else camera
+        times = "in view now"
+        if camera not in seen:
+            rows = [row for row in prediction.candidates if row.camera == camera]
+            times = when(min(rows, key=lambda row: row.prior))
+        words = f"{place} {_percent(share)}, {times}"
+        outcomes.append(_Outcome(camera, min(share, 1.0), words))
+    outcomes = [one for one in outcomes if one.share >= SHARE_SAID_MIN]
+    return sorted(outcomes, key=lambda one: (one.camera not in seen, -one.share))
+
+
+def _shares(rows: Iterable[NextCamera | InView]) -> dict[str, float]:
+    """Return the sum of the probabilities by camera."""
+    shares: dict[str, float] = defaultdict(float)
+    for row in rows:
+        shares[row.camera] += row.probability
+    return shares
+
+
+def _percent(share: float) -> str:
+    return f"{100 * min(share, 1.0):.0f} %"
