@@ -31,7 +31,7 @@ OUTCOMES_SAID = 3
 SHARE_SAID_MIN = 0.01
 """Least probability of an outcome that is said in words."""
 STATUS_SECONDS = 1.0
-"""Status interval of a sender that does not say its own."""
+"""Status interval of a site that does not say its own."""
 SILENT_STATUSES = 2.5
 """Status intervals after which a sender is silent: two statuses are lost, not one that is late."""
 SILENT_SECONDS_MIN = 5.0
@@ -124,9 +124,13 @@ class Headline(Struct, frozen=True):
 # --- states
 
 
-def silent_after(status: Status) -> float:
-    """Return the time (seconds) without a status after which its sender is silent."""
-    return max(SILENT_STATUSES * (status.status_seconds or STATUS_SECONDS), SILENT_SECONDS_MIN)
+def silent_after(status: Status, daemon: Status) -> float:
+    """Return the time (seconds) without a status after which its sender is silent.
+
+    It is of the sender's own status interval; of one that does not say it, the daemon's.
+    """
+    interval = status.status_seconds or daemon.status_seconds or STATUS_SECONDS
+    return max(SILENT_STATUSES * interval, SILENT_SECONDS_MIN)
 
 
 def camera_states(
@@ -155,7 +159,7 @@ def camera_states(
         for name, t in newest.items()
         if name not in daemon.names.forgotten
         or name not in grabbers
-        or not _is_silent(*grabbers[name])
+        or not _is_silent(*grabbers[name], daemon)
     ]
     order = ("gone", "forgotten")
     return sorted(states, key=lambda one: (one.look != "bad", one.state in order, one.id))
@@ -186,9 +190,10 @@ def camera_state(
     state, reason = "no grabber", ""
     if status is not None and status.state:
         state, reason = status.state[:TEXT_MAX], status.reason[:TEXT_MAX]
-        if _is_silent(status, quiet):
+        if _is_silent(status, quiet, daemon):
             state = "silent"
-            reason = f"no status from its grabber for more than {silent_after(status):.0f} s"
+            seconds = silent_after(status, daemon)
+            reason = f"no status from its grabber for more than {seconds:.0f} s"
     away = state == "silent" or (state == "no grabber" and not (counted and counted.alive))
     if name in daemon.names.forgotten:
         state = "forgotten"
@@ -213,8 +218,8 @@ def camera_state(
     )
 
 
-def _is_silent(status: Status, quiet: float) -> bool:
-    return status.state != "ended" and quiet > silent_after(status)
+def _is_silent(status: Status, quiet: float, daemon: Status) -> bool:
+    return status.state != "ended" and quiet > silent_after(status, daemon)
 
 
 def daemon_state(
@@ -237,8 +242,8 @@ def daemon_state(
     """
     if status is None:
         return DaemonState(False, "silent", away or "no status of a daemon received yet", "bad")
-    if away or quiet > silent_after(status):
-        away = away or f"no status from the daemon for more than {silent_after(status):.0f} s"
+    if away or quiet > (seconds := silent_after(status, status)):
+        away = away or f"no status from the daemon for more than {seconds:.0f} s"
         return DaemonState(False, "silent", away, "bad")
 
     words = [status.state[:TEXT_MAX] or "running"]

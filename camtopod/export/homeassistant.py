@@ -121,16 +121,11 @@ def discovery(topics: Topics, cameras: Iterable[str]) -> Messages:
 
 
 def site_state(
-    topics: Topics,
-    alive: bool,
-    daemon: DaemonState,
-    status: DaemonStatus,
-    topology: Topology | None,
+    topics: Topics, daemon: DaemonState, status: DaemonStatus, topology: Topology | None
 ) -> Messages:
     """Return the messages with the state of the site.
 
-    alive: True if the daemon is running.
-    daemon, status: its state, and its latest status.
+    daemon, status: state of the daemon, and its latest status.
     """
     state: dict[str, Any] = {
         "problem": _switch(daemon.look == "bad"),
@@ -154,11 +149,11 @@ def site_state(
             "at": _iso(newest.t),
         }
     between: dict[str, Any] = dict.fromkeys(("between", "low", "high", "since", "pairs"))
-    if alive and (told := status.between) is not None:
+    if daemon.live and (told := status.between) is not None:
         ends = {"low": told.low, "high": told.high, "since": _iso(told.since)}
         between = {"between": round(told.number, 1), **ends, "pairs": told.pairs}
     return {
-        topics.daemon: ("offline", "online")[alive],
+        topics.daemon: ("offline", "online")[daemon.live],
         topics.topic_of("", "state"): _json(state),
         topics.topic_of("", "alarm"): _json(alarm),
         topics.topic_of("", "between"): _json(between),

@@ -9,9 +9,10 @@ from msgspec.structs import replace
 from page_fixture import Shown, opened
 from synthetic_topology import synthetic_topology
 
-from camtopod.records import EventHours, InView, Look, Prediction, Status
+from camtopod.records import EventHours, InView, Look, NextCamera, Prediction, Status
 
 SITE = synthetic_topology(4, as_of=time.time())
+WITH_A_CAMERA = "running, 1 alarm, 1 camera needs attention · version 1"
 A, B, C = (camera.id for camera in SITE.cameras[:3])
 
 
@@ -38,11 +39,13 @@ def test_the_header_leads_to_a_camera_that_needs_attention(browser: Browser) -> 
     shown = Shown(SITE)
     with shown.serving():
         opened(browser, shown)
-        browser.wait(lambda: browser.text("#live") == "live · version 1", "all to be well")
+        browser.wait(
+            lambda: browser.text("#live") == "running, 1 alarm · version 1", "all to be well"
+        )
         assert browser.count("nav .ill") == 0
         shown.bus.publish(f"status/{A}", Status("stalled", "no picture for 9 s"))
         browser.run("document.querySelector('#live').click()")  # which asks for the health
-        browser.wait(lambda: browser.text("#live") == "live, 1 camera needs attention", "it")
+        browser.wait(lambda: browser.text("#live") == WITH_A_CAMERA, "it")
         assert browser.text(".page h1") == "Health"
         assert browser.text("nav .ill") == "Health"
         shown.bus.publish(f"status/{A}", Status("running"))
@@ -104,7 +107,9 @@ def test_who_left_one_view_and_is_in_another_is_shown_at_both(browser: Browser) 
 
         browser.wait(told, "who is in view")
         assert browser.count(f".node.sees[data-id={B}]") == 1
-        shown.bus.publish(f"prediction/{A}", replace(said, in_view=None))
-        where = f"{A} → {B} 90 %, look there now or next"
+        follows = [NextCamera(B, f"{B}/1", 0.8, -9.0, 1.0, 4.0)]
+        later = replace(said, zone=f"{A}/1", in_view=None, candidates=follows)
+        shown.bus.publish(f"prediction/{A}", later)
+        where = f"{A} → {B} 80 %, within 4 s; leaves the site 20 %"
         browser.wait(lambda: where in browser.text(".predictions"), "where to look")
         browser.wait(lambda: browser.count(".node.sees") == 0, "the mark to go")

@@ -104,10 +104,10 @@ class HomeAssistantState:
         cameras = sorted(states)[: self._cameras_max]
 
         # Messages of the site, then of each camera.
-        alive = bool(self._daemons)
-        daemon = statuses.daemon_state(topology, "" if alive else "the daemon is not running")
+        away = "" if self._daemons else "the daemon is not running"
+        daemon = statuses.daemon_state(topology, away)
         messages = homeassistant.discovery(topics, cameras)
-        messages |= homeassistant.site_state(topics, alive, daemon, statuses.daemon, topology)
+        messages |= homeassistant.site_state(topics, daemon, statuses.daemon, topology)
         expected, looks = self._arrivals.expected(now), self._arrivals.looks(now)
         for camera in cameras:
             state = states[camera]
