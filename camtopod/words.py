@@ -241,7 +241,9 @@ def daemon_state(
     up, what it says is old, so it is neither good nor bad.
     """
     if status is None:
-        return DaemonState(False, "silent", away or "no status of a daemon received yet", "bad")
+        return DaemonState(
+            False, "silent", away or "no status of the daemon has been received yet", "bad"
+        )
     if away or quiet > (seconds := silent_after(status, status)):
         away = away or f"no status from the daemon for more than {seconds:.0f} s"
         return DaemonState(False, "silent", away, "bad")
@@ -359,7 +361,7 @@ def _outcomes(prediction: Prediction) -> list[_Outcome]:
     now = _shares(prediction.in_view or [])
     seen = {camera: share for camera, share in now.items() if share > LIKELY}
     shares = {**_shares(prediction.candidates), **seen}
-    outcomes = [_Outcome(None, prediction.leave, f"leaves the site {_percent(prediction.leave)}")]
+    outcomes = []
     for camera, share in shares.items():
         place = f"back to {camera}" if camera == prediction.camera else camera
         times = "in view now"
@@ -368,6 +370,8 @@ def _outcomes(prediction: Prediction) -> list[_Outcome]:
             times = when(min(rows, key=lambda row: row.prior))
         words = f"{place} {_percent(share)}, {times}"
         outcomes.append(_Outcome(camera, min(share, 1.0), words))
+    words = f"leaves the site {_percent(prediction.leave)}"
+    outcomes.append(_Outcome(None, prediction.leave, words))
     outcomes = [one for one in outcomes if one.share >= SHARE_SAID_MIN]
     return sorted(outcomes, key=lambda one: (one.camera not in seen, -one.share))
 

@@ -104,7 +104,8 @@ def test_everything_is_shown_newest_and_worst_first() -> None:
     text = lines(busy_site(9), topology(ALARMS_SHOWN + 2, SCORE, links=2))
 
     assert text[0] == (
-        "site hq: daemon running, 7 alarms, 77 events stored, 2 rejected since its start"
+        "site hq: daemon running, 7 alarms, 1 camera needs attention, 77 events stored, "
+        "2 rejected since its start"
     )
     assert text[2].startswith(
         "predictions: next camera right 0.81 (baseline 0.55), among the first"
@@ -128,7 +129,7 @@ def test_everything_is_shown_newest_and_worst_first() -> None:
 
 def test_before_the_first_link_it_says_what_it_waits_for() -> None:
     nothing = "\n".join(lines(SiteState("hq")))
-    assert "no status of a daemon received yet" in nothing
+    assert "no status of the daemon has been received yet" in nothing
     assert "nothing learned yet" in nothing
     assert "ALARMS" not in nothing
 
@@ -144,12 +145,10 @@ def test_a_sender_of_statuses_may_fall_silent() -> None:
     site = busy_site(2, lambda: now)
     publish(site, "film", state="ended", reason="the file is at its end")
     publish(site, "daemon", state="running", catching_up={"seconds": 2640.0, "share": 0.63})
-    line = (
-        "daemon running, catching up, 63 %, 1 camera needs attention (44 minutes behind), 0 events"
-    )
+    line = "daemon running, catching up, 63 % (44 minutes behind), 0 events"
     assert line in site.daemon_line(None)
     publish(site, "daemon", state="running", warnings=["no camera is called lobbi"])
-    assert "attention (no camera is called lobbi), 0 events" in site.daemon_line(None)
+    assert "running (no camera is called lobbi), 0 events" in site.daemon_line(None)
 
     now += SILENT_SECONDS_MIN + 1.0
     publish(site, "cam0001", state="running", reason="")
