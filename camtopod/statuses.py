@@ -24,8 +24,8 @@ class Statuses:
 
     clock: seconds, to notice senders that are silent.
 
-    daemon: newest status of the daemon; an empty one until `heard`.
-    heard: when it was received; None before.
+    daemon: newest status of the daemon; an empty one until one is received.
+    heard: when it was received; until then, when this began.
     """
 
     def __init__(self, clock: Callable[[], float], cameras_max: int = CAMERAS_MAX) -> None:
@@ -35,7 +35,7 @@ class Statuses:
         self._grabbers: dict[str, tuple[Status, float]] = {}
         """Newest status of each camera, and when it was received."""
         self.daemon = DaemonStatus()
-        self.heard: float | None = None
+        self.heard = self._reachable_since
 
     def on_status(self, key: str, payload: bytes) -> None:
         """Store a status published on ``status/...``; a malformed one is ignored."""
@@ -65,11 +65,6 @@ class Statuses:
 
     def daemon_state(self, topology: Topology | None, away: str = "") -> DaemonState:
         """Return the state of the daemon; ``away``: why nothing can be heard of it."""
-        quiet = abs(self._clock() - self.heard) if self.heard is not None else 0.0
-        return daemon_state(
-            None if self.heard is None else self.daemon,
-            quiet,
-            self.cameras(topology),
-            alarms_in_words(topology),
-            away,
-        )
+        quiet = abs(self._clock() - self.heard)
+        cameras = self.cameras(topology)
+        return daemon_state(self.daemon, quiet, cameras, alarms_in_words(topology), away)

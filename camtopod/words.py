@@ -18,6 +18,7 @@ if TYPE_CHECKING:  # which take their words from here
         Alarm,
         DaemonStatus,
         InView,
+        Look,
         NextCamera,
         Prediction,
         Status,
@@ -47,9 +48,9 @@ TEXT_MAX = 500
 ELSEWHERE = "other program"
 """State of a camera whose events come without the status of a grabber."""
 
-Look = Literal["good", "warn", "bad", "off"]
+Appearance = Literal["good", "warn", "bad", "off"]
 """How a state is shown: fine, worth a look, needs attention, or nothing to say of it."""
-_LOOKS: dict[str, Look] = {
+_LOOKS: dict[str, Appearance] = {
     "running": "good",
     "ended": "off",
     "no grabber": "off",
@@ -58,6 +59,8 @@ _LOOKS: dict[str, Look] = {
     "forgotten": "off",
 }
 """How the states that need no attention are shown."""
+ABSENT = ("gone", "forgotten")
+"""States of cameras that are no longer there, which are listed last."""
 
 
 class CameraState(Struct, frozen=True):
@@ -73,7 +76,7 @@ class CameraState(Struct, frozen=True):
     id: str
     state: str
     reason: str
-    look: Look
+    look: Appearance
     alive: bool
     events: int | None
     newest: float | None
@@ -89,7 +92,7 @@ class DaemonState(Struct, frozen=True):
     live: bool
     words: str
     reason: str
-    look: Look
+    look: Appearance
 
 
 class AlarmWords(Struct, frozen=True):
@@ -110,13 +113,11 @@ class Headline(Struct, frozen=True):
     """What is said of a prediction.
 
     place: the camera that is named first, ``leaves`` or ``unknown``.
-    camera: that camera; None if it is none.
     probability: of that.
     words: the likeliest outcomes.
     """
 
     place: str
-    camera: str | None
     probability: float
     words: str
 
@@ -143,7 +144,12 @@ def camera_states(
     grabbers: newest status of each camera, and the seconds since it was received.
     topology: the newest version.
 
-    A forgotten camera is one of them until its grabber is silent: then nothing is left of it.
+    A forgotten camera is just that, whatever its grabber says: somebody wanted it away, so it is
+    neither trouble nor fine; nothing is left of it once its grabber is silent. A grabber that has
+    said nothing for `silent_after` is silent, unless it had ended: a film has nothing more to say.
+    A camera without a grabber that works is gone after `GONE_SECONDS`, so that what was removed
+    needs no attention for ever; if it has events, it is one of another program. All other states
+    are the grabber's word: it needs attention unless it runs or has ended.
     """
     newest: dict[str, float | None] = dict.fromkeys(grabbers)
     last = 0.0
@@ -154,57 +160,33 @@ def camera_states(
         newest |= {row.camera: row.last_event for row in models if row.camera in newest}
     newest |= {name: figures.newest for name, figures in daemon.cameras.items()}
     last = max([last, *(t for t in newest.values() if t)])
-    states = [
-        camera_state(name, daemon, grabbers.get(name), t, last)
-        for name, t in newest.items()
-        if name not in daemon.names.forgotten
-        or name not in grabbers
-        or not _is_silent(*grabbers[name], daemon)
-    ]
-    order = ("gone", "forgotten")
-    return sorted(states, key=lambda one: (one.look != "bad", one.state in order, one.id))
+
+    silent = {
+        name
+        for name, (status, quiet) in grabbers.items()
+        if status.state != "ended" and quiet > silent_after(status, daemon)
+    }
+    left = daemon.names.forgotten.keys() - (grabbers.keys() - silent)
+    states = []
+    for name, t in newest.items():
+        if name not in left:
+            status = grabbers[name][0] if name in grabbers else None
+            is_old = t is not None and last - t > GONE_SECONDS
+            states.append(_camera_state(name, daemon, status, name in silent, t, is_old))
+    return sorted(states, key=lambda one: (one.look != "bad", one.state in ABSENT, one.id))
 
 
-def camera_state(
+def _camera_state(
     name: str,
     daemon: DaemonStatus,
-    grabber: tuple[Status, float] | None,
+    status: Status | None,
+    is_silent: bool,
     newest: float | None,
-    last: float,
+    is_old: bool,
 ) -> CameraState:
-    """Return the state of a camera.
-
-    grabber: its newest status, and the seconds since it was received.
-    newest, last (Unix seconds): event time of its newest event, None if unknown, and of all.
-
-    A forgotten camera is just that, whatever its grabber says: somebody wanted it away, so it is
-    neither trouble nor fine. A grabber that has said nothing for `silent_after` is silent, unless
-    it had ended: a film has nothing more to say. A camera without a grabber that works is gone
-    after `GONE_SECONDS`, so that what was removed needs no attention for ever; with events it is
-    one of another program. All other states are the grabber's word; it needs attention unless it
-    runs or has ended.
-    """
     counted = daemon.cameras.get(name)
-    status, quiet = grabber or (None, 0.0)
     is_alive = status is not None if counted is None else counted.alive
-    state, reason = "no grabber", ""
-    if status is not None and status.state:
-        state, reason = status.state[:TEXT_MAX], status.reason[:TEXT_MAX]
-        if _is_silent(status, quiet, daemon):
-            state = "silent"
-            seconds = silent_after(status, daemon)
-            reason = f"no status from its grabber for more than {seconds:.0f} s"
-    away = state == "silent" or (state == "no grabber" and not (counted and counted.alive))
-    if name in daemon.names.forgotten:
-        state = "forgotten"
-        reason = f"its events are refused until `camtopod forget --take-back {name}`"
-    elif away and newest is not None and last - newest > GONE_SECONDS:
-        state = "gone"
-        reason = ""
-    elif state == "no grabber" and counted and (counted.alive or counted.events):
-        state = ELSEWHERE
-    elif not reason and name in daemon.names.renamed:
-        reason = f"counts as {daemon.names.renamed[name]}"
+    state, reason = _state_of(name, daemon, status, is_silent, is_old)
     if counted and (counted.ahead or 0.0) > AHEAD_SECONDS:
         reason = "; ".join(filter(None, (reason, f"clock {counted.ahead:.0f} s ahead")))
     return CameraState(
@@ -212,18 +194,34 @@ def camera_state(
         state,
         reason,
         _LOOKS.get(state, "bad"),
-        is_alive and state not in ("silent", "gone", "forgotten"),
+        is_alive and not is_silent and state not in ABSENT,
         counted.events if counted else None,
         newest,
     )
 
 
-def _is_silent(status: Status, quiet: float, daemon: Status) -> bool:
-    return status.state != "ended" and quiet > silent_after(status, daemon)
+def _state_of(
+    name: str, daemon: DaemonStatus, status: Status | None, is_silent: bool, is_old: bool
+) -> tuple[str, str]:
+    """Return state and reason of a camera by the rules of `camera_states`."""
+    if name in daemon.names.forgotten:
+        return "forgotten", f"its events are refused until `camtopod forget --take-back {name}`"
+    counted = daemon.cameras.get(name)
+    has_grabber = status is not None and bool(status.state)
+    if is_old and (is_silent or not (has_grabber or (counted and counted.alive))):
+        return "gone", ""
+    if status is None or not status.state:
+        return ELSEWHERE if counted and (counted.alive or counted.events) else "no grabber", ""
+    if is_silent:
+        seconds = silent_after(status, daemon)
+        return "silent", f"no status from its grabber for more than {seconds:.0f} s"
+    present = daemon.names.renamed.get(name)
+    reason = status.reason or (f"counts as {present}" if present else "")
+    return status.state[:TEXT_MAX], reason[:TEXT_MAX]
 
 
 def daemon_state(
-    status: DaemonStatus | None,
+    status: DaemonStatus,
     quiet: float,
     cameras: Sequence[CameraState] = (),
     alarms: Sequence[AlarmWords] = (),
@@ -231,7 +229,7 @@ def daemon_state(
 ) -> DaemonState:
     """Return the state of the daemon.
 
-    status: its newest status; None if none has been received.
+    status: its newest status; an empty one if none has been received.
     quiet: seconds since it was received.
     away: why nothing can be heard of the daemon; "" if it can.
 
@@ -240,34 +238,34 @@ def daemon_state(
     that need attention are bad, open alarms and its warnings are worth a look. While it catches
     up, what it says is old, so it is neither good nor bad.
     """
-    if status is None:
-        return DaemonState(
-            False, "silent", away or "no status of the daemon has been received yet", "bad"
-        )
-    if away or quiet > (seconds := silent_after(status, status)):
-        away = away or f"no status from the daemon for more than {seconds:.0f} s"
+    if not (away or status.state):
+        away = "no status of the daemon has been received yet"
+    elif not away and quiet > (seconds := silent_after(status, status)):
+        away = f"no status from the daemon for more than {seconds:.0f} s"
+    if away:
         return DaemonState(False, "silent", away, "bad")
 
-    words = [status.state[:TEXT_MAX] or "running"]
+    words = [status.state[:TEXT_MAX]]
     reasons = [status.reason[:TEXT_MAX], *status.warnings]
     if (behind := status.catching_up) is not None:
         words.append(f"catching up, {100 * min(max(0.0, behind.share), 1.0) // 1:.0f} %")
         reasons.append(f"{behind.seconds / 60:.0f} minutes behind")
-    if is_alarmed := any(one.open for one in alarms):
-        words.append(_counted(sum(one.open for one in alarms), "alarm"))
+    if alarmed := sum(one.open for one in alarms):
+        words.append(counted(alarmed, "alarm"))
     if ill := sum(one.look == "bad" for one in cameras):
-        words.append(_counted(ill, "camera needs", "cameras need") + " attention")
-    look: Look = "good"
-    if ill or words[0] != "running":
-        look = "bad"
-    elif is_alarmed or status.warnings:
-        look = "warn"
-    elif behind is not None:
-        look = "off"
+        words.append(f"{counted(ill, 'camera needs', 'cameras need')} attention")
+    looks: dict[Appearance, object] = {
+        "bad": ill or status.state != "running",
+        "warn": alarmed or status.warnings,
+        "off": behind,
+        "good": True,
+    }
+    look = next(look for look, applies in looks.items() if applies)
     return DaemonState(True, ", ".join(words), "; ".join(filter(None, reasons)), look)
 
 
-def _counted(number: int, noun: str, nouns: str = "") -> str:
+def counted(number: int, noun: str, nouns: str = "") -> str:
+    """Return "1 camera", "2 cameras" and so on."""
     return f"{number} {noun if number == 1 else nouns or f'{noun}s'}"
 
 
@@ -335,7 +333,7 @@ def headline(prediction: Prediction) -> Headline:
         outcomes = [one for one in outcomes if one.camera is not None]
     first = outcomes[0] if outcomes else None
     if first is None or (is_unknown and prediction.leave > LIKELY >= first.share):
-        return Headline("unknown", None, prediction.leave, "not known yet")
+        return Headline("unknown", prediction.leave, "not known yet")
 
     hedge = ""
     if first.share <= LIKELY:
@@ -345,7 +343,7 @@ def headline(prediction: Prediction) -> Headline:
             first = outcomes[1]
     others = [one for one in outcomes if one is not first]
     words = "; ".join(one.words for one in [first, *others][:OUTCOMES_SAID])
-    return Headline(first.camera or "leaves", first.camera, first.share, hedge + words)
+    return Headline(first.camera or "leaves", first.share, hedge + words)
 
 
 class _Outcome(Struct):
@@ -358,9 +356,8 @@ class _Outcome(Struct):
 
 def _outcomes(prediction: Prediction) -> list[_Outcome]:
     """Return the outcomes that are said, likeliest first, but who is in view now before all."""
-    now = _shares(prediction.in_view or [])
-    seen = {camera: share for camera, share in now.items() if share > LIKELY}
-    shares = {**_shares(prediction.candidates), **seen}
+    seen = seen_now(prediction)
+    shares = sum_by_camera(prediction.candidates) | seen
     outcomes = []
     for camera, share in shares.items():
         place = f"back to {camera}" if camera == prediction.camera else camera
@@ -369,19 +366,25 @@ def _outcomes(prediction: Prediction) -> list[_Outcome]:
             rows = [row for row in prediction.candidates if row.camera == camera]
             times = when(min(rows, key=lambda row: row.prior))
         words = f"{place} {_percent(share)}, {times}"
-        outcomes.append(_Outcome(camera, min(share, 1.0), words))
+        outcomes.append(_Outcome(camera, share, words))
     words = f"leaves the site {_percent(prediction.leave)}"
     outcomes.append(_Outcome(None, prediction.leave, words))
     outcomes = [one for one in outcomes if one.share >= SHARE_SAID_MIN]
     return sorted(outcomes, key=lambda one: (one.camera not in seen, -one.share))
 
 
-def _shares(rows: Iterable[NextCamera | InView]) -> dict[str, float]:
+def seen_now(prediction: Prediction) -> dict[str, float]:
+    """Return the cameras that are likely to see the object now, with the probabilities."""
+    shares = sum_by_camera(prediction.in_view or [])
+    return {camera: min(share, 1.0) for camera, share in shares.items() if share > LIKELY}
+
+
+def sum_by_camera(rows: Iterable[NextCamera | InView | Look]) -> dict[str, float]:
     """Return the sum of the probabilities by camera."""
     shares: dict[str, float] = defaultdict(float)
     for row in rows:
         shares[row.camera] += row.probability
-    return shares
+    return dict(shares)
 
 
 def _percent(share: float) -> str:

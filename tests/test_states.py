@@ -33,7 +33,7 @@ from camtopod.words import (
     OPEN_SECONDS,
     CameraState,
     alarms_in_words,
-    camera_state,
+    camera_states,
     daemon_state,
     headline,
 )
@@ -48,46 +48,60 @@ ALIVE = CameraFigures(5, NOW, alive=True)
 
 
 @pytest.mark.parametrize(
-    ("grabber", "figures", "newest", "state", "look", "alive"),
+    ("grabber", "figures", "state", "look", "alive"),
     [
-        ((Status("running"), 0.0), ALIVE, NOW, "running", "good", True),
-        ((Status("running"), 4.9), ALIVE, NOW, "running", "good", True),
-        ((Status("running"), 5.1), ALIVE, NOW, "silent", "bad", False),
-        ((SLOW, 49.0), ALIVE, NOW, "running", "good", True),
-        ((SLOW, 51.0), ALIVE, NOW, "silent", "bad", False),
-        ((SLOW, 51.0), None, OLD, "gone", "off", False),
-        ((Status("ended"), 99.0), None, NOW, "ended", "off", True),
-        ((Status("stalled"), 0.0), ALIVE, OLD, "stalled", "bad", True),
-        ((Status("connecting"), 0.0), None, None, "connecting", "bad", True),
-        ((Status(), 0.0), ALIVE, NOW, ELSEWHERE, "off", True),
-        (None, ALIVE, OLD, ELSEWHERE, "off", True),
-        (None, CameraFigures(5, NOW), NOW, ELSEWHERE, "off", False),
-        (None, CameraFigures(5, OLD), OLD, "gone", "off", False),
-        (None, CameraFigures(), NOW, "no grabber", "off", False),
-        (None, None, None, "no grabber", "off", False),
+        ((Status("running"), 0.0), ALIVE, "running", "good", True),
+        ((Status("running"), 4.9), ALIVE, "running", "good", True),
+        ((Status("running"), 5.1), ALIVE, "silent", "bad", False),
+        ((SLOW, 49.0), ALIVE, "running", "good", True),
+        ((SLOW, 51.0), ALIVE, "silent", "bad", False),
+        ((SLOW, 51.0), CameraFigures(5, OLD), "gone", "off", False),
+        ((Status("ended"), 99.0), None, "ended", "off", True),
+        ((Status("stalled"), 0.0), ALIVE, "stalled", "bad", True),
+        ((Status("stalled"), 0.0), CameraFigures(5, OLD), "stalled", "bad", False),
+        ((Status("connecting"), 0.0), None, "connecting", "bad", True),
+        ((Status(), 0.0), ALIVE, ELSEWHERE, "off", True),
+        (None, CameraFigures(5, OLD, alive=True), ELSEWHERE, "off", True),
+        (None, CameraFigures(5, NOW), ELSEWHERE, "off", False),
+        (None, CameraFigures(5, OLD), "gone", "off", False),
+        (None, CameraFigures(0, NOW), "no grabber", "off", False),
     ],
 )
 def test_the_state_of_a_camera(
     grabber: tuple[Status, float] | None,
     figures: CameraFigures | None,
-    newest: float | None,
     state: str,
     look: str,
     alive: bool,
 ) -> None:
-    daemon = DaemonStatus("running", cameras={"a": figures} if figures else {})
-    answer = camera_state("a", daemon, grabber, newest, NOW)
-    assert (answer.state, answer.look, answer.alive) == (state, look, alive)
+    def states(*forgotten: str) -> dict[str, tuple[str, str, bool]]:
+        counted = {"a": figures, "other": ALIVE} if figures else {"other": ALIVE}
+        names = NamesStatus(forgotten=dict.fromkeys(forgotten, 3))
+        daemon = DaemonStatus("running", cameras=counted, names=names)
+        found = camera_states(daemon, {"a": grabber} if grabber else {}, None)
+        return {one.id: (one.state, one.look, one.alive) for one in found}
 
-    # Whatever it was, once it is forgotten it is only that.
-    names = NamesStatus(forgotten={"a": 3})
-    answer = camera_state("a", replace(daemon, names=names), grabber, newest, NOW)
-    assert (answer.state, answer.look, answer.alive) == ("forgotten", "off", False)
+    assert states()["a"] == (state, look, alive)
+
+    # Once it is forgotten it is only that, and nothing is left without its grabber.
+    is_heard = grabber is not None and state not in ("silent", "gone")
+    assert states("a").get("a") == (("forgotten", "off", False) if is_heard else None)
 
 
 def test_a_grabber_that_does_not_say_its_interval_has_the_daemons() -> None:
     daemon = DaemonStatus("running", status_seconds=20.0)
-    assert camera_state("a", daemon, (Status("running"), 49.0), NOW, NOW).state == "running"
+    [state] = camera_states(daemon, {"a": (Status("running"), 49.0)}, None)
+    assert state.state == "running"
+
+
+def test_a_reason_says_more_than_the_state() -> None:
+    names = NamesStatus(renamed={"before": "after"})
+    daemon = DaemonStatus(names=names, cameras={"fast": CameraFigures(1, NOW, ahead=3.2)})
+    status = {"before": Status("running"), "fast": Status("stalled", 1000 * "x")}
+    grabbers = {name: (one, 0.0) for name, one in status.items()}
+    fast, before = camera_states(daemon, grabbers, None)
+    assert fast.reason == 500 * "x" + "; clock 3 s ahead"
+    assert before.reason == "counts as after"
 
 
 # --- the daemon
@@ -104,7 +118,7 @@ SLOW_DAEMON = DaemonStatus("running", status_seconds=20.0)
 @pytest.mark.parametrize(
     ("status", "quiet", "cameras", "alarmed", "live", "words", "look"),
     [
-        (None, 0.0, [], False, False, "silent", "bad"),
+        (DaemonStatus(), 0.0, [], False, False, "silent", "bad"),
         (SLOW_DAEMON, 49.0, [], False, True, "running", "good"),
         (SLOW_DAEMON, 51.0, [], False, False, "silent", "bad"),
         (DaemonStatus("running"), 4.0, [], True, True, "running, 3 alarms", "warn"),
@@ -125,7 +139,7 @@ SLOW_DAEMON = DaemonStatus("running", status_seconds=20.0)
     ],
 )
 def test_the_state_of_the_daemon(
-    status: DaemonStatus | None,
+    status: DaemonStatus,
     quiet: float,
     cameras: list[CameraState],
     alarmed: bool,

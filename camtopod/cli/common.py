@@ -97,11 +97,6 @@ def topology_of(path: str) -> Topology:
         raise InputError(f"{path} is not a topology: {error}") from None
 
 
-def counted(number: int, thing: str) -> str:
-    """Return "1 camera", "2 cameras" and so on."""
-    return f"{number} {thing}" if number == 1 else f"{number} {thing}s"
-
-
 def camera_id(text: str) -> str:
     """Parse a camera's id; for argparse."""
     try:

@@ -12,7 +12,7 @@ from msgspec import Struct, field
 from msgspec.structs import replace
 
 from camtopod.records import Match, Prediction
-from camtopod.words import LIKELY
+from camtopod.words import LIKELY, sum_by_camera
 
 MEMORY_SECONDS = 3600.0
 """Age at which exits and entries are forgotten."""
@@ -169,7 +169,6 @@ def look_at(prediction: Prediction) -> tuple[str, float]:
     """
     shares = {one.camera: one.probability for one in prediction.look or []}
     if not shares:  # Without overlapping views it follows from the next appearances.
-        for row in prediction.candidates:
-            shares[row.camera] = shares.get(row.camera, 0.0) + row.probability
+        shares = sum_by_camera(prediction.candidates)
         shares.pop(prediction.camera, None)
     return max(shares.items(), key=lambda item: item[1], default=("none", 0.0))

@@ -182,14 +182,14 @@ def prediction_state(topics: Topics, prediction: Prediction) -> Messages:
     said = headline(prediction)
     window: dict[str, str | None] = {"from": None, "until": None}
     for place in prediction.candidates:
-        if place.camera == said.camera and not place.prior:
+        if place.camera == said.place and not place.prior:
             window["from"] = _iso(prediction.t + max(0.0, place.q10))
             window["until"] = _iso(prediction.t + max(0.0, place.q90))
             break
 
     look, sees = look_at(prediction)
     state = {
-        "next": "returns" if said.camera == prediction.camera else said.place,
+        "next": "returns" if said.place == prediction.camera else said.place,
         "probability": round(said.probability, 3),
         "words": said.words,
         "zone": prediction.zone,

@@ -16,10 +16,10 @@ from camtopod.serve.live_predictions import Live, Reader
 from camtopod.serve.storage import Journal, Learned, Snapshot, StateError
 from camtopod.topology import (
     links_between_views,
-    links_in_words,
     range_in_words,
     waiting_for_links,
 )
+from camtopod.words import counted
 
 log = logging.getLogger(__name__)
 
@@ -93,11 +93,11 @@ class Versions:
                 log.warning("%s", alarm)
         links = len(links_between_views(topology))
         log.info(
-            "version %d: %d cameras, %d zones, %s; looked for %s",
+            "version %d: %d cameras, %d zones, %s between views; looked for %s",
             topology.version,
             len(topology.cameras),
             len(topology.zones),
-            links_in_words(links),
+            counted(links, "link"),
             range_in_words(topology),
         )
         if not links:

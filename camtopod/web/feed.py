@@ -15,8 +15,7 @@ from typing import Any
 import msgspec
 
 from camtopod import codec
-from camtopod.predict import seen_now
-from camtopod.records import Match, Prediction, Recent, Topology
+from camtopod.records import Look, Match, Prediction, Recent, Topology
 from camtopod.serve.bus import Bus, QueryError, TopologySubscriber
 from camtopod.serve.runtime import Beat, Clock, no_beat
 from camtopod.statuses import Statuses
@@ -25,7 +24,7 @@ from camtopod.web.map_data import NO_MAP, draw
 from camtopod.web.outbox import PageQueues, message
 from camtopod.web.recent_matches import RecentMatches
 from camtopod.web.versions import summary
-from camtopod.words import headline
+from camtopod.words import headline, seen_now
 
 PER_SECOND_MAX = 25
 """Predictions, and matches, forwarded per second, of all cameras together; people cannot follow
@@ -51,15 +50,15 @@ NOT_SHOWN = ("cameras", "reject_samples", "alarms")
 def shown(prediction: Prediction) -> dict[str, Any]:
     """Return the prediction in the form for the page, without a track.
 
-    ``words``: what is said of it; ``place``: the camera that is named first, null if there is none.
+    ``place``, ``words``: what is said of it (`camtopod.words.Headline`).
     ``now``: those that probably see it at ``t``, when it has left the view of ``camera``.
     """
     said = headline(prediction)
     return {
         **{name: getattr(prediction, name) for name in ("camera", "zone", "t", "version")},
-        "place": said.camera,
+        "place": said.place,
         "words": said.words,
-        "now": seen_now(prediction.in_view or []),
+        "now": [Look(*one) for one in seen_now(prediction).items()],
         "next": prediction.candidates[:NEXT_SHOWN],
     }
 
@@ -98,7 +97,6 @@ class Feed:
         self._bus = bus
         self._page_queues = page_queues
         self._clock = clock
-        self._began = clock()
         self._statuses = Statuses(clock)
         self._predictions: deque[bytes] = deque(maxlen=PREDICTIONS_HELD)
         self._limits = {"prediction": PerSecond(), "match": PerSecond()}
@@ -179,9 +177,9 @@ class Feed:
         statuses = self._statuses
         away = "" if self._bus.connected else f"the bus at {self._bus.endpoint} cannot be reached"
         live = msgspec.to_builtins(statuses.daemon_state(self.topology, away))
-        live["since"] = self._began if statuses.heard is None else statuses.heard
+        live["since"] = statuses.heard
         daemon: dict[str, Any] = {}
-        if statuses.heard is not None:
+        if statuses.daemon.state:
             daemon = msgspec.to_builtins(statuses.daemon)
             daemon = {name: daemon[name] for name in daemon if name not in NOT_SHOWN}
         cameras = msgspec.to_builtins(statuses.cameras(self.topology))

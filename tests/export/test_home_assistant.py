@@ -43,7 +43,7 @@ from camtopod.records import (
 from camtopod.serve import bus as buses
 from camtopod.serve.bus import Bus
 from camtopod.serve.daemon import Daemon
-from camtopod.words import CameraState, camera_state, daemon_state
+from camtopod.words import CameraState, camera_states, daemon_state
 
 TOPICS = Topics("hq")
 SCORE = SelfScore(200, 3, 1.25, 0.814, 0.93, 1.75, 0.55)
@@ -65,7 +65,8 @@ def decoded(messages: dict[str, str]) -> dict[str, Any]:
 
 def of_camera(name: str, figures: CameraFigures, status: Status | None) -> CameraState:
     daemon = DaemonStatus("running", cameras={name: figures})
-    return camera_state(name, daemon, status and (status, 0.0), None, 0.0)
+    [state] = camera_states(daemon, {name: (status, 0.0)} if status else {}, None)
+    return state
 
 
 def to_hall(leave: float, *shares: tuple[str, float]) -> Prediction:

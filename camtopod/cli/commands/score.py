@@ -22,9 +22,9 @@ from camtopod.cli.common import topology_of
 from camtopod.cli.events.event_lines import LineReader
 from camtopod.cli.exits import InputError
 from camtopod.cli.terminal import Progress
-from camtopod.predict import sum_by_camera
 from camtopod.records import Event, Match, Prediction, Topology
 from camtopod.topology import camera_of, links_between_views
+from camtopod.words import sum_by_camera
 
 LEAVES = ""
 """Outcome of an exit that nothing follows; no camera has this name."""
@@ -184,7 +184,7 @@ def prediction_lines(
             other = counts[place] - Counter([passage.outcome])
             total = other.total() + BACKING_EXITS
             told = {name: (other[name] + BACKING_EXITS * told[name]) / total for name in outcomes}
-        ours = sum_by_camera((way.camera, way.probability) for way in one.candidates)
+        ours = sum_by_camera(one.candidates)
         for name, shares in (("camtopod", ours | {LEAVES: one.leave}), ("told", told)):
             share = (shares.get(passage.outcome, 0.0) + LOSS_FLOOR) / (
                 1.0 + LOSS_FLOOR * len(outcomes)

@@ -12,11 +12,10 @@ from camtopod.records import Link, Prediction, Topology
 from camtopod.statuses import Statuses
 from camtopod.topology import (
     links_between_views,
-    links_in_words,
     range_in_words,
     waiting_for_links,
 )
-from camtopod.words import alarms_in_words
+from camtopod.words import alarms_in_words, counted
 
 ALARMS_SHOWN = 5
 """Newest alarms that are shown."""
@@ -47,7 +46,7 @@ class SiteState:
         state = self._statuses.daemon_state(topology)
         reason = f" ({state.reason})" if state.reason else ""
         words = f"site {self._site}: daemon {state.words}{reason}"
-        if self._statuses.heard is None:
+        if not state.live:
             return words
         daemon = self._statuses.daemon
         rejected = sum(daemon.rejects.values())
@@ -82,7 +81,7 @@ def topology_lines(topology: Topology | None) -> list[str]:
     lines = [
         f"topology: version {topology.version}, {topology.events} events, "
         f"{len(topology.cameras)} cameras, {len(topology.zones)} zones, "
-        f"{links_in_words(links)}, {topology.digest[:19]}"
+        f"{counted(links, 'link')} between views, {topology.digest[:19]}"
     ]
     if looked_for := range_in_words(topology):
         lines.append(f"looked for: {looked_for}")
