@@ -31,20 +31,20 @@ OUTCOMES_SAID = 3
 """Most outcomes of a prediction that are said in words."""
 SHARE_SAID_MIN = 0.01
 """Least probability of an outcome that is said in words."""
-STATUS_SECONDS = 1.0
-"""Status interval of a site that does not say its own."""
 SILENT_STATUSES = 2.5
 """Status intervals after which a sender is silent: two statuses are lost, not one that is late."""
 SILENT_SECONDS_MIN = 5.0
 """Least silence that counts: a busy machine may send nothing for some seconds."""
-GONE_SECONDS = 86_400.0
-"""Event time without an event after which a camera without a grabber is gone."""
-OPEN_SECONDS = 86_400.0
-"""Event time for which an alarm is open."""
+OLD_SECONDS = 86_400.0
+"""Event time after which a camera without a grabber is gone, and an alarm no longer open."""
 AHEAD_SECONDS = 1.0
 """Time by which a camera's clock may be ahead without being said to be."""
 TEXT_MAX = 500
 """Longest state or reason of a sender that is shown, characters."""
+LEAVES = "leaves the site"
+"""Place of an object that is not seen again, in words."""
+UNKNOWN = "not known yet"
+"""Place of an object of which nothing is known, in words."""
 ELSEWHERE = "other program"
 """State of a camera whose events come without the status of a grabber."""
 
@@ -112,7 +112,7 @@ class AlarmWords(Struct, frozen=True):
 class Headline(Struct, frozen=True):
     """What is said of a prediction.
 
-    place: the camera that is named first, ``leaves`` or ``unknown``.
+    place: the camera that is named first, `LEAVES` or `UNKNOWN`, which are no ids of cameras.
     probability: of that.
     words: the likeliest outcomes.
     """
@@ -130,7 +130,7 @@ def silent_after(status: Status, daemon: Status) -> float:
 
     It is of the sender's own status interval; of one that does not say it, the daemon's.
     """
-    interval = status.status_seconds or daemon.status_seconds or STATUS_SECONDS
+    interval = status.status_seconds or daemon.status_seconds or 0.0
     return max(SILENT_STATUSES * interval, SILENT_SECONDS_MIN)
 
 
@@ -147,7 +147,7 @@ def camera_states(
     A forgotten camera is just that, whatever its grabber says: somebody wanted it away, so it is
     neither trouble nor fine; nothing is left of it once its grabber is silent. A grabber that has
     said nothing for `silent_after` is silent, unless it had ended: a film has nothing more to say.
-    A camera without a grabber that works is gone after `GONE_SECONDS`, so that what was removed
+    A camera without a grabber that works is gone after `OLD_SECONDS`, so that what was removed
     needs no attention for ever; if it has events, it is one of another program. All other states
     are the grabber's word: it needs attention unless it runs or has ended.
     """
@@ -168,36 +168,20 @@ def camera_states(
     }
     left = daemon.names.forgotten.keys() - (grabbers.keys() - silent)
     states = []
-    for name, t in newest.items():
-        if name not in left:
-            status = grabbers[name][0] if name in grabbers else None
-            is_old = t is not None and last - t > GONE_SECONDS
-            states.append(_camera_state(name, daemon, status, name in silent, t, is_old))
+    for name in newest.keys() - left:
+        t = newest[name]
+        status = grabbers[name][0] if name in grabbers else None
+        figures = daemon.cameras.get(name)
+        is_old = t is not None and last - t > OLD_SECONDS
+        state, reason = _state_of(name, daemon, status, name in silent, is_old)
+        if figures is not None and (figures.ahead or 0.0) > AHEAD_SECONDS:
+            reason = "; ".join(filter(None, (reason, f"clock {figures.ahead:.0f} s ahead")))
+        is_alive = figures.alive if figures is not None else status is not None
+        is_alive = is_alive and name not in silent and state not in ABSENT
+        count = None if figures is None else figures.events
+        look = _LOOKS.get(state, "bad")
+        states.append(CameraState(name, state, reason, look, is_alive, count, t))
     return sorted(states, key=lambda one: (one.look != "bad", one.state in ABSENT, one.id))
-
-
-def _camera_state(
-    name: str,
-    daemon: DaemonStatus,
-    status: Status | None,
-    is_silent: bool,
-    newest: float | None,
-    is_old: bool,
-) -> CameraState:
-    counted = daemon.cameras.get(name)
-    is_alive = status is not None if counted is None else counted.alive
-    state, reason = _state_of(name, daemon, status, is_silent, is_old)
-    if counted and (counted.ahead or 0.0) > AHEAD_SECONDS:
-        reason = "; ".join(filter(None, (reason, f"clock {counted.ahead:.0f} s ahead")))
-    return CameraState(
-        name,
-        state,
-        reason,
-        _LOOKS.get(state, "bad"),
-        is_alive and not is_silent and state not in ABSENT,
-        counted.events if counted else None,
-        newest,
-    )
 
 
 def _state_of(
@@ -280,7 +264,7 @@ def alarm_title(alarm: Alarm) -> str:
 def alarms_in_words(topology: Topology | None) -> list[AlarmWords]:
     """Return the alarms of a version, newest first.
 
-    An alarm is open for `OPEN_SECONDS` unless the same subject has a later one, as nobody closes
+    An alarm is open for `OLD_SECONDS` unless the same subject has a later one, as nobody closes
     it by hand; that a camera is back is news, but nothing to look after.
     """
     if topology is None:
@@ -296,7 +280,7 @@ def alarms_in_words(topology: Topology | None) -> list[AlarmWords]:
             alarm.t,
             latest[alarm.subject] is alarm
             and alarm.kind != "camera_back"
-            and topology.as_of - alarm.t < OPEN_SECONDS,
+            and topology.as_of - alarm.t < OLD_SECONDS,
         )
         for alarm in reversed(alarms)
     ]
@@ -330,47 +314,39 @@ def headline(prediction: Prediction) -> Headline:
     outcomes = _outcomes(prediction)
     is_unknown = prediction.prior or prediction.zone is None
     if is_unknown:
-        outcomes = [one for one in outcomes if one.camera is not None]
-    first = outcomes[0] if outcomes else None
-    if first is None or (is_unknown and prediction.leave > LIKELY >= first.share):
-        return Headline("unknown", prediction.leave, "not known yet")
+        outcomes = [one for one in outcomes if one.place != LEAVES]
+    first = outcomes[0] if outcomes else Headline(UNKNOWN, 0.0, UNKNOWN)
+    if is_unknown and prediction.leave > LIKELY >= first.probability:
+        return Headline(UNKNOWN, prediction.leave, UNKNOWN)
 
     hedge = ""
-    if first.share <= LIKELY:
+    if first.probability <= LIKELY:
         hedge = "most likely "
-        if first.camera is None and outcomes[1:]:
+        if first.place == LEAVES and outcomes[1:]:
             hedge = "perhaps "
             first = outcomes[1]
     others = [one for one in outcomes if one is not first]
     words = "; ".join(one.words for one in [first, *others][:OUTCOMES_SAID])
-    return Headline(first.camera or "leaves", first.share, hedge + words)
+    return Headline(first.place, first.probability, hedge + words)
 
 
-class _Outcome(Struct):
-    """A camera, or None for leaving the site, with its probability."""
-
-    camera: str | None
-    share: float
-    words: str
-
-
-def _outcomes(prediction: Prediction) -> list[_Outcome]:
+def _outcomes(prediction: Prediction) -> list[Headline]:
     """Return the outcomes that are said, likeliest first, but who is in view now before all."""
     seen = seen_now(prediction)
-    shares = sum_by_camera(prediction.candidates) | seen
+    shares = sum_by_camera(prediction.candidates) | seen | {LEAVES: prediction.leave}
     outcomes = []
-    for camera, share in shares.items():
-        place = f"back to {camera}" if camera == prediction.camera else camera
-        times = "in view now"
-        if camera not in seen:
-            rows = [row for row in prediction.candidates if row.camera == camera]
-            times = when(min(rows, key=lambda row: row.prior))
-        words = f"{place} {_percent(share)}, {times}"
-        outcomes.append(_Outcome(camera, share, words))
-    words = f"leaves the site {_percent(prediction.leave)}"
-    outcomes.append(_Outcome(None, prediction.leave, words))
-    outcomes = [one for one in outcomes if one.share >= SHARE_SAID_MIN]
-    return sorted(outcomes, key=lambda one: (one.camera not in seen, -one.share))
+    for place, share in shares.items():
+        words = f"{place} {100 * share:.0f} %"
+        if place == prediction.camera:
+            words = f"back to {words}"
+        if place in seen:
+            words += ", in view now"
+        elif place != LEAVES:
+            rows = [row for row in prediction.candidates if row.camera == place]
+            words += f", {when(min(rows, key=lambda row: row.prior))}"
+        if share >= SHARE_SAID_MIN:
+            outcomes.append(Headline(place, share, words))
+    return sorted(outcomes, key=lambda one: (one.place not in seen, -one.probability))
 
 
 def seen_now(prediction: Prediction) -> dict[str, float]:
@@ -385,7 +361,3 @@ def sum_by_camera(rows: Iterable[NextCamera | InView | Look]) -> dict[str, float
     for row in rows:
         shares[row.camera] += row.probability
     return dict(shares)
-
-
-def _percent(share: float) -> str:
-    return f"{100 * min(share, 1.0):.0f} %"

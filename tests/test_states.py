@@ -29,8 +29,9 @@ from camtopod.web.feed import Feed
 from camtopod.web.outbox import PageQueues
 from camtopod.words import (
     ELSEWHERE,
-    GONE_SECONDS,
-    OPEN_SECONDS,
+    LEAVES,
+    OLD_SECONDS,
+    UNKNOWN,
     CameraState,
     alarms_in_words,
     camera_states,
@@ -39,7 +40,7 @@ from camtopod.words import (
 )
 
 NOW = 1_700_000_000.0
-OLD = NOW - GONE_SECONDS - 1.0
+OLD = NOW - OLD_SECONDS - 1.0
 SLOW = Status("running", status_seconds=20.0)
 ALIVE = CameraFigures(5, NOW, alive=True)
 
@@ -154,7 +155,7 @@ def test_the_state_of_the_daemon(
 
 def test_an_alarm_is_open_for_a_day_unless_a_later_one_is_of_the_same_subject() -> None:
     alarms = [
-        Alarm(1, NOW - OPEN_SECONDS, "zone_new", "c/1", "too long ago"),
+        Alarm(1, NOW - OLD_SECONDS, "zone_new", "c/1", "too long ago"),
         Alarm(2, NOW - 9.0, "camera_silent", "a", "no event"),
         Alarm(3, NOW - 8.0, "link_closed", "a/1->b/2", "0.00 since"),
         Alarm(4, NOW - 7.0, "camera_back", "a", "events again"),
@@ -177,14 +178,11 @@ def to(camera: str, share: float, prior: bool = False) -> NextCamera:
     return NextCamera(camera, f"{camera}/1", share, 6.0, 7.0, 10.0, prior)
 
 
-UNKNOWN = ("unknown", "not known yet")
-
-
 @pytest.mark.parametrize(
     ("prediction", "place", "words"),
     [
         (left(0.4, to("hall", 0.6)), "hall", "hall 60 %, in 6 to 10 s; leaves the site 40 %"),
-        (left(0.6, to("hall", 0.4)), "leaves", "leaves the site 60 %; hall 40 %, in 6 to 10 s"),
+        (left(0.6, to("hall", 0.4)), LEAVES, "leaves the site 60 %; hall 40 %, in 6 to 10 s"),
         (
             *(left(0.407, to("hall", 0.35), to("bar", 0.243)), "hall"),
             "perhaps hall 35 %, in 6 to 10 s; leaves the site 41 %; bar 24 %, in 6 to 10 s",
@@ -195,14 +193,14 @@ UNKNOWN = ("unknown", "not known yet")
         ),
         (left(0.5, to("hall", 0.5)), "hall", ""),
         (left(0.4, to("a", 0.6)), "a", "back to a 60 %, in 6 to 10 s; leaves the site 40 %"),
-        (left(1.0), "leaves", "leaves the site 100 %"),
+        (left(1.0), LEAVES, "leaves the site 100 %"),
         (left(0.6, to("bar", 0.4), seen=0.51), "hall", ""),
-        (left(0.6, to("bar", 0.4), seen=0.49), "leaves", ""),
+        (left(0.6, to("bar", 0.4), seen=0.49), LEAVES, ""),
         (left(0.1, to("hall", 0.9, prior=True)), "hall", ""),
-        (left(1.0, prior=True), *UNKNOWN),
-        (left(0.7, to("hall", 0.3), prior=True), *UNKNOWN),
+        (left(1.0, prior=True), UNKNOWN, UNKNOWN),
+        (left(0.7, to("hall", 0.3), prior=True), UNKNOWN, UNKNOWN),
         (left(0.4, to("hall", 0.3), prior=True), "hall", "most likely hall 30 %, in 6 to 10 s"),
-        (replace(left(1.0), zone=None), *UNKNOWN),
+        (replace(left(1.0), zone=None), UNKNOWN, UNKNOWN),
     ],
 )
 def test_what_is_said_of_a_prediction(prediction: Prediction, place: str, words: str) -> None:

@@ -25,6 +25,7 @@ from camtopod.records import Topology
 from camtopod.redact import redact
 from camtopod.serve.runtime import Progress, systemd
 from camtopod.visible import visible, visible_lines
+from camtopod.words import counted as counted
 
 log = logging.getLogger(__name__)
 

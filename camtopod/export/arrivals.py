@@ -167,8 +167,6 @@ def look_at(prediction: Prediction) -> tuple[str, float]:
 
     With its probability; "none" and 0 if there is no such camera.
     """
-    shares = {one.camera: one.probability for one in prediction.look or []}
-    if not shares:  # Without overlapping views it follows from the next appearances.
-        shares = sum_by_camera(prediction.candidates)
-        shares.pop(prediction.camera, None)
+    looks = prediction.look or prediction.candidates  # without overlapping views
+    shares = sum_by_camera(one for one in looks if one.camera != prediction.camera)
     return max(shares.items(), key=lambda item: item[1], default=("none", 0.0))

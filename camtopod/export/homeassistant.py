@@ -19,7 +19,9 @@ from camtopod.records import DaemonStatus, Prediction, Topology
 from camtopod.topology import links_between_views
 from camtopod.words import (
     ELSEWHERE,
+    LEAVES,
     LIKELY,
+    UNKNOWN,
     CameraState,
     DaemonState,
     alarms_in_words,
@@ -180,6 +182,7 @@ def prediction_state(topics: Topics, prediction: Prediction) -> Messages:
     none does, next, with the probability ``sees``.
     """
     said = headline(prediction)
+    nouns = {prediction.camera: "returns", LEAVES: "leaves", UNKNOWN: "unknown"}
     window: dict[str, str | None] = {"from": None, "until": None}
     for place in prediction.candidates:
         if place.camera == said.place and not place.prior:
@@ -189,7 +192,7 @@ def prediction_state(topics: Topics, prediction: Prediction) -> Messages:
 
     look, sees = look_at(prediction)
     state = {
-        "next": "returns" if said.place == prediction.camera else said.place,
+        "next": nouns.get(said.place, said.place),
         "probability": round(said.probability, 3),
         "words": said.words,
         "zone": prediction.zone,

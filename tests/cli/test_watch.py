@@ -38,7 +38,7 @@ from camtopod.records import (
 )
 from camtopod.serve.daemon import Daemon
 from camtopod.topology import waiting_for_links
-from camtopod.words import ELSEWHERE, GONE_SECONDS, SILENT_SECONDS_MIN
+from camtopod.words import ELSEWHERE, OLD_SECONDS, SILENT_SECONDS_MIN
 
 NOW = 1_700_007_200.0
 NOTHING = Topology(TOPOLOGY_SCHEMA, "hq", "01J", 9, 1_700_003_600.0, 0, "sha256:0", [], [], [], [])
@@ -161,7 +161,7 @@ def test_a_sender_of_statuses_may_fall_silent() -> None:
 
 
 def test_a_camera_without_grabber_and_without_events_for_a_day_is_gone() -> None:
-    site, day = SiteState("hq"), GONE_SECONDS
+    site, day = SiteState("hq"), OLD_SECONDS
     counters = {
         "here": {"events": 9, "newest": NOW, "alive": True},
         "lately": {"events": 9, "newest": NOW - day + 1},

@@ -28,7 +28,7 @@ from camtopod.web import feed, recent_matches
 from camtopod.web.feed import Feed
 from camtopod.web.map_data import Map
 from camtopod.web.outbox import MESSAGES_MAX, PageQueue, PageQueues
-from camtopod.words import ELSEWHERE, GONE_SECONDS, SILENT_SECONDS_MIN
+from camtopod.words import ELSEWHERE, OLD_SECONDS, SILENT_SECONDS_MIN
 
 SITE = synthetic_topology(12)
 NAMES = [camera.id for camera in SITE.cameras]
@@ -220,7 +220,7 @@ def test_health_has_every_camera_that_anybody_knows_and_its_reason(rig: Rig) -> 
 def test_a_camera_without_a_grabber_and_without_events_for_a_day_is_gone(rig: Rig) -> None:
     rig.feed.show(SITE)
     gone, quiet, alive = NAMES[:3]
-    old = SITE.as_of - GONE_SECONDS
+    old = SITE.as_of - OLD_SECONDS
     counted = {
         gone: {"newest": old - 1.0, "alive": False},
         quiet: {"newest": old + 1.0, "alive": False},

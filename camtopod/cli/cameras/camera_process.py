@@ -16,10 +16,10 @@ from typing import Any
 
 from camtopod.cli import exits
 from camtopod.cli.cameras.heartbeat import HeartbeatReceiver
+from camtopod.cli.common import counted
 from camtopod.config import CameraSettings
 from camtopod.serve.runtime import SOCKET_VARIABLE, clock
 from camtopod.vision.source import kind_of
-from camtopod.words import counted
 
 log = logging.getLogger(__name__)
 

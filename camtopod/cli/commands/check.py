@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Any
 
 from camtopod.cli import exits
-from camtopod.cli.common import with_options
+from camtopod.cli.common import counted, with_options
 from camtopod.cli.exits import CommandError, InputError
 from camtopod.config import (
     Config,
@@ -26,7 +26,6 @@ from camtopod.config import (
 from camtopod.serve.bus import access
 from camtopod.visible import visible
 from camtopod.vision.settings import VisionSettings
-from camtopod.words import counted
 
 
 def add_parser(add: Any) -> None:

@@ -25,6 +25,7 @@ from camtopod.cli.common import (
     SignalRequests,
     camera_id,
     configuration,
+    counted,
     ends_within,
     is_standard_output,
     open_output,
@@ -35,7 +36,6 @@ from camtopod.cli.exits import CommandError
 from camtopod.config import CameraSettings, Config, detector_line
 from camtopod.serve.runtime import clock, systemd
 from camtopod.vision.source import RETRY_SEPARATOR, captured_log, kind_of
-from camtopod.words import counted
 
 if TYPE_CHECKING:
     from camtopod.records import Event

@@ -20,7 +20,7 @@ import msgspec
 
 from camtopod.adapt import FORMATS
 from camtopod.cli import exits
-from camtopod.cli.common import configuration, open_output, start_logging, until_signal
+from camtopod.cli.common import configuration, counted, open_output, start_logging, until_signal
 from camtopod.cli.events.event_lines import LineReader
 from camtopod.cli.events.input_formats import add_options, events
 from camtopod.cli.exits import CommandError, InputError
@@ -37,7 +37,6 @@ from camtopod.serve.outbox import (
     Spool,
     open_ingest_spool,
 )
-from camtopod.words import counted
 
 log = logging.getLogger(__name__)
 

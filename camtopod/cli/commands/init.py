@@ -13,14 +13,13 @@ from msgspec.structs import replace
 
 from camtopod.cli import exits
 from camtopod.cli.commands.web import LISTEN
-from camtopod.cli.common import configuration, open_output, say, writing
+from camtopod.cli.common import configuration, counted, open_output, say, writing
 from camtopod.cli.exits import CommandError, InputError
 from camtopod.cli.generated import table
 from camtopod.config import TABLES, CameraSettings, Config, ConfigError, config_file, secret_files
 from camtopod.redact import redact
 from camtopod.visible import visible
 from camtopod.vision.source import SETTLE_SECONDS_MAX, Probe, file_path, kind_of
-from camtopod.words import counted
 
 FOUND = Path("camtopod.toml")
 """The configuration that other commands find without --config."""

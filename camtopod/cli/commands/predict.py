@@ -13,7 +13,7 @@ from typing import Any, TypeVar
 
 from msgspec.structs import replace
 
-from camtopod.cli.common import configuration, topology_of
+from camtopod.cli.common import configuration, counted, topology_of
 from camtopod.cli.events.event_lines import LineReader, open_input
 from camtopod.cli.events.time_order import Answers, Pipe, count_if_ordered
 from camtopod.cli.exits import InputError
@@ -21,7 +21,6 @@ from camtopod.cli.terminal import Progress
 from camtopod.codec import to_json
 from camtopod.predict import Predictor, Walks
 from camtopod.records import Event, Kind, Match, Prediction, Topology
-from camtopod.words import counted
 
 AnswerT = TypeVar("AnswerT")
 
