@@ -66,5 +66,5 @@ class Statuses:
     def daemon_state(self, topology: Topology | None, away: str = "") -> DaemonState:
         """Return the state of the daemon; ``away``: why nothing can be heard of it."""
         quiet = abs(self._clock() - self.heard)
-        cameras = self.cameras(topology)
-        return daemon_state(self.daemon, quiet, cameras, alarms_in_words(topology), away)
+        alarms = alarms_in_words(topology)
+        return daemon_state(self.daemon, quiet, self.cameras(topology), alarms, away)

@@ -130,8 +130,8 @@ def silent_after(status: Status, daemon: Status) -> float:
 
     It is of the sender's own status interval; of one that does not say it, the daemon's.
     """
-    interval = status.status_seconds or daemon.status_seconds or 0.0
-    return max(SILENT_STATUSES * interval, SILENT_SECONDS_MIN)
+    interval = status.status_seconds or daemon.status_seconds
+    return max(SILENT_STATUSES * (interval or 0.0), SILENT_SECONDS_MIN)
 
 
 def camera_states(
@@ -151,15 +151,14 @@ def camera_states(
     needs no attention for ever; if it has events, it is one of another program. All other states
     are the grabber's word: it needs attention unless it runs or has ended.
     """
+    # Event time of each camera's newest event.
     newest: dict[str, float | None] = dict.fromkeys(grabbers)
-    last = 0.0
     if topology is not None:
-        last = topology.as_of
-        newest |= dict.fromkeys(camera.id for camera in topology.cameras)
         models = topology.model.cameras if topology.model else []
-        newest |= {row.camera: row.last_event for row in models if row.camera in newest}
+        learned = {row.camera: row.last_event for row in models}
+        newest |= {camera.id: learned.get(camera.id) for camera in topology.cameras}
     newest |= {name: figures.newest for name, figures in daemon.cameras.items()}
-    last = max([last, *(t for t in newest.values() if t)])
+    last = max([topology.as_of if topology else 0.0, *filter(None, newest.values())])
 
     silent = {
         name
@@ -176,11 +175,18 @@ def camera_states(
         state, reason = _state_of(name, daemon, status, name in silent, is_old)
         if figures is not None and (figures.ahead or 0.0) > AHEAD_SECONDS:
             reason = "; ".join(filter(None, (reason, f"clock {figures.ahead:.0f} s ahead")))
-        is_alive = figures.alive if figures is not None else status is not None
-        is_alive = is_alive and name not in silent and state not in ABSENT
-        count = None if figures is None else figures.events
-        look = _LOOKS.get(state, "bad")
-        states.append(CameraState(name, state, reason, look, is_alive, count, t))
+        is_there = figures.alive if figures is not None else status is not None
+        states.append(
+            CameraState(
+                name,
+                state,
+                reason,
+                _LOOKS.get(state, "bad"),
+                is_there and name not in silent and state not in ABSENT,
+                None if figures is None else figures.events,
+                t,
+            )
+        )
     return sorted(states, key=lambda one: (one.look != "bad", one.state in ABSENT, one.id))
 
 

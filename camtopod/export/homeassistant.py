@@ -7,6 +7,7 @@ retained except those of `walk_messages`.
 from __future__ import annotations
 
 import datetime
+import math
 from collections.abc import Iterable, Mapping
 from typing import Any
 
@@ -183,13 +184,9 @@ def prediction_state(topics: Topics, prediction: Prediction) -> Messages:
     """
     said = headline(prediction)
     nouns = {prediction.camera: "returns", LEAVES: "leaves", UNKNOWN: "unknown"}
-    window: dict[str, str | None] = {"from": None, "until": None}
-    for place in prediction.candidates:
-        if place.camera == said.place and not place.prior:
-            window["from"] = _iso(prediction.t + max(0.0, place.q10))
-            window["until"] = _iso(prediction.t + max(0.0, place.q90))
-            break
-
+    rows = [row for row in prediction.candidates if row.camera == said.place and not row.prior]
+    times = (rows[0].q10, rows[0].q90) if rows else (math.nan, math.nan)
+    from_, until = (_iso(prediction.t + max(t, 0.0)) for t in times)
     look, sees = look_at(prediction)
     state = {
         "next": nouns.get(said.place, said.place),
@@ -197,7 +194,8 @@ def prediction_state(topics: Topics, prediction: Prediction) -> Messages:
         "words": said.words,
         "zone": prediction.zone,
         "left": _iso(prediction.t),
-        **window,
+        "from": from_,
+        "until": until,
         "look": look,
         "sees": round(sees, 3),
     }
@@ -292,7 +290,7 @@ def _escaped(name: str) -> str:
 
 
 def _iso(t: float | None) -> str | None:
-    """Return a time as text; None for an implausible time, as events come from other programs."""
+    """Return a time as text; None for none, or an implausible one of another program."""
     if t is None or not codec.T_MIN <= t < codec.T_MAX:
         return None
     return datetime.datetime.fromtimestamp(t, datetime.UTC).isoformat(timespec="seconds")

@@ -198,7 +198,7 @@ class Predictor:
         here = self.zones[zone]
         prediction = Prediction(
             *(here.camera, here.id, t, track, self.version, answer.leave, following),
-            prior=not self.prepared.is_learned[zone],
+            prior=not self.prepared.is_learned(zone),
         )
         if passage is None or now is not None or not self.prepared.hand_over.overlaps(here.camera):
             return prediction

@@ -20,7 +20,7 @@ from camtopod.predict.zone_lookup import ZoneLookup
 from camtopod.records import Event, Topology
 
 LEARNED_EXITS = 100
-"""Exits of a camera after which it is known where objects go, without any link: one that a tenth of
+"""Exits at a zone after which it is known where objects go, without any link: one that a tenth of
 them takes would have the ten passages of a link.
 """
 
@@ -97,13 +97,6 @@ class PreparedVersion:
         """(cameras,) share of each camera in all events of the site."""
         self.anywhere = Anywhere(topology, self.hazards, self.cameras, self.camera_of)
 
-        # By a link, or as none of many objects went anywhere.
-        exits = np.bincount(self.camera_of, [zone.exits for zone in self.zones], len(self.cameras))
-        learned = exits >= LEARNED_EXITS
-        learned[list(self.anywhere.linked)] = True
-        self.is_learned = learned[self.camera_of]
-        """(zones,) True if it is known where objects of each zone's camera go."""
-
     @property
     def longest_lag(self) -> float:
         """Longest lag of the version, seconds: who is not seen by then has left."""
@@ -120,6 +113,11 @@ class PreparedVersion:
     def zone_of(self, event: Event) -> int | None:
         """Return the zone (index) that an event belongs to; None if its camera has no zone."""
         return self._lookup.zone_of(event)
+
+    def is_learned(self, zone: int) -> bool:
+        """Return True if it is known where objects of a zone go, by links or as hardly any do."""
+        is_linked = int(self.camera_of[zone]) in self.anywhere.linked
+        return is_linked or self.hazards.departures[zone] >= LEARNED_EXITS
 
     def table(self, zone: int) -> ExitTable | None:
         """Return the table of a zone, given by its index; None if the zone has no targets."""

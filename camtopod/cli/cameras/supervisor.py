@@ -142,7 +142,7 @@ class _Supervisor:
                 try:
                     # On a session of its own: the camera may have a certificate of its own.
                     with dial(self._config.certified(camera)) as bus:
-                        status = process.summary() | {"status_seconds": seconds}
+                        status = {**process.summary(), "status_seconds": seconds}
                         bus.publish(f"status/{camera}", status, "status")
                 except OSError as error:  # no bus, as the cameras' own processes report
                     log.debug("camera %s: its status is not published: %s", camera, error)

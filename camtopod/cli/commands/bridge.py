@@ -61,14 +61,12 @@ class HomeAssistantState:
     def __init__(self, bus: Bus, topics: homeassistant.Topics, cameras_max: int) -> None:
         self._topics = topics
         self._cameras_max = cameras_max
-        self._daemons: set[str] = set()
         self._statuses = Statuses(wall, cameras_max)
         self._predictions: dict[str, Prediction] = {}
         self._answers: deque[Prediction | Match] = deque(maxlen=ANSWERS_MAX)
         """What `events` has not seen; the bus's threads append it."""
         self._arrivals = Arrivals()
         self._subscriber = TopologySubscriber(bus)
-        bus.watch_alive("daemon", self._on_daemon)
         bus.subscribe("status/*", self._statuses.on_status)
         bus.subscribe("prediction/*", self._on_prediction)
         bus.subscribe("match/*", self._on_match)
@@ -104,7 +102,7 @@ class HomeAssistantState:
         cameras = sorted(states)[: self._cameras_max]
 
         # Messages of the site, then of each camera.
-        away = "" if self._daemons else "the daemon is not running"
+        away = "" if self._subscriber.daemons else "the daemon is not running"
         daemon = statuses.daemon_state(topology, away)
         messages = homeassistant.discovery(topics, cameras)
         messages |= homeassistant.site_state(topics, daemon, statuses.daemon, topology)
@@ -119,16 +117,12 @@ class HomeAssistantState:
                 messages |= homeassistant.arrival_states(topics, camera, expected, looks)
         return messages
 
-    def _on_daemon(self, name: str, alive: bool) -> None:
-        if alive:
-            self._daemons.add(name)
-        else:
-            self._daemons.discard(name)
-
     def _on_prediction(self, key: str, payload: bytes) -> None:
         with contextlib.suppress(codec.Rejected):
             prediction = codec.read(Prediction, payload, pack=True)
-            self._keep(self._predictions, prediction.camera, prediction)
+            camera = prediction.camera
+            if camera in self._predictions or len(self._predictions) < self._cameras_max:
+                self._predictions[camera] = prediction
             self._answers.append(prediction)
 
     def _on_match(self, key: str, payload: bytes) -> None:
@@ -136,11 +130,6 @@ class HomeAssistantState:
             match = codec.read(Match, payload, pack=True)
             if codec.is_camera(match.camera):
                 self._answers.append(match)
-
-    def _keep(self, where: dict[str, Any], camera: str, record: Any) -> None:
-        """Store the newest ``record`` of a camera, unless there are too many cameras."""
-        if camera in where or len(where) < self._cameras_max:
-            where[camera] = record
 
 
 def run(args: argparse.Namespace) -> None:

@@ -34,6 +34,8 @@ class TopologySubscriber:
         """The newest version received; None before the first."""
         self.fetched = 0
         """Number of times the topology was queried and received."""
+        self.daemons: set[str] = set()
+        """Names of the daemons that are there; another thread changes it."""
         bus.subscribe("topology", self._on_topology)
         bus.subscribe(STATUS, self._on_status)
         bus.watch_alive("daemon", self._on_daemon)
@@ -51,7 +53,9 @@ class TopologySubscriber:
         self._received.append(payload)
 
     def _on_daemon(self, name: str, alive: bool) -> None:
+        self.daemons.discard(name)
         if alive:
+            self.daemons.add(name)
             self._stale = True
             self._ask_after = 0.0
 
