@@ -601,7 +601,7 @@ class Prediction(Struct, frozen=True, omit_defaults=True, rename={"candidates": 
     look, in_view: only if other views overlap: cameras that may see the object now or next, whose
         probabilities may sum to more than 1, and passages under way that may be of it.
     others: sum of the probabilities that are left out of ``candidates``; None if it has all.
-    prior: True if it is not learned yet where objects of the camera go.
+    prior: True if it is not learned yet where objects of the zone go.
     """
 
     camera: str
