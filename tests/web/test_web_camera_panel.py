@@ -9,7 +9,16 @@ from msgspec.structs import replace
 from page_fixture import Shown, opened
 from synthetic_topology import synthetic_topology
 
-from camtopod.records import EventHours, InView, Look, NextCamera, Prediction, Status
+from camtopod.records import (
+    DaemonStatus,
+    EventHours,
+    InView,
+    Look,
+    NamesStatus,
+    NextCamera,
+    Prediction,
+    Status,
+)
 
 SITE = synthetic_topology(4, as_of=time.time())
 WITH_A_CAMERA = "running, 1 alarm, 1 camera needs attention · version 1"
@@ -52,6 +61,33 @@ def test_the_header_leads_to_a_camera_that_needs_attention(browser: Browser) -> 
         browser.go("#/map")
         browser.go("#/health")
         browser.wait(lambda: browser.count("nav .ill") == 0, "the end of it")
+
+
+def test_the_page_shows_the_words_that_it_is_sent(browser: Browser) -> None:
+    """As on every other display: see test_states."""
+    names = NamesStatus(forgotten={A: 3})
+    warned = DaemonStatus("running", status_seconds=3600.0, names=names, warnings=["a sentence"])
+    shown = Shown(SITE)
+    with shown.serving():
+        opened(browser, shown)
+        assert browser.count("#live.warn") == 1, "an alarm is open"
+        shown.bus.publish("status/daemon", warned)
+        shown.bus.publish(f"status/{A}", Status("running"))
+        shown.bus.publish(f"status/{B}", Status("stalled", "no picture"))
+        browser.go("#/health")
+        browser.wait(lambda: browser.text("#live") == WITH_A_CAMERA, "the header")
+        assert browser.count("#live.bad") == 1
+        assert "running, 1 alarm, 1 camera needs attention" in browser.text(".page .card h2")
+        assert browser.text(".page .card .reason") == "a sentence"
+        look = (
+            "return [...document.querySelectorAll('tbody tr')].map((row) => [row.querySelector('a')"
+        )
+        look += ".textContent, row.querySelector('.pill').textContent, row.querySelector('.pill').className])"
+        rows = {name: (state, pill) for name, state, pill in browser.run(look)}
+        assert rows[A] == ("forgotten", "pill off")
+        assert rows[B] == ("stalled", "pill bad")
+        assert next(iter(rows)) == B, "what needs attention comes first"
+        assert browser.complaints() == []
 
 
 OVERLAPPING = """
