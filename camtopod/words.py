@@ -12,6 +12,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from typing import TYPE_CHECKING, Literal
 
 from msgspec import Struct
+from msgspec.structs import replace
 
 if TYPE_CHECKING:  # which take their words from here
     from camtopod.records import (
@@ -165,9 +166,9 @@ def camera_states(
         for name, (status, quiet) in grabbers.items()
         if status.state != "ended" and quiet > silent_after(status, daemon)
     }
-    left = daemon.names.forgotten.keys() - (grabbers.keys() - silent)
+    removed = daemon.names.forgotten.keys() - (grabbers.keys() - silent)
     states = []
-    for name in newest.keys() - left:
+    for name in newest.keys() - removed:
         t = newest[name]
         status = grabbers[name][0] if name in grabbers else None
         figures = daemon.cameras.get(name)
@@ -196,12 +197,14 @@ def _state_of(
     """Return state and reason of a camera by the rules of `camera_states`."""
     if name in daemon.names.forgotten:
         return "forgotten", f"its events are refused until `camtopod forget --take-back {name}`"
-    counted = daemon.cameras.get(name)
-    has_grabber = status is not None and bool(status.state)
-    if is_old and (is_silent or not (has_grabber or (counted and counted.alive))):
-        return "gone", ""
+    figures = daemon.cameras.get(name)
+    is_there = figures is not None and figures.alive
     if status is None or not status.state:
-        return ELSEWHERE if counted and (counted.alive or counted.events) else "no grabber", ""
+        if is_there or (figures is not None and figures.events and not is_old):
+            return ELSEWHERE, ""
+        return "gone" if is_old else "no grabber", ""
+    if is_silent and is_old:
+        return "gone", ""
     if is_silent:
         seconds = silent_after(status, daemon)
         return "silent", f"no status from its grabber for more than {seconds:.0f} s"
@@ -321,38 +324,36 @@ def headline(prediction: Prediction) -> Headline:
     is_unknown = prediction.prior or prediction.zone is None
     if is_unknown:
         outcomes = [one for one in outcomes if one.place != LEAVES]
-    first = outcomes[0] if outcomes else Headline(UNKNOWN, 0.0, UNKNOWN)
-    if is_unknown and prediction.leave > LIKELY >= first.probability:
+    if not outcomes or (is_unknown and prediction.leave > LIKELY >= outcomes[0].probability):
         return Headline(UNKNOWN, prediction.leave, UNKNOWN)
 
     hedge = ""
-    if first.probability <= LIKELY:
+    if outcomes[0].probability <= LIKELY:
         hedge = "most likely "
-        if first.place == LEAVES and outcomes[1:]:
+        if outcomes[0].place == LEAVES and outcomes[1:]:
             hedge = "perhaps "
-            first = outcomes[1]
-    others = [one for one in outcomes if one is not first]
-    words = "; ".join(one.words for one in [first, *others][:OUTCOMES_SAID])
-    return Headline(first.place, first.probability, hedge + words)
+            outcomes[:2] = reversed(outcomes[:2])
+    words = "; ".join(one.words for one in outcomes[:OUTCOMES_SAID])
+    return replace(outcomes[0], words=hedge + words)
 
 
 def _outcomes(prediction: Prediction) -> list[Headline]:
     """Return the outcomes that are said, likeliest first, but who is in view now before all."""
-    seen = seen_now(prediction)
-    shares = sum_by_camera(prediction.candidates) | seen | {LEAVES: prediction.leave}
+    views = seen_now(prediction)
+    shares = sum_by_camera(prediction.candidates) | views | {LEAVES: prediction.leave}
     outcomes = []
     for place, share in shares.items():
         words = f"{place} {100 * share:.0f} %"
         if place == prediction.camera:
             words = f"back to {words}"
-        if place in seen:
+        if place in views:
             words += ", in view now"
         elif place != LEAVES:
             rows = [row for row in prediction.candidates if row.camera == place]
             words += f", {when(min(rows, key=lambda row: row.prior))}"
         if share >= SHARE_SAID_MIN:
             outcomes.append(Headline(place, share, words))
-    return sorted(outcomes, key=lambda one: (one.place not in seen, -one.probability))
+    return sorted(outcomes, key=lambda one: (one.place not in views, -one.probability))
 
 
 def seen_now(prediction: Prediction) -> dict[str, float]:

@@ -182,16 +182,16 @@ def prediction_state(topics: Topics, prediction: Prediction) -> Messages:
     if they are known. ``look`` is the other camera that most probably sees the object now or, if
     none does, next, with the probability ``sees``.
     """
-    said = headline(prediction)
+    answer = headline(prediction)
     nouns = {prediction.camera: "returns", LEAVES: "leaves", UNKNOWN: "unknown"}
-    rows = [row for row in prediction.candidates if row.camera == said.place and not row.prior]
+    rows = [row for row in prediction.candidates if row.camera == answer.place and not row.prior]
     times = (rows[0].q10, rows[0].q90) if rows else (math.nan, math.nan)
     from_, until = (_iso(prediction.t + max(t, 0.0)) for t in times)
     look, sees = look_at(prediction)
     state = {
-        "next": nouns.get(said.place, said.place),
-        "probability": round(said.probability, 3),
-        "words": said.words,
+        "next": nouns.get(answer.place, answer.place),
+        "probability": round(answer.probability, 3),
+        "words": answer.words,
         "zone": prediction.zone,
         "left": _iso(prediction.t),
         "from": from_,

@@ -53,11 +53,11 @@ def shown(prediction: Prediction) -> dict[str, Any]:
     ``place``, ``words``: what is said of it (`camtopod.words.Headline`).
     ``now``: those that probably see it at ``t``, when it has left the view of ``camera``.
     """
-    said = headline(prediction)
+    answer = headline(prediction)
     return {
         **{name: getattr(prediction, name) for name in ("camera", "zone", "t", "version")},
-        "place": said.place,
-        "words": said.words,
+        "place": answer.place,
+        "words": answer.words,
         "now": [Look(*one) for one in seen_now(prediction).items()],
         "next": prediction.candidates[:NEXT_SHOWN],
     }
