@@ -131,8 +131,8 @@ def silent_after(status: Status, daemon: Status) -> float:
 
     It is of the sender's own status interval; of one that does not say it, the daemon's.
     """
-    interval = status.status_seconds or daemon.status_seconds
-    return max(SILENT_STATUSES * (interval or 0.0), SILENT_SECONDS_MIN)
+    interval = status.status_seconds or daemon.status_seconds or 0.0
+    return max(SILENT_STATUSES * interval, SILENT_SECONDS_MIN)
 
 
 def camera_states(

@@ -27,15 +27,19 @@ LOOK_SECONDS = 10.0
 class Awaited(Struct, frozen=True):
     """An arrival at a camera.
 
-    camera: where the object left.
+    camera: where the object left; None if nobody is awaited.
     from_, until (Unix seconds): when it is likely to arrive, or to be worth a look; None if that is
         not known.
     """
 
     probability: float
-    camera: str
-    from_: float | None
-    until: float | None
+    camera: str | None = None
+    from_: float | None = None
+    until: float | None = None
+
+
+NOBODY = Awaited(0.0)
+"""That nobody is about to come."""
 
 
 class Passing(Struct, frozen=True):

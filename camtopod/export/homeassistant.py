@@ -15,7 +15,7 @@ import msgspec
 from msgspec import Struct
 
 from camtopod import __version__, codec
-from camtopod.export.arrivals import Awaited, Passing, look_at
+from camtopod.export.arrivals import NOBODY, Awaited, Passing, look_at
 from camtopod.records import DaemonStatus, Prediction, Topology
 from camtopod.topology import links_between_views
 from camtopod.words import (
@@ -210,17 +210,15 @@ def arrival_states(
     expected, looks: by camera.
     """
     messages = {}
-    for field, awaited in (("expected", expected.get(camera)), ("look_here", looks.get(camera))):
-        state: dict[str, Any] = {field: "OFF", "probability": 0.0}
-        state |= dict.fromkeys(("camera", "from", "until"))
-        if awaited is not None:
-            state |= {
-                field: _switch(awaited.probability > LIKELY),
-                "probability": round(awaited.probability, 3),
-                "camera": awaited.camera,
-                "from": _iso(awaited.from_),
-                "until": _iso(awaited.until),
-            }
+    for field, awaited in (("expected", expected), ("look_here", looks)):
+        arrival = awaited.get(camera, NOBODY)
+        state = {
+            field: _switch(arrival.probability > LIKELY),
+            "probability": round(arrival.probability, 3),
+            "camera": arrival.camera,
+            "from": _iso(arrival.from_),
+            "until": _iso(arrival.until),
+        }
         messages[topics.topic_of(camera, field)] = _json(state)
     return messages
 

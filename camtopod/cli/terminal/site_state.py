@@ -99,12 +99,13 @@ def topology_lines(topology: Topology | None) -> list[str]:
 
 def alarm_lines(topology: Topology | None, now: float) -> list[str]:
     """Return the newest open alarms in words, newest first; ``now`` in Unix seconds."""
-    alarms = [alarm for alarm in alarms_in_words(topology) if alarm.open]
-    return [
+    alarms = [
         f"{(now - alarm.t) / 60:.0f} min ago, version {alarm.version}: "
         f"{alarm.title}: {alarm.detail}"
-        for alarm in alarms[:ALARMS_SHOWN]
+        for alarm in alarms_in_words(topology)
+        if alarm.open
     ]
+    return alarms[:ALARMS_SHOWN]
 
 
 def busiest_links(topology: Topology) -> list[Link]:
