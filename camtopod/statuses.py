@@ -16,7 +16,7 @@ from camtopod.words import (
 )
 
 CAMERAS_MAX = 5_000
-"""Cameras whose status is kept, unless a display has its own limit."""
+"""Cameras whose status is kept."""
 
 
 class Statuses:
@@ -28,9 +28,8 @@ class Statuses:
     heard: when it was received; until then, when this began.
     """
 
-    def __init__(self, clock: Callable[[], float], cameras_max: int = CAMERAS_MAX) -> None:
+    def __init__(self, clock: Callable[[], float]) -> None:
         self._clock = clock
-        self._cameras_max = cameras_max
         self._reachable_since = clock()
         self._grabbers: dict[str, tuple[Status, float]] = {}
         """Newest status of each camera, and when it was received."""
@@ -46,7 +45,7 @@ class Statuses:
                 self.heard = self._clock()
                 return
             status = codec.read(Status, payload, pack=True)
-            has_room = name in self._grabbers or len(self._grabbers) < self._cameras_max
+            has_room = name in self._grabbers or len(self._grabbers) < CAMERAS_MAX
             if has_room and codec.is_camera(name):
                 self._grabbers[name] = (status, self._clock())
 

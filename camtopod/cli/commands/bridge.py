@@ -61,7 +61,7 @@ class HomeAssistantState:
     def __init__(self, bus: Bus, topics: homeassistant.Topics, cameras_max: int) -> None:
         self._topics = topics
         self._cameras_max = cameras_max
-        self._statuses = Statuses(wall, cameras_max)
+        self._statuses = Statuses(wall)
         self._predictions: dict[str, Prediction] = {}
         self._answers: deque[Prediction | Match] = deque(maxlen=ANSWERS_MAX)
         """What `events` has not seen; the bus's threads append it."""
