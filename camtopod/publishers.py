@@ -8,27 +8,12 @@ from __future__ import annotations
 
 from msgspec import Struct
 
-ELSEWHERE = "events from another program"
-"""State of a camera whose events come without the status of a grabber."""
-GONE_SECONDS = 86_400.0
-"""Event time without an event after which a camera without a grabber is gone."""
 RETURNS_MIN = 3
 """Number of turns in a row that two boots take until they count as two publishers.
 
 Fewer are normal after a restart: the last events of the old boot may arrive after the first of the
 new one.
 """
-
-
-def is_gone(state: str, last: float | None, newest: float) -> bool:
-    """Return True if a camera has no grabber, and has sent nothing for `GONE_SECONDS`.
-
-    state: state of its grabber.
-    last: event time of its last event, Unix seconds; None if unknown.
-    newest: event time of the newest event of all cameras, Unix seconds.
-    """
-    old = last is not None and newest - last > GONE_SECONDS
-    return old and state in ("no grabber", "silent")
 
 
 class CameraBoots(Struct):

@@ -11,6 +11,7 @@ from typing import Annotated, Literal
 
 from msgspec import UNSET, Meta, Struct, UnsetType, field
 
+from camtopod import words
 from camtopod.labels import LABEL_CHARACTERS_MAX, LABELS_MAX
 
 NAME_PATTERN = r"^[A-Za-z0-9_.-]{1,64}\Z"
@@ -27,12 +28,6 @@ TOPOLOGY_SCHEMA = "camtopod/topology/1"
 DELTA_SCHEMA = "camtopod/topology-delta/1"
 """`Delta.schema` of the deltas that this program reads and writes."""
 
-OUTCOMES_SAID = 3
-"""Most outcomes of a prediction that are said in words."""
-SHARE_SAID_MIN = 0.01
-"""Least probability of an outcome that is said in words."""
-SEEN_NOW_MIN = 0.3
-"""Least probability that a camera sees an object now for words to say so."""
 LAG_BINS_MAX = 1_000
 """Most lag bins that a model may have; learned topologies have about 90."""
 
@@ -455,6 +450,9 @@ class Alarm(Struct, frozen=True):
     subject: str
     detail: str
 
+    def __str__(self) -> str:
+        return f"{words.alarm_title(self)}: {self.detail}"
+
 
 class SelfScore(Struct, frozen=True):
     """Quality of the last ``exits`` predictions, the oldest of them made with ``since_version``.
@@ -543,10 +541,11 @@ class Delta(_OfVersion, frozen=True, omit_defaults=True):
     evidence: Share | None = None
 
 
-class NextCamera(Struct, frozen=True):
+class NextCamera(Struct, frozen=True, omit_defaults=True):
     """One possible next appearance of an object that has left a view.
 
     q10, q50, q90 (seconds after the exit): the object appears earlier in 10, 50 and 90 % of cases.
+    prior: True if these are guesses, as too few such objects have been seen.
     """
 
     camera: str
@@ -555,15 +554,12 @@ class NextCamera(Struct, frozen=True):
     q10: float
     q50: float
     q90: float
+    prior: bool = False
 
     @property
     def when(self) -> str:
         """When it appears, in words; where views overlap it may have done so before the exit."""
-        if self.q90 < 0.5:
-            return "in view now"
-        if self.q10 < 0:
-            return f"within {self.q90:.0f} s"
-        return f"in {self.q10:.0f} to {self.q90:.0f} s"
+        return words.when(self)
 
 
 class Look(Struct, frozen=True):
@@ -605,6 +601,7 @@ class Prediction(Struct, frozen=True, omit_defaults=True, rename={"candidates": 
     look, in_view: only if other views overlap: cameras that may see the object now or next, whose
         probabilities may sum to more than 1, and passages under way that may be of it.
     others: sum of the probabilities that are left out of ``candidates``; None if it has all.
+    prior: True if it is not learned yet where objects of the zone go.
     """
 
     camera: str
@@ -617,30 +614,10 @@ class Prediction(Struct, frozen=True, omit_defaults=True, rename={"candidates": 
     look: list[Look] | None = None
     in_view: list[InView] | None = None
     others: float | None = None
+    prior: bool = False
 
     def __str__(self) -> str:
-        if not (self.candidates or self.in_view):
-            return "not known yet"
-
-        # Probability and words of each outcome: cameras that see the object, or may see it next.
-        outcomes: dict[str, tuple[float, str]] = {}
-        for camera in dict.fromkeys(one.camera for one in self.in_view or []):
-            share = sum(one.probability for one in self.in_view or [] if one.camera == camera)
-            if share >= SEEN_NOW_MIN:
-                outcomes[camera] = min(share, 1.0), ", in view now"
-        for camera in dict.fromkeys(one.camera for one in self.candidates):
-            ways = [one for one in self.candidates if one.camera == camera]
-            place = f"back to {camera}" if camera == self.camera else camera
-            share = sum(one.probability for one in ways)
-            outcomes.setdefault(place, (share, f", {ways[0].when}"))
-        outcomes["leaves the site"] = self.leave, ""
-
-        likeliest = sorted(outcomes.items(), key=lambda outcome: -outcome[1][0])[:OUTCOMES_SAID]
-        return "; ".join(
-            f"{place} {100 * share:.0f} %{when}"
-            for place, (share, when) in likeliest
-            if share >= SHARE_SAID_MIN
-        )
+        return words.headline(self).words
 
 
 class MatchedPassage(Struct, frozen=True, omit_defaults=True):
@@ -724,6 +701,7 @@ class Status(Struct, frozen=True):
     reason: why it is not running as it should; empty if it is.
     t (Unix seconds): when the status was made.
     camera: the camera; the daemon's status has none.
+    status_seconds: interval at which the status is published; None: it does not say.
 
     Counters and other fields follow; which ones, and what they mean, may change.
     """
@@ -732,6 +710,7 @@ class Status(Struct, frozen=True):
     reason: str = ""
     t: float = 0.0
     camera: str | None = None
+    status_seconds: float | None = None
 
 
 class GrabberStatus(Status, frozen=True):
@@ -794,9 +773,6 @@ class EventCounts(Struct, frozen=True):
     late: int = 0
     lost: Annotated[int, _metric("events_lost_total", "Events missing between others")] = 0
     waiting: Annotated[int, _metric("events_waiting", "Events stored and not learned yet")] = 0
-    merging: Annotated[
-        int, _metric("events_merging", "Events that wait for others or their time")
-    ] = 0
 
 
 class LearnerCounts(Struct, frozen=True):
@@ -807,7 +783,7 @@ class LearnerCounts(Struct, frozen=True):
 
     accepted: int = 0
     duplicate: int = 0
-    late: Annotated[int, _metric("events_late_total", "Events too late to be learned")] = 0
+    late: Annotated[int, _metric("events_late_total", "Events that came later than others")] = 0
     refused: int = 0
     surplus: int = 0
     held: Annotated[

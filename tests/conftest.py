@@ -25,7 +25,7 @@ import pytest
 from chromium import Browser, chromium
 from hypothesis import HealthCheck, settings
 
-from camtopod.serve.ingest import merge
+from camtopod.serve.ingest import backlogs
 from camtopod.serve.learner_process import process
 
 DATA = "CAMTOPOD_TEST_DATA"
@@ -45,7 +45,7 @@ if (
     )  # else all programs that tests start would ignore it, too
 
 
-merge.SETTLE_SECONDS = 0.0  # daemons in this process store at once, and wait for no backlogs
+backlogs.SETTLE_SECONDS = 0.0  # the learners of daemons in this process wait for no backlogs
 
 
 @pytest.fixture(autouse=True)

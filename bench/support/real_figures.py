@@ -15,8 +15,8 @@ from msgspec import Struct
 
 from bench.support.recordings import SPURIOUS_TRANSITIONS_MAX, Passage, Recording, pairs_of
 from camtopod.arrays import Floats
-from camtopod.predict.hand_over import sum_by_camera
 from camtopod.records import Prediction, Topology
+from camtopod.words import sum_by_camera
 
 LEAVE = "leave"
 """Outcome of an object that leaves the site."""
@@ -214,10 +214,9 @@ def prediction_figures(
             )
         elif recording.cut <= one.t <= recording.end - recording.window:
             happened.append(passage)
-            ways = [(way.camera, way.probability) for way in one.candidates]
             ours.append(
                 Guess(
-                    {LEAVE: one.leave} | sum_by_camera(ways),
+                    {LEAVE: one.leave} | sum_by_camera(one.candidates),
                     [(w.camera, w.probability, (w.q10, w.q50, w.q90)) for w in one.candidates],
                 )
             )
@@ -356,9 +355,7 @@ def look_figures(predictions: Sequence[Prediction], recording: Recording) -> tup
                 of_zone[f"{one.camera}/"][camera] += 1
             continue
         looks = one.candidates if one.look is None else one.look
-        shares = sum_by_camera(
-            (way.camera, way.probability) for way in looks if way.camera != one.camera
-        )
+        shares = sum_by_camera(way for way in looks if way.camera != one.camera)
         frequent = of_zone.get(one.zone or "") or of_zone[f"{one.camera}/"]
         ours.append(bool(shares) and max(shares, key=lambda camera: shares[camera]) in right)
         told.append(bool(frequent) and frequent.most_common(1)[0][0] in right)

@@ -25,6 +25,7 @@ from camtopod.records import Topology
 from camtopod.redact import redact
 from camtopod.serve.runtime import Progress, systemd
 from camtopod.visible import visible, visible_lines
+from camtopod.words import counted as counted
 
 log = logging.getLogger(__name__)
 
@@ -95,11 +96,6 @@ def topology_of(path: str) -> Topology:
         return codec.decode_topology(raw)
     except codec.Rejected as error:
         raise InputError(f"{path} is not a topology: {error}") from None
-
-
-def counted(number: int, thing: str) -> str:
-    """Return "1 camera", "2 cameras" and so on."""
-    return f"{number} {thing}" if number == 1 else f"{number} {thing}s"
 
 
 def camera_id(text: str) -> str:

@@ -67,7 +67,6 @@ class SiteView:
         """Of the newest version; so is the predictor."""
         self._predictor: Predictor | None = None
         self._queues: list[AnswerQueue[Any]] = []
-        self._daemons: set[str] = set()
         self.stale_since: float | None = clock.wall()
         """Time since when the daemon is unreachable, seconds since the epoch; None while reachable.
 
@@ -87,9 +86,7 @@ class SiteView:
                 raise BusError(
                     f"no daemon of site {self._bus.site} is there{in_words(other_sites)}"
                 )
-            self._view = TopologySubscriber(self._bus)
-            self._bus.subscribe("topology", lambda key, payload: self._wake.set())
-            self._bus.watch_alive("daemon", self._on_daemon)
+            self._view = TopologySubscriber(self._bus, self._wake.set)
             self._wake.wait(QUERY_SECONDS)  # a running daemon is announced at once
             self._refresh()
             self._thread.start()
@@ -280,7 +277,7 @@ class SiteView:
                     predictor.take_over(self._predictor)
                 self._gate, self._predictor = gate, predictor
             self._news.notify()
-        self._say_there(self._bus.connected and bool(self._daemons))
+        self._say_there(self._bus.connected and bool(self._view.daemons))
 
     def _say_there(self, is_there: bool) -> None:
         if is_there != (self.stale_since is None):
@@ -288,12 +285,6 @@ class SiteView:
             if not is_there:
                 self.stale_since = clock.wall()
             self._news.notify()
-
-    def _on_daemon(self, name: str, alive: bool) -> None:
-        self._daemons.discard(name)
-        if alive:
-            self._daemons.add(name)
-        self._wake.set()
 
 
 def settings_of(site: str | None, connect: str | Sequence[str], config: Settings) -> Config:

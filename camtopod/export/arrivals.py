@@ -12,6 +12,7 @@ from msgspec import Struct, field
 from msgspec.structs import replace
 
 from camtopod.records import Match, Prediction
+from camtopod.words import LIKELY, sum_by_camera
 
 MEMORY_SECONDS = 3600.0
 """Age at which exits and entries are forgotten."""
@@ -21,21 +22,24 @@ ENTRIES_MAX = 10_000
 """Largest number of entries that are remembered."""
 LOOK_SECONDS = 10.0
 """Time for which to look at a camera from when the object is there, seconds."""
-PROBABLE = 0.5
-"""A probability above this is called probable."""
 
 
 class Awaited(Struct, frozen=True):
     """An arrival at a camera.
 
-    camera: where the object left.
-    from_, until (Unix seconds): when it is likely to arrive, or to be worth a look.
+    camera: where the object left; None if nobody is awaited.
+    from_, until (Unix seconds): when it is likely to arrive, or to be worth a look; None if that is
+        not known.
     """
 
     probability: float
-    camera: str
-    from_: float
-    until: float
+    camera: str | None = None
+    from_: float | None = None
+    until: float | None = None
+
+
+NOBODY = Awaited(0.0)
+"""That nobody is about to come."""
 
 
 class Passing(Struct, frozen=True):
@@ -131,7 +135,8 @@ class Arrivals:
                 from_, until = prediction.t + row.q10, prediction.t + row.q90
                 if not now <= until:
                     continue
-                arrival = Awaited(row.probability * missing, prediction.camera, from_, until)
+                window = (None, None) if row.prior else (from_, until)
+                arrival = Awaited(row.probability * missing, prediction.camera, *window)
                 shares[row.camera] += arrival.probability
                 best = likeliest.get(row.camera, arrival)
                 likeliest[row.camera] = max(best, arrival, key=lambda one: one.probability)
@@ -154,9 +159,9 @@ class Arrivals:
             from_ = t
             until = t + max([LOOK_SECONDS, *(row.q90 for row in rows[:1])])
             for (other, entered), probability in one.seen.items():
-                if probability > PROBABLE and other != camera:
+                if probability > LIKELY and other != camera:
                     look, sees, from_, until = other, probability, entered, entered + LOOK_SECONDS
-            if sees > PROBABLE and now <= until:
+            if sees > LIKELY and now <= until:
                 found[look] = Awaited(sees, camera, from_, until)
         return found
 
@@ -166,9 +171,6 @@ def look_at(prediction: Prediction) -> tuple[str, float]:
 
     With its probability; "none" and 0 if there is no such camera.
     """
-    shares = {one.camera: one.probability for one in prediction.look or []}
-    if not shares:  # Without overlapping views it follows from the next appearances.
-        for row in prediction.candidates:
-            shares[row.camera] = shares.get(row.camera, 0.0) + row.probability
-        shares.pop(prediction.camera, None)
+    looks = prediction.look or prediction.candidates  # without overlapping views
+    shares = sum_by_camera(one for one in looks if one.camera != prediction.camera)
     return max(shares.items(), key=lambda item: item[1], default=("none", 0.0))

@@ -7,7 +7,7 @@ retained except those of `walk_messages`.
 from __future__ import annotations
 
 import datetime
-from collections import defaultdict
+import math
 from collections.abc import Iterable, Mapping
 from typing import Any
 
@@ -15,9 +15,19 @@ import msgspec
 from msgspec import Struct
 
 from camtopod import __version__, codec
-from camtopod.export.arrivals import PROBABLE, Awaited, Passing, look_at
-from camtopod.records import CameraFigures, DaemonStatus, Prediction, Status, Topology
+from camtopod.export.arrivals import NOBODY, Awaited, Passing, look_at
+from camtopod.records import DaemonStatus, Prediction, Topology
 from camtopod.topology import links_between_views
+from camtopod.words import (
+    ELSEWHERE,
+    LEAVES,
+    LIKELY,
+    UNKNOWN,
+    CameraState,
+    DaemonState,
+    alarms_in_words,
+    headline,
+)
 
 DISCOVERY = "homeassistant"
 """Home Assistant's default topic prefix for discovery."""
@@ -114,20 +124,18 @@ def discovery(topics: Topics, cameras: Iterable[str]) -> Messages:
 
 
 def site_state(
-    topics: Topics, alive: bool, status: DaemonStatus, topology: Topology | None
+    topics: Topics, daemon: DaemonState, status: DaemonStatus, topology: Topology | None
 ) -> Messages:
     """Return the messages with the state of the site.
 
-    alive: True if the daemon is running.
-    status: its latest status.
+    daemon, status: state of the daemon, and its latest status.
     """
     state: dict[str, Any] = {
-        "problem": _switch(not alive or status.state != "running"),
-        "reason": status.reason,
+        "problem": _switch(daemon.look == "bad"),
+        "state": daemon.words,
+        "reason": daemon.reason,
         **dict.fromkeys(("version", "cameras", "links", "score", "usual")),
     }
-    if not alive:
-        state["reason"] = "the daemon is not running"
     alarm: dict[str, Any] = {"alarm": "none"}
     if topology is not None:
         state["version"] = topology.version
@@ -136,71 +144,58 @@ def site_state(
         if topology.score is not None:
             state["score"] = round(100.0 * topology.score.top1, 1)
             state["usual"] = round(100.0 * topology.score.baseline_top1, 1)
-        for newest in (topology.alarms or [])[-1:]:
-            alarm = {
-                "alarm": f"{newest.kind} {newest.subject}"[:255],  # all that Home Assistant takes
-                "detail": newest.detail,
-                "version": newest.version,
-                "at": _iso(newest.t),
-            }
+    for newest in [one for one in alarms_in_words(topology) if one.open][:1]:
+        alarm = {
+            "alarm": newest.title[:255],  # all that Home Assistant takes
+            "detail": newest.detail,
+            "version": newest.version,
+            "at": _iso(newest.t),
+        }
     between: dict[str, Any] = dict.fromkeys(("between", "low", "high", "since", "pairs"))
-    if alive and (told := status.between) is not None:
+    if daemon.live and (told := status.between) is not None:
         ends = {"low": told.low, "high": told.high, "since": _iso(told.since)}
         between = {"between": round(told.number, 1), **ends, "pairs": told.pairs}
     return {
-        topics.daemon: ("offline", "online")[alive],
+        topics.daemon: ("offline", "online")[daemon.live],
         topics.topic_of("", "state"): _json(state),
         topics.topic_of("", "alarm"): _json(alarm),
         topics.topic_of("", "between"): _json(between),
     }
 
 
-def camera_state(
-    topics: Topics, camera: str, counted: CameraFigures, status: Status | None, zones: int
-) -> Messages:
-    """Return the messages with the state of a camera.
-
-    status: of the camera's grabber; None if its events come from another program.
-    """
-    reported = status or Status()
+def camera_state(topics: Topics, camera: CameraState, zones: int) -> Messages:
+    """Return the messages with the state of a camera; ``zones``: their number."""
     state = {
-        "online": _switch(counted.alive and reported.state in ("", "running")),
-        "state": reported.state,
-        "reason": reported.reason,
-        "events": counted.events,
+        "online": _switch(camera.alive and camera.state in ("running", ELSEWHERE)),
+        "state": camera.state,
+        "reason": camera.reason,
+        "events": camera.events or 0,
         "zones": zones,
     }
-    return {topics.topic_of(camera, "state"): _json(state)}
+    return {topics.topic_of(camera.id, "state"): _json(state)}
 
 
 def prediction_state(topics: Topics, prediction: Prediction) -> Messages:
-    """Return the message with the most likely next camera after the latest exit.
+    """Return the message with the headline of the latest exit's prediction.
 
-    ``from`` and ``until`` are the times by which 10 and 90 percent of the objects have arrived.
-    ``look`` is the other camera that most probably sees the object now or, if none does, next,
-    with the probability ``sees``.
+    ``from`` and ``until`` are the times by which 10 and 90 percent of the objects have arrived,
+    if they are known. ``look`` is the other camera that most probably sees the object now or, if
+    none does, next, with the probability ``sees``.
     """
-    next_: dict[str, float] = defaultdict(float)
-    for one in prediction.candidates:
-        next_[one.camera] += one.probability
-
-    # The camera, or leaving the site, with the largest share.
-    shares = {"leaves": prediction.leave, **next_}
-    camera = max(shares, key=lambda name: shares[name])
-    window: dict[str, str | None] = {"from": None, "until": None}
-    for place in prediction.candidates:
-        if place.camera == camera:
-            window["from"] = _iso(prediction.t + max(0.0, place.q10))
-            window["until"] = _iso(prediction.t + max(0.0, place.q90))
-            break
-
+    answer = headline(prediction)
+    nouns = {prediction.camera: "returns", LEAVES: "leaves", UNKNOWN: "unknown"}
+    rows = [row for row in prediction.candidates if row.camera == answer.place and not row.prior]
+    times = (rows[0].q10, rows[0].q90) if rows else (math.nan, math.nan)
+    from_, until = (_iso(prediction.t + max(t, 0.0)) for t in times)
     look, sees = look_at(prediction)
     state = {
-        "next": "returns" if camera == prediction.camera else camera,
-        "probability": round(shares[camera], 3),
+        "next": nouns.get(answer.place, answer.place),
+        "probability": round(answer.probability, 3),
+        "words": answer.words,
         "zone": prediction.zone,
         "left": _iso(prediction.t),
-        **window,
+        "from": from_,
+        "until": until,
         "look": look,
         "sees": round(sees, 3),
     }
@@ -215,17 +210,15 @@ def arrival_states(
     expected, looks: by camera.
     """
     messages = {}
-    for field, awaited in (("expected", expected.get(camera)), ("look_here", looks.get(camera))):
-        state: dict[str, Any] = {field: "OFF", "probability": 0.0}
-        state |= dict.fromkeys(("camera", "from", "until"))
-        if awaited is not None:
-            state |= {
-                field: _switch(awaited.probability > PROBABLE),
-                "probability": round(awaited.probability, 3),
-                "camera": awaited.camera,
-                "from": _iso(awaited.from_),
-                "until": _iso(awaited.until),
-            }
+    for field, awaited in (("expected", expected), ("look_here", looks)):
+        arrival = awaited.get(camera, NOBODY)
+        state = {
+            field: _switch(arrival.probability > LIKELY),
+            "probability": round(arrival.probability, 3),
+            "camera": arrival.camera,
+            "from": _iso(arrival.from_),
+            "until": _iso(arrival.until),
+        }
         messages[topics.topic_of(camera, field)] = _json(state)
     return messages
 
@@ -247,7 +240,7 @@ def walk_messages(topics: Topics, passing: Passing) -> Messages:
     outcomes += [(one.probability, "continued", one.camera) for one in match.from_]
     probability, kind, camera = max(outcomes, key=lambda outcome: outcome[0])
     event = {
-        "event_type": kind if probability > PROBABLE else "uncertain",
+        "event_type": kind if probability > LIKELY else "uncertain",
         "probability": round(probability, 3),
         "camera": camera,
         "walk": match.walk,
@@ -294,9 +287,9 @@ def _escaped(name: str) -> str:
     return name.replace("_", "__").replace(".", "_-")
 
 
-def _iso(t: float) -> str | None:
-    """Return a time as text; None for an implausible time, as events come from other programs."""
-    if not codec.T_MIN <= t < codec.T_MAX:
+def _iso(t: float | None) -> str | None:
+    """Return a time as text; None for none, or an implausible one of another program."""
+    if t is None or not codec.T_MIN <= t < codec.T_MAX:
         return None
     return datetime.datetime.fromtimestamp(t, datetime.UTC).isoformat(timespec="seconds")
 

@@ -6,6 +6,8 @@ the sliding window, events that are too old leave the window, and if enough even
 version is made: the zones are learned again, `refit` estimates links and the prediction model, and
 `assemble` builds the `Topology`. So a version depends only on the events up to its tick, not on the
 order in which they were received (within the lateness), nor on when or how fast the program runs.
+No event is too late: one that comes after its tick enters the window at its time, with the next
+tick, and counts from the next version on.
 
 From a recording, often only the last version is wanted. With ``only_last``, no version is made
 before `Learner.flush`; only the zones, which tell turned cameras, are learned again now and then.
@@ -32,9 +34,10 @@ from camtopod.learn.assemble import (
     zone_id,
 )
 from camtopod.learn.camera_zones import find_moved_cameras, moved_news, refresh_camera_zones
-from camtopod.learn.changes import BEFORE_MIN, AlarmLog, News
+from camtopod.learn.changes import AlarmLog, News
 from camtopod.learn.declarations import declared_by
 from camtopod.learn.doubled_cameras import doubled_news, find_doubled_cameras
+from camtopod.learn.due_versions import are_zones_due, events_for_version, is_version_due
 from camtopod.learn.lag_range import shortest_bins
 from camtopod.learn.limits import ZONES_PER_CAMERA_MAX
 from camtopod.learn.links import zone_pairs_of
@@ -49,8 +52,6 @@ from camtopod.predict import Predictor
 from camtopod.records import Event, Topology
 from camtopod.topology import dwell_bins, evidence_for_links, with_digest
 
-REFIT_EVENTS_MIN = 10
-"""Least new events for a new version, unless the last version is older than ``refit_hours``."""
 STEPS = ("zones", "clocks", *refits.STEPS)
 """Names of the steps that make a version, in order."""
 
@@ -129,7 +130,8 @@ class Learner:
     def receive(self, event: Event) -> str:
         """Receive one event, process the ticks that it completes, and return the verdict.
 
-        It is accepted, duplicate, late or refused (too many cameras). Raises as `require_event`.
+        It is accepted, late, duplicate or refused (too many cameras). Late events are learned, too.
+        Raises as `require_event`.
         """
         require_event(event)
         if (
@@ -146,6 +148,11 @@ class Learner:
         self._intake.time.advance(microseconds(now))
         self._process_ticks()
 
+    def wait_for(self, cameras: Set[str]) -> None:
+        """Wait for these cameras, which deliver a backlog, and no others (`EventTime.wait_for`)."""
+        self._intake.time.wait_for(cameras)
+        self._process_ticks()
+
     def flush(self) -> None:
         """End a recording: learn the held events without waiting for the watermark, make a version.
 
@@ -157,7 +164,7 @@ class Learner:
         self._learn(newest)
         self.state.done_us = newest
         if self.state.since_fit or self.topology is None:
-            self._refit(newest)
+            self._refit(newest, is_last=True)
 
     def updates(self) -> list[Topology]:
         """Return the versions made since the last call, oldest first."""
@@ -225,8 +232,7 @@ class Learner:
         oldest = self._intake.oldest_held_us
         if oldest is None:
             return None
-        tick = -(-oldest // self._tick_us) * self._tick_us
-        return (tick + self._intake.time.lateness_us + 1) / MICROSECONDS
+        return (self._tick_of(oldest) + self._intake.time.lateness_us + 1) / MICROSECONDS
 
     def event_time(self) -> EventTimeState:
         """Return the state of event time and watermark."""
@@ -262,23 +268,32 @@ class Learner:
         if self.state.done_us is not None and reached <= self.state.done_us:
             return
         while (oldest := self._intake.oldest_held_us) is not None:
-            tick = -(-oldest // self._tick_us) * self._tick_us
+            tick = self._tick_of(oldest)
             if tick > reached:
                 break
             self._learn(tick)
-            if not self._is_version_due(tick):
-                continue
+            self.state.done_us = tick
             if self.only_last:
-                refresh_camera_zones(self.state, self._window)
-                self.state.since_fit = 0
-            else:
+                if are_zones_due(self.state, self._window):
+                    refresh_camera_zones(self.state, self._window)
+                    self.state.since_fit = 0
+            elif is_version_due(self.state, self._window, tick):
                 self._refit(tick)
         self.state.done_us = reached
+
+    def _tick_of(self, t_us: int) -> int:
+        """Return the tick with which an event is learned: the first after its time and the last."""
+        ticks = -(-t_us // self._tick_us)
+        if self.state.done_us is not None:
+            ticks = max(ticks, self.state.done_us // self._tick_us + 1)
+        return ticks * self._tick_us
 
     def _learn(self, until_us: int) -> None:
         """Move the held events up to ``until_us`` into the window, and remove old ones from it."""
         # Predict the next camera of some exits, to be scored once the outcome is known.
-        batch = self._intake.take_until(until_us)
+        held = self._intake.take_until(until_us)
+        batch = self._window.without_repeats(held)
+        self._intake.note_repeats(len(held) - len(batch))
         if not self.only_last:
             self._scorer.watch(batch)
 
@@ -321,41 +336,22 @@ class Learner:
         self._scorer.forget(names)
         forget_cameras(self.state, names, number)
 
-    def _is_version_due(self, tick_us: int) -> bool:
-        """Return True if a new version is due at a tick; with ``only_last``, if the zones are.
+    def _refit(self, tick_us: int, is_last: bool = False) -> None:
+        """Make a version as of ``tick_us``: refresh the zones, estimate the clocks, refit.
 
-        A version is due with the first events; with enough new events; with a camera that was
-        turned or has two publishers; or, given any new event, ``refit_hours`` after the last
-        version. The zones are due when there are four times as many events.
+        is_last: True to learn zones and clocks from the window alone, as no version will follow.
         """
-        if self.only_last:
-            enough = max(BEFORE_MIN * len(self._window.cameras), 3 * len(self._window) // 4)
-            return self.state.since_fit >= enough
-        if self.state.since_fit == 0 or self.state.fitted_us is None:
-            return self.state.since_fit > 0
-        return (
-            self.state.since_fit >= self._events_for_version()
-            or bool(self.state.moved or self.state.doubled)
-            or tick_us - self.state.fitted_us >= microseconds(self.settings.refit_hours * 3600.0)
-        )
-
-    def _events_for_version(self) -> float:
-        """Return the number of new events that make a new version due."""
-        return max(REFIT_EVENTS_MIN, self.settings.refit_share * len(self._window))
-
-    def _refit(self, tick_us: int) -> None:
-        """Make a version as of ``tick_us``: refresh the zones, estimate the clocks, refit."""
         if not len(self._window):  # all cameras were forgotten
             self._publish(empty_topology(self.settings, shortest_bins()), tick_us)
             return
         self.on_step("zones")
-        refresh_camera_zones(self.state, self._window, anew=self.only_last)
+        refresh_camera_zones(self.state, self._window, anew=is_last)
 
         # Label the events by their zones, in time corrected by the clock offsets.
         self.on_step("clocks")
         maps = [camera.zones for camera in self.state.cameras]
         scene = label_events(self._window, maps)
-        self.state.clocks.update(scene, len(self._window.cameras), self.state.learned)
+        self.state.clocks.update(scene, len(self._window.cameras), self.state.learned, is_last)
         clocks = self.state.clocks.clocks
         if clocks.offset.any():
             scene = label_events(self._window, maps, clocks.offset)
@@ -422,7 +418,7 @@ class Learner:
         self.state.fitted_us = tick_us
         self.state.since_fit = 0
         if not self.only_last:
-            self._scorer.use(version, self._events_for_version())
+            self._scorer.use(version, events_for_version(self.state, self._window))
         self._updates.append(version)
 
     def _report(self, found: Refit, topology: Topology, now: float, news: list[News]) -> None:

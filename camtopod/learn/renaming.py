@@ -32,9 +32,10 @@ def rename(state: LearnerState, old: str, new: str) -> LearnerState:
     leader = None if time.leader is None else name(time.leader)
     intake = replace(
         state.intake,
-        time=replace(time, leader=leader, behind=keys(time.behind)),
+        time=replace(time, leader=leader, waited=keys(time.waited)),
         held=[replace(event, camera=name(event.camera)) for event in state.intake.held],
         newest=keys(state.intake.newest),
+        numbers=keys(state.intake.numbers),
     )
 
     # Alarms, with those raised before.

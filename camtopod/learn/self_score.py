@@ -18,8 +18,9 @@ from msgspec import Struct
 from camtopod.event_time import MICROSECONDS
 from camtopod.learn.outcomes import Happened, ScoredPrediction
 from camtopod.learn.prediction_model import SHARE_MIN
-from camtopod.predict import Predictor, PredictorState, sum_by_camera
+from camtopod.predict import Predictor, PredictorState
 from camtopod.records import Event, SelfScore, Topology
+from camtopod.words import sum_by_camera
 
 EXITS_PER_VERSION = 100
 """Approximate number of exits that are predicted between two versions, evenly spread."""
@@ -103,11 +104,7 @@ class Scorer:
                 state.exits += 1
                 if state.exits % state.stride == 0 and predictor.zone_of(event) is not None:
                     prediction = predictor.predict(event)
-                    by_camera = (
-                        (candidate.camera, candidate.probability)
-                        for candidate in prediction.candidates
-                    )
-                    shares = {"": prediction.leave, **sum_by_camera(by_camera)}
+                    shares = {"": prediction.leave, **sum_by_camera(prediction.candidates)}
                     baseline = state.baseline.get(event.camera, {"": 1.0})
                     version = predictor.version
                     state.waiting.append(

@@ -12,7 +12,6 @@ cameras.
 """
 
 from camtopod.predict.between import BetweenCameras as BetweenCameras
-from camtopod.predict.hand_over import seen_now as seen_now, sum_by_camera as sum_by_camera
 from camtopod.predict.open_passages import Passage as Passage
 from camtopod.predict.outlook import (
     Departure as Departure,

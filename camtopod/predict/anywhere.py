@@ -62,7 +62,8 @@ class Anywhere:
         declarations = model_of(topology).declared
         self.nobody_leaves = declarations is not None and declarations.nobody_leaves
         self._declared_odds = declared_odds(declarations, cameras)
-        self._neighbours = _linked_cameras(topology, camera_of)
+        self.linked = _linked_cameras(topology, camera_of)
+        """Cameras to which published links lead from each, by number of camera."""
         by_rate = np.argsort(rate, kind="stable")
         self.busiest = np.zeros(len(cameras), np.intp)
         """(cameras,) index of the zone of each camera with the most such arrivals."""
@@ -101,7 +102,7 @@ class Anywhere:
         )
         likely = self._arrival_rate * odds
         if self.nobody_leaves:
-            neighbours = self._neighbours.get(camera, [])
+            neighbours = self.linked.get(camera, [])
             likely[neighbours] = self._arrival_rate[neighbours] * np.maximum(
                 odds[neighbours], LINKED_ODDS
             )

@@ -18,8 +18,9 @@ import numpy as np
 from camtopod.predict.hazards import model_of
 from camtopod.predict.labels import Labels
 from camtopod.predict.open_passages import OpenPassages, Passage
-from camtopod.records import SEEN_NOW_MIN, InView, Look, NextCamera, Topology
+from camtopod.records import InView, Look, NextCamera, Topology
 from camtopod.topology import STEPS, masses_on_bins, offset_bins
+from camtopod.words import sum_by_camera
 
 PROBABILITY_MIN = 1e-3
 """Least probability of passages and cameras that are reported."""
@@ -102,36 +103,11 @@ def cameras_to_watch(in_view: Iterable[InView], next_cameras: Iterable[NextCamer
     each other.
     """
     # Cameras that see the object now.
-    now = sum_by_camera((candidate.camera, candidate.probability) for candidate in in_view)
-    no_view = math.prod(1.0 - min(probability, 1.0) for probability in now.values())
+    shares = sum_by_camera(in_view)
+    no_view = math.prod(1.0 - min(probability, 1.0) for probability in shares.values())
 
     # Cameras where the object appears next, if no camera sees it now.
-    following_unseen = (
-        (candidate.camera, no_view * candidate.probability) for candidate in next_cameras
-    )
-    return _looks([*now.items(), *following_unseen], PROBABILITY_MIN)
-
-
-def seen_now(in_view: Iterable[InView]) -> list[Look]:
-    """Return the cameras that probably see the object now, likeliest first.
-
-    in_view: open passages that may be of the object; those of one camera are added up.
-    """
-    return _looks(
-        ((candidate.camera, candidate.probability) for candidate in in_view), SEEN_NOW_MIN
-    )
-
-
-def _looks(shares: Iterable[tuple[str, float]], least: float) -> list[Look]:
-    """Return the cameras with at least this probability in all, likeliest first."""
-    total = sum_by_camera(shares)
-    looks = [Look(camera, min(p, 1.0)) for camera, p in total.items() if p >= least]
+    for camera, probability in sum_by_camera(next_cameras).items():
+        shares[camera] = shares.get(camera, 0.0) + no_view * probability
+    looks = [Look(camera, min(p, 1.0)) for camera, p in shares.items() if p >= PROBABILITY_MIN]
     return sorted(looks, key=lambda look: (-look.probability, look.camera))
-
-
-def sum_by_camera(shares: Iterable[tuple[str, float]]) -> dict[str, float]:
-    """Return the sum of probabilities by camera, from (camera, probability)."""
-    total: dict[str, float] = {}
-    for camera, probability in shares:
-        total[camera] = total.get(camera, 0.0) + probability
-    return total

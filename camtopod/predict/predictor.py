@@ -27,7 +27,7 @@ from camtopod.predict.recent_events import (
     moved_zones,
 )
 from camtopod.predict.reporting import Reporting
-from camtopod.predict.time_windows import WINDOW
+from camtopod.predict.time_windows import TIMED_TRANSITIONS_MIN, WINDOW
 from camtopod.predict.version import PreparedVersion
 from camtopod.records import Event, NextCamera, Prediction, Topology
 from camtopod.topology import block_of
@@ -153,7 +153,7 @@ class Predictor:
         track = None if event.track is None else str(event.track)
         if zone is None:
             _check(event.t, now)
-            return Prediction(event.camera, None, event.t, track, self.version, 1.0, [])
+            return Prediction(event.camera, None, event.t, track, self.version, 1.0, [], prior=True)
 
         passages = self._open_passages
         passage = None if track is None else passages.left_at(event.camera, track, event.t)
@@ -197,7 +197,8 @@ class Predictor:
         next_cameras = self._following(answer)
         exit_zone = self.zones[zone]
         prediction = Prediction(
-            exit_zone.camera, exit_zone.id, t, track, self.version, answer.leave, next_cameras
+            *(exit_zone.camera, exit_zone.id, t, track, self.version, answer.leave, next_cameras),
+            prior=not self.prepared.is_learned(zone),
         )
         if (
             passage is None
@@ -224,10 +225,11 @@ class Predictor:
             order = order[answer.chance[order] > 0.0]
             targets = [answer.table.targets[k] for k in order.tolist()]
             windows = answer.windows(order)
+            guessed = answer.table.transitions[order] < TIMED_TRANSITIONS_MIN
             rows = [
-                NextCamera(target.camera, target.id, probability, *window)
-                for target, probability, window in zip(
-                    targets, answer.chance[order].tolist(), windows, strict=True
+                NextCamera(target.camera, target.id, probability, q10, q50, q90, prior)
+                for target, probability, (q10, q50, q90), prior in zip(
+                    targets, answer.chance[order].tolist(), windows, guessed.tolist(), strict=True
                 )
             ]
 
@@ -242,8 +244,10 @@ class Predictor:
             offset = self.prepared.offset_of
             lags += (offset[zones] - offset[answer.departure.zone])[:, None]
         rows += [
-            NextCamera(self.zones[zone].camera, self.zones[zone].id, probability, *window)
-            for zone, probability, window in zip(
+            NextCamera(
+                self.zones[zone].camera, self.zones[zone].id, probability, q10, q50, q90, True
+            )
+            for zone, probability, (q10, q50, q90) in zip(
                 zones.tolist(),
                 answer.elsewhere[cameras].tolist(),
                 np.round(lags, 3).tolist(),

@@ -31,6 +31,8 @@ from camtopod.topology import (
 
 WINDOW = (0.1, 0.5, 0.9)
 """Quantiles of the lag at which a time window has its beginning, median and end."""
+TIMED_TRANSITIONS_MIN = float(len(WINDOW))
+"""Least number of transitions that tell a time window; of fewer it is but the prior's."""
 _SMOOTHING_TRANSITIONS = np.array([least for least, _ in SMOOTHING_SD_BINS])
 """Least number of transitions for each kernel of `camtopod.topology.smooth`, descending."""
 _SMOOTHING_WIDTHS = np.array([NORMAL_Q90 * LAG_STEP * sd_bins for _, sd_bins in SMOOTHING_SD_BINS])

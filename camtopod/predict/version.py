@@ -19,6 +19,11 @@ from camtopod.predict.time_windows import PaceModel
 from camtopod.predict.zone_lookup import ZoneLookup
 from camtopod.records import Event, Topology
 
+LEARNED_EXITS = 100
+"""Exits at a zone after which it is known where objects go, without any link: one that a tenth of
+them takes would have the ten passages of a link.
+"""
+
 
 class ExitTable:
     """Figures of a topology version about objects that leave at one zone.
@@ -108,6 +113,11 @@ class PreparedVersion:
     def zone_of(self, event: Event) -> int | None:
         """Return the zone (index) that an event belongs to; None if its camera has no zone."""
         return self._lookup.zone_of(event)
+
+    def is_learned(self, zone: int) -> bool:
+        """Return True if it is known where objects of a zone go, by links or as hardly any do."""
+        is_linked = int(self.camera_of[zone]) in self.anywhere.linked
+        return is_linked or self.hazards.departures[zone] >= LEARNED_EXITS
 
     def table(self, zone: int) -> ExitTable | None:
         """Return the table of a zone, given by its index; None if the zone has no targets."""

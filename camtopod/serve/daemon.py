@@ -2,8 +2,7 @@
 
 Theory of operation. Besides the bus's own there are these threads:
 
-- *receive* hears events, predicts from exits with the newest version, and merges by time what is to
-  be stored;
+- *receive* hears events, predicts from exits with the newest version, and decides what is stored;
 - *store* owns the journal: it commits events, queues them for the learner, answers the grabbers'
   requests, and stores each version before it is published;
 - *learn* passes committed events, in the journal's order, to the learner, which runs in its own
@@ -33,11 +32,11 @@ from camtopod.redact import redact
 from camtopod.serve.admin_queries import Done, command_of
 from camtopod.serve.bus import Bus, OtherDaemons, QueryError, open_daemon_session
 from camtopod.serve.ingest import (
+    Backlogs,
     Cameras,
     CommandRefused,
     EventClock,
     Intake,
-    Merger,
     Names,
     Numbers,
     execute,
@@ -209,10 +208,7 @@ class Daemon:
         return reasons
 
     def unready(self) -> list[str]:
-        """Return the reasons not to rely on the daemon now, which a restart may not remove.
-
-        Empty if the daemon is ready.
-        """
+        """Return the reasons not to rely on the daemon now; a restart may not remove them."""
         if self._stopping.is_set():
             return ["the daemon is stopping"]
         if not self.started or self._bus is None:
@@ -250,12 +246,8 @@ class Daemon:
             site=self._config.site.name,
             epoch=self.epoch,
             t=self._clock(),
-            events=EventCounts(
-                **intake.counts,
-                lost=intake.numbers.lost,
-                waiting=learning.waiting,
-                merging=intake.merger.waiting,
-            ),
+            status_seconds=self._config.limits.status_seconds,
+            events=EventCounts(**intake.counts, lost=intake.numbers.lost, waiting=learning.waiting),
             rejects=dict(intake.rejects.counts),
             reject_samples=intake.rejects.samples(),
             dropped=dict(intake.inbox.dropped),
@@ -297,8 +289,7 @@ class Daemon:
             known.update(one.name for one in cameras)
 
         # Names may be old ones. After a start the grabbers come back one by one.
-        alive = present(intake.alive.copy())
-        known = present(known)
+        alive, known = present(intake.alive.copy()), present(known)
         if self._steady() - self._started_at < RETURN_SECONDS:
             alive |= present(one.name for one in cameras if one.spooled)
             known &= alive
@@ -372,8 +363,7 @@ class Daemon:
         # Receiving and storing.
         numbers = Numbers(self._journal.numbers())
         cameras = Cameras(limits.cameras_max)
-        wall = self._clock()
-        now = self._steady()
+        wall, now = self._clock(), self._steady()
         for camera in numbers.cameras[-limits.cameras_max :]:
             cameras.register(camera, now)
         event_clock = EventClock(
@@ -383,7 +373,7 @@ class Daemon:
             numbers,
             cameras,
             Names(read_names(self._journal), self._clock),
-            Merger(lateness, limits.future_seconds_max, event_clock, now),
+            Backlogs(lateness, event_clock, now),
             event_clock,
             JournalWriter(self._journal, self._clock),
             limits,
@@ -407,15 +397,15 @@ class Daemon:
         bus.answer_queries("admin/*", self._administer, "done")
         bus.answer_queries("predict/*", self._live.answer, "prediction")
         bus.answer_queries("recent", self._live.recent, "recent")
-        bus.answer_queries(STATUS, self._asked_status, "status")
+        bus.answer_queries(
+            STATUS,
+            lambda _, wanted: self.status(None if wanted.get("pairs") == "all" else STATUS_PAIRS),
+            "status",
+        )
         bus.subscribe("event/*", self._intake.inbox.on_event)
         bus.watch_alive("grabber", self._intake.on_alive)
         bus.answer_requests("store/*", self._intake.inbox.on_request)
         self._rivals.appear()
-
-    def _asked_status(self, key: str, parameters: dict[str, str]) -> DaemonStatus:
-        """Answer a query on the status; ``pairs=all`` asks for all pairs of cameras."""
-        return self.status(None if parameters.get("pairs") == "all" else STATUS_PAIRS)
 
     def _administer(self, key: str, parameters: dict[str, str]) -> Done:
         """Execute the operator's command of a query. Raises `QueryError`."""

@@ -16,10 +16,10 @@ from camtopod.serve.live_predictions import Live, Reader
 from camtopod.serve.storage import Journal, Learned, Snapshot, StateError
 from camtopod.topology import (
     links_between_views,
-    links_in_words,
     range_in_words,
     waiting_for_links,
 )
+from camtopod.words import counted
 
 log = logging.getLogger(__name__)
 
@@ -90,14 +90,14 @@ class Versions:
         # Log the new alarms and the version.
         for alarm in topology.alarms or []:
             if alarm.version == topology.version:
-                log.warning("%s %s: %s", alarm.kind, alarm.subject, alarm.detail)
+                log.warning("%s", alarm)
         links = len(links_between_views(topology))
         log.info(
-            "version %d: %d cameras, %d zones, %s; looked for %s",
+            "version %d: %d cameras, %d zones, %s between views; looked for %s",
             topology.version,
             len(topology.cameras),
             len(topology.zones),
-            links_in_words(links),
+            counted(links, "link"),
             range_in_words(topology),
         )
         if not links:

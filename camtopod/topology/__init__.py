@@ -23,7 +23,6 @@ from camtopod.topology.first_links import (
     lacks_in_words as lacks_in_words,
     likely_links as likely_links,
     links_between_views as links_between_views,
-    links_in_words as links_in_words,
     longest_lag as longest_lag,
     range_in_words as range_in_words,
     waiting_for_links as waiting_for_links,

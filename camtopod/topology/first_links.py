@@ -53,13 +53,6 @@ def range_in_words(topology: Topology) -> str:
     return f"ways of up to {longest_lag(topology):.0f} s, overlaps of up to {overlap:.0f} s"
 
 
-def links_in_words(count: int) -> str:
-    """Return a number of links between views, in words."""
-    if count == 1:
-        return "1 link between views"
-    return f"{count} links between views"
-
-
 def likely_links(topology: Topology) -> list[Link]:
     """Return the weak links between views that are half-way to publication, nearest first.
 

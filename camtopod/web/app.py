@@ -242,7 +242,7 @@ def serving(
     page, feeding = (marks.watch(name, STALL_SECONDS) for name in ("page", "feed"))
     stop = threading.Event()
     page_queues = PageQueues()
-    feed = Feed(bus, page_queues, clock, config.limits.status_seconds)
+    feed = Feed(bus, page_queues, clock)
     api = Api(bus, feed, is_open=login is not None or not is_public)
     site = Routes(feed, page_queues, pictures, config, login is not None, bus)
     settings = uvicorn.Config(

@@ -21,6 +21,7 @@ from camtopod.topology import (
     smooth,
 )
 from camtopod.web.map_data import nearness, why_provisional
+from camtopod.words import alarms_in_words
 
 
 class Explanations:
@@ -43,11 +44,6 @@ class Explanations:
         self._between = self._by_cameras(topology.links)
         self._weak_between = self._by_cameras(topology.weak_links or [])
 
-    @property
-    def last_events(self) -> dict[str, float]:
-        """By camera: time of its last learned event, Unix seconds."""
-        return {name: model.last_event for name, model in self._camera_models.items()}
-
     def camera(self, camera: str) -> dict[str, Any] | None:
         """Return a camera's zones, figures and links; None for an unknown camera."""
         found = [one for one in self.topology.cameras if one.id == camera]
@@ -69,7 +65,7 @@ class Explanations:
             ],
             "links": [brief(link) for link in links],
             "alarms": [
-                alarm for alarm in self.topology.alarms or [] if mentions(alarm.subject, [camera])
+                one for one in alarms_in_words(self.topology) if mentions(one.subject, [camera])
             ],
         }
 

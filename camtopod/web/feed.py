@@ -15,19 +15,17 @@ from typing import Any
 import msgspec
 
 from camtopod import codec
-from camtopod.predict import seen_now
-from camtopod.publishers import ELSEWHERE, is_gone
-from camtopod.records import DaemonStatus, Match, Prediction, Recent, Status, Topology
+from camtopod.records import Look, Match, Prediction, Recent, Topology
 from camtopod.serve.bus import Bus, QueryError, TopologySubscriber
 from camtopod.serve.runtime import Beat, Clock, no_beat
+from camtopod.statuses import Statuses
 from camtopod.web.explanations import Explanations
 from camtopod.web.map_data import NO_MAP, draw
 from camtopod.web.outbox import PageQueues, message
 from camtopod.web.recent_matches import RecentMatches
 from camtopod.web.versions import summary
+from camtopod.words import headline, seen_now
 
-CAMERAS_MAX = 5_000
-"""Cameras whose status is kept."""
 PER_SECOND_MAX = 25
 """Predictions, and matches, forwarded per second, of all cameras together; people cannot follow
 more.
@@ -44,39 +42,23 @@ VERSIONS_MAX = 500
 """Versions on the time line; beyond it the oldest are forgotten."""
 NEXT_SHOWN = 3
 """Next cameras of a prediction, and earlier passages of a match, that the page receives."""
-SILENT_STATUSES = 6
-"""Status intervals without a status after which a daemon is not live and a grabber is silent."""
 _TICK_SECONDS = 0.2
-REASON_CHARACTERS_MAX = 500
-"""Longest state or reason that is shown."""
 NOT_SHOWN = ("cameras", "reject_samples", "alarms")
 """Fields of the daemon's status that the page does not receive."""
-
-
-class Live(msgspec.Struct, frozen=True):
-    """Whether the daemon is live.
-
-    since (Unix seconds): when it was heard of last, if it is not.
-    catching_up: share of stored events that are learned, in percent; None if all are.
-    """
-
-    live: bool
-    reason: str
-    since: float
-    catching_up: int | None
 
 
 def shown(prediction: Prediction) -> dict[str, Any]:
     """Return the prediction in the form for the page, without a track.
 
-    ``look``: where views overlap, cameras that probably see the object at ``t``, or else next.
+    ``place``, ``words``: what is said of it (`camtopod.words.Headline`).
     ``now``: those that probably see it at ``t``, when it has left the view of ``camera``.
     """
-    look = [one for one in prediction.look or [] if one.camera != prediction.camera]
+    answer = headline(prediction)
     return {
-        **{name: getattr(prediction, name) for name in ("camera", "zone", "t", "version", "leave")},
-        "look": look[:NEXT_SHOWN],
-        "now": seen_now(prediction.in_view or []),
+        **{name: getattr(prediction, name) for name in ("camera", "zone", "t", "version")},
+        "place": answer.place,
+        "words": answer.words,
+        "now": [Look(*one) for one in seen_now(prediction).items()],
         "next": prediction.candidates[:NEXT_SHOWN],
     }
 
@@ -109,26 +91,13 @@ class PerSecond:
 
 
 class Feed:
-    """Follower of one site's bus; run `follow` in a thread.
+    """Follower of one site's bus; run `follow` in a thread."""
 
-    status_seconds: interval in which the daemon publishes its status.
-    """
-
-    def __init__(
-        self, bus: Bus, page_queues: PageQueues, clock: Clock, status_seconds: float
-    ) -> None:
+    def __init__(self, bus: Bus, page_queues: PageQueues, clock: Clock) -> None:
         self._bus = bus
         self._page_queues = page_queues
         self._clock = clock
-        self._silent_seconds = SILENT_STATUSES * status_seconds
-        self._began = clock()
-        self._connected_since = self._began  # no status can arrive while the bus is unreachable
-        self._daemon = DaemonStatus()
-        """Newest status of the daemon."""
-        self._heard: float | None = None
-        """When it was received."""
-        self._grabbers: dict[str, tuple[Status, float]] = {}
-        """Newest status of each camera's grabber, and when it was received."""
+        self._statuses = Statuses(clock)
         self._predictions: deque[bytes] = deque(maxlen=PREDICTIONS_HELD)
         self._limits = {"prediction": PerSecond(), "match": PerSecond()}
         self._matches = RecentMatches()
@@ -156,7 +125,7 @@ class Feed:
         while not stop.wait(_TICK_SECONDS):
             beat()
             if not self._bus.connected:
-                self._connected_since = self._clock()
+                self._statuses.note_unreachable()
             self.ask_recent()
             if (newest := self._view.update()) is not None:
                 self.show(newest)
@@ -187,15 +156,8 @@ class Feed:
         self.map_json = codec.to_json(self.map)
 
     def _present(self) -> set[str]:
-        """Return the cameras with a publisher."""
-        figures = self._daemon.cameras
-        grabbers = dict(self._grabbers)
-        names = {*grabbers, *(name for name, one in figures.items() if one.alive)}
-        now = self._clock()
-        absent = ("", "silent", "forgotten")
-        return {
-            name for name in names if self._state(name, grabbers.get(name), now)[0] not in absent
-        }
+        """Return the cameras whose events can come."""
+        return {one.id for one in self._statuses.cameras(None) if one.alive}
 
     def hello(self) -> bytes:
         """Return the first messages for a page that has just connected: server-sent events."""
@@ -207,14 +169,21 @@ class Feed:
         return message("beat", b'{"now":%.3f}' % self._clock())
 
     def health(self) -> dict[str, Any]:
-        """Return the status of the daemon and of every camera, and whether they are live."""
+        """Return the state of the daemon and of every camera, with the daemon's status.
+
+        ``live``: the state of the daemon, and since when (Unix seconds) it has not been heard of.
+        """
         now = self._clock()  # taken first, so that the data are at least as new
+        statuses = self._statuses
+        away = "" if self._bus.connected else f"the bus at {self._bus.endpoint} cannot be reached"
+        live = msgspec.to_builtins(statuses.daemon_state(self.topology, away))
+        live["since"] = statuses.heard
         daemon: dict[str, Any] = {}
-        if self._heard is not None:
-            told = msgspec.to_builtins(self._daemon)
-            daemon = {name: told[name] for name in told if name not in NOT_SHOWN}
-        live = self._live(now)
-        return {"now": now, "live": live, "daemon": daemon, "cameras": self._cameras(now)}
+        if statuses.daemon.state:
+            daemon = msgspec.to_builtins(statuses.daemon)
+            daemon = {name: daemon[name] for name in daemon if name not in NOT_SHOWN}
+        cameras = msgspec.to_builtins(statuses.cameras(self.topology))
+        return {"now": now, "live": live, "daemon": daemon, "cameras": cameras}
 
     def walks(self, since: float) -> list[Match]:
         """Return the newest match of each entry later than ``since``, at most an hour ago."""
@@ -222,7 +191,7 @@ class Feed:
 
     def names(self) -> set[str]:
         """Return the cameras that are learned of or that the daemon counts."""
-        return {*self.map.cameras, *self._daemon.cameras}
+        return {*self.map.cameras, *self._statuses.daemon.cameras}
 
     def ask_recent(self) -> None:
         """Ask the daemon for its newest events, once a second, and send them to open pages."""
@@ -248,97 +217,20 @@ class Feed:
         """Return epoch and number of the newest version as JSON, null if there is none."""
         return msgspec.json.encode(self.topology and [self.topology.epoch, self.topology.version])
 
-    # --- health ---
-
-    def _live(self, now: float) -> Live:
-        """Return whether the daemon is live, and why not."""
-        heard = self._heard
-        if heard is None:
-            return Live(False, "no status of the daemon has been received yet", self._began, None)
-        reason = ""
-        if not self._bus.connected:
-            reason = f"the bus at {self._bus.endpoint} cannot be reached"
-        elif abs(now - heard) >= self._silent_seconds:
-            reason = f"no status from the daemon for {self._silent_seconds:.0f} s"
-        behind = None
-        if self._daemon.catching_up is not None:
-            behind = math.floor(100 * min(max(0.0, self._daemon.catching_up.share), 1.0))
-        return Live(not reason, reason, heard, behind)
-
-    def _cameras(self, now: float) -> list[dict[str, Any]]:
-        """Return the health of every camera that anybody knows.
-
-        ``state``: of its grabber; or ``forgotten``, ``silent``, ``gone``, ``no grabber``,
-        `ELSEWHERE`. ``newest``: time of its newest event, Unix seconds. ``ahead``: by how many
-        seconds its last event was ahead of the daemon's clock.
-        """
-        figures = self._daemon.cameras
-        learned = self.explanations.last_events if self.explanations else {}
-        grabbers = dict(self._grabbers)
-        newest = {name: learned.get(name) for name in (*grabbers, *self.map.cameras)}
-        newest |= {name: one.newest for name, one in figures.items()}
-        last = max([self.map.as_of, *(t for t in newest.values() if t)])
-
-        rows = []
-        for name in sorted(newest):
-            state, reason = self._state(name, grabbers.get(name), now)
-            counted = figures.get(name)
-            t = newest[name]
-            if state == "no grabber" and counted and counted.alive:
-                state = ELSEWHERE
-            elif is_gone(state, t, last) or (t is None and state == "no grabber"):
-                state = "gone"
-                reason = ""
-            elif state == "no grabber" and counted and counted.events:
-                state = ELSEWHERE
-            if state:
-                row: dict[str, Any] = {"id": name, "state": state, "reason": reason, "newest": t}
-                row |= {key: counted and getattr(counted, key) for key in ("events", "ahead")}
-                rows.append(row)
-        return rows
-
-    def _state(
-        self, name: str, grabber: tuple[Status, float] | None, now: float
-    ) -> tuple[str, str]:
-        """Return state and reason of a camera; the state is "" if it is not to be shown.
-
-        grabber: its status, and when it was received.
-        """
-        if grabber is None:
-            return "no grabber", ""
-        status, heard = grabber
-        quiet = abs(now - max(heard, self._connected_since))
-        is_silent = status.state != "ended" and quiet > self._silent_seconds
-        if name in self._daemon.names.forgotten:
-            reason = f"its events are refused until `camtopod forget --take-back {name}`"
-            return "" if is_silent else "forgotten", reason
-        if is_silent:
-            reason = f"no status from its grabber for more than {self._silent_seconds:.0f} s"
-            return "silent", reason
-        state = status.state or "unknown"
-        return state[:REASON_CHARACTERS_MAX], status.reason[:REASON_CHARACTERS_MAX]
-
     # --- messages of the bus ---
 
     def _on_message(self, key: str, payload: bytes) -> None:
         """Process a message; one that cannot be read is ignored."""
-        kind, _, name = key.partition("/")
+        kind = key.partition("/")[0]
         with contextlib.suppress(codec.Rejected):
-            if key == "status/daemon":
-                self._daemon = codec.read(DaemonStatus, payload, pack=True)
-                self._heard = self._clock()
-                self._matches.forget(self._daemon.names.forgotten)
-            elif kind == "status":
-                self._on_status(name, codec.read(Status, payload, pack=True))
+            if kind == "status":
+                self._statuses.on_status(key, payload)
+                if key == "status/daemon":
+                    self._matches.forget(self._statuses.daemon.names.forgotten)
             elif kind == "match":
                 self._on_match(codec.read(Match, payload, pack=True))
             else:
                 self._on_prediction(codec.read(Prediction, payload, pack=True))
-
-    def _on_status(self, name: str, status: Status) -> None:
-        known = name in self._grabbers or len(self._grabbers) < CAMERAS_MAX
-        if known and codec.is_camera(name):
-            self._grabbers[name] = (status, self._clock())
 
     def _on_prediction(self, prediction: Prediction) -> None:
         """Forward a prediction, unless there are too many this second."""

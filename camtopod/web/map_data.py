@@ -9,8 +9,9 @@ from msgspec import Struct
 from msgspec.structs import replace
 
 from camtopod.export import Edge, Place, edges, places
-from camtopod.records import Alarm, Link, Pair, PairRelation, SelfScore, Topology
+from camtopod.records import Link, Pair, PairRelation, Topology
 from camtopod.topology import RELATIONS, lacks_in_words, likely_links, waiting_for_links
+from camtopod.words import AlarmWords, alarms_in_words
 
 SETTLED_TRANSITIONS_MIN = 30.0
 """Transitions below which an edge is provisional.
@@ -50,17 +51,16 @@ class Map(Struct, frozen=True):
     epoch: str
     version: int
     as_of: float
-    events: int
     cameras: dict[str, MapCamera]
     edges: dict[str, MapEdge]
     """By the two camera ids, sorted and separated by a space."""
-    score: SelfScore | None
-    alarms: list[Alarm]
+    alarms: list[AlarmWords]
+    """Newest first."""
     waiting: str
     """Missing evidence for the first link between views, in words; "" if there is a link."""
 
 
-NO_MAP = Map("", "", 0, 0.0, 0, {}, {}, None, [], "")
+NO_MAP = Map("", "", 0, 0.0, {}, {}, [], "")
 """The map before anything has been learned."""
 
 
@@ -93,11 +93,9 @@ def draw(topology: Topology, before: Map = NO_MAP, new: Iterable[str] = ()) -> M
         topology.epoch,
         topology.version,
         topology.as_of,
-        topology.events,
         cameras,
         drawn,
-        topology.score,
-        topology.alarms or [],
+        alarms_in_words(topology),
         waiting_for_links(topology),
     )
 

@@ -222,6 +222,7 @@ def test_every_event_reaches_the_daemon_and_the_status_tells(tmp_path: Path) -> 
             len(EVENTS),
             "lobby",
         )
+        assert (said[-1]["status_seconds"], daemon.status().status_seconds) == (1.0, 0.1)
         assert main(arguments) == 0
         assert daemon.status().events.stored == 2 * len(EVENTS), "the spool's count goes on"
         client.close()

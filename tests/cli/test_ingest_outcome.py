@@ -87,7 +87,7 @@ def test_what_became_of_the_events_is_said(
         assert f"{events} events stored\n" in capsys.readouterr().err
         assert ingest(daemon, tmp_path, recording) == 0
         assert "0 events stored\n" in capsys.readouterr().err, "all of them before"
-        assert ingest(daemon, tmp_path, old) == 1
+        assert ingest(daemon, tmp_path, old) == 0
         assert "20 events stored, 20 of them late" in capsys.readouterr().err
         assert ingest(daemon, tmp_path, both) == 0
         assert "2 events stored, 1 of them late" in capsys.readouterr().err

@@ -78,7 +78,7 @@ def bus(monkeypatch: pytest.MonkeyPatch) -> RubbishBus:
 
 
 def test_who_shows_the_site_goes_on(bus: RubbishBus) -> None:
-    feed = Feed(cast(Bus, bus), PageQueues(), lambda: 1e9, 1.0)
+    feed = Feed(cast(Bus, bus), PageQueues(), lambda: 1e9)
     shown = bridge.HomeAssistantState(cast(Bus, bus), Topics("site"), 100)
     seen = SiteState("site")
     bus.subscribe("status/*", seen.on_status)

@@ -261,6 +261,7 @@ def test_an_operator_sees_how_often_and_why(box: Box, tmp_path: Path) -> None:
     failed = next(one for one in statuses if one["camera"] == "hopeless")
     assert failed["state"] == "failed"
     assert failed["reason"] == "ended with status 2; it is not restarted"
+    assert all(one["status_seconds"] > 0.0 for one in statuses)
     assert box.stop() == 0
     meeting.close()
 

@@ -21,13 +21,8 @@ from serving import camtopod, free_endpoint, small_config, wait_for
 from camtopod import codec
 from camtopod.cli.commands import watch
 from camtopod.cli.main import main
-from camtopod.cli.terminal.site_state import (
-    ALARMS_SHOWN,
-    SILENT_SECONDS,
-    SiteState,
-)
+from camtopod.cli.terminal.site_state import ALARMS_SHOWN, SiteState
 from camtopod.config.settings import BusSettings
-from camtopod.publishers import ELSEWHERE, GONE_SECONDS
 from camtopod.records import (
     TOPOLOGY_SCHEMA,
     Alarm,
@@ -43,6 +38,7 @@ from camtopod.records import (
 )
 from camtopod.serve.daemon import Daemon
 from camtopod.topology import waiting_for_links
+from camtopod.words import ELSEWHERE, OLD_SECONDS, SILENT_SECONDS_MIN
 
 NOW = 1_700_007_200.0
 NOTHING = Topology(TOPOLOGY_SCHEMA, "hq", "01J", 9, 1_700_003_600.0, 0, "sha256:0", [], [], [], [])
@@ -57,7 +53,7 @@ def lines(site: SiteState, topology: Topology | None = None) -> list[str]:
 def cameras(site: SiteState, topology: Topology | None = None) -> dict[str, str]:
     """Return the state and the reason of each camera."""
     rows = [line[2:] for line in site.camera_lines(topology, NOW)]
-    return {row.split()[0]: f"{row[21:32].strip()} {row[53:]}".strip() for row in rows}
+    return {row.split()[0]: f"{row[21:34].strip()} {row[55:]}".strip() for row in rows}
 
 
 def topology(alarms: int = 0, score: SelfScore | None = None, links: int = 0) -> Topology:
@@ -107,16 +103,21 @@ def busy_site(cameras: int, steady: Callable[[], float] = lambda: 100.0) -> Site
 def test_everything_is_shown_newest_and_worst_first() -> None:
     text = lines(busy_site(9), topology(ALARMS_SHOWN + 2, SCORE, links=2))
 
-    assert text[0] == "site hq: daemon running, 77 events stored, 2 rejected since its start"
+    assert text[0] == (
+        "site hq: daemon running, 7 alarms, 1 camera needs attention, 77 events stored, "
+        "2 rejected since its start"
+    )
     assert text[2].startswith(
         "predictions: next camera right 0.81 (baseline 0.55), among the first"
     )
     assert text[2].endswith("200 exits since version 3")
     alarms = text[text.index("ALARMS") + 1 :][: ALARMS_SHOWN + 1]
-    assert alarms[0] == "60 min ago, version 6: link_closed lobby/6->hall/2, share 0.60, 0.00 since"
+    assert alarms[0] == (
+        "60 min ago, version 6: link closed lobby/6 → hall/2: share 0.60, 0.00 since"
+    )
     assert alarms[-2].startswith("60 min ago, version 2") and alarms[-1] == ""  # noqa: PT018
     [first] = [k for k, line in enumerate(text) if "CAMERA" in line]
-    assert text[first + 1] == f"! {'cam0007':<20} {'stalled':<11} {7:>8} {'7 s':>9}  {REASON}"
+    assert text[first + 1] == f"! {'cam0007':<20} {'stalled':<13} {7:>8} {'7 s':>9}  {REASON}"
     assert text[first + 2].startswith("  cam0000")
     [first] = [k for k, line in enumerate(text) if "FROM" in line]
     assert text[first + 1].startswith("  lobby/1              hall/2               unseen")
@@ -128,7 +129,7 @@ def test_everything_is_shown_newest_and_worst_first() -> None:
 
 def test_before_the_first_link_it_says_what_it_waits_for() -> None:
     nothing = "\n".join(lines(SiteState("hq")))
-    assert "no status of a daemon received yet" in nothing
+    assert "no status of the daemon has been received yet" in nothing
     assert "nothing learned yet" in nothing
     assert "ALARMS" not in nothing
 
@@ -144,22 +145,23 @@ def test_a_sender_of_statuses_may_fall_silent() -> None:
     site = busy_site(2, lambda: now)
     publish(site, "film", state="ended", reason="the file is at its end")
     publish(site, "daemon", state="running", catching_up={"seconds": 2640.0, "share": 0.63})
-    assert "daemon running, catching up, 63% (44 minutes behind), 0 events" in site.daemon_line()
+    line = "daemon running, catching up, 63 % (44 minutes behind), 0 events"
+    assert line in site.daemon_line(None)
     publish(site, "daemon", state="running", warnings=["no camera is called lobbi"])
-    assert "daemon running (no camera is called lobbi), 0 events" in site.daemon_line()
+    assert "running (no camera is called lobbi), 0 events" in site.daemon_line(None)
 
-    now += SILENT_SECONDS + 1.0
+    now += SILENT_SECONDS_MIN + 1.0
     publish(site, "cam0001", state="running", reason="")
-    assert "daemon silent (no status for 6 s; what is shown below may" in site.daemon_line()
+    assert "daemon silent (no status from the daemon for more than 5 s)" in site.daemon_line(None)
     assert cameras(site) == {
-        "cam0000": "silent no status for 6 s",
+        "cam0000": "silent no status from its grabber for more than 5 s",
         "cam0001": "running",
         "film": "ended the file is at its end",
     }
 
 
 def test_a_camera_without_grabber_and_without_events_for_a_day_is_gone() -> None:
-    site, day = SiteState("hq"), GONE_SECONDS
+    site, day = SiteState("hq"), OLD_SECONDS
     counters = {
         "here": {"events": 9, "newest": NOW, "alive": True},
         "lately": {"events": 9, "newest": NOW - day + 1},
@@ -175,12 +177,12 @@ def test_a_camera_without_grabber_and_without_events_for_a_day_is_gone() -> None
     learned = msgspec.structs.replace(NOTHING, cameras=[Camera("learned", [])], model=model)
 
     assert cameras(site, learned) == {
-        "here": f"other {ELSEWHERE}",
-        "lately": f"other {ELSEWHERE}",
+        "here": ELSEWHERE,
+        "lately": ELSEWHERE,
         "quiet": "no grabber",
         "phantom": "gone",
         "learned": "gone",
-        "old": "forgotten its events are refused until camtopod forget --take-back old",
+        "old": "forgotten its events are refused until `camtopod forget --take-back old`",
         "before": "running counts as after",
     }
 

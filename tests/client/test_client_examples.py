@@ -58,7 +58,7 @@ def walk(track: int, t: float, to: str) -> list[Event]:
 
 def test_where_next(learned_daemon: LearnedDaemon) -> None:
     found = re.fullmatch(
-        r"a -> [bc] (\d+) %, in (\d+) to (\d+) s; .*",
+        r"a -> (?:most likely )?[bc] (\d+) %, in (\d+) to (\d+) s; .*",
         printed(learned_daemon, "next_camera.py", walk(1, NOW, "b"))[0],
     )
 

@@ -41,6 +41,15 @@ def test_somebody_is_expected_until_nine_of_ten_have_come() -> None:
     assert seen.expected(T + 31) == {}
 
 
+def test_no_times_are_told_that_are_not_known() -> None:
+    seen = Arrivals()
+    guessed = [NextCamera("hall", "hall/1", 0.9, 0.0, 300.0, 600.0, prior=True)]
+    seen.left(Prediction("lobby", "lobby/1", T, None, 9, 0.1, guessed))
+
+    assert seen.expected(T + 599) == {"hall": Awaited(pytest.approx(0.9), "lobby", None, None)}
+    assert seen.expected(T + 601) == {}
+
+
 def test_several_may_come() -> None:
     """Nobody comes only if none of them does; times are those of the likeliest one."""
     seen = Arrivals()

@@ -43,6 +43,7 @@ from camtopod.records import (
 from camtopod.serve import bus as buses
 from camtopod.serve.bus import Bus
 from camtopod.serve.daemon import Daemon
+from camtopod.words import CameraState, camera_states, daemon_state
 
 TOPICS = Topics("hq")
 SCORE = SelfScore(200, 3, 1.25, 0.814, 0.93, 1.75, 0.55)
@@ -60,6 +61,12 @@ def decoded(messages: dict[str, str]) -> dict[str, Any]:
         topic: json.loads(text) if text.startswith("{") else text
         for topic, text in messages.items()
     }
+
+
+def of_camera(name: str, figures: CameraFigures, status: Status | None) -> CameraState:
+    daemon = DaemonStatus("running", cameras={name: figures})
+    [state] = camera_states(daemon, {name: (status, 0.0)} if status else {}, None)
+    return state
 
 
 def to_hall(leave: float, *shares: tuple[str, float]) -> Prediction:
@@ -81,7 +88,8 @@ BETWEEN = Between(T0, T0 - 60.0, 3.26, 2, 5, [BetweenPair("lobby", "hall", 3.26,
 
 def test_objects_between_cameras_are_unknown_while_nobody_counts() -> None:
     def told(alive: bool, status: DaemonStatus) -> Any:
-        states = homeassistant.site_state(TOPICS, alive, status, TOPOLOGY)
+        state = daemon_state(status, 0.0, away="" if alive else "it is away")
+        states = homeassistant.site_state(TOPICS, state, status, TOPOLOGY)
         return decoded(states)["camtopod/hq/daemon/between"]
 
     counted = told(True, DaemonStatus("running", between=BETWEEN))
@@ -101,9 +109,9 @@ def test_every_entity_finds_its_figure() -> None:
     cameras = ["lobby", "north.gate", "a_b", "a.b"]
     announced = decoded(homeassistant.discovery(TOPICS, cameras))
     status = DaemonStatus("running", between=BETWEEN)
-    states = homeassistant.site_state(TOPICS, True, status, TOPOLOGY)
+    states = homeassistant.site_state(TOPICS, daemon_state(status, 0.0), status, TOPOLOGY)
     for camera in cameras:
-        states |= homeassistant.camera_state(TOPICS, camera, CameraFigures(), None, 3)
+        states |= homeassistant.camera_state(TOPICS, of_camera(camera, CameraFigures(), None), 3)
         states |= homeassistant.prediction_state(
             TOPICS, msgspec.structs.replace(to_hall(1.0), camera=camera)
         )
@@ -142,15 +150,15 @@ def test_every_entity_finds_its_figure() -> None:
 
 
 def test_the_states() -> None:
-    bad = decoded(
-        homeassistant.site_state(TOPICS, True, DaemonStatus("degraded", "disk full"), TOPOLOGY)
-    )
-    gone = decoded(homeassistant.site_state(TOPICS, False, DaemonStatus("running"), None))
+    full, well = DaemonStatus("degraded", "disk full"), DaemonStatus("running")
+    away = daemon_state(well, 0.0, away="the daemon is not running")
+    bad = decoded(homeassistant.site_state(TOPICS, daemon_state(full, 0.0), full, TOPOLOGY))
+    gone = decoded(homeassistant.site_state(TOPICS, away, well, None))
 
     state, alarm = bad["camtopod/hq/daemon/state"], bad["camtopod/hq/daemon/alarm"]
     assert (state["problem"], state["reason"]) == ("ON", "disk full")
     assert (state["version"], state["score"]) == (9, 81.4)
-    assert alarm["alarm"] == "link_closed lobby/1->hall/2"
+    assert alarm["alarm"] == "link closed lobby/1 → hall/2"
     assert alarm["at"] == "2023-11-14T22:13:20+00:00"
     assert gone["camtopod/hq/daemon/state"]["problem"] == "ON"
     assert gone["camtopod/hq/daemon/state"]["version"] is None
@@ -169,7 +177,9 @@ def test_the_states() -> None:
 )
 def test_when_a_camera_is_online(alive: bool, said: Status | None, online: str) -> None:
     [state] = decoded(
-        homeassistant.camera_state(TOPICS, "lobby", CameraFigures(5, alive=alive), said, 2)
+        homeassistant.camera_state(
+            TOPICS, of_camera("lobby", CameraFigures(5, alive=alive), said), 2
+        )
     ).values()
     assert (state["online"], state["events"], state["zones"]) == (online, 5, 2)
 

@@ -9,7 +9,7 @@ from __future__ import annotations
 import itertools
 import random
 from collections import deque
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 
 import msgspec
@@ -22,7 +22,7 @@ from camtopod.codec import to_msgpack
 from camtopod.learn.learner import Learner
 from camtopod.learn.settings import Settings
 from camtopod.records import Event
-from camtopod.serve.ingest import merge
+from camtopod.serve.ingest import backlogs
 from camtopod.serve.requests import Batch
 
 SPAN_SECONDS = 600.0
@@ -35,14 +35,20 @@ Deliver = Callable[[Path, random.Random], bool]
 @pytest.fixture(autouse=True)
 def _time_for_backlogs(monkeypatch: pytest.MonkeyPatch) -> None:
     """Here the daemon waits for backlogs as it does in service."""
-    monkeypatch.setattr(merge, "SETTLE_SECONDS", 5.0)
+    monkeypatch.setattr(backlogs, "SETTLE_SECONDS", 5.0)
 
 
-def versions(events: list[Event]) -> list[tuple[int, str]]:
-    """Return number and digest of the versions of a plain learner."""
+def versions(inputs: Sequence[Event | frozenset[str] | None]) -> list[tuple[int, str]]:
+    """Return number and digest of the versions of a plain learner.
+
+    inputs: events, and the cameras that the learner waits for from there on.
+    """
     learner = Learner(LEARN, "site", "e")
-    for event in events:
-        learner.receive(event)
+    for one in inputs:
+        if isinstance(one, Event):
+            learner.receive(one)
+        elif one is not None:
+            learner.wait_for(one)
     return [(version.version, version.digest) for version in learner.updates()]
 
 
@@ -65,8 +71,7 @@ def is_one_result(bench: IntakeBench, requests: list[Request]) -> bool:
         seqs[camera] = seq
     assert sum(seqs.values()) == len(EVENTS)
     assert all(request.answer for request in requests)
-    learned = [received.event for received in bench.learned if received.event is not None]
-    return versions(learned) == EXPECTED
+    return versions([received.event or received.waited for received in bench.learned]) == EXPECTED
 
 
 def greeted(directory: Path, wall: float) -> IntakeBench:
@@ -136,10 +141,11 @@ def test_any_order_gives_one_result(deliver: Deliver, quick_path: Path) -> None:
         assert deliver(quick_path / str(seed), random.Random(seed)), f"seed {seed}"
 
 
-def test_a_slow_catch_up_delays_no_prediction(quick_path: Path) -> None:
-    """An hour behind, at 1.05 times real time; other cameras' exits are heard as they come."""
+def test_a_slow_catch_up_delays_nobody(quick_path: Path) -> None:
+    """An hour behind, at 1.05 times real time; other cameras' exits are heard, and stored."""
     bench = IntakeBench(quick_path)
-    bench.hello("slow")
+    for camera in ("slow", "live"):
+        bench.hello(camera)
     began, reached = bench.wall, -3600.0
     for second in range(1, 421):
         bench.tick(1.0)
@@ -148,7 +154,9 @@ def test_a_slow_catch_up_delays_no_prediction(quick_path: Path) -> None:
         bench.send("slow", after=second - 1, times={second: ago}, more=10_000)
         bench.publish("live", kind="exit", boot="b1", seq=second, spooled=True)
         assert bench.heard[-1].camera == "live"
+        assert bench.store({second: 0.0}, camera="live", after=second - 1).have == {"b1": second}
     assert len(bench.heard) == 2 * 420
+    assert bench.waits == [["", "slow"], ["slow"], []], "a minute's trial"
     reason = bench.intake.cameras.behind_reason(bench.wall, bench.now)
     assert reason.startswith("camera slow catches up and is 60 min behind:")
     bench.stop()

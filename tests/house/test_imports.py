@@ -27,7 +27,7 @@ PACKAGES = sorted(
 )
 
 FLOORS = (
-    "files records admin arrays redact visible soundness codec event_time publishers mqtt untrusted_xml",
+    "files words records statuses admin arrays redact visible soundness codec event_time publishers mqtt untrusted_xml",
     "topology",
     "predict",
     "learn.settings learn.limits learn.lags",
@@ -64,7 +64,7 @@ FLOORS = (
     "__main__",
 )
 FLOOR = {f"camtopod.{name}": number for number, line in enumerate(FLOORS) for name in line.split()}
-PURE = ("topology", "predict", "learn", "adapt")
+PURE = ("words", "topology", "predict", "learn", "adapt")
 """Packages without I/O, clocks, threads and randomness of their own: what goes in is all that
 matters.
 """

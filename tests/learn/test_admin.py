@@ -73,7 +73,7 @@ def known(learner: Learner, camera: str) -> bool:
     texts = [
         codec.to_json(newest(learner)),
         json.dumps([state.intake.newest, state.window.cameras]),
-        codec.to_json([state.intake.held, [*state.intake.time.behind]]),
+        codec.to_json([state.intake.held, state.intake.numbers, state.intake.time.waited]),
         codec.to_json([state.alarms, [*state.publishers], [*state.retired]]),
         codec.to_json([state.intake.time.leader or ""]),
     ]

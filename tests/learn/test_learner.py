@@ -15,7 +15,8 @@ from hypothesis import given, settings, strategies as st
 from msgspec.structs import replace
 
 from camtopod.codec import read, to_json
-from camtopod.learn.learner import REFIT_EVENTS_MIN, STEPS, Learner
+from camtopod.learn.due_versions import REFIT_EVENTS_MIN
+from camtopod.learn.learner import STEPS, Learner
 from camtopod.learn.settings import Settings
 from camtopod.records import Event, Link, Topology
 from camtopod.sim.scoring import score

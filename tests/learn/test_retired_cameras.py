@@ -68,7 +68,7 @@ def names_known(learner: Learner) -> set[str]:
     state = learner.save()
     assert len(state.cameras) <= len(state.window.cameras) == len(state.window.seen)
     assert len(state.clocks.clocks.offset) <= len(state.window.cameras)
-    intake = {*state.intake.newest, *state.intake.time.behind}
+    intake = {*state.intake.newest, *state.intake.numbers}
     return {*state.window.cameras, *intake, *(event.camera for event in state.intake.held)}
 
 

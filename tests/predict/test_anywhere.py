@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from msgspec.structs import replace
-from test_predictor import EXIT, any_topology, chances, sound
+from test_predictor import EXIT, any_topology, chances, link, sound
 
 from camtopod.predict.predictor import Predictor
 from camtopod.records import CameraPath, Prediction
@@ -33,6 +33,38 @@ def test_the_unknown_part_is_shared_by_unexplained_arrivals_elsewhere(seed: int)
     more = {zone: p - chances(sure).get(zone, 0.0) for zone, p in chances(half).items()}
     assert more["c/1"] / more["b/1"] == pytest.approx(4 / 3, rel=0.01)
     assert all(abs(p) < 1e-6 for zone, p in more.items() if zone[0] == "a")
+
+
+def test_no_times_are_known_of_what_may_be_anywhere() -> None:
+    """Nor of fewer passages than a window has quantiles."""
+    sure, half = asked(0.0), asked(0.5)
+    assert not any(one.prior for one in sure.candidates)
+    assert {one.when for one in half.candidates if one.prior} == {"no times known yet"}
+    assert {one.camera for one in half.candidates if one.prior} == {"b", "c"}
+
+    few = departing(2)
+    assert few.candidates
+    assert all(one.prior for one in few.candidates)
+
+
+@pytest.mark.parametrize(("departures", "linked"), [(99, False), (100, False), (99, True)])
+def test_where_objects_go_is_learned_by_links_or_by_many_who_left(
+    departures: int, linked: bool
+) -> None:
+    is_learned = linked or departures >= 100
+    assert departing(departures, linked).prior is not is_learned
+
+
+def departing(departures: int, linked: bool = False) -> Prediction:
+    """Predict an exit at a/1, from which so many objects have left."""
+    topology = any_topology(np.random.default_rng(3))
+    model = topology.model
+    assert model is not None
+    zones = [replace(zone, departures=departures) for zone in model.zones]
+    links = [link("a/1", "b/1", 0.5, 8.0)] if linked else []
+    return Predictor(replace(topology, links=links, model=replace(model, zones=zones))).predict(
+        EXIT
+    )
 
 
 def test_who_has_not_come_for_long_has_left() -> None:

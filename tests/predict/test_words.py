@@ -33,7 +33,7 @@ def test_a_camera_is_named_once_with_its_likeliest_times() -> None:
 def test_at_most_three_outcomes_are_said() -> None:
     rest = [NextCamera(name, f"{name}/1", 0.1, 1.0, 2.0, 3.0) for name in ("bar", "yard")]
     said = Prediction("lobby", "lobby/1", 1.0, "17", 9, 0.39, [HALL, *rest])
-    words = "hall 41 %, in 6 to 10 s; leaves the site 39 %; bar 10 %, in 1 to 3 s"
+    words = "most likely hall 41 %, in 6 to 10 s; leaves the site 39 %; bar 10 %, in 1 to 3 s"
     assert str(said) == words
     alone = Prediction("lobby", "lobby/1", 1.0, "17", 9, 0.995, [replace(HALL, probability=0.005)])
     assert str(alone) == "leaves the site 100 %"

@@ -249,10 +249,7 @@ def test_what_the_old_name_has_of_before_counts_for_the_new_one(site: Site) -> N
     daemon.stop()
     with contextlib.closing(Journal(site.directory / "state")) as journal:
         refused = [one for _, one in journal.entries() if one is not None and one.kind == "refused"]
-    assert [codec.event_from_bytes(one.raw).t for one in refused] == [
-        fresh("b", 21).t,
-        fresh("b", 22).t,
-    ]
+    assert [(one.camera, one.seq, one.raw) for one in refused] == [("b", 21, b""), ("b", 23, b"")]
 
 
 def test_a_renamed_camera_can_get_its_name_back(site: Site) -> None:

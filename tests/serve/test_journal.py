@@ -14,7 +14,7 @@ import pytest
 from serving import Failing
 
 from camtopod.config.settings import KeepSettings
-from camtopod.serve.storage import journal as journals
+from camtopod.serve.storage import journal as journals, journal_schema
 from camtopod.serve.storage.journal import (
     Entry,
     Journal,
@@ -63,6 +63,32 @@ def test_it_gives_back_what_was_committed_in_order(journal: Journal, tmp_path: P
         assert again.version("E", 2) is None
         assert again.snapshots() == [Snapshot(3, "E", b"state")]
         assert len(again) == 4
+
+
+def test_nothing_is_kept_of_a_forgotten_camera_once_a_state_without_it_is(
+    journal: Journal, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(journal_schema, "ERASED_ROWS_MAX", 3)
+    yard = [Entry("event", "yard", None, None, b"raw"), Entry("future", "yard", "b", 1, b"raw")]
+    command = Entry("command", "", None, None, b"forget yard")
+    journal.commit([yard[0], entry(1), yard[1]], snapshot=Snapshot(3, "E", b"with"))
+    journal.commit([command, entry(2)])
+    assert not journal.forget(["yard"])
+    assert [one for _, one in journal.entries()] == [yard[0], entry(1), yard[1], command, entry(2)]
+
+    journal.commit([], snapshot=Snapshot(5, "E", b"without"))
+    assert journal.forget(["yard"])
+    assert not journal.forget(["yard"])
+    numbers = [Entry("refused", "yard", one.boot, one.seq, b"") for one in yard]
+    assert [one for _, one in journal.entries()] == [
+        numbers[0],
+        entry(1),
+        numbers[1],
+        command,
+        entry(2),
+    ]
+    assert journal.snapshots() == [Snapshot(5, "E", b"without")]
+    assert journal.numbers() == {("lobby", "b1"): 2, ("yard", "b"): 1}
 
 
 def test_a_directory_has_one_daemon(journal: Journal, tmp_path: Path) -> None:

@@ -17,14 +17,14 @@ from camtopod.config import Limits
 from camtopod.event_time import EventTime, microseconds
 from camtopod.records import Event
 from camtopod.serve.ingest import (
+    Backlogs,
     Cameras,
     EventClock,
     Intake,
-    Merger,
     Names,
     Numbers,
     Received,
-    merge,
+    backlogs,
     read_names,
 )
 from camtopod.serve.requests import Answer, Batch, Hello
@@ -79,17 +79,17 @@ class IntakeBench:
     def start(self, settled: bool = True) -> None:
         """Start on what the journal has; ``settled``: the first seconds have passed already."""
         self.journal = Journal(self.directory)
-        learned = EventTime(LATENESS)
+        future = self.limits.future_seconds_max
+        learned = EventTime(LATENESS, future)
         for _, entry in self.journal.entries():
             if entry is not None and entry.kind == "event":
                 learned.note(microseconds(codec.event_from_bytes(entry.raw).t), entry.camera)
-        future = self.limits.future_seconds_max
         event_clock = EventClock(learned, future, 10.0, self.wall, self.now)
         self.intake = Intake(
             Numbers(self.journal.numbers()),
             Cameras(self.limits.cameras_max),
             Names(read_names(self.journal), lambda: self.wall),
-            Merger(LATENESS, future, event_clock, self.now - merge.SETTLE_SECONDS * settled),
+            Backlogs(LATENESS, event_clock, self.now - backlogs.SETTLE_SECONDS * settled),
             event_clock,
             JournalWriter(self.journal, lambda: self.wall),
             self.limits,
@@ -162,9 +162,14 @@ class IntakeBench:
 
     @property
     def stored(self) -> list[tuple[str, str, int | None]]:
-        """The journal's entries as (kind, camera, seq)."""
+        """The journal's entries as (kind, camera, seq), but for those that tell whom to wait for."""
         entries = [entry for _, entry in self.journal.entries() if entry is not None]
-        return [(entry.kind, entry.camera, entry.seq) for entry in entries]
+        return [(one.kind, one.camera, one.seq) for one in entries if one.kind != "waits"]
+
+    @property
+    def waits(self) -> list[list[str]]:
+        """The cameras that the learner was told to wait for, each time that this changed."""
+        return [sorted(one.waited) for one in self.learned if one.waited is not None]
 
 
 _tracks = itertools.count()

@@ -51,7 +51,7 @@ class Shown:
         self.bus.kept = {one.version: one for one in versions}
         self.pictures = pictures
         self.login = login
-        self.config = parse(f"[limits]\nstatus_seconds = 3600.0\n{config}")
+        self.config = parse(config)
         self.port = 0
 
     @property
@@ -84,7 +84,8 @@ class Shown:
 
     def status(self, **cameras: dict[str, Any]) -> None:
         """Publish the status of the daemon and its cameras."""
-        self.bus.publish("status/daemon", {"state": "running", "reason": "", "cameras": cameras})
+        status = {"state": "running", "reason": "", "status_seconds": 3600.0, "cameras": cameras}
+        self.bus.publish("status/daemon", status)
 
     def ask(self, path: str, method: str = "GET", body: str = "", **headers: str) -> Answer:
         """Return the answer to a request; ``_`` in the names of headers stands for ``-``."""
@@ -106,4 +107,4 @@ def opened(browser: Browser, shown: Shown, place: str = "#/map") -> None:
     """Open the page at ``place`` and wait until it is live."""
     shown.status()
     browser.open(shown.address + place)
-    browser.wait(lambda: browser.text("#live").startswith("live"), "the page to be live")
+    browser.wait(lambda: browser.text("#live").startswith("running"), "the page to be live")

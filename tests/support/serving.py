@@ -27,7 +27,7 @@ SPAN_SECONDS = 1200.0
 """Length of a simulated recording, seconds."""
 WAIT_SECONDS = 60.0
 """Default timeout of waits, seconds."""
-AT_ONCE = {"camtopod.serve.ingest.merge:SETTLE_SECONDS": 0.0}
+AT_ONCE = {"camtopod.serve.ingest.backlogs:SETTLE_SECONDS": 0.0}
 """Constant with which a daemon stores from its start on, and waits for no backlogs."""
 
 

@@ -105,7 +105,7 @@ def site(tmp_path_factory: pytest.TempPathFactory, started_browser: Browser) -> 
 def shown(site: Site, browser: Browser) -> Iterator[Browser]:
     """Open the page; at the end there must be no complaint and no request to another host."""
     browser.open(site.address)
-    browser.wait(lambda: browser.text("#live").startswith("live"), "the page to be live")
+    browser.wait(lambda: browser.text("#live").startswith("running"), "the page to be live")
     browser.wait(lambda: browser.count(".node") == site.cameras, "the cameras")
     yield browser
     away = "net::ERR_"  # of a server that a test has stopped
@@ -265,7 +265,7 @@ def test_it_is_live_again_after_its_own_server_is_restarted(site: Site, browser:
     with site.client() as bus:
         with site.page(bus) as port:
             browser.open(f"http://127.0.0.1:{port}/")
-            browser.wait(lambda: browser.text("#live").startswith("live"), "the page to be live")
+            browser.wait(lambda: browser.text("#live").startswith("running"), "the page to be live")
 
         browser.wait(lambda: "cannot reach its server" in browser.text(".banner"), "the banner")
         browser.go("#/camera/a")
@@ -273,7 +273,7 @@ def test_it_is_live_again_after_its_own_server_is_restarted(site: Site, browser:
 
         # What it could not say is fetched once it is back.
         with site.page(bus, port):
-            browser.wait(lambda: browser.text("#live").startswith("live"), "live again")
+            browser.wait(lambda: browser.text("#live").startswith("running"), "live again")
             browser.wait(lambda: browser.count(".panel .zone") > 0, "the panel by itself")
             assert browser.text(".banner") == ""
     assert [text for text in browser.complaints() if "ncaught" in text] == []

@@ -9,9 +9,19 @@ from msgspec.structs import replace
 from page_fixture import Shown, opened
 from synthetic_topology import synthetic_topology
 
-from camtopod.records import EventHours, InView, Look, Prediction, Status
+from camtopod.records import (
+    DaemonStatus,
+    EventHours,
+    InView,
+    Look,
+    NamesStatus,
+    NextCamera,
+    Prediction,
+    Status,
+)
 
 SITE = synthetic_topology(4, as_of=time.time())
+WITH_A_CAMERA = "running, 1 alarm, 1 camera needs attention · version 1"
 A, B, C = (camera.id for camera in SITE.cameras[:3])
 
 
@@ -38,17 +48,46 @@ def test_the_header_leads_to_a_camera_that_needs_attention(browser: Browser) -> 
     shown = Shown(SITE)
     with shown.serving():
         opened(browser, shown)
-        browser.wait(lambda: browser.text("#live") == "live · version 1", "all to be well")
+        browser.wait(
+            lambda: browser.text("#live") == "running, 1 alarm · version 1", "all to be well"
+        )
         assert browser.count("nav .ill") == 0
         shown.bus.publish(f"status/{A}", Status("stalled", "no picture for 9 s"))
         browser.run("document.querySelector('#live').click()")  # which asks for the health
-        browser.wait(lambda: browser.text("#live") == "live, 1 camera needs attention", "it")
+        browser.wait(lambda: browser.text("#live") == WITH_A_CAMERA, "it")
         assert browser.text(".page h1") == "Health"
         assert browser.text("nav .ill") == "Health"
         shown.bus.publish(f"status/{A}", Status("running"))
         browser.go("#/map")
         browser.go("#/health")
         browser.wait(lambda: browser.count("nav .ill") == 0, "the end of it")
+
+
+def test_the_page_shows_the_words_that_it_is_sent(browser: Browser) -> None:
+    """As on every other display: see test_states."""
+    names = NamesStatus(forgotten={A: 3})
+    warned = DaemonStatus("running", status_seconds=3600.0, names=names, warnings=["a sentence"])
+    shown = Shown(SITE)
+    with shown.serving():
+        opened(browser, shown)
+        assert browser.count("#live.warn") == 1, "an alarm is open"
+        shown.bus.publish("status/daemon", warned)
+        shown.bus.publish(f"status/{A}", Status("running"))
+        shown.bus.publish(f"status/{B}", Status("stalled", "no picture"))
+        browser.go("#/health")
+        browser.wait(lambda: browser.text("#live") == WITH_A_CAMERA, "the header")
+        assert browser.count("#live.bad") == 1
+        assert "running, 1 alarm, 1 camera needs attention" in browser.text(".page .card h2")
+        assert browser.text(".page .card .reason") == "a sentence"
+        look = (
+            "return [...document.querySelectorAll('tbody tr')].map((row) => [row.querySelector('a')"
+        )
+        look += ".textContent, row.querySelector('.pill').textContent, row.querySelector('.pill').className])"
+        rows = {name: (state, pill) for name, state, pill in browser.run(look)}
+        assert rows[A] == ("forgotten", "pill off")
+        assert rows[B] == ("stalled", "pill bad")
+        assert next(iter(rows)) == B, "what needs attention comes first"
+        assert browser.complaints() == []
 
 
 OVERLAPPING = """
@@ -104,7 +143,9 @@ def test_who_left_one_view_and_is_in_another_is_shown_at_both(browser: Browser) 
 
         browser.wait(told, "who is in view")
         assert browser.count(f".node.sees[data-id={B}]") == 1
-        shown.bus.publish(f"prediction/{A}", replace(said, in_view=None))
-        where = f"{A} → {B} 90 %, look there now or next"
+        follows = [NextCamera(B, f"{B}/1", 0.8, -9.0, 1.0, 4.0)]
+        later = replace(said, zone=f"{A}/1", in_view=None, candidates=follows)
+        shown.bus.publish(f"prediction/{A}", later)
+        where = f"{A} → {B} 80 %, within 4 s; leaves the site 20 %"
         browser.wait(lambda: where in browser.text(".predictions"), "where to look")
         browser.wait(lambda: browser.count(".node.sees") == 0, "the mark to go")

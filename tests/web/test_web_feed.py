@@ -13,7 +13,6 @@ import pytest
 from fake_bus import OneBus
 from synthetic_topology import synthetic_topology
 
-from camtopod.publishers import ELSEWHERE, GONE_SECONDS
 from camtopod.records import (
     Camera,
     InView,
@@ -29,10 +28,11 @@ from camtopod.web import feed, recent_matches
 from camtopod.web.feed import Feed
 from camtopod.web.map_data import Map
 from camtopod.web.outbox import MESSAGES_MAX, PageQueue, PageQueues
+from camtopod.words import ELSEWHERE, OLD_SECONDS, SILENT_SECONDS_MIN
 
 SITE = synthetic_topology(12)
 NAMES = [camera.id for camera in SITE.cameras]
-SILENT_SECONDS = feed.SILENT_STATUSES + 1.0
+SILENT_SECONDS = SILENT_SECONDS_MIN + 1.0
 RUNNING = {"state": "running", "reason": ""}
 
 
@@ -64,7 +64,7 @@ class Rig:
         self.now = 1000.0
         self.bus = OneBus()
         self.pages = KeptMessages()
-        self.feed = Feed(cast(Bus, self.bus), self.pages, lambda: self.now, 1.0)
+        self.feed = Feed(cast(Bus, self.bus), self.pages, lambda: self.now)
 
     def rows(self) -> dict[str, dict[str, Any]]:
         """Return the rows of the health page by camera."""
@@ -153,7 +153,8 @@ def test_predictions_are_told_without_who_it_was_and_so_many_a_second(rig: Rig) 
     assert len(told[0]["next"]) == feed.NEXT_SHOWN
     assert "track" not in told[0]
     assert told[0]["now"] == [{"camera": "b", "probability": 0.75}]
-    assert told[0]["look"] == [{"camera": "c0", "probability": 0.9}]
+    words = "b 75 %, in view now; c0 40 %, in 1 to 3 s; c1 20 %, in 1 to 3 s"
+    assert (told[0]["place"], told[0]["words"]) == ("b", words)
     assert rig.pages.of("prediction")[-1]["camera"] == "b", "the next second's"
     assert b"somebody" not in rig.feed.hello()
     assert rig.feed.hello().count(b"event: past") == feed.PREDICTIONS_HELD
@@ -181,18 +182,19 @@ def test_the_newest_events_are_asked_for_once_a_second_while_a_page_is_open(rig:
 
 
 def test_it_says_since_when_and_why_it_is_not_live(rig: Rig) -> None:
-    assert "no status of the daemon" in rig.feed.health()["live"].reason
+    assert "no status of the daemon" in rig.feed.health()["live"]["reason"]
     rig.bus.publish("status/daemon", RUNNING)
-    assert rig.feed.health()["live"].live
+    assert rig.feed.health()["live"]["live"]
 
     rig.now += SILENT_SECONDS
     silent = rig.feed.health()["live"]
     rig.bus.connected = False
     away = rig.feed.health()["live"]
 
-    assert "no status from" in silent.reason
-    assert "cannot be reached" in away.reason
-    assert (silent.live, silent.since, away.live, away.since) == (False, 1000.0, False, 1000.0)
+    assert "no status from" in silent["reason"]
+    assert "cannot be reached" in away["reason"]
+    for live in (silent, away):
+        assert (live["live"], live["words"], live["since"]) == (False, "silent", 1000.0)
 
 
 def test_health_has_every_camera_that_anybody_knows_and_its_reason(rig: Rig) -> None:
@@ -218,7 +220,7 @@ def test_health_has_every_camera_that_anybody_knows_and_its_reason(rig: Rig) -> 
 def test_a_camera_without_a_grabber_and_without_events_for_a_day_is_gone(rig: Rig) -> None:
     rig.feed.show(SITE)
     gone, quiet, alive = NAMES[:3]
-    old = SITE.as_of - GONE_SECONDS
+    old = SITE.as_of - OLD_SECONDS
     counted = {
         gone: {"newest": old - 1.0, "alive": False},
         quiet: {"newest": old + 1.0, "alive": False},

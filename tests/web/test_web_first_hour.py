@@ -36,19 +36,18 @@ def test_before_the_first_version_it_says_how_many_events_there_are(browser: Bro
 
 def test_what_is_likely_and_what_is_not_known_are_told_apart(browser: Browser) -> None:
     """Nobody is said to leave the site before that is known, and half a chance is no fact."""
-    exits = {A.id: 100, B.id: 99}
-    zones = [replace(zone, exits=exits.get(zone.id, 0)) for zone in SITE.zones]
-    shown = Shown(replace(YOUNG, weak_links=[], zones=zones))
+    shown = Shown(YOUNG)
     with shown.serving():
         opened(browser, shown)
         for camera, leave, share, words in (
-            (A.camera, 0.9, 0.1, "leaves the site, 90 %"),
+            (A.camera, 0.9, 0.1, "leaves the site 90 %; west 10 %, in 5 to 9 s"),
             (B.camera, 0.9, 0.1, "not known yet"),
-            (B.camera, 0.35, 0.19, "most likely west, 19 %; others 46 %"),
-            (B.camera, 0.3, 0.6, "west 60 %, in 5.0 to 9.0 s"),
+            (A.camera, 0.35, 0.19, "perhaps west 19 %, in 5 to 9 s; leaves the site 35 %"),
+            (B.camera, 0.3, 0.6, "west 60 %, in 5 to 9 s"),
         ):
             next_ = [NextCamera("west", "west/1", share, 5.0, 7.0, 9.0)]
-            said = Prediction(camera, None, 1.0, None, 1, leave, next_)
+            young = camera == B.camera
+            said = Prediction(camera, f"{camera}/1", 1.0, None, 1, leave, next_, prior=young)
 
             def told(said: Prediction = said, words: str = f"{camera} → {words}") -> bool:
                 shown.bus.publish(f"prediction/{said.camera}", said)

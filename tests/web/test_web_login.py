@@ -200,7 +200,7 @@ def test_a_person_logs_in_and_out_and_an_ended_login_leads_to_it(browser: Browse
     def log_in() -> None:
         wait_for_login()
         browser.press(*PASSWORD, "ENTER")  # the field has the focus
-        browser.wait(lambda: browser.text("#live").startswith("live"), "the page to be live")
+        browser.wait(lambda: browser.text("#live").startswith("running"), "the page to be live")
 
     with shown.serving() as port:
         shown.status()

@@ -131,7 +131,8 @@ class _Supervisor:
 
     def _publish(self) -> None:
         """Publish the statuses of cameras whose processes cannot, until the end."""
-        while not self._ending.wait(self._config.limits.status_seconds):
+        seconds = self._config.limits.status_seconds
+        while not self._ending.wait(seconds):
             for process in list(self.processes.values()):
                 if not process.silent or not (process.restarts or process.over):
                     continue
@@ -141,7 +142,8 @@ class _Supervisor:
                 try:
                     # On a session of its own: the camera may have a certificate of its own.
                     with dial(self._config.certified(camera)) as bus:
-                        bus.publish(f"status/{camera}", process.summary(), "status")
+                        status = {**process.summary(), "status_seconds": seconds}
+                        bus.publish(f"status/{camera}", status, "status")
                 except OSError as error:  # no bus, as the cameras' own processes report
                     log.debug("camera %s: its status is not published: %s", camera, error)
 

@@ -19,9 +19,10 @@ from camtopod.cli.common import (
 from camtopod.cli.events import broker_options
 from camtopod.cli.site_choice import dial_as_reader
 from camtopod.export import Arrivals, homeassistant
-from camtopod.records import CameraFigures, DaemonStatus, Match, Prediction, Status
+from camtopod.records import Match, Prediction
 from camtopod.serve.bus import Bus, QueryError, TopologySubscriber
 from camtopod.serve.runtime import STALL_SECONDS, Progress, wall
+from camtopod.statuses import Statuses
 
 LEAVE_SECONDS = 5.0
 """Time that a blocking part may delay the end after a signal."""
@@ -60,21 +61,18 @@ class HomeAssistantState:
     def __init__(self, bus: Bus, topics: homeassistant.Topics, cameras_max: int) -> None:
         self._topics = topics
         self._cameras_max = cameras_max
-        self._daemons: set[str] = set()
-        self._site = DaemonStatus()
-        self._grabbers: dict[str, Status] = {}
+        self._statuses = Statuses(wall)
         self._predictions: dict[str, Prediction] = {}
         self._answers: deque[Prediction | Match] = deque(maxlen=ANSWERS_MAX)
         """What `events` has not seen; the bus's threads append it."""
         self._arrivals = Arrivals()
         self._subscriber = TopologySubscriber(bus)
-        bus.watch_alive("daemon", self._on_daemon)
-        bus.subscribe("status/*", self._on_status)
+        bus.subscribe("status/*", self._statuses.on_status)
         bus.subscribe("prediction/*", self._on_prediction)
         bus.subscribe("match/*", self._on_match)
         with contextlib.suppress(QueryError):
             for key, payload in bus.query("status/*"):
-                self._on_status(key, payload)
+                self._statuses.on_status(key, payload)
 
     def events(self, now: float) -> list[homeassistant.Messages]:
         """Return the messages of the entries since the last call, oldest first."""
@@ -97,50 +95,36 @@ class HomeAssistantState:
         zones = {}
         if topology is not None:
             zones = {camera.id: len(camera.zones) for camera in topology.cameras}
-        grabbers = dict(self._grabbers)  # the bus's threads change it
-        site = self._site
+        statuses = self._statuses
 
-        # Cameras, from any source, in a stable order.
-        names = {*grabbers, *site.cameras, *zones}
-        cameras = sorted(name for name in names if codec.is_camera(name))
-        cameras = cameras[: self._cameras_max]
+        # Cameras, in a stable order.
+        states = {
+            state.id: state for state in statuses.cameras(topology) if codec.is_camera(state.id)
+        }
+        cameras = sorted(states)[: self._cameras_max]
 
         # Messages of the site, then of each camera.
-        alive = bool(self._daemons)
+        away = "" if self._subscriber.daemons else "the daemon is not running"
+        daemon = statuses.daemon_state(topology, away)
         messages = homeassistant.discovery(topics, cameras)
-        messages |= homeassistant.site_state(topics, alive, site, topology)
-        # After a start of the daemon, cameras become known by their statuses.
+        messages |= homeassistant.site_state(topics, daemon, statuses.daemon, topology)
         expected, looks = self._arrivals.expected(now), self._arrivals.looks(now)
-        camera_figures = dict.fromkeys(grabbers, CameraFigures(alive=True)) | site.cameras
         for camera in cameras:
-            if (figures := camera_figures.get(camera)) is not None:
-                messages |= homeassistant.camera_state(
-                    topics, camera, figures, grabbers.get(camera), zones.get(camera, 0)
-                )
+            state = states[camera]
+            if state.events is not None or state.state != "no grabber":  # it has been heard of
+                messages |= homeassistant.camera_state(topics, state, zones.get(camera, 0))
             if (prediction := self._predictions.get(camera)) is not None:
                 messages |= homeassistant.prediction_state(topics, prediction)
             if topology is not None:
                 messages |= homeassistant.arrival_states(topics, camera, expected, looks)
         return messages
 
-    def _on_daemon(self, name: str, alive: bool) -> None:
-        if alive:
-            self._daemons.add(name)
-        else:
-            self._daemons.discard(name)
-
-    def _on_status(self, key: str, payload: bytes) -> None:
-        camera = key.removeprefix("status/")
-        with contextlib.suppress(codec.Rejected):
-            if camera == "daemon":
-                self._site = codec.read(DaemonStatus, payload, pack=True)
-            else:
-                self._keep(self._grabbers, camera, codec.read(Status, payload, pack=True))
-
     def _on_prediction(self, key: str, payload: bytes) -> None:
         with contextlib.suppress(codec.Rejected):
             prediction = codec.read(Prediction, payload, pack=True)
-            self._keep(self._predictions, prediction.camera, prediction)
+            camera = prediction.camera
+            if camera in self._predictions or len(self._predictions) < self._cameras_max:
+                self._predictions[camera] = prediction
             self._answers.append(prediction)
 
     def _on_match(self, key: str, payload: bytes) -> None:
@@ -148,11 +132,6 @@ class HomeAssistantState:
             match = codec.read(Match, payload, pack=True)
             if codec.is_camera(match.camera):
                 self._answers.append(match)
-
-    def _keep(self, table: dict[str, Any], camera: str, record: Any) -> None:
-        """Store the newest ``record`` of a camera, unless there are too many cameras."""
-        if camera in table or len(table) < self._cameras_max:
-            table[camera] = record
 
 
 def run(args: argparse.Namespace) -> None:

@@ -176,9 +176,6 @@ def _watch(videos: dict[str, Path], seconds: float, work: Path) -> Topology:
         _until(daemon, functools.partial(_has_learned, daemon))
         say(f"demo: {_progress(daemon)}")
         topology = daemon.topology
-        late = daemon.status().learner.late
-        if late:
-            say(f"demo: {late} events were too late and not learned: the machine was very busy")
     if topology is None:
         raise exits.CommandError("demo: no topology was learned; try more --minutes")
     return topology

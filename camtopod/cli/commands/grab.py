@@ -432,6 +432,7 @@ class _GrabberConnection:
         past = (self._args.restarts, self._args.last_end)
         return {
             **camera_status(grabber.camera, grabber.state, reason, *past),
+            "status_seconds": self._config.limits.status_seconds,
             **grabber.statistics(),
             **self._publisher.statistics(),
         }

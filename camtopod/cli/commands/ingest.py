@@ -194,7 +194,7 @@ def _publish(
     backlog = publisher.count_waiting(own=True)
     stored_count = max(0, publisher.published - backlog - publisher.dropped)
     log.info("%s", _outcome(stored_count, backlog, late, refusals))
-    if late + refusals and late + refusals >= stored_count:
+    if refusals and refusals >= stored_count:
         return exits.FAILED
     return exits.DONE
 
@@ -203,7 +203,7 @@ def _outcome(stored_count: int, backlog: int, late: int, refusals: int) -> str:
     """Return in words what became of the events."""
     parts = [f"{stored_count} events stored"]
     if late:
-        parts.append(f"{late} of them late (older than the events learned last: not learned)")
+        parts.append(f"{late} of them late (older than the events learned last)")
     if refusals:
         parts.append(f"{refusals} refused (malformed, too many of one camera, or in the future)")
     if backlog:

@@ -112,7 +112,7 @@ def _feed(learner: Learner, reader: LineReader, paths: list[str], updates: Binar
         learner.on_step = say_step
         for line in reader.merged(paths):
             verdict = learner.receive(line.event)
-            if verdict != "accepted":
+            if verdict in _WHY:
                 reader.reject(verdict, f"{line.file}:{line.number}: {_WHY[verdict]}")
             if progress.due:
                 progress.show("%d lines, %.0f %%", reader.lines_read, 100 * (reader.share() or 0.0))
@@ -122,11 +122,10 @@ def _feed(learner: Learner, reader: LineReader, paths: list[str], updates: Binar
 
 
 _WHY = {
-    "late": "later than the lateness allows (learn.lateness_seconds)",
     "duplicate": "same boot and seq as an earlier event",
     "refused": "more cameras than can be learned",
 }
-"""Verdict of the learner -> reason in words."""
+"""Verdict of the learner on an event that is not learned -> reason in words."""
 
 
 def _write(learner: Learner, updates: BinaryIO | None) -> None:

@@ -22,9 +22,9 @@ from camtopod.cli.common import topology_of
 from camtopod.cli.events.event_lines import LineReader
 from camtopod.cli.exits import InputError
 from camtopod.cli.terminal import Progress
-from camtopod.predict import sum_by_camera
 from camtopod.records import Event, Match, Prediction, Topology
 from camtopod.topology import camera_of, links_between_views
+from camtopod.words import sum_by_camera
 
 LEAVES = ""
 """Outcome of an exit that nothing follows; no camera has this name."""
@@ -197,9 +197,7 @@ def prediction_lines(
                 name: (other_counts[name] + BACKING_EXITS * baseline[name]) / total
                 for name in outcomes
             }
-        predicted_shares = sum_by_camera(
-            (way.camera, way.probability) for way in prediction.candidates
-        )
+        predicted_shares = sum_by_camera(prediction.candidates)
         for name, shares in (
             ("camtopod", predicted_shares | {LEAVES: prediction.leave}),
             ("told", baseline),

@@ -143,11 +143,11 @@ def parts(site: SiteState, topology: Topology | None, now: float) -> list[str]:
 
     now: Unix seconds.
     """
-    state = [site.daemon_line(), *topology_lines(topology)]
+    state = [site.daemon_line(topology), *topology_lines(topology)]
     if alarms := alarm_lines(topology, now):
         state += ["", "ALARMS", *alarms]
     cameras = [
-        f"  {'CAMERA':<20} {'STATE':<11} {'EVENTS':>8} {'LAST':>9}  REASON",
+        f"  {'CAMERA':<20} {'STATE':<13} {'EVENTS':>8} {'LAST':>9}  REASON",
         *site.camera_lines(topology, now),
     ]
     links = [

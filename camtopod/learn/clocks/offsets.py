@@ -114,12 +114,13 @@ class ClockState(Struct):
         offset, sd, is_identified = self.clocks
         self.clocks = Clocks(offset[clock_mask], sd[clock_mask], is_identified[clock_mask])
 
-    def update(self, scene: Scene, cameras: int, events_learned: int) -> None:
+    def update(self, scene: Scene, cameras: int, events_learned: int, anew: bool = False) -> None:
         """Estimate the clocks again if there are new cameras or enough new events.
 
         scene: the labelled events, with uncorrected times.
         cameras: number of cameras.
         events_learned: number of events learned so far.
+        anew: True to estimate them in any case.
         """
         # New cameras have right clocks so far.
         clocks = self.clocks
@@ -128,7 +129,7 @@ class ClockState(Struct):
             clocks = Clocks(
                 *(np.concatenate(columns) for columns in zip(clocks, new_clocks, strict=True))
             )
-        elif events_learned - self.learned < REFRESH_SHARE * (
+        elif not anew and events_learned - self.learned < REFRESH_SHARE * (
             len(scene.departures.t) + len(scene.arrivals.t)
         ):
             return

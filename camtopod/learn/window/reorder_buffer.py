@@ -1,11 +1,11 @@
 """Reorder buffer with a watermark: receives events in any order, releases them in order of time.
 
-An event at or after the watermark is held until the watermark has passed it. An event before the
-watermark is late: it is counted, but not learned. So the released events do not depend on the order
-in which events are received, as long as none is later than the lateness allows. (See
-`camtopod.event_time` for event time, watermark and lateness.) An event with the same (camera, boot,
-seq) as a held one is a duplicate and is dropped; a *boot* is one run of the program that publishes
-the camera, and *seq* numbers the events of a boot. A duplicate of a released event is late.
+An event is held until the watermark has passed it. So the released events do not depend on the
+order in which events are received, as long as none is later than the lateness allows. An event
+before the watermark is late: it is released with the next ones. (See `camtopod.event_time` for
+event time, watermark and lateness.) An event with a number that its camera has used before is a
+duplicate and is dropped: a *boot* is one run of the program that publishes the camera, and *seq*
+numbers the events of a boot.
 """
 
 from __future__ import annotations
@@ -14,8 +14,12 @@ from collections.abc import Set
 
 from msgspec import Struct, field
 
+from camtopod.event_numbers import EventNumbers
 from camtopod.event_time import EventTime, EventTimeState, microseconds
 from camtopod.records import Event
+
+HELD_EVENTS_MAX = 100_000
+"""Held events from which backlogs are waited for no longer."""
 
 
 class ReorderBufferState(Struct):
@@ -34,12 +38,14 @@ class ReorderBufferState(Struct):
 
     The camera of the last received event is at the end.
     """
+    numbers: dict[str, EventNumbers] = {}
+    """The numbers of each camera's events."""
 
 
 class ReorderBuffer:
     """Receives events in any order and releases them in order of time.
 
-    lateness_seconds: by how much the watermark trails event time at least (`EventTime`).
+    lateness_seconds: by how much the watermark trails event time (`EventTime`).
     cameras_max: number of cameras whose events are accepted; events of further ones are refused.
     clocks_apart_seconds: the largest expected difference of two cameras' clocks (`EventTime`).
     """
@@ -56,12 +62,14 @@ class ReorderBuffer:
         """Continue from a state, which is changed from here on; this buffer must be new."""
         self.state = state
         self.time.load(state.time)
+        self.oldest_held_us: int | None = None
+        """Time of the oldest held event in microseconds."""
         self._hold_only(state.held)
 
     def receive(self, event: Event) -> str:
-        """Receive one event, hold it if it is accepted, and return the verdict.
+        """Receive one event, hold it if it is accepted or late, and return the verdict.
 
-        The verdict is ``accepted``, ``duplicate``, ``late`` or ``refused`` (too many cameras).
+        The verdict is ``accepted``, ``late``, ``duplicate`` or ``refused`` (too many cameras).
         """
         verdict = self._judge(event)
         self.state.counts[verdict] += 1
@@ -72,19 +80,27 @@ class ReorderBuffer:
         return camera in self.state.newest or len(self.state.newest) < self.cameras_max
 
     def _judge(self, event: Event) -> str:
-        """Return the verdict on an event, and hold it if it is accepted."""
+        """Return the verdict on an event, and hold it if it is accepted or late."""
         if not self.has_room_for(event.camera):
             return "refused"
         t_us = microseconds(event.t)
         self.state.newest[event.camera] = max(t_us, self.state.newest.pop(event.camera, t_us))
 
-        if (event.camera, event.boot, event.seq) in self._numbers:
-            return "duplicate"
-        if not self.time.note(t_us, event.camera):
-            return "late"
+        if event.boot is not None and event.seq is not None:
+            numbers = self.state.numbers.setdefault(event.camera, EventNumbers())
+            if not numbers.add(event.boot, event.seq):
+                return "duplicate"
         self.state.held.append(event)
-        self._note_held(event, t_us)
-        return "accepted"
+        if len(self.state.held) > HELD_EVENTS_MAX:
+            self.time.wait_for(set())
+        if self.oldest_held_us is None or t_us < self.oldest_held_us:
+            self.oldest_held_us = t_us
+        return "accepted" if self.time.note(t_us, event.camera) else "late"
+
+    def note_repeats(self, repeats: int) -> None:
+        """Count events that were taken for late ones as duplicates."""
+        self.state.counts["late"] -= repeats
+        self.state.counts["duplicate"] += repeats
 
     def cameras_held(self) -> set[str]:
         """Return the cameras that have held events."""
@@ -96,9 +112,10 @@ class ReorderBuffer:
 
     def forget(self, names: Set[str]) -> None:
         """Forget these cameras, except for their held events."""
-        for name in names & self.state.newest.keys():
-            del self.state.newest[name]
-        self.time.forget(names)
+        for name in names:
+            self.state.newest.pop(name, None)
+            self.state.numbers.pop(name, None)
+            self.time.state.waited.pop(name, None)
 
     def take_until(self, until_us: int) -> list[tuple[int, Event]]:
         """Remove and return the held events up to ``until_us``, as (microseconds, event).
@@ -112,19 +129,7 @@ class ReorderBuffer:
     def _hold_only(self, events: list[Event]) -> None:
         """Replace the held events."""
         self.state.held = events
-        self.oldest_held_us: int | None = None
-        """Time of the oldest held event in microseconds."""
-        self._numbers: set[tuple[str, str | None, int | None]] = set()
-        """(camera, boot, seq) of the held events that have boot and seq."""
-        for event in events:
-            self._note_held(event, microseconds(event.t))
-
-    def _note_held(self, event: Event, t_us: int) -> None:
-        """Note number and time of an event that is held from now on."""
-        if event.boot is not None and event.seq is not None:
-            self._numbers.add((event.camera, event.boot, event.seq))
-        if self.oldest_held_us is None or t_us < self.oldest_held_us:
-            self.oldest_held_us = t_us
+        self.oldest_held_us = min((microseconds(event.t) for event in events), default=None)
 
 
 def _sort_key(timed: tuple[int, Event]) -> tuple[int, str, str, float, float, str, str, int, str]:

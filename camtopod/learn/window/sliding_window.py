@@ -4,7 +4,7 @@ A `Window` holds events as rows of a table, oldest first, stored by column (`_CO
 numbered from 0 as their first events are added. Rows are addressed by *index*, from 0 for the
 oldest row of the window. A passage is stored as one number: the column ``mate`` of an exit holds
 the *absolute number* of the row of its entry, which is the index plus the number of rows removed so
-far (``base``) and so stays the same while the window moves. Only `forget_camera` and
+far (``base``) and so stays the same while the window moves. Only late events, `forget_camera` and
 `forget_cameras` renumber rows.
 
 Positions are integers (fixed point), so that sums of them are exact in any order.
@@ -135,7 +135,12 @@ class Window:
         return row
 
     def append(self, batch: list[tuple[int, Event]]) -> None:
-        """Add events (microseconds, event) in order of time, none older than the newest row."""
+        """Add events (microseconds, event) in order of time; late ones are sorted in.
+
+        Passages join the events of a camera in the order in which they are added.
+        """
+        late = bool(batch) and bool((self.column("t")[-1:] > batch[0][0]).any())
+
         # Make room, for a quarter more than there are.
         if self._end + len(batch) > len(self._memory["t"]):
             self._hold(self.state.columns, len(self) // 4 + len(batch))
@@ -163,6 +168,43 @@ class Window:
             memory[self._end : end] = fresh[name]
             self.state.columns[name] = memory[end - size : end]
         self._end = end
+        if late:
+            self._sort()
+
+    def without_repeats(self, batch: list[tuple[int, Event]]) -> list[tuple[int, Event]]:
+        """Return events (microseconds, event) but those that were added before.
+
+        An event with a number or without a position is none of these.
+        """
+        return [timed for timed in batch if timed[1].seq is not None or not self._holds(*timed)]
+
+    def _holds(self, t_us: int, event: Event) -> bool:
+        """Return True if a row has the time, camera, kind and position of an event."""
+        if event.x is None or event.y is None:
+            return False
+        rows = slice(*np.searchsorted(self.column("t"), (t_us, t_us + 1)).tolist())
+        place = _fixed_point(event.x, event.y), _fixed_point(event.y, event.x)
+        columns = [self.column(name)[rows].tolist() for name in ("camera", "entry", "px", "py")]
+        row = self._index.get(event.camera, NONE), event.kind == "entry", *place
+        return row in zip(*columns, strict=True)
+
+    def _sort(self) -> None:
+        """Sort the rows by time; rows at the same time stay in their order."""
+        order = np.argsort(self.column("t"), kind="stable")
+        number = np.empty(len(self), np.int64)
+        number[order] = np.arange(len(self))
+        self._renumber(self.state.base + number)
+        self._hold({name: column[order] for name, column in self.state.columns.items()})
+
+    def _renumber(self, number: NDArray[np.int64]) -> None:
+        """Give the rows new absolute numbers (n,) where passages name them; `NONE` for none."""
+        base = self.state.base
+        row = self.entries_of_exits()
+        mate = np.where(row >= 0, number[np.maximum(row, 0)], self.column("mate"))
+        self.state.columns = {**self.state.columns, "mate": mate}
+        rows = {key: int(number[row - base]) for key, row in self.state.open.items()}
+        opened = sorted((row, key) for key, row in rows.items() if row != NONE)
+        self.state.open = {key: row for row, key in opened}
 
     def forget_old(self, before_us: int) -> int:
         """Remove events older than ``before_us`` or beyond the window's size; return their number.
@@ -251,21 +293,10 @@ class Window:
         state = self.state
         base = state.base + int(gone.sum())
 
-        # Renumber passages: absolute row of each remaining row after the removal.
-        number = np.where(gone, NONE, base + np.cumsum(~gone) - 1)
-        row = self.entries_of_exits()
-        mate = np.where(row >= 0, number[np.maximum(row, 0)], self.column("mate"))
-        state.open = {
-            key: int(number[row - state.base])
-            for key, row in state.open.items()
-            if not gone[row - state.base]
-        }
-
-        # Remove the rows.
+        # The absolute row of each remaining row after the removal.
+        self._renumber(np.where(gone, NONE, base + np.cumsum(~gone) - 1))
         state.base = base
-        self._hold(
-            {name: column[~gone] for name, column in {**state.columns, "mate": mate}.items()}
-        )
+        self._hold({name: column[~gone] for name, column in state.columns.items()})
 
     def _hold(self, columns: dict[str, NDArray[Any]], room: int = 0) -> None:
         """Store columns, with unused memory for ``room`` more rows behind them."""

@@ -5,6 +5,7 @@ from __future__ import annotations
 import logging
 import time
 from collections import deque
+from collections.abc import Callable
 
 from camtopod import codec
 from camtopod.keys.rules import STATUS
@@ -22,10 +23,13 @@ class TopologySubscriber:
 
     A late start, a missed version and a restarted daemon are all handled the same way: the topology
     is queried. A missed version is noticed from the daemon's status.
+
+    on_news: called by other threads when a version is published, and when a daemon comes or goes.
     """
 
-    def __init__(self, bus: Bus) -> None:
+    def __init__(self, bus: Bus, on_news: Callable[[], None] = lambda: None) -> None:
         self._bus = bus
+        self._on_news = on_news
         self._received: deque[bytes] = deque(maxlen=1)
         """The newest version published that `update` has not seen; another thread appends it."""
         self._stale = True
@@ -34,6 +38,8 @@ class TopologySubscriber:
         """The newest version received; None before the first."""
         self.fetched = 0
         """Number of times the topology was queried and received."""
+        self.daemons: set[str] = set()
+        """Names of the daemons that are there; another thread changes it."""
         bus.subscribe("topology", self._on_topology)
         bus.subscribe(STATUS, self._on_status)
         bus.watch_alive("daemon", self._on_daemon)
@@ -49,11 +55,15 @@ class TopologySubscriber:
 
     def _on_topology(self, key: str, payload: bytes) -> None:
         self._received.append(payload)
+        self._on_news()
 
     def _on_daemon(self, name: str, alive: bool) -> None:
+        self.daemons.discard(name)
         if alive:
+            self.daemons.add(name)
             self._stale = True
             self._ask_after = 0.0
+        self._on_news()
 
     def _on_status(self, key: str, payload: bytes) -> None:
         """Query the whole topology if the daemon has had a newer version since its last status."""

@@ -9,17 +9,15 @@ a number and not learned.
 
 from __future__ import annotations
 
-import collections
 import logging
 import math
 from collections.abc import Callable, Set
 
 from msgspec import Struct, field
 
+from camtopod.event_numbers import EventNumbers
 from camtopod.records import CameraFigures, Event
-from camtopod.serve.ingest.heard import Heard
 from camtopod.serve.ingest.names import listed
-from camtopod.serve.ingest.received import Received
 
 log = logging.getLogger(__name__)
 
@@ -80,12 +78,9 @@ class CameraState(Struct):
     spooled: True if a grabber delivers it from a spool.
     hello: the number of the grabber's last hello.
     ahead (seconds): by how much its last event was ahead of this machine's clock.
-    waiting: events to be released (`merge`), each with the event time that the camera had reached.
     reached (Unix seconds): the newest event time that it has delivered.
     more: number of its events that wait in its spool.
     asked: when its last request came or was answered.
-    nearest (seconds): smallest distance of ``reached`` to the clock.
-    stuck (seconds): for how long that has not become smaller.
     pending: the request that waits for its answer.
     """
 
@@ -94,15 +89,24 @@ class CameraState(Struct):
     spooled: bool = False
     hello: str = ""
     ahead: float | None = None
-    waiting: collections.deque[tuple[float, Received]] = field(default_factory=collections.deque)
     reached: float = -math.inf
     more: int = 0
     asked: float = -math.inf
-    nearest: float = math.inf
-    stuck: float = 0.0
     pending: Pending | None = None
-    heard: Heard = field(default_factory=Heard)
+    heard: EventNumbers = field(default_factory=EventNumbers)
     heard_seconds: Seconds = field(default_factory=Seconds)
+
+    def note_time(self, t: float, wall: float, ahead_max: float) -> bool:
+        """Note an event's time (Unix seconds); return False if it is too far ahead of the clock.
+
+        wall: this machine's time, Unix seconds.
+        ahead_max: how far ahead it may be, seconds.
+        """
+        self.ahead = t - wall
+        if self.ahead > ahead_max:
+            return False
+        self.reached = max(self.reached, t)
+        return True
 
 
 class Counted(Struct):
@@ -168,7 +172,7 @@ class Cameras:
         """Forget what was counted and heard of a camera."""
         self._counted.pop(name, None)
         if (camera := self._cameras.get(name)) is not None:
-            camera.heard, camera.heard_seconds = Heard(), Seconds()
+            camera.heard, camera.heard_seconds = EventNumbers(), Seconds()
 
     def forget_all(self) -> None:
         """Forget what was counted."""
@@ -211,7 +215,7 @@ class Cameras:
         others = f", {len(behind) - 1} more less" * (len(behind) > 1)
         return (
             f"camera {worst} catches up and is {math.ceil(seconds / 60.0)} min behind{others}:"
-            " others' events are predicted at once, and may be stored only when it has caught up"
+            " its events are learned as they come, and nobody else is delayed"
         )
 
     def log_behind(self, wall: float, now: float) -> None:
@@ -277,8 +281,7 @@ class Cameras:
         others = [
             one
             for one in self._cameras.values()
-            if not one.waiting
-            and one.pending is None
+            if one.pending is None
             and (now - one.received >= IDLE_SECONDS or (spooled and not one.spooled))
         ]
         if not others:

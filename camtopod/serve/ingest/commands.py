@@ -64,6 +64,7 @@ def execute(
             case Reset():
                 cameras.forget_all()
                 intake.event_clock.newest = -math.inf
+                intake.backlogs.waited = frozenset()
                 begun(command.epoch)
         intake.note_stored([received])
     log.warning("%s", effect)

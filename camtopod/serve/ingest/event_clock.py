@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import math
 
-from camtopod.admin import Forget, Rename, Reset, Rewind
+from camtopod.admin import Reset, Rewind
 from camtopod.event_time import MICROSECONDS, EventTime, EventTimeState, microseconds
 from camtopod.serve.ingest.received import Received
 from camtopod.serve.storage import Entry
@@ -45,6 +45,17 @@ class EventClock:
         self.deadline: float | None = None
         """Event time (Unix seconds) that the learner waits for; set from any thread."""
 
+    @property
+    def waited(self) -> frozenset[str]:
+        """Cameras that the learner waits for."""
+        return frozenset(self._learned.state.waited)
+
+    @property
+    def watermark(self) -> float:
+        """The learner's watermark after what is stored, Unix seconds; -infinity without one."""
+        watermark_us = self._learned.state.watermark_us
+        return -math.inf if watermark_us is None else watermark_us / MICROSECONDS
+
     def reason(self, wall: float) -> str:
         """Return why nothing is taken, and what to do; "" if events are taken. Any thread."""
         behind = self.newest - wall
@@ -62,7 +73,7 @@ class EventClock:
         self._beside = wall - now
         return step < -STEP_SECONDS_MIN
 
-    def note_released(self, ready: list[Received], now: float) -> None:
+    def note_taken(self, ready: list[Received], now: float) -> None:
         """Follow the events to be learned."""
         times = [received.event.t for received in ready if received.event is not None]
         self.newest = max([self.newest, *times])
@@ -84,16 +95,14 @@ class EventClock:
         return [Received(Entry("advance", "", None, None, repr(to).encode()), advance=to)]
 
     def note_stored(self, received: Received) -> bool:
-        """Follow event time as the learner does; return True if an event is too late for it."""
+        """Follow event time as the learner does; return True if an event is late."""
         if received.event is not None:
             return not self._learned.note(microseconds(received.event.t), received.event.camera)
+        if received.waited is not None:
+            self._learned.wait_for(received.waited)
         if received.advance is not None:
             self._learned.advance(microseconds(received.advance))
         match received.command:
-            case Forget(camera):
-                self._learned.forget({camera})
-            case Rename(old, new):
-                self._learned.rename(old, new)
             case Reset():
                 self._learned.load(EventTimeState())
             case Rewind(to):

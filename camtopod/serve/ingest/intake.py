@@ -1,4 +1,4 @@
-"""The path of an event from the bus into the journal: hear, decode, merge, store, answer.
+"""The path of an event from the bus into the journal: hear, decode, store, answer.
 
 Events come in requests of grabbers' spools (`camtopod.serve.requests`), one at a time for each
 camera, and as publications: by grabbers, of what their spools deliver as well, and by other
@@ -9,14 +9,15 @@ there into the journal:
    delivery. That waits for nothing but what was heard before, and counts nothing;
 2. a request is admitted, and its events are decoded; an invalid event is stored under its number,
    so that the spool can drop it, and is not learned;
-3. events of all cameras are merged by time (`merge`);
-4. forgotten and renamed cameras are looked after (`names`), floods are cut (`cameras`), and event
-   time follows the clock when no events come (`event_clock`);
-5. the events are committed to the journal, many in one transaction, and handed to the learner;
-6. each request whose events are all stored is answered (`answers`).
+3. forgotten and renamed cameras are looked after (`names`), floods are cut (`cameras`), the learner
+   is told for whose backlogs to wait (`backlogs`), and event time follows the clock when no events
+   come (`event_clock`);
+4. the events are committed to the journal, many in one transaction, and handed to the learner;
+5. each request whose events are all stored is answered (`answers`).
 
-Guarantees. An answer names the highest number that is on disk. A camera's events are taken,
-released, stored and learned in the order of their numbers, so everything below is on disk, too.
+Guarantees. An answer names the highest number that is on disk. A camera's events are taken, stored
+and learned in the order of their numbers, so everything below is on disk, too. No camera waits for
+another.
 Every request is answered: at once if nothing is taken, with the reason or with where to begin; with
 ``held`` if its events are not stored after a minute. The events in memory are bounded by
 `EVENTS_MAX`, and requests by one a camera (`camtopod.keys.rules` bounds their size).
@@ -28,18 +29,16 @@ import threading
 from collections import Counter
 from collections.abc import Callable, Sequence, Set
 
-from msgspec.structs import replace
-
 from camtopod import codec
 from camtopod.admin import Rewind
 from camtopod.config import Limits
 from camtopod.learn.settings import TopologySettings
 from camtopod.records import Event
 from camtopod.serve.ingest.answers import Answers
+from camtopod.serve.ingest.backlogs import Backlogs
 from camtopod.serve.ingest.cameras import Cameras, CameraState, Pending
 from camtopod.serve.ingest.event_clock import EventClock
-from camtopod.serve.ingest.inbox import PUBLISHED_MAX, Inbox, Reply
-from camtopod.serve.ingest.merge import Merger
+from camtopod.serve.ingest.inbox import Inbox, Reply
 from camtopod.serve.ingest.names import Names, missing_names
 from camtopod.serve.ingest.numbers import Numbers
 from camtopod.serve.ingest.received import (
@@ -83,7 +82,7 @@ class Intake:
         numbers: Numbers,
         cameras: Cameras,
         names: Names,
-        merger: Merger,
+        backlogs: Backlogs,
         event_clock: EventClock,
         writer: JournalWriter,
         limits: Limits,
@@ -97,7 +96,7 @@ class Intake:
         self.numbers = numbers
         self.cameras = cameras
         self.names = names
-        self.merger = merger
+        self.backlogs = backlogs
         self.event_clock = event_clock
         self.writer = writer
         self.limits = limits
@@ -115,6 +114,7 @@ class Intake:
         self.turn = threading.Lock()
         """Held by `step`, and by an operator's command between two steps."""
         self.queue = StoreQueue()
+        self._ready: list[Received] = []  # what goes into the queue with this step
         self._answers = Answers(numbers, cameras, self._room, self.alive, steady)
 
     def on_alive(self, camera: str, alive: bool) -> None:
@@ -162,17 +162,13 @@ class Intake:
                 self._take(*asked, wall, now)
             self._answers.end_held(now)
 
-            # 3. Merge by time.
-            released = self.merger.release(wall, now, 2 * COMMIT_EVENTS_MAX - self.queue.waiting)
-
-            # 4. Names, floods, and time that passes without events.
-            named = [one for received in released for one in self.names.apply(received)]
-            ready = [one for received in named for one in self._cut_flood(received)]
+            # 3. Backlogs to wait for, and time that passes without events.
+            ready, self._ready = self._ready, []
             if ready:
-                self.event_clock.note_released(ready, now)
-            elif not self.merger.waiting:
+                self.event_clock.note_taken(ready, now)
+            else:
                 ready = self.event_clock.note_quiet(wall, now)
-            self.queue.put(ready)
+            self.queue.put([*self.backlogs.changed(wall, now), *ready])
 
     def store_waiting(
         self, stopping: threading.Event, beat: Beat = no_beat, seconds: float = TICK_SECONDS
@@ -181,7 +177,7 @@ class Intake:
 
         seconds: longest wait for something to store.
         """
-        # 5. Store.
+        # 4. Store.
         ready = self.queue.take(COMMIT_EVENTS_MAX, seconds, self.limits.commit_seconds)
         entries = [received.entry for received in ready]
         meta: dict[str, str] = {}
@@ -195,16 +191,14 @@ class Intake:
             ready = [received for received in ready if id(received.entry) in added]
         self.note_stored(ready)
 
-        # 6. Answer.
+        # 5. Answer.
         for entry in entries:
             if entry.boot is not None and entry.seq is not None:
                 self.numbers.note_stored(entry.camera, entry.boot, entry.seq)
         self.queue.done()
         for name in {entry.camera for entry in entries if entry.boot is not None}:
             self._answers.note_stored(name)
-        if self.merger.waiting:
-            self.inbox.wake()  # what waited for these cameras may go on
-        self.writer.prune()
+        self.writer.prune(self.names.erased)
         return True
 
     def _take(self, name: str, content: bytes, reply: Reply, wall: float, now: float) -> None:
@@ -224,7 +218,7 @@ class Intake:
             reply(answers.encode({}, "clock", reason))
             return
         if isinstance(request, Hello):
-            self.merger.said_hello = True
+            self.backlogs.said_hello = True
             camera.hello = request.number
             reply(answers.encode({boot: self.numbers.stored(name, boot) for boot in request.boots}))
             return
@@ -245,8 +239,11 @@ class Intake:
         self.counts["received"] += len(request.events)
         self.counts["duplicate"] += len(request.events) - len(new)
         events = [spooled_event(name, request.boot, seq, raw, self.rejects) for seq, raw in new]
-        self.merger.add(camera, events, wall)
-        self.merger.note_request(camera, request.more, wall, now)
+        for received in events:
+            self._put(camera, received, wall)
+        camera.more, camera.asked = request.more, now
+        oldest = next((one.event.t for one in events if one.event is not None), None)
+        self.backlogs.note_request(camera, oldest, wall, now)
         answers.note_stored(name)
         for one in events:  # what is published meanwhile waits for one of them, not for a backlog
             self._take_published(wall, now)
@@ -308,9 +305,6 @@ class Intake:
                 raise codec.Rejected("clock", reason)
             if self._room() < 1:
                 raise codec.Rejected("busy", "too many events wait to be stored")
-            if len(camera.waiting) >= PUBLISHED_MAX:
-                self.inbox.dropped[name] += 1
-                return
         except codec.Rejected as error:
             self._reject_published(name, content, error)
             return
@@ -319,7 +313,17 @@ class Intake:
         if boot is not None and seq is not None and not self.numbers.take_one(name, boot, seq):
             self.counts["duplicate"] += 1
             return
-        self.merger.add(camera, [Received(Entry("event", name, boot, seq, content), event)], wall)
+        self._put(camera, Received(Entry("event", name, boot, seq, content), event), wall)
+
+    def _put(self, camera: CameraState, received: Received, wall: float) -> None:
+        """Put an entry of a camera among those to be stored, under its present name."""
+        event = received.event
+        if event is not None and not camera.note_time(
+            event.t, wall, self.limits.future_seconds_max
+        ):
+            received = received.set_aside()
+        for named in self.names.apply(received):
+            self._ready += self._cut_flood(named)
 
     def _cut_flood(self, received: Received) -> list[Received]:
         """Return the entry; if its camera sends too much, one with the number alone, if any."""
@@ -329,13 +333,15 @@ class Intake:
         self.counts["flood"] += 1
         if received.entry.seq is None:
             return []
-        return [Received(replace(received.entry, kind="refused", raw=b""))]  # a disk is finite
+        return [received.only_number()]
 
     def _rewind(self, wall: float) -> None:
         """Take event time back, as this machine's clock was set back to ``wall``."""
-        self.merger.rewind(self.cameras.all(), wall)
+        for camera in self.cameras.all():
+            camera.reached = min(camera.reached, wall)
         if self.event_clock.newest > wall:
             self.event_clock.newest = wall
+            self.backlogs.waited = frozenset()
             self.queue.put([command_received(self._rewind_to(wall), {})])
 
     def note_stored(self, ready: Sequence[Received]) -> None:
@@ -353,4 +359,4 @@ class Intake:
 
     def _room(self) -> int:
         """Return how many further events may be taken."""
-        return EVENTS_MAX - self.merger.waiting - self.queue.waiting
+        return EVENTS_MAX - len(self._ready) - self.queue.waiting

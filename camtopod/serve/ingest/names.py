@@ -250,6 +250,12 @@ class Names:
         state = self.state
         return {state.aliases.get(name, name) for name in names} - state.forgotten.keys()
 
+    @property
+    def erased(self) -> set[str]:
+        """Forgotten names but those whose events count for a renamed camera. Any thread."""
+        state = self.state
+        return state.forgotten.keys() - state.ended.keys()
+
     def status(self) -> NamesStatus:
         """Return the part of the daemon's status about names. Any thread."""
         refused = self.refused.copy()
@@ -273,7 +279,7 @@ class Names:
             if name:
                 what = f"of {name} are refused, as this name is forgotten"
             log.warning("events %s", what)
-        return [] if received.entry.seq is None else [received.only_stored("refused")]
+        return [] if received.entry.seq is None else [received.only_number()]
 
     def _end_aliases(self, first: Event) -> list[Received]:
         """Forget the old names of a camera that sends its ``first`` event under its new name."""

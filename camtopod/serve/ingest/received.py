@@ -7,7 +7,6 @@ not learned. An invalid publication is dropped.
 from __future__ import annotations
 
 import re
-from typing import Literal
 
 from msgspec import Struct
 from msgspec.structs import replace
@@ -25,6 +24,7 @@ class Received(Struct, frozen=True, gc=False):
 
     event: the event to be learned; None if it is only stored.
     advance: event time that advances without an event, Unix seconds.
+    waited: cameras that the learner waits for from here on.
     command: a command.
     meta: what is stored under other keys in the same transaction (`Journal.set_meta`).
     """
@@ -32,12 +32,17 @@ class Received(Struct, frozen=True, gc=False):
     entry: Entry
     event: Event | None = None
     advance: float | None = None
+    waited: frozenset[str] | None = None
     command: Command | None = None
     meta: dict[str, str] = {}
 
-    def only_stored(self, kind: Literal["future", "refused"]) -> Received:
-        """Return the entry by which an event is stored and not learned."""
-        return Received(replace(self.entry, kind=kind))
+    def set_aside(self) -> Received:
+        """Return the entry by which an event from the future is stored and not learned."""
+        return Received(replace(self.entry, kind="future"))
+
+    def only_number(self) -> Received:
+        """Return the entry by which an event's number alone is stored, as a disk is finite."""
+        return Received(replace(self.entry, kind="refused", raw=b""))
 
 
 def command_received(command: Command, meta: dict[str, str]) -> Received:

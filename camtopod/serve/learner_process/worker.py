@@ -173,6 +173,8 @@ class Worker:
                         self._learner.receive(codec.event_from_bytes(raw))
                     case "advance":
                         self._learner.advance(float(raw))
+                    case "waits":
+                        self._learner.wait_for(codec.read(set[str], raw))
                     case "command" | "correction":
                         self._apply(read_command(raw))
             except codec.Rejected:  # another program accepted it

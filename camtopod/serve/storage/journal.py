@@ -49,11 +49,14 @@ CHUNK_ENTRIES = 1_000
 """Entries read at a time; a long read would keep SQLite from checkpointing the log."""
 VERSIONS_TRIED_MAX = 10
 """Newest versions of which the first undamaged one is used at a start."""
-EntryKind = Literal["event", "future", "refused", "advance", "command", "correction", "skipped"]
+EntryKind = Literal[
+    "event", "future", "refused", "advance", "waits", "command", "correction", "skipped"
+]
 """Kinds of entries.
 
 ``event``: learned. ``future``, ``refused``: kept for the record and for the sequence, not learned.
 ``advance``: event time advanced without an event; ``raw`` is the time as decimal text.
+``waits``: cameras that the learner waits for from here on; ``raw`` is the list in JSON.
 ``command``: an operator's command. ``correction``: one that begins an epoch. ``skipped``: the
 learner died of it twice.
 """
@@ -266,6 +269,14 @@ class Journal:
                     (now - keep.history_days * 86_400, HISTORY_BYTES_MAX),
                 )
             return gone > 0 and until <= oldest
+
+    def forget(self, cameras: Sequence[str]) -> bool:
+        """Delete some of what is kept of forgotten cameras; return True if more is left.
+
+        As `prune`, it is called again and again.
+        """
+        with self._access(), sqlite_file.transaction(self._db):
+            return journal_schema.forget(self._db, cameras)
 
     def entries(self, after: int = 0) -> Iterator[tuple[int, Entry | None]]:
         """Yield the entries after ``after`` in order as (id, entry).

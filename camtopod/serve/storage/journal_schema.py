@@ -29,6 +29,10 @@ After each statement other threads can run, and it may take long until this one 
 should be few statements.
 """
 
+ERASED_ROWS_MAX = 20_000
+"""Most entries that are searched at a time for events of forgotten cameras."""
+ERASED_KEY = "erased"
+"""Key in ``meta``: the last command, and up to which entry forgotten cameras are erased since."""
 NAMES_KEY = "names"
 """Key in ``meta`` of forgotten and renamed cameras; see `camtopod.serve.ingest.names`."""
 
@@ -106,6 +110,34 @@ def insert(database: sqlite3.Connection, into: str, rows: Sequence[tuple[Any, ..
     for start in range(0, len(rows), _ROWS_AT_ONCE):
         some = [(*row, crc(*row)) for row in rows[start : start + _ROWS_AT_ONCE]]
         database.execute(_values(into, len(some[0]), len(some)), [*chain.from_iterable(some)])
+
+
+def forget(database: sqlite3.Connection, cameras: Sequence[str]) -> bool:
+    """Delete some of what is kept of forgotten cameras; return True if more is left.
+
+    Of their events the numbers stay. Nothing is deleted before a state is kept that was made after
+    the last command; then older states, which contain the cameras, are deleted as well.
+    """
+    ends = "SELECT (SELECT MAX(id) FROM entry WHERE kind = 'command'), MAX(position) FROM snapshot"
+    command, newest = database.execute(ends).fetchone()
+    if command is None or (newest or 0) < command:
+        return False
+    last, _, erased = (read_meta(database, ERASED_KEY) or "").partition(" ")
+    after = int(erased) if last == str(command) else 0
+    if after >= command:
+        return False
+
+    until = min(after + ERASED_ROWS_MAX, command)
+    rows = database.execute(
+        "SELECT id, stored, camera, boot, seq FROM entry WHERE id > ? AND id <= ? AND raw <> x''"
+        f" AND camera IN ({', '.join('?' * len(cameras))})",
+        (after, until, *cameras),
+    ).fetchall()
+    numbers = [(*row[:2], "refused", *row[2:], b"") for row in rows]
+    insert(database, "INSERT OR REPLACE INTO entry", numbers)
+    database.execute("DELETE FROM snapshot WHERE position < ?", (command,))
+    write_meta(database, ERASED_KEY, f"{command} {until}")
+    return bool(until < command)
 
 
 @functools.cache

@@ -11,7 +11,7 @@ import collections
 import logging
 import sqlite3
 import threading
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from typing import NamedTuple
 
 from camtopod.serve.runtime import Beat, Clock, no_beat
@@ -92,12 +92,17 @@ class JournalWriter:
         """Commit an operator's command at once, or raise `sqlite3.Error`: it is not tried again."""
         self._journal.commit([entry], now=self._clock(), meta=meta)
 
-    def prune(self) -> None:
-        """After a snapshot, delete some of what exceeds the retention, the rest in later calls."""
+    def prune(self, forgotten: Collection[str] = ()) -> None:
+        """After a snapshot, delete some of what is kept for too long, the rest in later calls.
+
+        forgotten: names of cameras of which nothing is kept.
+        """
         if not self._too_much:
             return
         self._too_much = False
         try:
             self._too_much = self._journal.prune(self._clock())
+            if forgotten:
+                self._too_much |= self._journal.forget(sorted(forgotten))
         except sqlite3.Error as error:
             log.warning("cannot delete old entries of the journal: %s; trying again later", error)

@@ -4,7 +4,7 @@ import { fill, h, s } from "./dom.js";
 import { hourChart } from "./hours.js";
 import { Taken } from "./labels.js";
 import { link } from "./place.js";
-import { ago, clock, comesBack, count, expected, goneSince, headline, percent, plural, seconds, span, stateClass } from "./words.js";
+import { ago, clock, count, percent, plural, seconds } from "./words.js";
 
 const FRAME = [1600, 900]; // where there is no picture, pixels
 const MARGINS = [0.06, 0.2]; // around the picture, of its width or height: zones lie on its edges
@@ -77,7 +77,7 @@ export async function cameraPanel(app, id) {
     ],
     onEvent: (event) => event.camera === id && scene.add(event),
     onPrediction: (prediction) => {
-      if (prediction.camera === id) scene.left(prediction, app.knows(id));
+      if (prediction.camera === id) scene.left(prediction);
       else scene.sees(prediction);
     },
     onHealth: (rows) => {
@@ -92,13 +92,12 @@ export function alarmList(alarms) {
   return h(
     "ul",
     { class: "alarms" },
-    [...alarms]
-      .reverse()
+    alarms
       .map((alarm) =>
         h(
           "li",
           {},
-          h("b", {}, `${alarm.kind.replaceAll("_", " ")} ${alarm.subject}`),
+          h("b", {}, alarm.title),
           ` ${alarm.detail}`,
           h("small", {}, `version ${alarm.version}, ${clock(alarm.t)}`),
         ),
@@ -182,8 +181,8 @@ function showStatus(element, row, since) {
   if (!row) return fill(element);
   return fill(
     element,
-    h("span", { class: stateClass(row.state) }, row.state === "gone" ? goneSince(row) : row.state),
-    row.state === "gone" ? null : since,
+    h("span", { class: `pill ${row.look}` }, row.state),
+    since,
     row.reason ? h("span", { class: "reason" }, row.reason) : null,
   );
 }
@@ -223,11 +222,8 @@ class Scene {
   }
 
   // An exit as its prediction tells it, for those who may not read the events.
-  left(prediction, known) {
-    const next = prediction.next[0];
-    const back = comesBack(prediction) && `back to ${next.zone}, ${percent(next.probability)}, ${expected(next)}`;
-    const words = back || headline(prediction, known).filter(Boolean).join(" ");
-    this.pulse.textContent = `left at ${prediction.zone ?? prediction.camera}: ${words}`;
+  left(prediction) {
+    this.pulse.textContent = `left at ${prediction.zone ?? prediction.camera}: ${prediction.words}`;
     this.zones.get(prediction.zone)?.classList.add("active");
     setTimeout(() => this.zones.get(prediction.zone)?.classList.remove("active"), 1500);
   }

@@ -31,7 +31,7 @@ export class Flow {
     for (const { camera } of prediction.now) this.#sees(this.map.nodes.get(camera));
     const started = performance.now() / 1000 - Math.min(AGE_MAX_SECONDS, Math.max(0, age));
     for (const next of prediction.next) {
-      if (next.camera === prediction.camera || next.probability < SHARE_MIN) continue;
+      if (next.camera === prediction.camera || next.probability < SHARE_MIN || next.prior) continue; // a dot has a time
       const takes = Math.max(QUICK_SECONDS, next.q50);
       const until = Math.max(QUICK_SECONDS, next.q90) + LINGER_SECONDS;
       const dot = this.#begin(this.below, "dot", prediction.camera, next.camera, { started, takes, until, t: prediction.t });

@@ -4,7 +4,7 @@ import { fact } from "./camera.js";
 import { fill, h, more, say } from "./dom.js";
 import { link } from "./place.js";
 import { logOut } from "./source.js";
-import { ago, clock, count, goneSince, howMany, plural, seconds, stateClass, troubled } from "./words.js";
+import { ago, clock, count, howMany, plural } from "./words.js";
 
 const ROWS = 200;
 
@@ -63,21 +63,16 @@ export class Health {
         "h2",
         {},
         "Daemon ",
-        h(
-          "span",
-          { class: `pill ${live.live && daemon.state === "running" ? "good" : "bad"}` },
-          live.live ? daemon.state : "not live",
-        ),
+        h("span", { class: `pill ${live.look}` }, live.words),
       ),
-      daemon.reason || live.reason ? h("p", { class: "reason" }, daemon.reason || live.reason) : null,
-      ...(daemon.warnings || []).map((warning) => h("p", { class: "reason" }, warning)),
+      live.reason ? h("p", { class: "reason" }, live.reason) : null,
       h(
         "dl",
         { class: "figures wide" },
         fact("Stored since start", count(events.stored)),
         fact("Learned ever", count(daemon.learner?.learned)),
         fact("Waiting to be learned", count(events.waiting)),
-        fact("Late ever", count(daemon.learner?.late), "Events that came too late to be learned"),
+        fact("Late ever", count(daemon.learner?.late), "Events that came later than others; they are learned all the same"),
         fact(
           "Rejected since start",
           count(rejected),
@@ -92,9 +87,7 @@ export class Health {
       ),
     );
     const wanted = cameras.filter((row) => `${row.id} ${row.state} ${row.reason}`.toLowerCase().includes(this.#text));
-    const bad = (row) => (troubled(row.state) ? 0 : row.reason ? 1 : row.state === "no grabber" ? 2 : row.state === "gone" ? 4 : 3);
-    wanted.sort((a, b) => bad(a) - bad(b) || (a.id < b.id ? -1 : 1));
-    const ill = cameras.filter((row) => troubled(row.state)).length;
+    const ill = cameras.filter((row) => row.look === "bad").length;
     const needy = ill ? plural(ill, "needs", "need") : "none needs";
     const gone = cameras.filter((row) => row.state === "gone").length;
     const there = plural(cameras.length - gone, "camera");
@@ -128,12 +121,12 @@ export class Health {
                   "th",
                   { scope: "row" },
                   h("a", { href: link("camera", row.id) }, row.id),
-                  h("span", { class: "below reason" }, why(row)),
+                  h("span", { class: "below reason" }, row.reason),
                 ),
-                h("td", {}, h("span", { class: stateClass(row.state) }, row.state === "gone" ? goneSince(row) : row.state)),
+                h("td", {}, h("span", { class: `pill ${row.look}` }, row.state)),
                 h("td", { class: "apart number" }, count(row.events)),
                 h("td", { class: "number" }, row.newest ? ago(now - row.newest) : "–"),
-                h("td", { class: "apart reason" }, why(row)),
+                h("td", { class: "apart reason" }, row.reason),
               ),
             ),
         ),
@@ -145,8 +138,4 @@ export class Health {
         }),
     );
   }
-}
-
-function why(row) {
-  return [row.reason, row.ahead > 1 ? `clock ${seconds(row.ahead)} ahead` : null].filter(Boolean).join("; ");
 }

@@ -15,10 +15,9 @@ import { Away, NotThere, openSource } from "./source.js";
 import { LinkTable } from "./table.js";
 import { Versions } from "./versions.js";
 import { Walks } from "./walks.js";
-import { ago, clock, count, plural, troubled } from "./words.js";
+import { ago, clock, count } from "./words.js";
 
 const PANELS = { camera: cameraPanel, pair: pairPanel, link: linkPanel };
-const KNOWN_EXITS = 100; // a link takes ten passages: one that a tenth of the objects take is known by now
 const RETRY_MILLISECONDS = 2000;
 const HEALTH_MILLISECONDS = 4000;
 const CATCH_UP_MILLISECONDS = 300_000;
@@ -115,13 +114,6 @@ class App {
     return this.#shown?.scene?.story.id === id ? this.#shown.scene : null;
   }
 
-  // Whether it is known where objects of camera `id` go: by a link, or as none of many went anywhere.
-  knows(id) {
-    const { cameras, edges } = this.map ?? { cameras: {}, edges: {} };
-    const leads = ({ published, ways }) => published && ways.some((way) => way.from === id);
-    return cameras[id]?.exits >= KNOWN_EXITS || Object.values(edges).some(leads);
-  }
-
   // Seconds since the epoch by the server's clock.
   now() {
     return this.connection ? this.connection.now() : (this.map?.as_of ?? 0);
@@ -185,7 +177,7 @@ class App {
   #tellHealth() {
     const those = (test) => new Set([...this.rows.values()].filter(test).map((row) => row.id));
     const gone = those((row) => row.state === "gone");
-    this.network.health(those((row) => troubled(row.state)), gone);
+    this.network.health(those((row) => row.look === "bad"), gone);
     this.overlays.tellGone(gone);
     this.network.showBetween(this.between?.pairs ?? []);
     if (!this.map) this.network.tellEvents([...this.rows.values()].map((row) => row.events ?? 0));
@@ -312,13 +304,11 @@ class App {
     }
     const live = this.health?.live;
     const since = this.#lost ?? (live && !live.live ? live.since : null);
-    const behind = live?.catching_up ?? null;
-    const ill = [...this.rows.values()].filter((row) => troubled(row.state)).length;
-    const needy = ill && since === null ? `, ${plural(ill, "camera needs", "cameras need")} attention` : "";
-    const state = !live ? "…" : `${behind === null ? "live" : `catching up, ${behind} %`}${needy || ` · ${version}`}`;
-    this.pill.className = `pill ${since !== null || needy ? "bad" : live && behind === null ? "good" : "off"}`;
-    this.nav.querySelector("[data-name=health]").classList.toggle("ill", needy !== "");
-    this.pill.textContent = since === null ? state : `not live · ${version}`;
+    const ill = since === null && [...this.rows.values()].some((row) => row.look === "bad");
+    this.pill.className = `pill ${since !== null ? "bad" : (live?.look ?? "off")}`;
+    this.nav.querySelector("[data-name=health]").classList.toggle("ill", ill);
+    const words = this.#lost === null ? live?.words : "not reached";
+    this.pill.textContent = words ? `${words} · ${version}` : "…";
     this.banner.hidden = since === null;
     document.body.classList.toggle("stale", since !== null);
     if (since === null) return;

@@ -2,7 +2,7 @@
 
 import { fill, h, say } from "./dom.js";
 import { go, link } from "./place.js";
-import { clock, comesBack, count, headline, plural, troubled } from "./words.js";
+import { clock, count, plural } from "./words.js";
 
 const OPEN_MAX = 100; // cameras; on the map of a larger site the predictions' list would hide too much
 const HITS_SHOWN = 8;
@@ -124,7 +124,7 @@ export class Overlays {
     const kinds = `${count(overlapped)} overlapping${provisional ? `, ${count(provisional)} provisional` : ""}`;
     const ids = Object.keys(map.cameras);
     const gone = ids.filter((id) => this.#gone.has(id)).length;
-    const ill = ids.some((id) => troubled(this.app.rows.get(id)?.state));
+    const ill = ids.some((id) => this.app.rows.get(id)?.look === "bad");
     const unseen = edges.length - overlapped;
     const used = { overlapped, unseen, provisional, likely, ill, gone, live: this.app.source.live };
     for (const [k, [, , isUsed]] of SIGNS.entries()) this.signs[k].hidden = !isUsed(used);
@@ -139,25 +139,25 @@ export class Overlays {
   }
 
   predicted(prediction) {
-    if (comesBack(prediction)) return; // which moves nobody on the map
+    if (prediction.place === prediction.camera) return; // which moves nobody on the map
     this.#predictions = [prediction, ...this.#predictions].slice(0, PREDICTIONS_SHOWN);
     this.#timer ??= setTimeout(() => this.#list(), LIST_MILLISECONDS);
   }
 
-  #tellAlarms(alarms) {
+  #tellAlarms(all) {
+    const alarms = all.filter((alarm) => alarm.open);
     this.alarms.hidden = !alarms.length;
     this.alarmed.textContent = plural(alarms.length, "alarm");
     fill(
       this.newest,
       alarms
-        .slice(-ALARMS_SHOWN)
-        .reverse()
+        .slice(0, ALARMS_SHOWN)
         .map((alarm) =>
           h(
             "li",
             { title: alarm.detail },
-            h("b", {}, alarm.kind.replaceAll("_", " ")),
-            ` ${alarm.subject.replace("->", " → ")} `,
+            h("b", {}, alarm.title),
+            " ",
             h("span", { class: "quiet" }, clock(alarm.t)),
           ),
         ),
@@ -170,17 +170,9 @@ export class Overlays {
     this.predictions.hidden = false;
     fill(
       this.list,
-      this.#predictions.map((one) => {
-        const [place, words] = headline(one, this.app.knows(one.camera));
-        return h(
-          "li",
-          {},
-          h("a", { href: link("camera", one.camera) }, one.camera),
-          " → ",
-          place && [h("b", {}, place), " "],
-          h("span", { class: "quiet" }, words),
-        );
-      }),
+      this.#predictions.map(({ camera, words }) =>
+        h("li", {}, h("a", { href: link("camera", camera) }, camera), " → ", h("span", { class: "quiet" }, words)),
+      ),
     );
   }
 

@@ -116,7 +116,7 @@ export class Versions {
     fill(
       this.alarms,
       h("h2", {}, "Alarms"),
-      alarms.length ? alarmList(alarms.slice(-30)) : h("p", { class: "quiet" }, "None."),
+      alarms.length ? alarmList(alarms.slice(0, 30)) : h("p", { class: "quiet" }, "None."),
     );
     return undefined;
   }

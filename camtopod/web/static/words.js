@@ -12,12 +12,6 @@ export function transit(value) {
   return value < 0 ? `${seconds(-value)} before leaving` : seconds(value);
 }
 
-// When somebody is expected, seconds from now; where views overlap they may have appeared already.
-export function expected({ q10, q90 }) {
-  if (q90 < 0.5) return "in view now";
-  return q10 < 0 ? `within ${seconds(q90)}` : `in ${span(q10, q90)}`;
-}
-
 export function span(low, high) {
   const digits = Math.max(Math.abs(low), Math.abs(high)) < 10 ? 1 : 0;
   return `${signed(low, digits)} to ${signed(high, digits)} s`;
@@ -77,40 +71,6 @@ export function ago(age) {
 // How many objects are expected between cameras.
 export function howMany({ number, low, high }) {
   return `about ${number.toFixed(number < 10 ? 1 : 0)}, ${low} to ${high}`;
-}
-
-// Since when a camera is gone: its last event.
-export function goneSince({ newest }) {
-  return newest ? `gone since ${clock(newest)}` : "gone";
-}
-
-// Where an object goes, as [a camera or null, the rest in words]; it is told as a fact only if it is more likely than not.
-// known: whether it is known where objects of that camera go.
-export function headline({ camera, now, look, next, leave }, known) {
-  if (now.length) return [now[0].camera, `${percent(now[0].probability)}, in view now`];
-  const best = look[0] ?? next.find((one) => one.camera !== camera);
-  if (best?.probability > 0.5)
-    return [best.camera, `${percent(best.probability)}, ${look.length ? "look there now or next" : expected(best)}`];
-  if (known && leave > 0.5) return [null, `leaves the site, ${percent(leave)}`];
-  if (!best || leave > 0.5) return [null, "not known yet"];
-  const others = Math.max(0, 1 - leave - best.probability);
-  return [null, `most likely ${best.camera}, ${percent(best.probability)}; others ${percent(others)}`];
-}
-
-// Whether an object most likely appears next where it has just left.
-export function comesBack({ camera, next, now, leave }) {
-  return !now.length && next.length > 0 && next[0].camera === camera && next[0].probability >= leave;
-}
-
-// Whether a camera's state asks for attention.
-export function troubled(state) {
-  const fine = ["running", "ended", "unknown", "no grabber", "events from another program", "gone", "forgotten"];
-  return state !== undefined && !fine.includes(state);
-}
-
-// The look of a state.
-export function stateClass(state) {
-  return `pill ${troubled(state) ? "bad" : state === "running" ? "good" : "off"}`;
 }
 
 function signed(value, digits) {

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import pytest
 
-from camtopod.serve.ingest import merge
+from camtopod.serve.ingest import backlogs
 
 
 @pytest.fixture(autouse=True)
 def _time_for_backlogs(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(merge, "SETTLE_SECONDS", 5.0)
+    monkeypatch.setattr(backlogs, "SETTLE_SECONDS", 5.0)

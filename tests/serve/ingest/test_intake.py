@@ -250,16 +250,15 @@ def test_a_flood_is_stored_as_numbers(bench: IntakeBench, monkeypatch: pytest.Mo
 # --- clocks ---------------------------------------------------------------------------------------
 
 
-def test_an_event_a_little_ahead_waits_and_delays_its_own_camera_only(bench: IntakeBench) -> None:
+def test_an_event_a_little_ahead_makes_no_other_late(bench: IntakeBench) -> None:
     bench.hello("a")
     bench.hello("b")
-
-    fast = bench.send("a", times={1: 30.0, 2: 30.5})
     bench.store({1: -0.1}, camera="b")
 
-    assert fast.answer is None
-    bench.tick(29.6)
-    assert answer_of(fast).have == {"b1": 2}
+    assert bench.store({1: 30.0, 2: 30.5}).have == {"b1": 2}
+    for seq in range(2, 12):
+        bench.tick(4.0)
+        assert bench.store({seq: -0.1}, camera="b", after=seq - 1).late == 0
 
 
 def test_an_event_far_ahead_is_stored_and_not_learned(bench: IntakeBench) -> None:
@@ -290,15 +289,14 @@ def test_a_clock_that_is_set_back_while_the_daemon_runs_takes_event_time_back(
 ) -> None:
     bench.hello()
     bench.store({1: 0.0})
-    waiting = bench.send(after=1, times={2: 50.0})
+    bench.store({2: 50.0}, after=1)
 
     bench.wall -= 3600.0
     bench.tick(0.1)
 
-    assert answer_of(waiting).refused == 1
     assert bench.store({3: 0.0}, after=2).have == {"b1": 3}
     kinds = [kind for kind, _, _ in bench.stored]
-    assert kinds == ["event", "correction", "future", "event"]
+    assert kinds == ["event", "event", "correction", "event"]
     assert bench.journal.meta("epoch") == "after", "in one transaction with its entry"
 
 
@@ -315,7 +313,7 @@ def test_idle_time_advances_for_the_learner(bench: IntakeBench) -> None:
     assert bench.learned[-1].advance == bench.wall - 10.0
 
 
-# --- the merge ------------------------------------------------------------------------------------
+# --- backlogs ------------------------------------------------------------------------------------
 
 
 def test_who_catches_up_is_named_and_logged_once(
@@ -334,9 +332,7 @@ def test_who_catches_up_is_named_and_logged_once(
         bench.hello(camera)
         bench.send(camera, times={1: -3600.0 * number}, more=1)
     for _ in range(3):
-        assert reason().startswith(
-            "camera c catches up and is 120 min behind, 1 more less: others'"
-        )
+        assert reason().startswith("camera c catches up and is 120 min behind, 1 more less: its ")
         assert len(caplog.messages) == 1
 
     for camera in "bc":
@@ -360,35 +356,33 @@ def test_a_camera_that_promises_more_and_dies_is_waited_for_five_seconds(
     bench.hello("dies")
     bench.hello("a")
     bench.send("dies", times={1: -300.0}, more=100)
-    other = bench.send("a", times={1: -200.0})
+    assert bench.store({1: -200.0}, camera="a").have == {"b1": 1}, "it is stored at once"
+    assert bench.waits == [["", "dies"]]
 
-    seconds = 0
-    while other.answer is None:
-        bench.tick(1.0)
-        seconds += 1
-
-    # Five until others have told of backlogs, and five from its answer on.
-    assert seconds in (10, 11)
-    assert other.answer.have == {"b1": 1}
+    bench.tick(5.1)
+    assert bench.waits == [["", "dies"], []]
 
 
-def test_a_camera_that_comes_no_nearer_is_not_waited_for_for_ever(bench: IntakeBench) -> None:
-    bench.hello("stuck")
+@pytest.mark.parametrize(("gain", "waits"), [(0.0, False), (0.5, False), (1.1, True)])
+def test_a_camera_is_waited_for_while_it_gains_a_second_a_second(
+    bench: IntakeBench, gain: float, waits: bool
+) -> None:
+    bench.hello("slow")
     bench.hello("a")
-    bench.send("stuck", times={1: -300.0}, more=100)
-    bench.send("a", times={1: -50.0})
-
-    seconds = 0
-    while not any(one.entry.camera == "a" for one in bench.learned):
-        assert seconds < 300
+    bench.send("slow", times={1: -3600.0}, more=1000)
+    bench.store({1: -50.0}, camera="a")
+    for second in range(1, 90):
         bench.tick(1.0)
-        seconds += 1
-        bench.send("stuck", after=seconds, times={seconds + 1: -300.0}, more=100)
+        behind = 3600.0 - gain * second
+        bench.send("slow", after=second, times={second + 1: -behind}, more=1000)
+        if second == 58:
+            assert bench.waits == [["", "slow"], ["slow"]]
 
-    assert 110 < seconds < 150
+    assert bench.waits[2:] == [[]] * (not waits)
+    assert bench.store({2: -0.1}, camera="a", after=1).late == 0
 
 
-def test_backlogs_are_merged_by_time(bench: IntakeBench) -> None:
+def test_backlogs_are_stored_as_they_come_and_learned_by_time(bench: IntakeBench) -> None:
     for camera in ("a", "b"):
         bench.hello(camera)
     bench.send("a", times={1: -100.0, 2: -80.0, 3: -60.0}, more=3)
@@ -397,13 +391,12 @@ def test_backlogs_are_merged_by_time(bench: IntakeBench) -> None:
     bench.send("a", after=3, times={4: -50.0, 5: -40.0})
     bench.tick(5.1)
 
-    times = [round(one.event.t) for one in bench.learned if one.event is not None]
-    assert times == sorted(times)
-    assert len(times) == 7
+    assert [camera for _, camera, _ in bench.stored] == ["a", "a", "a", "b", "b", "a", "a"]
     assert bench.intake.counts["late"] == 0
+    assert bench.waits == [["", "a"], []]
 
 
-def test_backlogs_of_a_single_batch_are_merged_by_time(bench: IntakeBench) -> None:
+def test_backlogs_of_a_single_batch_are_learned_by_time(bench: IntakeBench) -> None:
     """As after an outage of a minute, from which cameras come back one after the other."""
     for n, camera in enumerate("abc"):
         bench.hello(camera)
@@ -413,6 +406,17 @@ def test_backlogs_of_a_single_batch_are_merged_by_time(bench: IntakeBench) -> No
 
     assert bench.intake.counts["stored"] == 18
     assert bench.intake.counts["late"] == 0
+
+
+def test_a_camera_that_was_away_alone_is_not_waited_for(bench: IntakeBench) -> None:
+    bench.hello("a")
+    bench.hello("b")
+    bench.store({1: -0.1}, camera="b")
+    bench.tick(100.0)
+    bench.store({2: -0.1}, camera="b", after=1)
+
+    assert bench.store({1: -90.0}, more=100).late == 1
+    assert bench.waits == []
 
 
 def test_three_hundred_cameras_come_back_at_once(bench: IntakeBench) -> None:

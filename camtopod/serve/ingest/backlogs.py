@@ -1,0 +1,104 @@
+"""Which cameras the learner waits for: those that deliver a backlog, and get on with it.
+
+When the daemon or the network was away, every spool delivers its backlog, some sooner than others.
+Each event is stored as it comes. But if the learner's time went on with the first backlog, the
+cameras whose backlogs are still to come would look silent, and the passages between them unseen.
+So the learner's watermark waits for cameras with older events to deliver
+(`camtopod.event_time.EventTime.wait_for`). The journal says for whom, so that a replay waits
+for the same.
+
+A camera that gains less than a second a second on the clock is waited for no longer: its events are
+late, and are learned all the same. So are those of a camera that has been away alone.
+"""
+
+from __future__ import annotations
+
+from msgspec import Struct
+
+from camtopod import codec
+from camtopod.serve.ingest.cameras import CameraState
+from camtopod.serve.ingest.event_clock import EventClock
+from camtopod.serve.ingest.received import Received
+from camtopod.serve.storage import Entry
+
+SETTLE_SECONDS = 5.0
+"""Time that other cameras get to tell of their backlogs: after the start, and after the first.
+
+A backlog may be a single batch, as after an outage of a minute.
+"""
+TRIAL_SECONDS = 60.0
+"""Time in which a camera has to come as much nearer to the clock."""
+ANY_CAMERA = ""
+"""Stands for cameras that have not told of their backlogs yet."""
+
+
+class Trial(Struct):
+    """A camera that is waited for.
+
+    since: when this trial began, by the steady clock.
+    behind (seconds): distance of its newest event to this machine's clock at that time.
+    """
+
+    since: float
+    behind: float
+
+
+class Backlogs:
+    """Decides for whom the learner waits; used by one thread.
+
+    In all methods ``wall`` is this machine's time in Unix seconds, ``now`` that of a clock that
+    never steps.
+
+    lateness: the learner's (seconds). An event older than this is of a backlog.
+    """
+
+    def __init__(self, lateness: float, event_clock: EventClock, now: float) -> None:
+        self._lateness = lateness
+        self._event_clock = event_clock
+        self._settled = now + SETTLE_SECONDS
+        self._trials: dict[str, tuple[CameraState, Trial]] = {}
+        self.said_hello = True
+        """True if a camera has come back since the last wait for backlogs, perhaps with one."""
+        self.waited = event_clock.waited
+        """Cameras that the learner was last told to wait for."""
+
+    def note_request(
+        self, camera: CameraState, oldest: float | None, wall: float, now: float
+    ) -> None:
+        """Note that a batch of a camera has come.
+
+        oldest: time of its first event, Unix seconds; None without events.
+        """
+        if camera.reached < self._event_clock.watermark:
+            return
+        if self.said_hello and oldest is not None and wall - oldest > self._lateness:
+            self.said_hello = False
+            self._settled = max(self._settled, now + SETTLE_SECONDS)
+        if camera.more and wall - camera.reached > self._lateness:
+            self._trials.setdefault(camera.name, (camera, Trial(now, wall - camera.reached)))
+
+    def changed(self, wall: float, now: float) -> list[Received]:
+        """Return the entry that tells the learner for whom to wait, if that has changed."""
+        for name, (camera, trial) in list(self._trials.items()):
+            if not self._is_waited_for(camera, trial, wall, now):
+                del self._trials[name]
+        waited = frozenset([*self._trials, *[ANY_CAMERA][: now < self._settled]])
+        if waited == self.waited:
+            return []
+        self.waited = waited
+        raw = codec.to_json(sorted(waited))
+        return [Received(Entry("waits", "", None, None, raw), waited=waited)]
+
+    def _is_waited_for(self, camera: CameraState, trial: Trial, wall: float, now: float) -> bool:
+        """Return True if a camera has older events to deliver, and gets on with it."""
+        behind = wall - camera.reached
+        is_held = camera.pending is not None
+        if behind <= self._lateness or camera.reached < self._event_clock.watermark:
+            return False
+        if not is_held and (not camera.more or now - camera.asked > SETTLE_SECONDS):
+            return False
+        if now - trial.since < TRIAL_SECONDS:
+            return True
+        gained = trial.behind - behind
+        trial.since, trial.behind = now, behind
+        return gained >= TRIAL_SECONDS
