@@ -56,7 +56,6 @@ NOT_YET = (
     "learn/prediction_model.py",
     "learn/window",
     "predict/hazards.py",
-    "predict/version.py",
     "records.py",
     "serve",
     "topology/versions.py",
