@@ -81,6 +81,8 @@ class Learner:
     ) -> None:
         self.only_last = only_last
         """True if only `flush` makes a version."""
+        self.pauses = False
+        """True to stop behind each version until `resume`; ask `is_paused`."""
         self.on_step: Callable[[str], None] = lambda step: None
         """Called with the name of each of `STEPS` as the step begins.
 
@@ -140,18 +142,18 @@ class Learner:
         ):
             self._retire({replaced})
         verdict = self._intake.receive(event)
-        self._process_ticks()
+        self.resume()
         return verdict
 
     def advance(self, now: float) -> None:
         """Advance event time to ``now`` (seconds) without an event, and process passed ticks."""
         self._intake.time.advance(microseconds(now))
-        self._process_ticks()
+        self.resume()
 
     def wait_for(self, cameras: Set[str]) -> None:
         """Wait for these cameras, which deliver a backlog, and no others (`EventTime.wait_for`)."""
         self._intake.time.wait_for(cameras)
-        self._process_ticks()
+        self.resume()
 
     def flush(self) -> None:
         """End a recording: learn the held events without waiting for the watermark, make a version.
@@ -168,8 +170,7 @@ class Learner:
 
     def updates(self) -> list[Topology]:
         """Return the versions made since the last call, oldest first."""
-        made = self._updates
-        self._updates = []
+        made, self._updates = self._updates, []
         return made
 
     def save(self) -> LearnerState:
@@ -225,10 +226,7 @@ class Learner:
         self.state.alarms.newest = []
 
     def next_deadline(self) -> float | None:
-        """Return the event time (seconds) at which the tick of the oldest held event is processed.
-
-        None if no event is held.
-        """
+        """Return the event time (seconds) at which the oldest held event is learned, if any."""
         oldest = self._intake.oldest_held_us
         if oldest is None:
             return None
@@ -258,7 +256,7 @@ class Learner:
             "labels_left_out": self._window.labels_left_out,
         }
 
-    def _process_ticks(self) -> None:
+    def resume(self) -> None:
         """Learn every tick with events that the watermark has passed; make the versions due."""
         watermark = self._intake.time.state.watermark_us
         if watermark is None:
@@ -279,7 +277,15 @@ class Learner:
                     self.state.since_fit = 0
             elif is_version_due(self.state, self._window, tick):
                 self._refit(tick)
+                if self.pauses:
+                    return
         self.state.done_us = reached
+
+    @property
+    def is_paused(self) -> bool:
+        """True if there are ticks to learn."""
+        watermark, oldest = self._intake.time.state.watermark_us, self._intake.oldest_held_us
+        return watermark is not None and oldest is not None and self._tick_of(oldest) < watermark
 
     def _tick_of(self, t_us: int) -> int:
         """Return the tick with which an event is learned: the first after its time and the last."""
@@ -355,8 +361,6 @@ class Learner:
         clocks = self.state.clocks.clocks
         if clocks.offset.any():
             scene = label_events(self._window, maps, clocks.offset)
-
-        # Fit, and score earlier predictions by the fit.
         state = self.state
         declared = declared_by(self.settings.topology, state.names or {}, self._window.cameras)
         known = Known(state.followed, state.learned, self.only_last, state.scorer.waiting, declared)
@@ -368,7 +372,6 @@ class Learner:
 
     def _topology_of(self, found: Refit, tick_us: int) -> Topology:
         """Return the topology that follows from a refit; raise the alarms of its changes."""
-        # The records of links and zones; those of cameras that repeat themselves are provisional.
         cameras = self._window.cameras
         now = tick_us / MICROSECONDS
         oldest = float(self._window.column("t")[0]) / MICROSECONDS

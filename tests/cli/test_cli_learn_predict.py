@@ -117,6 +117,16 @@ def test_a_late_line_is_learned(run: Run, topology: Path) -> None:
     assert "were rejected" not in said
 
 
+def test_a_file_in_any_order_is_learned_by_time(run: Run, topology: Path, tmp_path: Path) -> None:
+    shuffled = EVENTS[:]
+    random.Random(1).shuffle(shuffled)
+    (tmp_path / "shuffled.jsonl").write_bytes(lines(shuffled))
+    status, printed, said = run("learn", str(tmp_path / "shuffled.jsonl"), "--topology", "-")
+    assert status == 0
+    assert read(Topology, printed).digest == read(Topology, topology.read_bytes()).digest
+    assert "were rejected" not in said
+
+
 def test_duplicates_and_disorder_within_the_lateness_change_nothing(
     run: Run, topology: Path
 ) -> None:

@@ -139,6 +139,7 @@ def test_a_command_is_in_force_when_it_is_stored_and_not_before(
             ):
                 ask(bus, command)
         put(bus, fresh("a", 1))  # waits to be stored
+        wait_for(lambda: bool(daemon._intake.queue.waiting), "the event")
         wait_for(lambda: daemon.status().state == "degraded", "the disk to be found full")
         with pytest.raises(QueryError, match="disk is full; nothing has changed"):
             ask(bus, Forget("b"))

@@ -26,6 +26,7 @@ from camtopod.serve.learner_process.messages import (
     LearnProgress,
 )
 from camtopod.serve.learner_process.process import PROGRAM, LearnerEnded, LearnerProcess
+from camtopod.serve.storage import Entry
 
 FAULTY = "learners.faulty"
 
@@ -73,6 +74,25 @@ def test_events_that_come_while_it_works_are_learned(
         one.learning.work(stop, beat)
         one.run()
         assert one.published == uninterrupted()
+
+
+def test_versions_that_one_entry_makes_due_come_one_by_one(tmp_path: Path) -> None:
+    """As behind a backlog that was waited for; whoever is killed between them goes on there."""
+    waits = [Entry("waits", "", None, None, raw) for raw in (b'["", "b"]', b"[]")]
+    with contextlib.closing(Installation(tmp_path)) as one:
+        one.journal.commit(waits[:1])
+        one.store(EVENTS)
+        one.journal.commit(waits[1:])
+        inputs = [(entry.kind, entry.raw) for _, entry in one.journal.entries() if entry]
+        first = one.process.ask(LearnBatch(0, inputs), LearnProgress)
+        assert (first.position, len(first.versions), first.is_paused) == (len(inputs), 1, True)
+        one.on_progress(first)
+        published = one.published
+    with contextlib.closing(Installation(tmp_path)) as one:
+        one.run()
+        assert len(one.published) > 2
+        digests = [digest for _, _, digest in published + one.published]
+        assert digests == [digest for _, _, digest in uninterrupted()]
 
 
 def test_what_the_terminal_and_systemd_tell_the_group_is_not_for_it(

@@ -46,9 +46,9 @@ def wait_for(
 
 def all_out(daemon: Daemon, events: int) -> bool:
     """Return True if the learner has had ``events`` events and its versions are published."""
-    learner = daemon.status().learner
-    had = learner.accepted + learner.late == events
-    return had and learner.version == daemon.status().version
+    status = daemon.status()
+    had = status.learner.accepted + status.learner.late == events
+    return had and not status.events.waiting and status.learner.version == daemon.status().version
 
 
 def free_endpoint() -> str:

@@ -13,6 +13,7 @@ from typing import Any, BinaryIO
 
 from camtopod.cli.common import configuration, open_output
 from camtopod.cli.events.event_lines import LineReader
+from camtopod.cli.events.time_order import merged
 from camtopod.cli.exits import InputError
 from camtopod.cli.terminal import Progress, busiest_links, topology_lines
 from camtopod.codec import to_json
@@ -110,7 +111,7 @@ def _feed(learner: Learner, reader: LineReader, paths: list[str], updates: Binar
             progress.show("step %d of %d: %s", STEPS.index(step) + 1, len(STEPS), step)
 
         learner.on_step = say_step
-        for line in reader.merged(paths):
+        for line in merged(reader, paths):
             verdict = learner.receive(line.event)
             if verdict in _WHY:
                 reader.reject(verdict, f"{line.file}:{line.number}: {_WHY[verdict]}")

@@ -20,6 +20,7 @@ from msgspec import Struct
 from camtopod.cli.commands.predict import by_moment, matching, predicting
 from camtopod.cli.common import topology_of
 from camtopod.cli.events.event_lines import LineReader
+from camtopod.cli.events.time_order import merged
 from camtopod.cli.exits import InputError
 from camtopod.cli.terminal import Progress
 from camtopod.records import Event, Match, Prediction, Topology
@@ -78,9 +79,8 @@ def run(args: argparse.Namespace) -> None:
     """Print the scores. Raises `InputError`."""
     topology = topology_of(args.topology)
     reader = LineReader()
-    events = sorted(
-        (line.event for line in reader.merged([args.events])), key=lambda event: event.t
-    )
+    events = [line.event for line in merged(reader, [args.events])]
+    events.sort(key=lambda event: event.t)  # a pipe is not
     if (summary := reader.summary()) is not None:
         print(f"camtopod: {summary}", file=sys.stderr)
     passages = passages_of(events, args.identities)

@@ -5,7 +5,6 @@ Valid lines become events; others are counted, and the first one of each mistake
 
 from __future__ import annotations
 
-import heapq
 import itertools
 import logging
 import os
@@ -14,10 +13,9 @@ import sys
 import time
 from collections import Counter
 from collections.abc import Iterable, Iterator
-from contextlib import ExitStack
 from functools import partial
 from io import BufferedReader
-from typing import BinaryIO, NamedTuple, Protocol
+from typing import NamedTuple, Protocol
 
 from camtopod.adapt import LINE_BYTES_MAX, Adapter, frames
 from camtopod.cli.events import csv_rows
@@ -73,25 +71,14 @@ class LineReader:
         """Events whose label is not valid; they count without it."""
         self.lines_read = 0
         self.events = 0
-        self._files: list[BinaryIO] = []
-
-    def merged(self, paths: list[str]) -> Iterator[Line]:
-        """Yield lines of several files, merged by event time.
-
-        Each file may be out of order within the lateness. ``-`` is standard input. Raises
-        `InputError` if a file cannot be read.
-        """
-        with ExitStack() as stack:
-            files = [(path, stack.enter_context(open_input(path))) for path in paths]
-            self._files = [file for _, file in files]
-            streams = [self.lines(path, file) for path, file in files]
-            yield from heapq.merge(*streams, key=lambda line: line.event.t)
+        self.files: list[BufferedReader] = []
+        """The files, for `share`."""
 
     def share(self) -> float | None:
         """Return the share of the files that has been read, 0 to 1; None if unknown (a pipe)."""
         try:
-            size = sum(os.fstat(file.fileno()).st_size for file in self._files if file.seekable())
-            return sum(file.tell() for file in self._files) / size if size else None
+            size = sum(os.fstat(file.fileno()).st_size for file in self.files if file.seekable())
+            return sum(file.tell() for file in self.files) / size if size else None
         except (OSError, ValueError):  # not seekable; closed, or no file of the system
             return None
 

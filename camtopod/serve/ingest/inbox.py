@@ -74,10 +74,6 @@ class Inbox:
         """True if a message is here."""
         return bool(self._requests or self._published)
 
-    def wake(self) -> None:
-        """End the present or the next `wait`, as something else may go on now."""
-        self._woken.set()
-
     def wait(self, seconds: float) -> None:
         """Wait until a message has come, at most ``seconds``."""
         if not self.has_messages:

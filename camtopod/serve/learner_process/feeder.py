@@ -68,8 +68,8 @@ class LearnerFeeder:
 
     @property
     def waiting(self) -> int:
-        """Number of entries stored and not learned yet."""
-        return max(0, len(self._journal) - self.position)
+        """Number of entries stored and not learned yet, or not to the end."""
+        return max(0, len(self._journal) - self.position) + self.progress.is_paused
 
     @property
     def replaying(self) -> int:
@@ -121,10 +121,11 @@ class LearnerFeeder:
         while self.waiting and not stopping.is_set():
             last = len(self._journal)
             entries = list(islice(self._journal.entries(after=self.position), INPUTS_MAX))
-            if not entries:
+            if not entries and not self.progress.is_paused:
                 self.position = last  # they are no longer kept
                 break
-            self.position = entries[0][0] - 1
+            if entries:
+                self.position = entries[0][0] - 1
             inputs = [
                 ("skipped", b"") if entry is None else (entry.kind, entry.raw)
                 for _, entry in entries

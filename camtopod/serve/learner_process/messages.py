@@ -95,6 +95,7 @@ class LearnProgress(Struct):
     deadline: event time that the learner waits for.
     unreadable: number of events that this program cannot read.
     epoch: epoch of the next versions.
+    is_paused: it has more to do before the next entry.
     event_time: at the beginning, the event time.
     versions: those that the last entry has made; no further entry is learned before these and the
         state are taken, as they have to be stored together.
@@ -105,6 +106,7 @@ class LearnProgress(Struct):
     deadline: float | None
     statistics: LearnerCounts
     epoch: str
+    is_paused: bool = False
     unreadable: int = 0
     event_time: EventTimeState = msgspec.field(default_factory=EventTimeState)
     versions: list[NewVersion] = []

@@ -27,6 +27,7 @@ from camtopod.learn.declarations import forgotten, taken_back
 from camtopod.learn.learner import Learner
 from camtopod.learn.renaming import rename
 from camtopod.learn.rewinding import rewind
+from camtopod.learn.settings import Settings
 from camtopod.learn.snapshot import LearnerState, NewerSnapshot, SnapshotError, pack, unpack
 from camtopod.records import LearnerCounts, Topology
 from camtopod.serve.learner_process.messages import (
@@ -95,7 +96,7 @@ class Worker:
 
     def _begin(self, given: Begin) -> None:
         """Make the learner, with the loaded state if the daemon wants it."""
-        self._learner = self._learner_class(given.settings, given.site, given.epoch)
+        self._learner = self._new_learner(given.settings, given.site, given.epoch)
         if given.load and (state := self._loaded) is not None:
             self._learner.load(state)
             if state.epoch != given.epoch:
@@ -109,10 +110,16 @@ class Worker:
         with contextlib.suppress(PermissionError):  # if the unit forbids changes of priorities
             os.nice(NICENESS)
 
+    def _new_learner(self, settings: Settings, site: str, epoch: str) -> Learner:
+        """Return a new learner, which stops behind each version, as that has to be stored."""
+        learner = self._learner_class(settings, site, epoch)
+        learner.pauses = True
+        return learner
+
     def _change(self, change: Callable[[LearnerState], LearnerState]) -> None:
         """Continue with a changed state; only a new learner can load one."""
         learner = self._learner
-        self._learner = self._learner_class(learner.settings, learner.site, learner.epoch)
+        self._learner = self._new_learner(learner.settings, learner.site, learner.epoch)
         self._learner.load(change(learner.save()))
 
     def _rewind(self, command: Rewind) -> None:
@@ -131,7 +138,7 @@ class Worker:
             epoch = command.epoch
             after = None
             self._newest = None
-        fresh = self._learner_class(self._learner.settings, self._learner.site, epoch)
+        fresh = self._new_learner(self._learner.settings, self._learner.site, epoch)
         fresh.begin_empty(command.t, after)
         self._learner = fresh
 
@@ -161,11 +168,12 @@ class Worker:
     def _learn(self, position: int, inputs: list[Input]) -> LearnProgress:
         """Learn entries of the journal, up to one that makes a version."""
         unreadable = 0
-        versions: list[NewVersion] = []
         if not inputs and self._learner.topology is None:
             self._learner.make_version()
-            versions = self._take_versions()
-        for kind, raw in inputs:
+        self._entry.value = position
+        self._learner.resume()
+        versions = self._take_versions()
+        for kind, raw in [] if versions else inputs:
             self._entry.value = position + 1
             try:
                 match kind:
@@ -195,7 +203,9 @@ class Worker:
         """Return the progress."""
         learner = self._learner
         counts = msgspec.convert(learner.statistics(), LearnerCounts)
-        return LearnProgress(position, learner.next_deadline(), counts, learner.epoch, **more)
+        return LearnProgress(
+            position, learner.next_deadline(), counts, learner.epoch, learner.is_paused, **more
+        )
 
     def _take_versions(self) -> list[NewVersion]:
         """Return the versions of a step."""
