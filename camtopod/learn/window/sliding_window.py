@@ -137,7 +137,8 @@ class Window:
     def append(self, batch: list[tuple[int, Event]]) -> None:
         """Add events (microseconds, event) in order of time; late ones are sorted in.
 
-        Passages join the events of a camera in the order in which they are added.
+        Passages join the events of a camera in the order in which they are added, an exit only
+        with an entry that is not later.
         """
         late = bool(batch) and bool((self.column("t")[-1:] > batch[0][0]).any())
 
@@ -154,7 +155,7 @@ class Window:
             "entry": [event.kind == "entry" for _, event in batch],
             "px": [_fixed_point(event.x, event.y) for _, event in batch],
             "py": [_fixed_point(event.y, event.x) for _, event in batch],
-            "mate": [self._mate(camera[k], event, first + k) for k, (_, event) in enumerate(batch)],
+            "mate": [self._mate(camera[k], batch[k], first + k) for k in range(len(batch))],
             "label": [self._label(event.label) for _, event in batch],
         }
         for row, (index, px) in enumerate(zip(camera, fresh["px"], strict=True), first):
@@ -367,18 +368,24 @@ class Window:
             self._rows.append(array("q"))
         return self._index[name]
 
-    def _mate(self, camera: int, event: Event, row: int) -> int:
+    def _mate(self, camera: int, timed: tuple[int, Event], row: int) -> int:
         """Return the value of ``mate`` for a new event; remember entries that have a track.
 
+        timed: (microseconds, event).
         row: absolute number of the event's row.
         """
+        t_us, event = timed
         if event.track is None:
             return NONE
         open_passages = self.state.open
         key = (camera, str(event.track))
-        mate = open_passages.pop(key, NONE)
+        mate = open_passages.get(key, NONE)
         if event.kind == "exit":
-            return mate
+            place = mate - self.state.base
+            if 0 <= place < len(self) and self.column("t")[place] > t_us:  # it began later
+                return NONE
+            return open_passages.pop(key, NONE)
+        open_passages.pop(key, None)
         open_passages[key] = row
         if len(open_passages) > OPEN_PASSAGES_MAX:
             del open_passages[next(iter(open_passages))]
