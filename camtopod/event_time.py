@@ -97,16 +97,20 @@ class EventTime:
             self._raise_watermark()
 
     def rewind(self, to_us: int) -> None:
-        """Move the watermark back to ``to_us``, so that events from then on are learned again.
+        """Move event time and watermark back to ``to_us``, and wait for nobody.
 
-        Needed when a wrong clock has stamped events later than that.
+        Events from then on are learned again. Needed when a wrong clock has stamped events later
+        than that.
         """
         state = self.state
-        if state.watermark_us is not None and state.watermark_us > to_us:
-            state.newest_us = state.second_us = to_us + self.lateness_us
+        state.waited = {}
+        come, most_us = self._event_time(), to_us + self.lateness_us
+        if come is not None and state.newest_us is not None and state.newest_us > most_us:
+            state.newest_us = most_us
+            state.second_us = min(come, most_us)
             state.leader = None
-            state.watermark_us = to_us
-            state.waited = {}
+            if state.watermark_us is not None:
+                state.watermark_us = min(state.watermark_us, to_us)
 
     def _event_time(self) -> int | None:
         """Return the event time."""

@@ -12,6 +12,7 @@ from synthetic_events import passage
 
 from camtopod.event_time import microseconds
 from camtopod.learn.learner import Learner
+from camtopod.learn.rewinding import rewind
 from camtopod.learn.settings import Settings
 from camtopod.learn.window import Window, reorder_buffer
 from camtopod.records import Event
@@ -121,6 +122,26 @@ def test_backlogs_are_waited_for_and_events_in_memory_are_limited(
 
     monkeypatch.setattr(reorder_buffer, "HELD_EVENTS_MAX", 200)
     assert learn([]).updates()
+
+
+def test_a_clock_that_is_set_back_takes_event_time_back_while_backlogs_are_waited_for() -> None:
+    """What the wrong clock has stamped makes nothing late, though the watermark is before it."""
+    learner = learned([])
+    day = 86_400.0
+    for k in range(100):
+        learner.receive(Event("ab"[k % 2], "entry", T0 + k))
+    learner.wait_for({"", "a"})
+    for k in range(100, 200):
+        learner.receive(Event("b", "entry", T0 + k + day))
+
+    state = rewind(learner.save(), T0 + 300.0)
+    learner = Learner()
+    learner.load(state)
+    assert not learner.event_time().waited
+    for k in range(300, 600):
+        learner.receive(Event("ab"[k % 2], "entry", T0 + k))
+    assert learner.statistics()["late"] == 0
+    assert learner.statistics()["watermark"] == pytest.approx(T0 + 600.0, abs=10.0)
 
 
 def test_a_passage_that_comes_late_is_one_passage() -> None:
