@@ -100,6 +100,8 @@ class IntakeBench:
             clock=lambda: self.wall,
             steady=lambda: self.now,
         )
+        if not len(self.journal):
+            self.intake.backlogs.waited = frozenset()  # a new learner waits for nobody
 
     def hear(self, event: Event, is_delivered: bool) -> None:
         """Take an event for predictions."""

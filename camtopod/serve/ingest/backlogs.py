@@ -13,6 +13,8 @@ late, and are learned all the same. So are those of a camera that has been away 
 
 from __future__ import annotations
 
+from collections.abc import Callable, Iterable
+
 from msgspec import Struct
 
 from camtopod import codec
@@ -26,6 +28,8 @@ SETTLE_SECONDS = 5.0
 
 A backlog may be a single batch, as after an outage of a minute.
 """
+UNSETTLED_SECONDS_MAX = 30.0
+"""Longest time for all of them together: on a large site, some camera may always come back."""
 TRIAL_SECONDS = 60.0
 """Time in which a camera has to come as much nearer to the clock."""
 ANY_CAMERA = ""
@@ -59,8 +63,9 @@ class Backlogs:
         self._trials: dict[str, tuple[CameraState, Trial]] = {}
         self.said_hello = True
         """True if a camera has come back since the last wait for backlogs, perhaps with one."""
-        self.waited = event_clock.waited
-        """Cameras that the learner was last told to wait for."""
+        self._unsettled_since = now
+        self.waited: frozenset[str] | None = None
+        """Cameras that the learner was last told to wait for; None: it may wait for any."""
 
     def note_request(
         self, camera: CameraState, oldest: float | None, wall: float, now: float
@@ -73,16 +78,24 @@ class Backlogs:
             return
         if self.said_hello and oldest is not None and wall - oldest > self._lateness:
             self.said_hello = False
-            self._settled = max(self._settled, now + SETTLE_SECONDS)
+            if self.waited is not None and ANY_CAMERA not in self.waited:
+                self._unsettled_since = now
+            until = min(now + SETTLE_SECONDS, self._unsettled_since + UNSETTLED_SECONDS_MAX)
+            self._settled = max(self._settled, until)
         if camera.more and wall - camera.reached > self._lateness:
             self._trials.setdefault(camera.name, (camera, Trial(now, wall - camera.reached)))
 
-    def changed(self, wall: float, now: float) -> list[Received]:
-        """Return the entry that tells the learner for whom to wait, if that has changed."""
+    def changed(
+        self, wall: float, now: float, present: Callable[[Iterable[str]], set[str]]
+    ) -> list[Received]:
+        """Return the entry that tells the learner for whom to wait, if that has changed.
+
+        present: returns the present names of cameras, without forgotten ones.
+        """
         for name, (camera, trial) in list(self._trials.items()):
             if not self._is_waited_for(camera, trial, wall, now):
                 del self._trials[name]
-        waited = frozenset([*self._trials, *[ANY_CAMERA][: now < self._settled]])
+        waited = frozenset([*present(self._trials), *[ANY_CAMERA][: now < self._settled]])
         if waited == self.waited:
             return []
         self.waited = waited

@@ -168,7 +168,7 @@ class Intake:
                 self.event_clock.note_taken(ready, now)
             else:
                 ready = self.event_clock.note_quiet(wall, now)
-            self.queue.put([*self.backlogs.changed(wall, now), *ready])
+            self.queue.put([*self.backlogs.changed(wall, now, self.names.present), *ready])
 
     def store_waiting(
         self, stopping: threading.Event, beat: Beat = no_beat, seconds: float = TICK_SECONDS

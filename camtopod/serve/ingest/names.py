@@ -221,8 +221,9 @@ class Names:
         comes the entry by which the old name is forgotten.
         """
         event = received.event
-        if event is None:
-            return [received]
+        if event is None:  # from the future, or invalid
+            is_erased = received.entry.camera in self.erased
+            return [received.only_number() if is_erased else received]
         renamed = self.renamed(event)
         if renamed is None:
             return self._refuse(received, event)

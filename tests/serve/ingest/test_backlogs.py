@@ -1,0 +1,80 @@
+"""For whom the learner waits, whatever happens meanwhile to the cameras and the daemon."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+from intake_bench import LATENESS, IntakeBench
+
+from camtopod.admin import Command, Forget, Rename, Reset
+from camtopod.serve.ingest import backlogs, execute
+from camtopod.serve.requests import Batch
+
+
+@pytest.fixture
+def bench(tmp_path: Path) -> IntakeBench:
+    return IntakeBench(tmp_path)
+
+
+def test_killed_while_it_waits_for_a_backlog_it_waits_for_nobody_after_the_next_start(
+    bench: IntakeBench,
+) -> None:
+    """However long that start takes, and though the camera does not come back."""
+    bench.hello("a")
+    bench.send("a", times={1: -3600.0}, more=1000)
+    bench.restart()
+    bench.tick(60.0)
+    assert bench.waits == [["", "a"], []]
+
+
+def test_cameras_that_come_back_again_and_again_hold_nobody_up_for_ever(
+    bench: IntakeBench,
+) -> None:
+    """On a large site with a bad network somebody is always away for half a minute."""
+    bench.hello("live")
+    for second in range(0, 600, 4):
+        bench.tick(4.0)
+        bench.send("live", after=second, times={second + 1: -0.1})
+        camera = f"c{second}"
+        bench.hello(camera)
+        bench.store({seq: 3.0 * seq - 31.0 for seq in range(1, 11)}, camera=camera)
+        behind = bench.wall - bench.intake.event_clock.watermark
+        assert behind < LATENESS + backlogs.UNSETTLED_SECONDS_MAX + 10.0
+
+
+def operate(bench: IntakeBench, command: Command) -> None:
+    execute(bench.intake, command, None, Reset, lambda epoch: None)
+
+
+@pytest.mark.parametrize(
+    ("command", "waits"), [(Rename("a", "yard"), ["yard"]), (Forget("a"), []), (Reset(), ["a"])]
+)
+def test_a_camera_is_waited_for_under_its_present_name(
+    bench: IntakeBench, command: Command, waits: list[str]
+) -> None:
+    """Else the learner would never hear of it again, and stay where it is."""
+    bench.hello("a")
+    bench.hello("live")
+    bench.send("a", times={1: -3600.0}, more=1000)
+    bench.send("live", times={1: -0.1})
+    operate(bench, command)
+    for seq in range(2, 12):
+        bench.tick(1.0)
+        bench.send("a", after=seq - 1, times={seq: -3600.0 + 20.0 * seq}, more=1000)
+    assert bench.waits[-1] == waits
+    if isinstance(command, Rename):
+        watermark = bench.intake.event_clock.watermark
+        assert watermark == pytest.approx(bench.wall - 3600.0 + 220.0, abs=1.0), "it goes on"
+
+
+def test_nothing_but_numbers_is_stored_of_a_forgotten_camera(bench: IntakeBench) -> None:
+    bench.hello("a")
+    bench.store({1: -1.0})
+    operate(bench, Forget("a"))
+    bench.store({2: 0.0, 3: 9999.0}, after=1)
+    bench.ask("a", Batch("h1", "b1", 3, [(4, b"no event")], 0))
+    entries = [entry for _, entry in bench.journal.entries() if entry and entry.camera == "a"]
+    assert [(one.kind, one.seq, one.raw) for one in entries[1:]] == [
+        ("refused", seq, b"") for seq in (2, 3, 4)
+    ]
