@@ -25,7 +25,6 @@ from msgspec.structs import replace
 
 from camtopod.admin import Reset, Rewind
 from camtopod.config import Config
-from camtopod.event_time import EventTime, microseconds
 from camtopod.keys.rules import STATUS
 from camtopod.records import CameraFigures, DaemonStatus, EventCounts, Match, Prediction, Topology
 from camtopod.redact import redact
@@ -49,6 +48,7 @@ from camtopod.serve.learner_process import (
     LearnerProcess,
     LearnProgress,
     Recovered,
+    event_time,
     note_failure,
     recent_events,
     recover,
@@ -355,10 +355,7 @@ class Daemon:
         # Event time as the learner knows it; the newest events may be newer than the snapshot.
         recent = recent_events(self._journal)
         lateness = self._config.learn.lateness_seconds
-        learned = EventTime(lateness, self._config.learn.ahead_seconds_max)
-        learned.load(recovered.progress.event_time)
-        for event in recent:
-            learned.note(microseconds(event.t), event.camera)
+        learned = event_time(self._journal, recovered, self._config.learn, recent)
 
         # Receiving and storing.
         numbers = Numbers(self._journal.numbers())

@@ -13,8 +13,9 @@ import msgspec
 import pytest
 from serving import closing_event, numbered, small_config, walkers
 
-from camtopod.admin import Rewind
+from camtopod.admin import Reset, Rewind
 from camtopod.codec import to_msgpack
+from camtopod.event_time import microseconds
 from camtopod.learn.learner import Learner
 from camtopod.learn.settings import Settings
 from camtopod.records import Event
@@ -264,6 +265,28 @@ def test_a_rewind_is_replayed_like_an_event(start: Start) -> None:
 
     again.run()
     assert (again.epoch, again.published) == ("F", [])
+
+
+@pytest.mark.parametrize("is_reset", [False, True])
+def test_killed_before_a_correction_was_learned_no_event_time_of_before_is_left(
+    start: Start, is_reset: bool
+) -> None:
+    """The daemon would take nothing until this machine's clock had passed that time."""
+    wild = [msgspec.structs.replace(e, t=e.t + 86_400.0, boot="w") for e in EVENTS[:30]]
+    one = start()
+    one.learn([*EVENTS[:120], *wild])
+    to = EVENTS[119].t + 1.0
+    epochs = one.epoch, one.new_epoch()
+    one.journal.commit([command_entry(Reset(to, *epochs) if is_reset else Rewind(to, *epochs))])
+
+    again = start()
+    recent = recovery.recent_events(again.journal)
+    progress = again.learning.progress
+    assert (progress.event_time.newest_us or 0) > microseconds(to + 80_000.0)
+    recovered = recovery.Recovered(again.started_at, progress)
+    time = recovery.event_time(again.journal, recovered, SETTINGS, recent)
+    newest = microseconds(to + SETTINGS.lateness_seconds)
+    assert time.state.newest_us == (None if is_reset else newest)
 
 
 def test_an_event_that_cannot_be_read_any_more_holds_no_start_up(start: Start) -> None:

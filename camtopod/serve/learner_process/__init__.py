@@ -16,6 +16,7 @@ from camtopod.serve.learner_process.process import (
 )
 from camtopod.serve.learner_process.recovery import (
     Recovered as Recovered,
+    event_time as event_time,
     newest_topology as newest_topology,
     note_failure as note_failure,
     recent_events as recent_events,

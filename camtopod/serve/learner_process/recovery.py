@@ -8,14 +8,15 @@ from __future__ import annotations
 
 import contextlib
 import logging
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import NamedTuple
 
 import msgspec
 
 from camtopod import codec
 from camtopod.admin import Reset, Rewind
-from camtopod.learn.settings import Settings
+from camtopod.event_time import EventTime, EventTimeState, microseconds
+from camtopod.learn.settings import LearnSettings, Settings
 from camtopod.records import Event, Topology
 from camtopod.serve.learner_process.messages import STATE, Begin, LearnProgress, Load, Loaded
 from camtopod.serve.learner_process.process import LearnerProcess
@@ -115,6 +116,27 @@ def _epochs(entry: Entry) -> tuple[str, str]:
     command = read_command(entry.raw)
     assert isinstance(command, Reset | Rewind)
     return command.before, command.epoch
+
+
+def event_time(
+    journal: Journal, recovered: Recovered, learn: LearnSettings, recent: Sequence[Event]
+) -> EventTime:
+    """Return event time as the learner will have it after the stored entries.
+
+    recent: the newest events since the last correction.
+    """
+    time = EventTime(learn.lateness_seconds, learn.ahead_seconds_max)
+    time.load(recovered.progress.event_time)
+    for _, entry in journal.commands(recovered.position):
+        with contextlib.suppress(codec.Rejected):  # by another version
+            match read_command(entry.raw):
+                case Reset():
+                    time.load(EventTimeState())
+                case Rewind(to):
+                    time.rewind(microseconds(to))
+    for event in recent:
+        time.note(microseconds(event.t), event.camera)
+    return time
 
 
 def newest_topology(journal: Journal) -> Topology | None:
