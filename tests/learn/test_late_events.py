@@ -124,6 +124,26 @@ def test_backlogs_are_waited_for_and_events_in_memory_are_limited(
     assert learn([]).updates()
 
 
+def test_held_events_are_looked_at_a_few_times_however_many_ticks_are_released(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    learner = Learner(Settings(version_seconds=1.0, refit_hours=24.0))
+    learner.wait_for({""})
+    for k in range(300):
+        learner.receive(Event("ab"[k % 2], "entry", T0 + k))
+    calls = 0
+
+    def counted(t: float) -> int:
+        nonlocal calls
+        calls += 1
+        return microseconds(t)
+
+    monkeypatch.setattr(reorder_buffer, "microseconds", counted)
+    learner.wait_for(set())
+    assert learner.statistics()["learned"] > 290
+    assert calls < 20 * 300
+
+
 def test_a_clock_that_is_set_back_takes_event_time_back_while_backlogs_are_waited_for() -> None:
     """What the wrong clock has stamped makes nothing late, though the watermark is before it."""
     learner = learned([])

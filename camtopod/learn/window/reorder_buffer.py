@@ -10,6 +10,7 @@ numbers the events of a boot.
 
 from __future__ import annotations
 
+from bisect import bisect_left
 from collections.abc import Set
 
 from msgspec import Struct, field
@@ -91,6 +92,7 @@ class ReorderBuffer:
             if not numbers.add(event.boot, event.seq):
                 return "duplicate"
         self.state.held.append(event)
+        self._is_sorted = False
         if len(self.state.held) > HELD_EVENTS_MAX:
             self.time.wait_for(set())
         if self.oldest_held_us is None or t_us < self.oldest_held_us:
@@ -122,14 +124,26 @@ class ReorderBuffer:
 
         They are in canonical order: by time, events at the same time by their content.
         """
-        held = [(microseconds(event.t), event) for event in self.state.held]
-        self._hold_only([event for t_us, event in held if t_us > until_us])
-        return sorted((timed for timed in held if timed[0] <= until_us), key=_sort_key)
+        if not self._is_sorted:
+            self.state.held.sort(key=_newest_first)
+            self._is_sorted = True
+        held = self.state.held
+        first = bisect_left(held, -until_us, key=_newest_first)
+        taken = [(microseconds(event.t), event) for event in held[first:]]
+        del held[first:]
+        self.oldest_held_us = microseconds(held[-1].t) if held else None
+        return sorted(taken, key=_sort_key)
 
     def _hold_only(self, events: list[Event]) -> None:
         """Replace the held events."""
         self.state.held = events
+        self._is_sorted = False  # newest first, so that a release of many ticks sorts once
         self.oldest_held_us = min((microseconds(event.t) for event in events), default=None)
+
+
+def _newest_first(event: Event) -> int:
+    """Return the key by which the newest event comes first."""
+    return -microseconds(event.t)
 
 
 def _sort_key(timed: tuple[int, Event]) -> tuple[int, str, str, float, float, str, str, int, str]:
