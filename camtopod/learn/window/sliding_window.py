@@ -14,6 +14,7 @@ from __future__ import annotations
 
 import sys
 from array import array
+from bisect import bisect_left
 from collections.abc import Set
 from itertools import takewhile
 from typing import Any
@@ -140,7 +141,8 @@ class Window:
         Passages join the events of a camera in the order in which they are added, an exit only
         with an entry that is not later.
         """
-        late = bool(batch) and bool((self.column("t")[-1:] > batch[0][0]).any())
+        size = len(self)
+        before = int(np.searchsorted(self.column("t"), batch[0][0], "right")) if batch else size
 
         # Make room, for a quarter more than there are.
         if self._end + len(batch) > len(self._memory["t"]):
@@ -164,13 +166,13 @@ class Window:
 
         # Store them in the memory behind the other rows.
         end = self._end + len(batch)
-        size = len(self) + len(batch)
+        size += len(batch)
         for name, memory in self._memory.items():
             memory[self._end : end] = fresh[name]
             self.state.columns[name] = memory[end - size : end]
         self._end = end
-        if late:
-            self._sort()
+        if before < size - len(batch):
+            self._sort(before)
 
     def without_repeats(self, batch: list[tuple[int, Event]]) -> list[tuple[int, Event]]:
         """Return events (microseconds, event) but those that were added before.
@@ -189,23 +191,35 @@ class Window:
         row = self._index.get(event.camera, NONE), event.kind == "entry", *place
         return row in zip(*columns, strict=True)
 
-    def _sort(self) -> None:
-        """Sort the rows by time; rows at the same time stay in their order."""
-        order = np.argsort(self.column("t"), kind="stable")
-        number = np.empty(len(self), np.int64)
-        number[order] = np.arange(len(self))
-        self._renumber(self.state.base + number)
-        self._hold({name: column[order] for name, column in self.state.columns.items()})
+    def _sort(self, first: int) -> None:
+        """Sort the rows from ``first`` on by time; rows at the same time stay in their order."""
+        base, size = self.state.base, len(self)
+        order = first + np.argsort(self.column("t")[first:], kind="stable")
+        number = np.arange(size)
+        number[order] = number[first:].copy()
+        self._renumber(base + number, first)
+        for name, memory in self._memory.items():
+            rows = memory[self._end - size : self._end]
+            rows[first:] = self.column(name)[order]
+            self.state.columns[name] = rows
+        for of_camera in self._rows:
+            del of_camera[bisect_left(of_camera, base + first) :]
+        for row, camera in enumerate(self.column("camera")[first:].tolist(), base + first):
+            self._rows[camera].append(row)
 
-    def _renumber(self, number: NDArray[np.int64]) -> None:
-        """Give the rows new absolute numbers (n,) where passages name them; `NONE` for none."""
+    def _renumber(self, number: NDArray[np.int64], first: int = 0) -> None:
+        """Give the rows new absolute numbers (n,) where passages name them; `NONE` for none.
+
+        first: rows before this one keep their numbers.
+        """
         base = self.state.base
         row = self.entries_of_exits()
         mate = np.where(row >= 0, number[np.maximum(row, 0)], self.column("mate"))
         self.state.columns = {**self.state.columns, "mate": mate}
-        rows = {key: int(number[row - base]) for key, row in self.state.open.items()}
-        opened = sorted((row, key) for key, row in rows.items() if row != NONE)
-        self.state.open = {key: row for row, key in opened}
+        opened, moved = self.state.open, []
+        while opened and opened[last := next(reversed(opened))] >= base + first:
+            moved.append((int(number[opened.pop(last) - base]), last))
+        opened.update((key, row) for row, key in sorted(moved) if row != NONE)
 
     def forget_old(self, before_us: int) -> int:
         """Remove events older than ``before_us`` or beyond the window's size; return their number.
