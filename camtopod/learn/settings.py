@@ -39,8 +39,8 @@ class LearnSettings(Struct, frozen=True, forbid_unknown_fields=True):
     """The ``[learn]`` table of the configuration."""
 
     lateness_seconds: Annotated[float, Meta(ge=0)] = 5.0
-    """Seconds of event time by which events may arrive out of order. Later events are counted but
-    not learned from.
+    """Seconds of event time by which events may arrive out of order. Later events are learned at
+    their time, too, but only count from the next version on.
     """
     ahead_seconds_max: Annotated[float, Meta(ge=0)] = 60.0
     """Largest clock offset that the learner makes up for, in seconds. A single camera whose clock
