@@ -89,7 +89,12 @@ class IntakeBench:
             Numbers(self.journal.numbers()),
             Cameras(self.limits.cameras_max),
             Names(read_names(self.journal), lambda: self.wall),
-            Backlogs(LATENESS, event_clock, self.now - backlogs.SETTLE_SECONDS * settled),
+            Backlogs(
+                LATENESS,
+                event_clock,
+                self.now - backlogs.SETTLE_SECONDS * settled,
+                is_new=not len(self.journal),
+            ),
             event_clock,
             JournalWriter(self.journal, lambda: self.wall),
             self.limits,
@@ -100,8 +105,6 @@ class IntakeBench:
             clock=lambda: self.wall,
             steady=lambda: self.now,
         )
-        if not len(self.journal):
-            self.intake.backlogs.waited = frozenset()  # a new learner waits for nobody
 
     def hear(self, event: Event, is_delivered: bool) -> None:
         """Take an event for predictions."""

@@ -54,9 +54,10 @@ class Backlogs:
     never steps.
 
     lateness: the learner's (seconds). An event older than this is of a backlog.
+    is_new: True if the learner has learned nothing, and waits for nobody.
     """
 
-    def __init__(self, lateness: float, event_clock: EventClock, now: float) -> None:
+    def __init__(self, lateness: float, event_clock: EventClock, now: float, is_new: bool) -> None:
         self._lateness = lateness
         self._event_clock = event_clock
         self._settled = now + SETTLE_SECONDS
@@ -64,7 +65,7 @@ class Backlogs:
         self.said_hello = True
         """True if a camera has come back since the last wait for backlogs, perhaps with one."""
         self._unsettled_since = now
-        self.waited: frozenset[str] | None = None
+        self.waited = frozenset[str]() if is_new else None
         """Cameras that the learner was last told to wait for; None: it may wait for any."""
 
     def note_request(
