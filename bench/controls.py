@@ -28,6 +28,7 @@ from bench.support.jobs import map_tasks
 from bench.support.recordings import CameraPair, load
 from camtopod.learn.learner import Learner
 from camtopod.records import Event, Topology
+from camtopod.topology import weak_links
 
 WAY_SECONDS_APART = 8.0
 """Largest distance of a right link's median from that of its way, seconds."""
@@ -179,7 +180,7 @@ def judge(topology: Topology, ways: Mapping[CameraPair, float | None], events: i
     """
     camera = {zone.id: zone.camera for zone in topology.zones}
     right, false, least_q = set(), [], 1.0
-    for published, links in ((True, topology.links), (False, topology.weak_links or [])):
+    for published, links in ((True, topology.links), (False, weak_links(topology))):
         for link in links:
             pair = camera[link.from_], camera[link.to]
             if pair[0] == pair[1]:

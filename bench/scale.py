@@ -3,7 +3,7 @@
     python -m bench scale [--cameras 100,1000] [--hours 1] [--rate 0.1] [--seconds 20]
                           [--json FILE]
 
-The real `camtopod run` starts without state, with the limits that `deploy/large.md` raises, and
+The real `camtopod run` starts without state, with the limit that `deploy/large.md` raises, and
 receives the events of a simulated network (``--rate`` events a second and camera) as fast as it
 takes them. Measured are the processor time of the daemon and its learner until all is learned, with
 every version on the way, and their peak memory. Then events come at the site's own pace for
@@ -41,8 +41,6 @@ LEARN_SECONDS_MAX = 7_200.0
 """Longest wait for the learner, seconds."""
 EVENTS_PER_OBJECT = 8.1
 """Events of an object that enters a simulated site, about."""
-BUS = "message_bytes_max = 67108864"
-"""Limit that a large site raises: the size of its topology in one message."""
 COLUMNS = "{:>8}{:>9}{:>10}{:>13}{:>9}{:>8}{:>12}{:>10}"
 HEADER = COLUMNS.format(
     "cameras", "events", "versions", "processor s", "peak MB", "fit s", "median ms", "99 % ms"
@@ -96,7 +94,7 @@ def measure(folder: Path, cameras: int, hours: float, rate: float, seconds: floa
     live = write_events(folder / "live", last_of(events, seconds))
     names = sorted({event.camera for event in events})
     limits = f"cameras_max = {cameras + 100}"
-    with running(folder, limits=limits, bus=BUS) as (endpoint, pid), peak_memory(pid) as most:
+    with running(folder, limits=limits) as (endpoint, pid), peak_memory(pid) as most:
         # The recorded events.
         with client("deliver", folder, endpoint=endpoint, events=recorded) as sender:
             result(sender)

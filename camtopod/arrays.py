@@ -5,7 +5,7 @@ Each operation takes one pass over the rows, however many groups there are.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from typing import Any
 
 import numpy as np
@@ -35,6 +35,20 @@ def rows_by_group(label: Indices, groups: int) -> list[NDArray[np.intp]]:
     order = np.argsort(narrow, kind="stable")
     ends = np.cumsum(np.bincount(label, minlength=groups))
     return np.split(order, ends[:-1])[:groups]
+
+
+def places(names: Sequence[str]) -> Rows:
+    """Return the place (n,) of each of n different names when they are sorted."""
+    return np.argsort(np.argsort(np.array(names, object)))
+
+
+def first_of_group(group: Indices, most: int) -> Bools:
+    """Return a mask (n,) of the first rows of each group, ``most`` of each; group (n,)."""
+    order = np.argsort(group, kind="stable")
+    ordered = group[order]
+    first = np.zeros(len(group), np.bool_)
+    first[order] = np.arange(len(group)) - np.searchsorted(ordered, ordered) < most
+    return first
 
 
 def ranges(first: Indices, length: Indices) -> tuple[Rows, Rows]:

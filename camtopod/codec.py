@@ -17,9 +17,16 @@ from typing import Any, TypeVar, get_args
 import msgspec
 from msgspec.structs import force_setattr
 
-from camtopod import soundness
+from camtopod import older, soundness
 from camtopod.labels import plain
-from camtopod.records import CAMERA_PATTERN, Delta, Event, Kind, Prediction, Topology
+from camtopod.records import (
+    CAMERA_PATTERN,
+    Delta,
+    Event,
+    Kind,
+    Prediction,
+    Topology,
+)
 
 EVENT_BYTES_MAX = 4096
 """Largest event, in bytes; a larger one is rejected before it is decoded."""
@@ -253,10 +260,41 @@ def decode_topology(raw: bytes, pack: bool = False) -> Topology:
     Its users need not check again: each name refers to an item of the topology, and each number is
     in its range.
     """
-    topology = read(Topology, raw, pack)
+    topology = read_topology(raw, pack)
+    require_sound(topology)
+    return topology
+
+
+def read_topology(raw: bytes, pack: bool = False) -> Topology:
+    """Return a topology that this program has written and stored; raise `Rejected`.
+
+    One of an older form (`camtopod.older`) is converted.
+    """
+    try:
+        return read(Topology, raw, pack)
+    except Rejected:
+        content = read(dict, raw, pack)
+        model = content.get("model")
+        if not isinstance(model, dict) or "zones" not in model:
+            raise
+        return _converted(content)
+
+
+def _converted(content: dict[str, Any]) -> Topology:
+    """Return a topology of an older form; raise `Rejected`."""
+    try:
+        changed = older.with_columns(content)
+        return msgspec.convert(changed, Topology)
+    except msgspec.ValidationError as error:
+        raise _rejection(error) from None
+    except (KeyError, TypeError, AttributeError, ArithmeticError, ValueError) as error:
+        raise Rejected("bad-value", f"{error} - at `$.model`") from None
+
+
+def require_sound(topology: Topology) -> None:
+    """Raise `Rejected` unless all references and values of a topology are valid."""
     for problem in soundness.problems(topology):
         raise Rejected("bad-value", problem)
-    return topology
 
 
 def load_topology(path: str | Path) -> Topology:

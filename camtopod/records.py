@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from typing import Annotated, Literal
 
-from msgspec import UNSET, Meta, Struct, UnsetType, field
+from msgspec import Meta, Struct, field
 
 from camtopod import words
 from camtopod.labels import LABEL_CHARACTERS_MAX, LABELS_MAX
@@ -25,6 +25,8 @@ ZONE_PATTERN = r"^[A-Za-z0-9_.-]{1,64}/[0-9]{1,9}\Z"
 """Regular expression of a zone id, CAMERA/NUMBER."""
 TOPOLOGY_SCHEMA = "camtopod/topology/1"
 """`Topology.schema` of the topologies that this program reads and writes."""
+MODEL_SCHEMA = "camtopod/topology-model/1"
+"""`VersionModel.schema` of the models that this program reads and writes."""
 DELTA_SCHEMA = "camtopod/topology-delta/1"
 """`Delta.schema` of the deltas that this program reads and writes."""
 
@@ -41,6 +43,12 @@ Seconds = Annotated[float, Meta(ge=-1e11, le=1e11)]
 """Time since 1970, or a lag, which may be negative."""
 Duration = Annotated[float, Meta(ge=0, le=1e11)]
 """Seconds, not negative."""
+# Columns of numbers (`camtopod.columns`), in base64 where they are JSON.
+Uint8s = Annotated[bytes, Meta(description="uint8, deflated by zlib")]
+Int16s = Annotated[bytes, Meta(description="int16, little-endian, deflated by zlib")]
+Int32s = Annotated[bytes, Meta(description="int32, little-endian, deflated by zlib")]
+Float32s = Annotated[bytes, Meta(description="float32, little-endian, deflated by zlib")]
+Float64s = Annotated[bytes, Meta(description="float64, little-endian, deflated by zlib")]
 Covariance = Annotated[
     list[Annotated[list[Annotated[float, Meta(ge=-1, le=1)]], Meta(min_length=2, max_length=2)]],
     Meta(min_length=2, max_length=2),
@@ -218,116 +226,97 @@ class Pair(Struct, frozen=True, omit_defaults=True):
     reason: str | None = None
 
 
-class ZoneModel(Struct, frozen=True):
-    """Parameters of a zone that prediction needs beyond its links.
+class Histograms(Struct, frozen=True):
+    """Histograms of n rows on lag bins.
 
-    departures: exits at this zone in the window from which the links were learned.
-    arrival_rate (1/s): rate of entries without a departure that explains them.
-    stay (seconds): deciles (11) of the dwell times of passages that end here; empty if unknown.
+    first (n,): lag bin of the first mass of each. bins (n,): number of its masses.
+    unit (n,): scale of its masses.
+    steps: ``steps * unit`` are the masses, those of one row after those of the row before.
     """
 
-    zone: str
-    departures: Count
-    arrival_rate: Number
-    stay: Annotated[list[Duration], Meta(max_length=11)]
-
-
-class CameraModel(Struct, frozen=True):
-    """Parameters of a camera that prediction needs.
-
-    share: its share of all events.
-    last_event (Unix seconds): time of its last event.
-    """
-
-    camera: str
-    share: Share
-    last_event: Seconds
-
-
-class Outcome(Struct, frozen=True):
-    """One zone where departing objects may appear next.
-
-    share: share of the departures that are expected to arrive there; earlier versions of the
-        program wrote estimates above 1, too.
-    hazard: for each lag bin, the probability to arrive in it of a departure that is exposed to it.
-    doubt: share of this that may be spurious; objects of spurious transitions are not seen again.
-    missed: True for objects that a camera on the way misses; contexts do not tell these.
-    """
-
-    to: str
-    share: Number
-    hazard: Histogram
-    doubt: Share = 0.0
-    missed: bool = False
+    first: Int16s
+    bins: Int16s
+    unit: Float32s
+    steps: Uint8s
 
 
 class Onward(Struct, frozen=True):
-    """Expected next appearances of objects that leave ``zone``.
+    """Expected next appearances of objects, by the zone that they leave.
 
-    leave: share of the objects that leave the site, so are not seen again.
-    next_: the zones where the others appear next.
+    leave (zones,): share of the objects that leave the site, so are not seen again.
+    number (zones,): number of zones where the others appear next. The other columns have a row for
+        each of these, those of the first zone first.
+    to (n,): zone where they appear.
+    share (n,): share of the departures that are expected to arrive there.
+    doubt (n,): part of this that may be spurious; objects of spurious transitions are not seen
+        again.
+    delay (n, seconds): added to the lags of all bins, for long paths.
+    missed (n,): 1 for objects that a camera on the way misses; contexts do not tell these.
+    hazard: for each lag bin, the probability to arrive in it of a departure that is exposed to it.
     """
 
-    zone: str
-    leave: Share
-    next_: list[Outcome]
+    leave: Float32s
+    number: Int32s
+    to: Int32s
+    share: Float32s
+    doubt: Float32s
+    delay: Float32s
+    missed: Uint8s
+    hazard: Histograms
 
 
-class EntryKernel(Struct, frozen=True):
+class EntryKernelColumns(Struct, frozen=True):
     """Objects that entered a view at ``zone`` and appear at ``to`` before they leave that view.
 
     The lags of ``hazard`` count from the entry at ``zone``.
     """
 
-    zone: str
-    to: str
-    hazard: Histogram
+    zone: Int32s
+    to: Int32s
+    hazard: Histograms
 
 
-class Context(Struct, frozen=True, omit_defaults=True):
-    """Departures at ``zone`` about which more is known than the zone.
+class ContextColumns(Struct, frozen=True):
+    """Departures about which more is known than the zone.
 
-    departures: their number, weighted by the probability that they have this context.
-    to: number of transitions to each zone, weighted likewise.
-    entry: zone where the objects entered the view.
-    block: where in the image they left it, as row * columns + column of a coarse grid.
-    previous: camera where they probably were before.
+    number (zones,): number of contexts of each zone. The next columns have a row for each of these.
+    entry (n,): zone where the objects entered the view. -1 for none, as in the next two.
+    block (n,): where in the image they left it, as row * columns + column of a coarse grid.
+    previous (n,): camera where they probably were before.
+    departures (n,): their number, weighted by the probability that they have this context.
+    followed (n,): number of zones to which they made transitions; the next columns have a row for
+        each of these.
+    to (m,): zone of arrival. transitions (m,): number of transitions, weighted likewise.
     """
 
-    zone: str
-    departures: Number
-    to: dict[str, Number]
-    entry: str | None = None
-    block: Count | None = None
-    previous: str | None = None
-
-
-class Way(Struct, frozen=True):
-    """A route through one view, from the zone ``entry`` to the zone ``exit``.
-
-    ``stay`` is the median dwell time of its passages, in seconds.
-    """
-
-    entry: str
-    exit: str
-    stay: Annotated[float, Meta(ge=1e-6, le=1e11)]
+    number: Int32s
+    entry: Int32s
+    block: Int32s
+    previous: Int32s
+    departures: Float32s
+    followed: Int16s
+    to: Int32s
+    transitions: Float32s
 
 
 class Pace(Struct, frozen=True):
     """How an object's slowness persists from one view to the next.
 
-    Slowness is the log of a dwell time over the median of its route (`Way`). Hazards are those of
-    objects of usual speed.
+    Slowness is the log of a dwell time over the median of its route, which leads through one view.
+    Hazards are those of objects of usual speed.
 
     scaling: transit times scale with the dwell time over its median to this power.
     correlation: correlation of the slowness of one object in two views.
     sd: standard deviation of the slowness.
+    entry, exit (n,): zones of each route. stay (n, seconds): median dwell time of its passages.
     """
 
     scaling: Annotated[float, Meta(ge=0, le=10)]
     correlation: Annotated[float, Meta(ge=-1, le=1)]
     sd: Annotated[float, Meta(ge=0, le=10)]
-    ways: list[Way]
+    entry: Int32s
+    exit: Int32s
+    stay: Float32s
 
 
 class LabelModel(Struct, frozen=True):
@@ -336,19 +325,20 @@ class LabelModel(Struct, frozen=True):
     names: the labels that count, sorted.
     persistence: share of the objects that have the same label in the next view; the label of the
         others is as that of any arrival.
-    shares: of the arrivals with a label at each zone, the share of each of ``names``.
+    shares (zones, names): of the arrivals with a label at each zone, the share of each label.
     """
 
     names: Annotated[list[str], Meta(max_length=LABELS_MAX)]
     persistence: Annotated[float, Meta(ge=0, le=0.9999)]
-    shares: dict[str, Annotated[list[Share], Meta(max_length=LABELS_MAX)]]
+    shares: Float32s
 
 
-class Overlap(Struct, frozen=True):
-    """Two views that overlap.
+class Overlaps(Struct, frozen=True):
+    """Pairs of views that overlap.
 
-    share: of the objects that leave the view of ``camera``, the share that is in the view of ``to``
-        at that moment.
+    camera, to (n,): the two cameras.
+    share (n,): of the objects that leave the view of ``camera``, the share that is in the view of
+        ``to`` at that moment.
     same: passages of these objects in the view of ``to``.
     others: passages of other objects that are under way there.
 
@@ -356,25 +346,45 @@ class Overlap(Struct, frozen=True):
     passage began after the one that the exit ends.
     """
 
-    camera: str
-    to: str
-    share: Number
-    same: Histogram
-    others: Histogram
+    camera: Int32s
+    to: Int32s
+    share: Float32s
+    same: Histograms
+    others: Histograms
 
 
-class CameraPath(Struct, frozen=True, rename={"from_": "from"}):
-    """A path between two cameras, on which lags have Student's t distribution (5 degrees).
+class PathColumns(Struct, frozen=True, rename={"from_": "from"}):
+    """PathColumns between cameras, on which lags have Student's t distribution (5 degrees).
 
-    share: of the objects leaving the view of ``from``, the share that takes it.
-    place, width (seconds): median and scale of the lags.
+    of_zones: the ends are zones; else they are cameras.
+    from_, to (n,): the ends of each.
+    share (n,): of the objects leaving ``from``, the share that takes it.
+    place, width (n, seconds): median and scale of the lags.
     """
 
-    from_: str
-    to: str
-    share: Share
-    place: Seconds
-    width: Duration
+    of_zones: bool
+    from_: Int32s
+    to: Int32s
+    share: Float32s
+    place: Float32s
+    width: Float32s
+
+
+class WeakLinks(Struct, frozen=True, rename={"from_": "from"}):
+    """Links between views whose evidence does not meet the rule for publishing.
+
+    from_, to (n,): the zones.
+    overlapped (n,): 1 for links of the relation ``overlapped``, 0 for ``unseen``.
+    figures (n, 14): probability, transitions, the eight fields of `Transit`, q_value,
+        mahalanobis_variance, and the two of `Lacks`, as in `Link`; nan for None.
+    provisional: as in `Link`, for each; empty if none is.
+    """
+
+    from_: Int32s
+    to: Int32s
+    overlapped: Uint8s
+    figures: Float32s
+    provisional: list[str] = []
 
 
 class Declared(Struct, frozen=True, omit_defaults=True):
@@ -391,47 +401,47 @@ class Declared(Struct, frozen=True, omit_defaults=True):
     nobody_leaves: bool = False
 
 
-class Model(Struct, frozen=True):
-    """Parameters that `camtopod.predict` needs beyond the links.
+class Model(Struct, frozen=True, omit_defaults=True):
+    """What `camtopod.predict` needs beyond the map, as columns (`camtopod.columns`).
 
-    Lag bin ``k`` starts at ``lag_scale * sinh(lag_step * k)`` seconds.
+    Zones and cameras are numbers: positions in the lists of the topology. Lag bin ``k`` starts at
+    ``lag_scale * sinh(lag_step * k)`` seconds.
 
     clocks_corrected: transit times of links are in corrected time, as histograms always are, not by
         the cameras' own clocks.
+    declared: what the user has declared; None for nothing.
+    departures (zones,): exits in the window from which the links were learned.
+    arrival_rate (zones, 1/s): rate of entries without a departure that explains them.
+    stay (zones, 11, seconds): deciles of the dwell times of passages that end there; 0 if unknown.
+    event_share (cameras,): share of each camera in all events; 0 if unknown.
+    last_event (cameras, Unix seconds): time of its last event; 0 if unknown.
     onward: the posterior, weak evidence included; without it prediction uses the links.
     overlaps: views that overlap; None if they were not searched for.
     paths: a second opinion, which has half of the weight; None if the posterior needs none. What
         the paths of a camera leave of 1 is the share that leaves the site.
-    declared: what the user has declared; None for nothing.
     labels: only if events have labels, and not all the same.
+    weak_links: None if there are none.
     """
 
     lag_scale: Annotated[float, Meta(ge=1e-3, le=1e6)]
     lag_step: Annotated[float, Meta(ge=1e-4, le=10)]
     lag_min: Annotated[float, Meta(ge=-1e6, le=1e6)]
     lag_max: Annotated[float, Meta(ge=-1e6, le=1e6)]
-    zones: list[ZoneModel]
-    cameras: list[CameraModel]
+    departures: Int32s
+    arrival_rate: Float32s = b""
+    stay: Float32s = b""
+    event_share: Float32s = b""
+    last_event: Float64s = b""
     clocks_corrected: bool = False
-    onward: list[Onward] | None = None
-    entered: list[EntryKernel] | None = None
-    contexts: list[Context] | None = None
-    pace: Pace | None = None
-    overlaps: list[Overlap] | None = None
-    paths: list[CameraPath] | None = None
     declared: Declared | None = None
-    labels: LabelModel | UnsetType = UNSET
-
-
-class ChainEdge(Struct, frozen=True, rename={"from_": "from"}):
-    """A transition of the Markov chain over cameras (thesis 4.6).
-
-    ``probability`` is the share of the objects leaving ``from`` that are seen next at ``to``.
-    """
-
-    from_: str
-    to: str
-    probability: Share
+    onward: Onward | None = None
+    entered: EntryKernelColumns | None = None
+    contexts: ContextColumns | None = None
+    pace: Pace | None = None
+    overlaps: Overlaps | None = None
+    paths: PathColumns | None = None
+    labels: LabelModel | None = None
+    weak_links: WeakLinks | None = None
 
 
 class Alarm(Struct, frozen=True):
@@ -504,8 +514,6 @@ class Topology(_OfVersion, frozen=True, omit_defaults=True):
     zones: list[Zone]
     links: list[Link]
     pairs: list[Pair]
-    weak_links: list[Link] | None = None
-    chain: list[ChainEdge] | None = None
     model: Model | None = None
     alarms: list[Alarm] | None = None
     score: SelfScore | None = None
@@ -516,8 +524,23 @@ class Topology(_OfVersion, frozen=True, omit_defaults=True):
             raise ValueError(f"schema is {self.schema!r}; this program reads {TOPOLOGY_SCHEMA!r}")
 
 
+class VersionModel(Struct, frozen=True):
+    """The model of one version, apart from its map; ``digest`` is that of both."""
+
+    schema: str
+    site: str
+    epoch: str
+    version: Count
+    digest: str
+    model: Model
+
+    def __post_init__(self) -> None:
+        if self.schema != MODEL_SCHEMA:
+            raise ValueError(f"schema is {self.schema!r}; this program reads {MODEL_SCHEMA!r}")
+
+
 class Delta(_OfVersion, frozen=True, omit_defaults=True):
-    """The difference from ``version - 1`` to ``version`` of a topology.
+    """The difference from ``version - 1`` to ``version`` of a map.
 
     New and changed items are whole, removed items are keys. The key of a link is (from, to,
     relation). ``digest`` is the digest of the resulting topology, ``alarms`` are those of this
@@ -527,15 +550,11 @@ class Delta(_OfVersion, frozen=True, omit_defaults=True):
     cameras: list[Camera] = field(default_factory=list)
     zones: list[Zone] = field(default_factory=list)
     links: list[Link] = field(default_factory=list)
-    weak_links: list[Link] = field(default_factory=list)
     pairs: list[Pair] = field(default_factory=list)
     gone_cameras: list[str] = field(default_factory=list)
     gone_zones: list[str] = field(default_factory=list)
     gone_links: list[tuple[str, str, str]] = field(default_factory=list)
-    gone_weak_links: list[tuple[str, str, str]] = field(default_factory=list)
     gone_pairs: list[tuple[str, str]] = field(default_factory=list)
-    chain: list[ChainEdge] | None = None
-    model: Model | None = None
     alarms: list[Alarm] | None = None
     score: SelfScore | None = None
     evidence: Share | None = None

@@ -7,11 +7,13 @@ from __future__ import annotations
 
 import math
 from collections.abc import Hashable, Iterable, Iterator
-from itertools import pairwise
 
-from camtopod.records import LAG_BINS_MAX, Histogram, Model, Topology
+from camtopod import sound_columns
+from camtopod.records import LAG_BINS_MAX, Model, Topology
 
 Names = Iterable[str]
+OFFSET_SECONDS_MAX = 600.0
+"""Largest offset that has a bin, as in `camtopod.topology.lag_bins`."""
 
 
 def problems(topology: Topology) -> Iterator[str]:
@@ -24,6 +26,9 @@ def problems(topology: Topology) -> Iterator[str]:
     yield from _shapes(topology)
     if topology.model is not None:
         yield from _histograms(topology, topology.model)
+        model, zones, cameras = topology.model, topology.zones, topology.cameras
+        offsets = _bins(model, -OFFSET_SECONDS_MAX, OFFSET_SECONDS_MAX)
+        yield from sound_columns.problems(model, zones, cameras, _lag_bins(model), offsets)
 
 
 def _unknown(topology: Topology) -> Iterator[str]:
@@ -35,23 +40,11 @@ def _unknown(topology: Topology) -> Iterator[str]:
     of_cameras: dict[str, Names] = {
         "zones": (zone.camera for zone in topology.zones),
         "pairs": (name for pair in topology.pairs for name in pair.cameras),
-        "model.paths": (
-            name
-            for path in (topology.model.paths if topology.model is not None else None) or []
-            for name in (path.from_, path.to)
-            if name not in zones
-        ),
     }
-    links = {"links": topology.links, "weak_links": topology.weak_links or []}
     of_zones: dict[str, Names] = {
         "cameras": (name for camera in topology.cameras for name in camera.zones),
-        **{
-            place: (name for link in place_links for name in (link.from_, link.to))
-            for place, place_links in links.items()
-        },
+        "links": (name for link in topology.links for name in (link.from_, link.to)),
     }
-    if topology.model is not None:
-        of_zones |= _zones_of(topology.model)
 
     for ids, places in ((cameras, of_cameras), (zones, of_zones)):
         for place, names in places.items():
@@ -60,33 +53,12 @@ def _unknown(topology: Topology) -> Iterator[str]:
                     yield f"there is no {name!r} in it - at `$.{place}`"
 
 
-def _zones_of(model: Model) -> dict[str, Names]:
-    """Return the zones that prediction looks up, by their place in the JSON."""
-    contexts = model.contexts or []
-    ways = model.pace.ways if model.pace is not None else []
-    shares = model.labels.shares if model.labels else {}
-    return {
-        "model.zones": (row.zone for row in model.zones),
-        "model.onward": (
-            name
-            for row in model.onward or []
-            for name in (row.zone, *(outcome.to for outcome in row.next_))
-        ),
-        "model.entered": (name for row in model.entered or [] for name in (row.zone, row.to)),
-        "model.contexts": (name for row in contexts for name in (row.zone, *row.to)),
-        "model.contexts.entry": (row.entry for row in contexts if row.entry is not None),
-        "model.pace.ways": (name for way in ways for name in (way.entry, way.exit)),
-        "model.labels.shares": shares,
-    }
-
-
 def _repeated(topology: Topology) -> Iterator[str]:
     """Check that no key occurs twice."""
     keys: dict[str, list[Hashable]] = {
         "cameras": [camera.id for camera in topology.cameras],
         "zones": [zone.id for zone in topology.zones],
-        "links": [(link.from_, link.to, link.relation) for link in topology.links],
-        "weak_links": [(link.from_, link.to, link.relation) for link in topology.weak_links or []],
+        "links": [(one.from_, one.to, one.relation) for one in topology.links],
         "pairs": [pair.cameras for pair in topology.pairs],
     }
     for place, entries in keys.items():
@@ -109,12 +81,6 @@ def _shapes(topology: Topology) -> Iterator[str]:
     for k, pair in enumerate(topology.pairs):
         if pair.cameras[0] >= pair.cameras[1]:
             yield f"the cameras are not two, sorted - at `$.pairs[{k}].cameras`"
-    labels = topology.model.labels if topology.model is not None else None
-    if labels and any(len(row) != len(labels.names) for row in labels.shares.values()):
-        yield "a zone has not as many shares as there are names - at `$.model.labels`"
-    for k, row in enumerate(topology.model.zones if topology.model is not None else []):
-        if any(a > b for a, b in pairwise(row.stay)):
-            yield f"stay is not in ascending order - at `$.model.zones[{k}]`"
 
 
 def _is_covariance(cov: list[list[float]]) -> bool:
@@ -124,26 +90,27 @@ def _is_covariance(cov: list[list[float]]) -> bool:
 
 
 def _histograms(topology: Topology, model: Model) -> Iterator[str]:
-    """Check the lag bins, and that the histograms lie on them."""
-    # As `camtopod.topology.lag_bins`.
-    first = math.floor(math.asinh(model.lag_min / model.lag_scale) / model.lag_step)
-    end = math.floor(math.asinh(model.lag_max / model.lag_scale) / model.lag_step) + 1
+    """Check the lag bins, and that the histograms of links lie on them."""
+    first, end = _lag_bins(model)
     if not (model.lag_min < model.lag_max and end - first <= LAG_BINS_MAX):
         yield f"there are no lag bins, or more than {LAG_BINS_MAX} - at `$.model`"
 
     # Dwell times, of visible links, have bins of their own.
-    between = (link for link in topology.links if link.relation != "visible")
-    histograms: dict[str, Iterable[Histogram | None]] = {
-        "links": (link.histogram for link in between),
-        "weak_links": (link.histogram for link in topology.weak_links or []),
-        "model.onward": (outcome.hazard for row in model.onward or [] for outcome in row.next_),
-        "model.entered": (kernel.hazard for kernel in model.entered or []),
-    }
-    for place, group in histograms.items():
-        for histogram in group:
-            if (
-                histogram is not None
-                and histogram.mass
-                and not first <= histogram.first <= end - len(histogram.mass)
-            ):
-                yield f"a histogram is not on the model's lag bins - at `$.{place}`"
+    for link in topology.links:
+        one = link.histogram
+        if one is None or link.relation == "visible" or not one.mass:
+            continue
+        if not first <= one.first <= end - len(one.mass):
+            yield "a histogram is not on the model's lag bins - at `$.links`"
+
+
+def _lag_bins(model: Model) -> tuple[int, int]:
+    return _bins(model, model.lag_min, model.lag_max)
+
+
+def _bins(model: Model, low: float, high: float) -> tuple[int, int]:
+    """Return the first lag bin, and the one after the last, as `camtopod.topology.lag_bins`."""
+    first, last = (
+        math.floor(math.asinh(lag / model.lag_scale) / model.lag_step) for lag in (low, high)
+    )
+    return first, last + 1

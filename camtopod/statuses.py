@@ -7,6 +7,7 @@ from collections.abc import Callable
 
 from camtopod import codec
 from camtopod.records import DaemonStatus, Status, Topology
+from camtopod.topology import last_events
 from camtopod.words import (
     CameraState,
     DaemonState,
@@ -60,7 +61,8 @@ class Statuses:
             name: (status, abs(now - max(last_t, self._reachable_since)))
             for name, (status, last_t) in self._grabbers.copy().items()
         }
-        return camera_states(self.daemon, grabbers, topology)
+        learned = last_events(topology) if topology is not None else {}
+        return camera_states(self.daemon, grabbers, topology, learned)
 
     def daemon_state(self, topology: Topology | None, away: str = "") -> DaemonState:
         """Return the state of the daemon; ``away``: why nothing can be heard of it."""

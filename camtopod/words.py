@@ -139,11 +139,13 @@ def camera_states(
     daemon: DaemonStatus,
     grabbers: Mapping[str, tuple[Status, float]],
     topology: Topology | None,
+    last_events: Mapping[str, float],
 ) -> list[CameraState]:
     """Return the state of each camera that anybody knows, those that need attention first.
 
     grabbers: newest status of each camera, and the seconds since it was received.
     topology: the newest version.
+    last_events: by camera, the time of its last event that was learned, Unix seconds.
 
     A forgotten camera is just that, whatever its grabber says: somebody wanted it away, so it is
     neither trouble nor fine; nothing is left of it once its grabber is silent. A grabber that has
@@ -155,8 +157,6 @@ def camera_states(
     # Event time of each camera's newest event.
     newest: dict[str, float | None] = dict.fromkeys(grabbers)
     if topology is not None:
-        models = topology.model.cameras if topology.model else []
-        last_events = {row.camera: row.last_event for row in models}
         newest |= {camera.id: last_events.get(camera.id) for camera in topology.cameras}
     newest |= {name: figures.newest for name, figures in daemon.cameras.items()}
     last = max([topology.as_of if topology else 0.0, *filter(None, newest.values())])

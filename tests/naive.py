@@ -7,6 +7,7 @@ from functools import cache
 import numpy as np
 import scipy.signal
 import scipy.special
+from model_rows import rows_of
 
 # --- daspec, zones (weighted grid cells against points) ---
 
@@ -742,7 +743,7 @@ def predicted(topology, seen, asked, zone_of, constants, now=None):
         now: time of the question; the exit itself and later events may be among the events.
     """
     back_off, most, leave_floor, dead, least, rate_min, stay_min, slowest = constants
-    model, zones = topology.model, topology.zones
+    model, zones = rows_of(topology), topology.zones
     index = {zone.id: k for k, zone in enumerate(zones)}
     scale, step = model.lag_scale, model.lag_step
 

@@ -79,7 +79,7 @@ def test_the_state_of_a_camera(
         counted = {"a": figures, "other": ALIVE} if figures else {"other": ALIVE}
         names = NamesStatus(forgotten=dict.fromkeys(forgotten, 3))
         daemon = DaemonStatus("running", cameras=counted, names=names)
-        found = camera_states(daemon, {"a": grabber} if grabber else {}, None)
+        found = camera_states(daemon, {"a": grabber} if grabber else {}, None, {})
         return {one.id: (one.state, one.look, one.alive) for one in found}
 
     assert states()["a"] == (state, look, alive)
@@ -91,7 +91,7 @@ def test_the_state_of_a_camera(
 
 def test_a_grabber_that_does_not_say_its_interval_has_the_daemons() -> None:
     daemon = DaemonStatus("running", status_seconds=20.0)
-    [state] = camera_states(daemon, {"a": (Status("running"), 49.0)}, None)
+    [state] = camera_states(daemon, {"a": (Status("running"), 49.0)}, None, {})
     assert state.state == "running"
 
 
@@ -100,7 +100,7 @@ def test_a_reason_says_more_than_the_state() -> None:
     daemon = DaemonStatus(names=names, cameras={"fast": CameraFigures(1, NOW, ahead=3.2)})
     status = {"before": Status("running"), "fast": Status("stalled", 1000 * "x")}
     grabbers = {name: (one, 0.0) for name, one in status.items()}
-    fast, before = camera_states(daemon, grabbers, None)
+    fast, before = camera_states(daemon, grabbers, None, {})
     assert fast.reason == 500 * "x" + "; clock 3 s ahead"
     assert before.reason == "counts as after"
 

@@ -309,11 +309,11 @@ def _plain(value: Any) -> Any:
 
 
 def _with_all_alive(version: Topology) -> Topology:
-    """Return the version without its camera models.
+    """Return the version without the cameras' shares of all events.
 
     The predictor may be given events of some cameras only and must not take the silence of the
     others for a failure.
     """
     if version.model is None:
         return version
-    return replace(version, model=replace(version.model, cameras=[]))
+    return replace(version, model=replace(version.model, event_share=b""))

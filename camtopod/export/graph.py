@@ -8,7 +8,14 @@ from msgspec import Struct
 from msgspec.structs import replace
 
 from camtopod.records import Link, PairRelation, Topology, Transit
-from camtopod.topology import RELATIONS, camera_of, likely_links, link_key, links_between_views
+from camtopod.topology import (
+    RELATIONS,
+    camera_of,
+    likely_links,
+    link_key,
+    links_between_views,
+    weak_links,
+)
 
 COLOURS: dict[PairRelation, str] = {"overlapped": "black", "unseen_path": "gray60"}
 """Colour of an edge by the relation of its cameras, as in the thesis (4.6)."""
@@ -38,7 +45,7 @@ class Edge(Struct, frozen=True, omit_defaults=True, rename={"from_": "from"}):
 
 def edges(topology: Topology) -> list[Edge]:
     """Return the directed edges between cameras, sorted by camera ids."""
-    weak = {link_key(link) for link in topology.weak_links or []}
+    weak = {link_key(link) for link in weak_links(topology)}
     camera = {zone.id: zone.camera for zone in topology.zones}
     exits = Counter[str]()
     for zone in topology.zones:

@@ -57,6 +57,7 @@ _EVERYTHING = (
 )
 READABLE = (
     "topology",
+    "topology/model",
     "topology/delta",
     "prediction/*",
     "predict/*",

@@ -27,19 +27,15 @@ from camtopod.records import (
     Zone,
 )
 from camtopod.topology import (
-    DIGITS,
     LagBins,
     camera_of,
     counts_histogram,
-    estimate_markov_chain,
     find_camera_pairs,
     link_key,
     relation_of,
     round_significant,
+    weak_columns,
 )
-
-STAY_DECILES = np.linspace(0.0, 1.0, 11)
-"""Quantiles at which the dwell times of a zone are published."""
 
 
 def zone_id(cameras: list[str], zone: ZoneRef) -> str:
@@ -165,8 +161,10 @@ def with_contradictions(links: list[Link], declarations: Declared | None) -> lis
 
 def empty_topology(settings: Settings, bins: LagBins) -> Topology:
     """Return the topology of a site without cameras; the learner adds the remaining fields."""
-    is_corrected = settings.correct_clocks
-    model = Model(bins.scale, bins.step, bins.lag_min, bins.lag_max, [], [], is_corrected)
+    corrected = settings.correct_clocks
+    model = Model(
+        bins.scale, bins.step, bins.lag_min, bins.lag_max, b"", clocks_corrected=corrected
+    )
     return Topology(TOPOLOGY_SCHEMA, "", "", 0, 0.0, 0, "", [], [], [], [], model=model)
 
 
@@ -216,7 +214,7 @@ def assemble(
         zones=zones,
         links=with_clock_offsets(links, zones, shift),
         pairs=find_camera_pairs(zones, links, settings.overlap_tolerance_seconds),
-        weak_links=with_clock_offsets(weak_links, zones, shift),
-        chain=estimate_markov_chain(zones, [*links, *weak_links], DIGITS),
-        model=model,
+        model=replace(
+            model, weak_links=weak_columns(with_clock_offsets(weak_links, zones, shift), zones)
+        ),
     )

@@ -1,22 +1,23 @@
 """Convert the posterior of a fit into the `Model` that prediction reads from the topology.
 
-`Posterior` has arrays by number of zone; `Model` has records by public id of the zone, without
-negligible items. `build_model` is the entry point; each of its helpers makes one field.
+`Posterior` has arrays by number of zone; `Model` has columns by place of the zone in the topology,
+where zones are sorted by id, without negligible items. `build_model` is the entry point; each of
+its helpers makes one field.
 """
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
-from msgspec import UNSET, UnsetType
 from msgspec.structs import replace
+from scipy.sparse import vstack
 
-from camtopod.arrays import Floats, Rows, rows_by_group
+from camtopod.arrays import Floats, Rows, first_of_group, places, rows_by_group
+from camtopod.columns import figures, packed
 from camtopod.event_time import MICROSECONDS
-from camtopod.learn.assemble import STAY_DECILES, zone_id
+from camtopod.learn.assemble import zone_id
 from camtopod.learn.association import FOLLOWED_TRANSITIONS_MIN
 from camtopod.learn.changes import Change
 from camtopod.learn.links import NEXT_ZONES_MAX, MissedTransitions
@@ -30,24 +31,21 @@ from camtopod.learn.traffic import (
 )
 from camtopod.learn.window import Window
 from camtopod.records import (
-    CameraModel,
-    CameraPath,
-    Context,
-    EntryKernel,
+    ContextColumns,
+    EntryKernelColumns,
     LabelModel,
     Model,
     Onward,
-    Outcome,
-    Overlap,
+    Overlaps,
     Pace,
-    Way,
-    ZoneModel,
+    PathColumns,
 )
 from camtopod.topology import (
+    STAY_DECILES,
     LagBins,
     offset_bins,
     round_significant,
-    step_histogram,
+    step_histograms,
     student_share,
 )
 
@@ -66,7 +64,7 @@ def build_model(
     changes: list[Change],
     clocks_corrected: bool,
     overlapping: Sequence[OverlappingViews] = (),
-    paths: list[CameraPath] | None = None,
+    paths: PathColumns | None = None,
     missed: MissedTransitions | None = None,
 ) -> Model:
     """Return the part of the topology, beside the links, that prediction reads.
@@ -80,106 +78,103 @@ def build_model(
     paths: the second opinion (`camtopod.learn.paths`); None without one.
     missed: transitions that missed detections make; None for none.
     """
-    ids = [zone_id(cameras, zone) for zone in scene.zones]
-    zones = sorted(_zone_models(ids, scene, posterior), key=lambda zone: zone.zone)
+    place = places([zone_id(cameras, zone) for zone in scene.zones])
     model = Model(
         bins.scale,
         bins.step,
         bins.lag_min,
         bins.lag_max,
-        zones,
-        _camera_models(cameras, window),
-        clocks_corrected,
-        overlaps=_overlaps(cameras, overlapping, offset_bins(bins.scale, bins.step)),
+        *_of_zones(place, scene, posterior),
+        *_of_cameras(places(cameras), window),
+        clocks_corrected=clocks_corrected,
+        overlaps=_overlaps(places(cameras), overlapping, offset_bins(bins.scale, bins.step)),
     )
     if posterior is None:
         return model
     now = _presently(posterior, changes)
     return replace(
         model,
-        onward=_onward(ids, posterior, now, bins, missed_shares(posterior, scene, bins, missed)),
-        entered=_entered(ids, posterior, bins),
-        contexts=_contexts(ids, cameras, posterior, now),
-        pace=_pace(ids, scene, posterior.fit.persistence),
+        onward=_onward(place, posterior, now, bins, missed_shares(posterior, scene, bins, missed)),
+        entered=_entered(place, posterior, bins),
+        contexts=_contexts(place, places(cameras), posterior, now),
+        pace=_pace(place, scene, posterior.fit.persistence),
         paths=paths,
-        labels=_labels(ids, scene, posterior.fit.persistence.label),
+        labels=_labels(place, scene, posterior.fit.persistence.label),
     )
 
 
-def _pace(ids: list[str], scene: Scene, persistence: Persistence) -> Pace | None:
+def _pace(place: Rows, scene: Scene, persistence: Persistence) -> Pace | None:
     """Return how far slowness persists, and usual dwell times; None if slowness does not matter.
 
-    ids: public id of each zone.
+    place (zones,): place of each zone in the topology.
     """
     if persistence.scaling <= 0.0:
         return None
     p = scene.departures.passages()
-    entry = scene.arrivals.zone[p.own]
-    pairs, _, log_dwell = usual_dwell_times(entry, p.zone, p.t - p.since, len(ids))
-    routes = [
-        Way(ids[pair // len(ids)], ids[pair % len(ids)], round_significant(math.exp(log_seconds)))
-        for pair, log_seconds in zip(pairs.tolist(), log_dwell.tolist(), strict=True)
-        if np.isfinite(log_seconds)
-    ]
+    pair, _, log_dwell = usual_dwell_times(
+        scene.arrivals.zone[p.own], p.zone, p.t - p.since, len(place)
+    )
+    entry, exit_ = place[pair // len(place)], place[pair % len(place)]
+    listed = np.lexsort((exit_, entry))
+    listed = listed[np.isfinite(log_dwell[listed])]
     scaling, correlation, sd = (round_significant(value) for value in persistence[:3])
-    return Pace(scaling, correlation, sd, sorted(routes, key=lambda way: (way.entry, way.exit)))
-
-
-def _labels(ids: list[str], scene: Scene, persistence: float) -> LabelModel | UnsetType:
-    """Return the labels, their persistence and shares; unset if there are none.
-
-    ids: public id of each zone.
-    """
-    label = scene.arrivals.label
-    if label is None or persistence <= 0.0:
-        return UNSET
-    table = label_table(scene.arrivals.zone, label, len(ids), len(scene.labels))
-    shares = {
-        name: [round_significant(float(share)) for share in row]
-        for name, row in zip(ids, table, strict=True)
-    }
-    return LabelModel(
-        list(scene.labels), round_significant(persistence), dict(sorted(shares.items()))
+    return Pace(
+        scaling,
+        correlation,
+        sd,
+        packed(entry[listed], np.int32),
+        packed(exit_[listed], np.int32),
+        figures(np.exp(log_dwell[listed])),
     )
 
 
-def _zone_models(ids: list[str], scene: Scene, posterior: Posterior | None) -> list[ZoneModel]:
-    """Return, for each zone, exits, rate of arrivals from outside, and deciles of dwell times.
+def _labels(place: Rows, scene: Scene, persistence: float) -> LabelModel | None:
+    """Return the labels, their persistence and shares; None if there are none.
 
-    ids: public id of each zone. Dwell times are those of passages that end in the zone.
+    place (zones,): place of each zone in the topology.
+    """
+    label = scene.arrivals.label
+    if label is None or persistence <= 0.0:
+        return None
+    table = label_table(scene.arrivals.zone, label, len(place), len(scene.labels))
+    shares = figures(table[np.argsort(place)])
+    return LabelModel(list(scene.labels), round_significant(persistence), shares)
+
+
+def _of_zones(place: Rows, scene: Scene, posterior: Posterior | None) -> tuple[bytes, bytes, bytes]:
+    """Return exits, rate of arrivals from outside, and deciles of dwell times, by zone.
+
+    place (zones,): place of each zone in the topology. Dwell times are those of passages that end
+    in the zone.
     """
     d = scene.departures
-    span = max(scene.last - scene.first, 1.0)
-    zones = []
     known = np.flatnonzero(np.isfinite(d.since))
     dwell_times = (d.t - d.since)[known]
-    for index, (name, rows) in enumerate(
-        zip(ids, rows_by_group(d.zone[known], len(ids)), strict=True)
-    ):
-        dwell = dwell_times[rows]
-        deciles = (
-            [round_significant(float(value)) for value in np.quantile(dwell, STAY_DECILES)]
-            if len(dwell)
-            else []
-        )
-        outside = 1.0 if posterior is None else float(posterior.fit.outside[index])
-        rate = outside * float(scene.entries[index]) / span
-        zones.append(ZoneModel(name, int(scene.exits[index]), round_significant(rate), deciles))
-    return zones
+    stay = np.zeros((len(place), STAY_DECILES))
+    for zone, rows in enumerate(rows_by_group(d.zone[known], len(place))):
+        if len(rows):
+            stay[zone] = np.quantile(dwell_times[rows], np.linspace(0.0, 1.0, STAY_DECILES))
+    rate = np.array(scene.entries, float) / max(scene.last - scene.first, 1.0)
+    if posterior is not None:
+        rate = rate * posterior.fit.outside
+    by_id = np.argsort(place)
+    return (
+        packed(np.array(scene.exits)[by_id], np.int32),
+        figures(rate[by_id]),
+        figures(stay[by_id]),
+    )
 
 
-def _camera_models(cameras: list[str], window: Window) -> list[CameraModel]:
-    """Return each camera's share of all events and the time of its last event."""
-    camera = window.column("camera").astype(np.int64)
-    share = np.bincount(camera, minlength=len(cameras)) / max(len(camera), 1)
-    last = np.zeros(len(cameras))
+def _of_cameras(place: Rows, window: Window) -> tuple[bytes, bytes]:
+    """Return each camera's share of all events, and the time of its last event.
+
+    place (cameras,): place of each camera in the topology.
+    """
+    camera = place[window.column("camera")]
+    share = np.bincount(camera, minlength=len(place)) / max(len(camera), 1)
+    last = np.zeros(len(place))
     np.maximum.at(last, camera, window.column("t") / MICROSECONDS)
-    models = [
-        CameraModel(name, round_significant(share[k]), float(last[k]))
-        for k, name in enumerate(cameras)
-        if share[k] > 0
-    ]
-    return sorted(models, key=lambda model: model.camera)
+    return figures(share), packed(last, np.float64)
 
 
 def _presently(posterior: Posterior, changes: list[Change]) -> Floats:
@@ -230,131 +225,128 @@ def missed_shares(
 
 
 def _onward(
-    ids: list[str], posterior: Posterior, now: Floats, bins: LagBins, missed: _Missed
-) -> list[Onward]:
-    """Return, for each zone of departure, the next zones with shares and lags, sorted by zone.
+    place: Rows, posterior: Posterior, now: Floats, bins: LagBins, missed: _Missed
+) -> Onward:
+    """Return, for each zone of departure, the next zones with shares and lags.
 
-    ids: public id of each zone.
+    place (zones,): place of each zone in the topology.
     now (P,): factor on the share of each pair of zones (`_presently`).
 
     Where shares and leaving make more than 1, as the messages of the fit, changed shares and missed
     detections may, all of them are scaled to make 1, which leaves their odds as they are.
     """
     # Shares of each zone, with that of leaving, and the hazards likewise, make 1 at most.
-    c = posterior.fit.candidates
-    total = posterior.leave + np.bincount(c.source, posterior.share * now, minlength=len(ids))
-    total = np.maximum(total + np.bincount(missed.source, missed.share, minlength=len(ids)), 1.0)
-    leave = posterior.leave / total
+    c, zones = posterior.fit.candidates, len(place)
+    total = posterior.leave + np.bincount(c.source, posterior.share * now, minlength=zones)
+    total = np.maximum(total + np.bincount(missed.source, missed.share, minlength=zones), 1.0)
     now = now / total[c.source]
     share = posterior.share * now
 
-    rows = []
-    likely = np.flatnonzero(share > SHARE_MIN)
-    added = rows_by_group(missed.source, len(ids))
-    for zone, members in enumerate(rows_by_group(c.source[likely], len(ids))):
-        # The likeliest pairs of the fit, then those that missed detections join.
-        pairs = likely[members]
-        pairs = pairs[np.argsort(-share[pairs], kind="stable")][:NEXT_ZONES_MAX]
-        mass = posterior.fit.hazard[pairs] * bins.widths * now[pairs, None]
-        outcomes = [
-            Outcome(
-                ids[c.target[k]],
-                round_significant(float(share[k])),
-                step_histogram(lags, bins, float(posterior.delay[k])),
-                round_significant(float(posterior.doubt[k])),
-            )
-            for k, lags in zip(pairs.tolist(), mass, strict=True)
-        ]
-        outcomes += [
-            Outcome(
-                ids[missed.target[k]],
-                round_significant(float(missed.share[k] / total[zone])),
-                step_histogram(missed.mass[k] / total[zone], bins),
-                missed=True,
-            )
-            for k in added[zone][:NEXT_ZONES_MAX].tolist()
-        ]
-        rows.append(Onward(ids[zone], round_significant(float(leave[zone])), outcomes))
-    return sorted(rows, key=lambda row: row.zone)
+    # By zone, the likeliest pairs of the fit, then those that missed detections join.
+    pairs = np.flatnonzero(share > SHARE_MIN)
+    pairs = pairs[np.argsort(-share[pairs], kind="stable")]
+    pairs = pairs[first_of_group(c.source[pairs], NEXT_ZONES_MAX)]
+    added = np.flatnonzero(first_of_group(missed.source, NEXT_ZONES_MAX))
+    scale = 1.0 / total[missed.source[added]]
+    source = place[np.append(c.source[pairs], missed.source[added])]
+    row = np.argsort(source, kind="stable")
+    mass = np.concatenate(
+        (
+            posterior.fit.hazard[pairs] * bins.widths * now[pairs, None],
+            missed.mass[added] * scale[:, None],
+        )
+    )
+    of_fit, none = row < len(pairs), np.zeros(len(added))
+    delay = np.append(posterior.delay[pairs], none)
+    return Onward(
+        leave=figures((posterior.leave / total)[np.argsort(place)]),
+        number=packed(np.bincount(source, minlength=zones), np.int32),
+        to=packed(place[np.append(c.target[pairs], missed.target[added])][row], np.int32),
+        share=figures(np.append(share[pairs], missed.share[added] * scale)[row]),
+        doubt=figures(np.append(posterior.doubt[pairs], none)[row]),
+        delay=figures(delay[row]),
+        missed=packed(~of_fit, np.uint8),
+        hazard=step_histograms(mass[row], bins),
+    )
 
 
-def _entered(ids: list[str], posterior: Posterior, bins: LagBins) -> list[EntryKernel]:
+def _entered(place: Rows, posterior: Posterior, bins: LagBins) -> EntryKernelColumns:
     """Return the entry kernels with the most mass, sorted by zones.
 
-    ids: public id of each zone.
+    place (zones,): place of each zone in the topology.
     """
     p = posterior
     mass = p.entry_hazard * bins.widths
     total = mass.sum(axis=1)
-    rows = []
-    likely = np.flatnonzero(total > SHARE_MIN)
-    for zone, members in enumerate(rows_by_group(p.entry_source[likely], len(ids))):
-        pairs = likely[members]
-        pairs = pairs[np.argsort(-total[pairs], kind="stable")][:NEXT_ZONES_MAX]
-        rows += [
-            EntryKernel(ids[zone], ids[p.entry_target[k]], step_histogram(mass[k], bins))
-            for k in pairs.tolist()
-        ]
-    return sorted(rows, key=lambda row: (row.zone, row.to))
+    listed = np.flatnonzero(total > SHARE_MIN)
+    listed = listed[np.argsort(-total[listed], kind="stable")]
+    listed = listed[first_of_group(p.entry_source[listed], NEXT_ZONES_MAX)]
+    source, target = place[p.entry_source[listed]], place[p.entry_target[listed]]
+    row = np.lexsort((target, source))
+    return EntryKernelColumns(
+        packed(source[row], np.int32),
+        packed(target[row], np.int32),
+        step_histograms(mass[listed[row]], bins),
+    )
 
 
-def _overlaps(
-    cameras: list[str], overlapping: Sequence[OverlappingViews], bins: LagBins
-) -> list[Overlap]:
-    """Return the records of overlapping views, sorted by cameras.
+def _overlaps(place: Rows, overlapping: Sequence[OverlappingViews], bins: LagBins) -> Overlaps:
+    """Return the overlapping views, sorted by cameras.
 
-    cameras: names of all cameras.
+    place (cameras,): place of each camera in the topology.
     bins: bins of the offsets.
     """
-    rows = [
-        Overlap(
-            cameras[one.source],
-            cameras[one.target],
-            round_significant(min(float(one.same.sum()), 1.0)),
-            step_histogram(one.same, bins),
-            step_histogram(one.others, bins),
-        )
-        for one in overlapping
-    ]
-    return sorted(rows, key=lambda row: (row.camera, row.to))
+    views = sorted(overlapping, key=lambda view: (place[view.source], place[view.target]))
+    same, others = (
+        np.array(rows, float).reshape(-1, bins.size)
+        for rows in ([view.same for view in views], [view.others for view in views])
+    )
+    return Overlaps(
+        packed(place[[view.source for view in views]] if views else [], np.int32),
+        packed(place[[view.target for view in views]] if views else [], np.int32),
+        figures(np.minimum(same.sum(axis=1), 1.0)),
+        step_histograms(same, bins),
+        step_histograms(others, bins),
+    )
 
 
-def _contexts(
-    ids: list[str], cameras: list[str], posterior: Posterior, now: Floats
-) -> list[Context]:
+def _contexts(place: Rows, cameras: Rows, posterior: Posterior, now: Floats) -> ContextColumns:
     """Return the contexts of all levels, sorted by zone of departure.
 
-    ids, cameras: public id of each zone, and name of each camera.
+    place (zones,), cameras (cameras,): places of zones and cameras in the topology.
     now (P,): factor on the share of each pair of zones (`_presently`).
     """
-    c = posterior.fit.candidates
-    first = np.searchsorted(c.source, np.arange(len(ids)))
-    result = []
-    for name, level in zip(LEVELS, posterior.levels, strict=True):
-        for k in np.flatnonzero(level.departures >= FOLLOWED_TRANSITIONS_MIN).tolist():
-            zone, part, block = level.keys[k].tolist()
+    # The contexts of all levels.
+    levels = [
+        (level, np.flatnonzero(level.departures >= FOLLOWED_TRANSITIONS_MIN), name == "previous")
+        for name, level in zip(LEVELS, posterior.levels, strict=True)
+    ]
+    zone, part, block = np.concatenate([level.keys[listed] for level, listed, _ in levels]).T
+    by_camera = np.repeat([one[2] for one in levels], [len(listed) for _, listed, _ in levels])
+    entry, previous = np.full((2, len(zone)), -1)
+    entry[~by_camera] = place[part[~by_camera]]
+    previous[by_camera] = cameras[part[by_camera]]
+    departures = np.concatenate([level.departures[listed] for level, listed, _ in levels])
 
-            # Transitions, scaled to present shares.
-            row = slice(level.moved.indptr[k], level.moved.indptr[k + 1])
-            pairs = first[zone] + level.moved.indices[row]
-            mass = level.moved.data[row].astype(float)
-            moved = mass * now[pairs]
-            departures = float(level.departures[k] + (moved - mass).sum())
-            to = {
-                ids[c.target[pair]]: round_significant(number)
-                for pair, number in zip(pairs.tolist(), moved.tolist(), strict=True)
-                if number > FOLLOWED_TRANSITIONS_MIN
-            }
-            result.append(
-                Context(
-                    ids[zone],
-                    round_significant(max(departures, 0.0)),
-                    dict(sorted(to.items())),
-                    ids[part] if "entry" in name else None,
-                    block if "block" in name else None,
-                    cameras[part] if name == "previous" else None,
-                )
-            )
-    return sorted(
-        result, key=lambda row: (row.zone, row.entry or "", row.block or 0, row.previous or "")
+    # Their transitions, scaled to present shares.
+    c = posterior.fit.candidates
+    moved = vstack([level.moved[listed] for level, listed, _ in levels], format="csr")
+    at = np.repeat(np.arange(len(zone)), np.diff(moved.indptr))
+    pair = np.searchsorted(c.source, zone)[at] + moved.indices
+    number = moved.data.astype(float) * now[pair]
+    departures = departures + np.bincount(at, number - moved.data, minlength=len(zone))
+    many = number > FOLLOWED_TRANSITIONS_MIN
+    at, to, number = at[many], place[c.target[pair[many]]], number[many]
+
+    row = np.lexsort((previous, block, entry, place[zone]))
+    of_row = np.lexsort((to, np.argsort(row)[at]))
+    return ContextColumns(
+        number=packed(np.bincount(place[zone], minlength=len(place)), np.int32),
+        entry=packed(entry[row], np.int32),
+        block=packed(block[row], np.int32),
+        previous=packed(previous[row], np.int32),
+        departures=figures(np.maximum(departures[row], 0.0)),
+        followed=packed(np.bincount(at, minlength=len(zone))[row], np.int16),
+        to=packed(to[of_row], np.int32),
+        transitions=figures(number[of_row]),
     )

@@ -84,7 +84,7 @@ from camtopod.learn.prediction_model import build_model
 from camtopod.learn.settings import Settings
 from camtopod.learn.traffic import Scene
 from camtopod.learn.window import Window
-from camtopod.records import CameraPath, Declared, Model
+from camtopod.records import Declared, Model, PathColumns
 from camtopod.topology import LagBins, declared_odds, dwell_bins, offset_bins
 
 STEPS = ("candidates", "joint fit", "evidence", "changes", "prediction", "topology")
@@ -165,7 +165,7 @@ class Associated(NamedTuple):
     posterior: Posterior | None
     sources_by_place: dict[int, FollowedSources]
     weights: Floats | None
-    paths: list[CameraPath] | None = None
+    paths: PathColumns | None = None
 
 
 def refit(

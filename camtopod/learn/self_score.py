@@ -20,6 +20,7 @@ from camtopod.learn.outcomes import Happened, ScoredPrediction
 from camtopod.learn.prediction_model import SHARE_MIN
 from camtopod.predict import Predictor, PredictorState
 from camtopod.records import Event, SelfScore, Topology
+from camtopod.topology import estimate_markov_chain, weak_links
 from camtopod.words import sum_by_camera
 
 EXITS_PER_VERSION = 100
@@ -130,9 +131,8 @@ class Scorer:
             newer.take_over(self._predictor)
         self._predictor = newer
         self.state.stride = max(1, math.ceil(events_due / 2 / EXITS_PER_VERSION))
-        baseline: dict[str, dict[str, float]] = {}
-        for edge in topology.chain or []:
-            baseline.setdefault(edge.from_, {})[edge.to] = edge.probability
+        links = [*topology.links, *weak_links(topology)]
+        baseline = estimate_markov_chain(topology.zones, links)
         for shares in baseline.values():
             shares[""] = max(1.0 - sum(shares.values()), 0.0)
         self.state.baseline = baseline

@@ -3,7 +3,8 @@
 Reading order: `predictor` takes events and returns predictions. `outlook` is the one answer of what
 becomes of an exit, from the version and from the observed arrivals; `version` holds what the
 version says: `hazards` (rates of appearing by lag), `contexts` (the effect of an exit's context),
-`time_windows` (windows for an object of some speed), `outcomes` (the version's two opinions) and
+`time_windows` (windows for an object of some speed), `outcomes` and `second_opinion` (the version's
+two opinions) and
 `anywhere` (what neither explains). `recent_events` and `open_passages` store the observed events,
 by which `reporting` tells the cameras that are silent. `zone_lookup` finds the zone of an event,
 and `hand_over` the other cameras that see the object at the exit. `walks` tells which passages are

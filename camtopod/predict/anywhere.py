@@ -19,8 +19,6 @@ nobody leaves, all who are not found are shared out, most to cameras to which pu
 
 from __future__ import annotations
 
-from statistics import NormalDist
-
 import numpy as np
 
 from camtopod.arrays import Floats, Rows
@@ -34,6 +32,8 @@ SURE_MAX = 0.95
 """Largest share of the departures without explanation that are taken to leave."""
 SPREAD_STEPS = 8
 """Number of spreads of transit times, from a second to the longest lag, that a path may have."""
+ERFC = (1.061405429, -1.453152027, 1.421413741, -0.284496736, 0.254829592, 0.0)
+"""Coefficients of a polynomial of the complementary error function."""
 LINKED_ODDS = 30.0
 """How much likelier objects that are not found have gone where a published link leads than
 elsewhere, on a site that nobody leaves. It is more than for what is declared, as links were tested.
@@ -43,18 +43,14 @@ elsewhere, on a site that nobody leaves. It is more than for what is declared, a
 class Anywhere:
     """What may appear anywhere, by a topology version.
 
-    cameras: names of the cameras that have zones. camera_of (zones,): number of each zone's.
-
     unknown (zones,): share of the objects said to leave from each zone that may appear again.
     nobody_leaves: True if all of them do.
     """
 
-    def __init__(
-        self, topology: Topology, hazards: Hazards, cameras: list[str], camera_of: Rows
-    ) -> None:
-        self._camera_of = camera_of
-        arrival_rate = {row.zone: row.arrival_rate for row in model_of(topology).zones}
-        rate = np.array([arrival_rate.get(zone.id, 0.0) for zone in topology.zones])
+    def __init__(self, topology: Topology, hazards: Hazards) -> None:
+        cameras = hazards.cameras
+        self._camera_of = camera_of = hazards.camera_of
+        rate = hazards.unexplained
         self._arrival_rate = np.bincount(camera_of, rate, minlength=len(cameras))
         """(cameras, 1/s) rate of arrivals that no departure explains."""
         self.within_camera = rate / np.maximum(self._arrival_rate[camera_of], 1e-300)
@@ -70,12 +66,8 @@ class Anywhere:
         self.busiest[camera_of[by_rate]] = by_rate
 
         # What leaves by each of the two opinions, and the part of both that is unknown.
-        leave, by_paths = np.ones((2, len(rate)))
-        weight = np.zeros(len(rate))
-        for zone, outcomes in hazards.outcomes.items():
-            leave[zone], by_paths[zone] = outcomes.leaving
-            weight[zone] = outcomes.paths_weight
-        departures = np.array(hazards.departures, float)
+        leave, by_paths, weight = hazards.leaving()
+        departures = hazards.departures.astype(float)
         missed_share = missed_shares(departures * leave, leave, rate, hazards.bins.lag_max)
         first, second = (
             surplus(departures, absence, len(topology.cameras)) for absence in (leave, by_paths)
@@ -150,7 +142,14 @@ def missed_shares(absences: Floats, leave: Floats, rate: Floats, lag_max: float)
 
     # The probability that it falls short of what tells a path from all others that are possible;
     # the variance of a log likelihood ratio is about twice its mean.
-    nats_needed = np.log(max(len(rate), 1) * lag_max / spread)
-    short = (nats_needed - evidence) / np.sqrt(2.0 * evidence + 1.0)
-    result: Floats = np.vectorize(NormalDist().cdf, otypes=[float])(short).mean(axis=1)
-    return result
+    needed = np.log(max(len(rate), 1) * lag_max / spread)
+    short = (needed - evidence) / np.sqrt(2.0 * evidence + 1.0)
+    missed: Floats = _normal_share(short).mean(axis=1)
+    return missed
+
+
+def _normal_share(z: Floats) -> Floats:
+    """Return the standard normal distribution at ``z``, to 1e-7 (Abramowitz and Stegun 7.1.26)."""
+    x = np.abs(z) / np.sqrt(2.0)
+    above: Floats = 0.5 * np.polyval(ERFC, 1.0 / (1.0 + 0.3275911 * x)) * np.exp(-x * x)
+    return np.where(z > 0.0, 1.0 - above, above)

@@ -9,19 +9,17 @@ factors on the odds of each next zone.
 
 from __future__ import annotations
 
-import itertools
-from array import array
-
 import numpy as np
 
 from camtopod.arrays import Floats
+from camtopod.columns import numbers
 from camtopod.predict.hazards import model_of
 from camtopod.predict.outcomes import Outcomes
-from camtopod.records import Context, Topology
+from camtopod.records import ContextColumns, Topology
 from camtopod.topology import BACK_OFF_DEPARTURES, LEAVE_FLOOR, MULTIPLIER_MAX
 
-Key = tuple[int | None, int | None, str | None]
-"""A context: zone of entry, block of the image and camera before; None for parts that it lacks."""
+Key = tuple[int, int, int]
+"""A context: zone of entry, block of the image and camera before; -1 for parts that it lacks."""
 
 
 class ContextMultipliers:
@@ -31,27 +29,26 @@ class ContextMultipliers:
     """
 
     def __init__(self, topology: Topology) -> None:
-        index = {zone.id: k for k, zone in enumerate(topology.zones)}
-        rows: list[Context] = model_of(topology).contexts or []
-
-        # Columns with one element for each context.
-        self._departures = array("d", [row.departures for row in rows])
-        self._not_seen_again = array(
-            "d", [max(row.departures - sum(row.to.values()), 0.0) for row in rows]
-        )
-
-        # Transitions of all contexts one after the other; those of context k begin at `_end[k]`.
-        # Zones that this version does not have get the number after the last zone.
-        self._end = array("l", itertools.accumulate((len(row.to) for row in rows), initial=0))
-        self._to = np.array([index.get(to, len(index)) for row in rows for to in row.to], np.int32)
-        self._transitions = np.array([number for row in rows for number in row.to.values()])
-        self._zones = len(index)
-
-        # Numbers of the contexts of each zone.
+        self._zones = len(topology.zones)
+        self._camera = {camera.id: k for k, camera in enumerate(topology.cameras)}
         self._numbers: dict[int, dict[Key, int]] = {}
-        for number, row in enumerate(rows):
-            numbers = self._numbers.setdefault(index[row.zone], {})
-            numbers[index.get(row.entry or ""), row.block, row.previous] = number
+        """By zone that was asked for: number of each of its contexts."""
+        columns = model_of(topology).contexts or ContextColumns(*[b""] * 8)
+
+        # Columns with one element for each context; those of a zone begin at `_first`.
+        number = numbers(columns.number, np.int32, self._zones)
+        self._first = np.append(0, number.cumsum())
+        rows = int(number.sum())
+        self._key = [
+            numbers(raw, np.int32, rows) for raw in (columns.entry, columns.block, columns.previous)
+        ]
+        self._departures = numbers(columns.departures, np.float32, rows).astype(float)
+
+        # Transitions of all contexts one after the other; those of context k begin at `_begin[k]`.
+        followed = numbers(columns.followed, np.int16, rows)
+        self._begin = np.append(0, followed.cumsum(dtype=int))
+        self._to = numbers(columns.to, np.int32, int(followed.sum()))
+        self._transitions = numbers(columns.transitions, np.float32, len(self._to)).astype(float)
 
     def multipliers(
         self,
@@ -75,15 +72,17 @@ class ContextMultipliers:
         and of missed detections are 1. The second result is the share of such exits after which
         objects leave the site.
         """
-        numbers = self._numbers.get(zone)
-        if numbers is None:
+        contexts = self._of_zone(zone)
+        if not contexts:
             return np.ones(len(outcomes.targets)), outcomes.leave
 
         # Contexts that apply, each with the probability that it does. What is unknown makes a key
         # that no context has.
+        none = -1
+        camera = self._camera.get(previous or "", none)
         keys: dict[Key, float] = {
-            (entry, block, None): 1.0,
-            (None, None, previous): min(sure, 1.0),
+            (none if entry is None else entry, none if block is None else block, none): 1.0,
+            (none, none, camera): min(sure, 1.0),
         }
 
         # Each context backs off to the one before it; unknown contexts change nothing.
@@ -91,15 +90,17 @@ class ContextMultipliers:
         share = outcomes.share
         leave = outcomes.leave
         for key, probability in keys.items():
-            number = numbers.get(key)
+            number = contexts.get(key)
             if number is None:
                 continue
-            total = self._departures[number] + BACK_OFF_DEPARTURES
-            of_context = slice(self._end[number], self._end[number + 1])
-            transitions = np.zeros(self._zones + 1)
-            transitions[self._to[of_context]] = self._transitions[of_context]
-            share_here = (transitions[targets] + BACK_OFF_DEPARTURES * share) / total
-            leave_here = (self._not_seen_again[number] + BACK_OFF_DEPARTURES * leave) / total
+            departures = float(self._departures[number])
+            total = departures + BACK_OFF_DEPARTURES
+            of_context = slice(self._begin[number], self._begin[number + 1])
+            moved = np.zeros(self._zones)
+            moved[self._to[of_context]] = self._transitions[of_context]
+            not_seen_again = max(departures - float(moved.sum()), 0.0)
+            share_here = (moved[targets] + BACK_OFF_DEPARTURES * share) / total
+            leave_here = (not_seen_again + BACK_OFF_DEPARTURES * leave) / total
             share = probability * share_here + (1.0 - probability) * share
             leave = probability * leave_here + (1.0 - probability) * leave
 
@@ -107,3 +108,13 @@ class ContextMultipliers:
         ratio = share / np.maximum(outcomes.share, 1e-300)
         ratio = np.clip(ratio, 1.0 / MULTIPLIER_MAX, MULTIPLIER_MAX)
         return np.where(outcomes.by_path | outcomes.missed, 1.0, ratio), max(leave, LEAVE_FLOOR)
+
+    def _of_zone(self, zone: int) -> dict[Key, int]:
+        """Return the numbers of the contexts of a zone."""
+        if zone not in self._numbers:
+            rows = range(*self._first[zone : zone + 2].tolist())
+            key = zip(
+                *(column[rows.start : rows.stop].tolist() for column in self._key), strict=True
+            )
+            self._numbers[zone] = dict(zip(key, rows, strict=True))
+        return self._numbers[zone]

@@ -4,7 +4,7 @@ A passage is *open* while its object is in the view. At most one of the open pas
 overlapping view is of the object that leaves. Each is weighted by its *offset*, the seconds by
 which it began later than the passage that ends: the rate of passages of the same object at that
 offset over the rate of passages of other objects. A topology version has both rates
-(`camtopod.records.Overlap`). `HandOver.in_view` finds the passages, `cameras_to_watch` the cameras
+(`camtopod.records.Overlaps`). `HandOver.in_view` finds the passages, `cameras_to_watch` the cameras
 to look at.
 """
 
@@ -15,11 +15,12 @@ from collections.abc import Iterable
 
 import numpy as np
 
+from camtopod.columns import numbers
 from camtopod.predict.hazards import model_of
 from camtopod.predict.labels import Labels
 from camtopod.predict.open_passages import OpenPassages, Passage
 from camtopod.records import InView, Look, NextCamera, Topology
-from camtopod.topology import STEPS, masses_on_bins, offset_bins
+from camtopod.topology import STEPS, masses_of, offset_bins
 from camtopod.words import sum_by_camera
 
 PROBABILITY_MIN = 1e-3
@@ -40,15 +41,22 @@ class HandOver:
         model = model_of(topology)
         self._bins = offset_bins(model.lag_scale, model.lag_step)
         self._from: dict[str, list[_Overlap]] = {}
-        for row in model.overlaps or []:
-            same_object = masses_on_bins(row.same, self._bins)
-            other_objects = masses_on_bins(row.others, self._bins)
+        if model.overlaps is None:
+            return
+        same = masses_of(model.overlaps.same, self._bins)
+        others = masses_of(model.overlaps.others, self._bins)
 
-            # Smaller rates are stored as 0.
-            resolution = max(float(other_objects.max()) / STEPS, 1e-9)
-            odds = np.append(same_object / np.maximum(other_objects, resolution), 0.0)
-            overlap = (row.to, min(row.share, 0.98), odds.tolist())
-            self._from.setdefault(row.camera, []).append(overlap)
+        # Smaller rates are stored as 0.
+        resolution = np.maximum(others.max(axis=1, initial=0.0) / STEPS, 1e-9)
+        odds = np.pad(same / np.maximum(others, resolution[:, None]), ((0, 0), (0, 1)))
+        share = np.minimum(numbers(model.overlaps.share, np.float32, len(same)), 0.98)
+        ends = (
+            numbers(raw, np.int32, len(same)).tolist()
+            for raw in (model.overlaps.camera, model.overlaps.to)
+        )
+        for camera, to, *overlap in zip(*ends, share.tolist(), odds.tolist(), strict=True):
+            name = topology.cameras[camera].id
+            self._from.setdefault(name, []).append((topology.cameras[to].id, *overlap))
 
     def overlaps(self, camera: str) -> bool:
         """Return True if any view overlaps that of the camera."""

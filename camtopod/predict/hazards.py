@@ -6,82 +6,110 @@ model. It answers two kinds of questions: the possible next zones of an exit (`H
 and the rates at which known objects cause an arrival: objects that have left a zone
 (`rates_by_row`, `rates_from`) and objects that are still in an overlapping view (`rate_entered`, by
 the time since their entry, and `rate_before_exit`, the mean over the passage).
+
+All outcomes are rows of one table (`outcomes.Table`). What is about one zone is looked up there
+when it is asked for, as a version may be replaced before most zones have been asked about.
 """
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 
-from camtopod.arrays import (
-    Bools,
-    Floats,
-    Indices,
-    Ints,
-    Rows,
-    Singles,
-    ranges,
-)
-from camtopod.predict.outcomes import FLOOR, Outcomes, with_paths
-from camtopod.records import CameraPath, Link, Model, Onward, Topology
+from camtopod.arrays import Bools, Floats, Indices, Ints, Rows, ranges
+from camtopod.columns import numbers
+from camtopod.predict.outcomes import FLOOR, Outcomes, exposures, of_links, of_posterior
+from camtopod.predict.second_opinion import with_paths
+from camtopod.records import Model, Topology
 from camtopod.topology import (
     LAG_SCALE_SECONDS,
     LAG_STEP,
-    LEAVE_FLOOR,
+    STAY_DECILES,
     UNKNOWN_DWELL_SECONDS,
     LagBins,
-    masses_on_bins,
-    smooth,
+    masses_of,
 )
-
-NORMAL_Q90 = 1.2816
-"""0.9 quantile of the standard normal distribution."""
 
 
 class Hazards:
-    """All hazards of a topology version; zones are indices into ``topology.zones``.
-
-    outcomes: targets and hazards by zone of departure; zones without targets are left out.
-    """
+    """All hazards of a topology version; zones are indices into ``topology.zones``."""
 
     def __init__(self, topology: Topology) -> None:
         model = model_of(topology)
-        index = {zone.id: k for k, zone in enumerate(topology.zones)}
+        zones = len(topology.zones)
         self.bins = LagBins(model.lag_min, model.lag_max, model.lag_scale, model.lag_step)
         self.past = self.bins.edges[1:] <= 0
         """(bins,) True for lags before the exit."""
 
+        # Cameras that have zones, and their clocks.
+        self.cameras = list(dict.fromkeys(zone.camera for zone in topology.zones))
+        camera = {name: k for k, name in enumerate(self.cameras)}
+        self.camera_of = np.array([camera[zone.camera] for zone in topology.zones], np.intp)
+        """(zones,) number of each zone's camera."""
+        offset = {one.id: one.clock_offset for one in topology.cameras}
+        self.offset_of = np.array([offset.get(zone.camera, 0.0) for zone in topology.zones])
+        """(zones, seconds) clock offset of each zone's camera."""
+
         # Zones: arrivals, dwell times and departures.
-        self.arrival_rate = [FLOOR] * len(index)
-        """(zones,) rate of arrivals from outside at each zone, 1/s."""
-        self.stay: list[list[float]] = [[] for _ in index]
-        """(zones,) deciles of the dwell times, in seconds, of passages that end in each zone; empty
+        self.unexplained = numbers(model.arrival_rate, np.float32, zones).astype(float)
+        """(zones,) rate of arrivals that no departure explains, 1/s."""
+        self.arrival_rate = (self.unexplained + FLOOR).tolist()
+        """(zones,) the same, never 0."""
+        self.stay = numbers(model.stay, np.float32, zones, STAY_DECILES)
+        """(zones, 11) deciles of the dwell times, in seconds, of passages that end in each zone; 0
         if unknown.
         """
-        self.departures = [0] * len(index)
+        self.departures = numbers(model.departures, np.int32, zones)
         """(zones,) number of exits at each zone from which the hazards were learned."""
-        for known in model.zones:
-            self.departures[index[known.zone]] = known.departures
-            self.arrival_rate[index[known.zone]] += known.arrival_rate
-            self.stay[index[known.zone]] = known.stay
+        self._exposure = exposures(self.stay, self.bins)
 
         # Hazards from zone to zone.
         if model.onward is None:
-            self.outcomes = self._from_links([*topology.links, *(topology.weak_links or [])], index)
+            self.table = of_links(topology, self.bins, self._exposure)
         else:
-            self.outcomes = self._from_posterior(model.onward, index)
+            self.table = of_posterior(model.onward, zones, self.bins)
         if model.paths is not None:
-            self._add_paths(topology, model.paths)
-        self._tabulate(len(index))
-        self.lag_max = self.bins.lag_max + float(self._delay.max(initial=0.0))
+            self.table = with_paths(self.table, topology, model.paths, self.bins, self._exposure)
+        self._index(zones)
+        self.lag_max = self.bins.lag_max + float(self.table.delay.max(initial=0.0))
         """Longest lag with a bin, delays of long paths included, seconds."""
 
         # Entry kernels, and mean rates before the exit.
-        self._entered: dict[int, dict[int, list[float]]] = {}
-        for kernel in model.entered or []:
-            hazard = masses_on_bins(kernel.hazard, self.bins) / self.bins.widths
-            self._entered.setdefault(index[kernel.zone], {})[index[kernel.to]] = hazard.tolist()
-        self._rate_before_exit = self._mean_rates_before_exit(topology)
-        self._index_overlaps(topology)
+        self._entered: dict[int, dict[int, Sequence[float]]] = {}
+        """By zone of entry, and by target: hazards by lag bin."""
+        if model.entered is not None:
+            entry = numbers(model.entered.zone, np.int32, -1).tolist()
+            to = numbers(model.entered.to, np.int32, len(entry)).tolist()
+            hazards = masses_of(model.entered.hazard, self.bins) / self.bins.widths
+            for row in zip(entry, to, hazards, strict=True):
+                self._entered.setdefault(row[0], {})[row[1]] = row[2]
+        self._before = self._rates_before_exit(topology)
+        self._rate_before_exit: dict[int, dict[str, float]] = {}
+        """By target that was asked for: the values of `rate_before_exit` by camera."""
+        self._seen_before: dict[int, Bools] = {}
+        """By zone that was asked for: `seen_before`."""
+
+    def outcomes(self, zone: int) -> Outcomes | None:
+        """Return the possible next appearances of objects that leave a zone; None if none are."""
+        rows = slice(*self._first_row[zone : zone + 2].tolist())
+        if rows.start == rows.stop:
+            return None
+        return self.table.outcomes(zone, rows, self._exposure[zone])
+
+    def leaving(self) -> tuple[Floats, Floats, Floats]:
+        """Return the share (zones,) of the departures after which objects leave, by each opinion.
+
+        Transitions that may be spurious are included. The third result is the weight of the second
+        opinion.
+        """
+        t, zones = self.table, self._zones
+        spurious = np.bincount(t.source, t.share * t.doubt, minlength=zones)
+        seen_again = np.diff(self._first_row) > 0
+        leave, by_paths = (
+            np.where(seen_again, share, 1.0) for share in (t.leave + spurious, t.leave_by_paths)
+        )
+        return leave, by_paths, np.where(seen_again, t.paths_weight, 0.0)
 
     def rates_by_row(self, sources: Ints, target: int, lag: Floats) -> tuple[Rows, Rows, Floats]:
         """Return the hazards at which objects that left several zones appear at one zone.
@@ -104,7 +132,11 @@ class Hazards:
 
     def sources(self, target: int) -> list[int]:
         """Return the zones from which objects appear next at a zone."""
-        return self._sources.get(target, [])
+        if target not in self._sources:
+            self._sources[target] = np.unique(
+                self.table.source[self.table.target == target]
+            ).tolist()
+        return self._sources[target]
 
     def rates_from(self, source: int, targets: Ints, lag: Floats) -> Floats:
         """Return the hazards (n, 1/s) at which an object that left one zone appears at others.
@@ -139,7 +171,7 @@ class Hazards:
         at = self.bins.bin_of(elapsed)
         if row is None or elapsed < 0.0 or at < 0:
             return 0.0
-        return row[at]
+        return float(row[at])
 
     def rates_before_exit(self, camera: str, targets: Ints) -> Floats:
         """Return `rate_before_exit` (n, 1/s) for several targets (n,)."""
@@ -152,16 +184,46 @@ class Hazards:
 
         It is the mean over the object's passage, as the time of its exit is not known yet.
         """
-        return self._rate_before_exit.get((camera, target), 0.0)
+        return self.rates_before(target).get(camera, 0.0)
+
+    def rates_before(self, target: int) -> dict[str, float]:
+        """Return the `rate_before_exit` of the cameras whose objects may appear at a zone before
+        they leave the view; it may be 0.
+        """
+        if target not in self._rate_before_exit:
+            camera, to, rate = self._before
+            rows = slice(*to.searchsorted([target, target + 1]).tolist())
+            names = [self.cameras[k] for k in camera[rows].tolist()]
+            rates = self._rate_before_exit[target] = {
+                self.cameras[self.camera_of[entry]]: 0.0
+                for entry, targets in self._entered.items()
+                if target in targets
+            }
+            rates.update(zip(names, rate[rows].tolist(), strict=True))
+        return self._rate_before_exit[target]
 
     def seen_before(self, zone: int) -> Bools:
         """Return a mask (zones,) of zones where objects may appear before they leave at ``zone``.
 
-        These are zones of other cameras.
+        These are zones of other cameras: all targets of the view, and those of the zone whose
+        arrivals may be reported before the exit.
         """
-        possible = np.zeros(len(self._seen_before), np.bool_)
-        possible[self._seen_before[zone]] = True
-        return possible
+        if zone not in self._seen_before:
+            t = self.table
+            rows = slice(*self._first_row[zone : zone + 2].tolist())
+            shift = self.offset_of[t.target[rows]] - self.offset_of[zone] + t.delay[rows]
+            reported = self.bins.edges[:-1] < -shift[:, None]
+            early = np.any(reported & (t.hazard[rows, :-1] > 0.0), axis=1)
+            possible = np.zeros(self._zones, np.bool_)
+            camera = self.camera_of[zone]
+            possible[self._before[1][self._before[0] == camera]] = True
+            for entry, targets in self._entered.items():
+                if self.camera_of[entry] == camera:
+                    possible[list(targets)] = True
+            possible[t.target[rows][early]] = True
+            possible[self.camera_of == camera] = False
+            self._seen_before[zone] = possible
+        return self._seen_before[zone]
 
     def exposure_of_passage(self, dwell: float) -> Floats:
         """Return the exposure of one passage to each lag, (bins,).
@@ -173,139 +235,22 @@ class Hazards:
         begun = (self.bins.edges[1:] + dwell) / self.bins.widths
         return np.where(self.past, np.minimum(np.maximum(begun, 0.0), 1.0), 1.0)
 
-    def _from_posterior(self, rows: list[Onward], index: dict[str, int]) -> dict[int, Outcomes]:
-        """Return the outcomes by zone from the records of a model; ``index``: of zones by id."""
-        outcomes = {}
-        for row in rows:
-            if not row.next_:
-                continue
-            zone = index[row.zone]
-            mass = np.stack([masses_on_bins(outcome.hazard, self.bins) for outcome in row.next_])
-            outcomes[zone] = Outcomes(
-                targets=np.array([index[outcome.to] for outcome in row.next_]),
-                share=np.array([outcome.share for outcome in row.next_]),
-                leave=max(row.leave, FLOOR),
-                hazard=(mass / self.bins.widths).astype(np.float32),
-                exposure=self._exposure(zone),
-                doubt=np.array([outcome.doubt for outcome in row.next_]),
-                delay=np.array([outcome.hazard.delay for outcome in row.next_]),
-                by_path=np.zeros(len(row.next_), np.bool_),
-                missed=np.array([outcome.missed for outcome in row.next_]),
-            )
-        return outcomes
-
-    def _from_links(self, links: list[Link], index: dict[str, int]) -> dict[int, Outcomes]:
-        """Return the outcomes by zone from the histograms of links; ``index``: of zones by id."""
-        # Links by their source.
-        grouped: dict[int, list[Link]] = {}
-        for link in links:
-            if link.relation != "visible" and link.from_ in index and link.to in index:
-                grouped.setdefault(index[link.from_], []).append(link)
-
-        outcomes = {}
-        for zone, out in grouped.items():
-            # Distribution of the lags of each link.
-            spread = smooth(np.stack([_counts(link, self.bins) for link in out]))[0]
-            share = spread / np.maximum(spread.sum(axis=1, keepdims=True), 1e-300)
-
-            # Hazard: expected arrivals per second, over the share of departures that is exposed.
-            probability = np.array([link.probability for link in out])
-            delay = np.array([link.histogram.delay if link.histogram else 0.0 for link in out])
-            exposure = self._exposure(zone)
-            exposed = np.where(delay[:, None] > 0.0, 1.0, exposure)
-            hazard = probability[:, None] * share / (self.bins.widths * exposed)
-
-            outcomes[zone] = Outcomes(
-                targets=np.array([index[link.to] for link in out]),
-                share=probability,
-                leave=max(1.0 - float(probability.sum()), LEAVE_FLOOR),
-                hazard=hazard.astype(np.float32),
-                exposure=exposure,
-                doubt=np.zeros(len(out)),
-                delay=delay,
-                by_path=np.zeros(len(out), np.bool_),
-                missed=np.zeros(len(out), np.bool_),
-            )
-        return outcomes
-
-    def _add_paths(self, topology: Topology, paths: list[CameraPath]) -> None:
-        """Average the outcomes with the second opinion of a version (`with_paths`)."""
-        zones = topology.zones
-        linked: dict[str, float] = {}
-        for link in topology.links:
-            if link.relation != "visible":
-                linked[link.from_] = linked.get(link.from_, 0.0) + link.probability
-        by_camera: dict[str, list[CameraPath]] = {}
-        for path in paths:
-            by_camera.setdefault(path.from_, []).append(path)
-        for k, zone in enumerate(zones):
-            none = np.zeros(0)
-            gone = Outcomes(
-                np.zeros(0, np.intp),
-                none,
-                1.0,
-                np.zeros((0, self.bins.size), np.float32),
-                self._exposure(k),
-                none,
-                none,
-                none > 0,
-                none > 0,
-            )
-            first = self.outcomes.get(k, gone)
-            mine = by_camera.get(zone.camera, []) + by_camera.get(zone.id, [])
-            both = with_paths(first, linked.get(zone.id, 0.0), mine, zones, self.bins)
-            if len(both.targets):
-                self.outcomes[k] = both
-
-    def _exposure(self, zone: int) -> Floats:
-        """Return the share of the departures at a zone that are exposed to each lag, (bins,).
-
-        For lags before the exit, it is the share of the passages that had begun by then; for lags
-        after the exit, it is 1.
-        """
-        deciles = self.stay[zone]
-        if not deciles:
-            return np.ones(self.bins.size)
-        begun = 1.0 - np.interp(-self.bins.centres, deciles, np.linspace(0.0, 1.0, len(deciles)))
-        return np.where(self.past, np.clip(begun, 0.02, 1.0), 1.0)
-
-    def _tabulate(self, zones: int) -> None:
-        """Put all hazards into one table, with an index by pair of zones, for quick look-up.
-
-        The last column is all zeros, for lags without a bin.
-        """
-        # The table; `outcomes` refer to its rows, so that hazards are kept once.
-        number = [len(outcomes.targets) for outcomes in self.outcomes.values()]
-        source = np.repeat(np.array([*self.outcomes], np.int64), number)
-        target = np.zeros(len(source), np.int64)
-        self._table: Singles = np.zeros((len(source), self.bins.size + 1), np.float32)
-        self._delay, self._weight = np.zeros((2, len(source)))
-        self._first_row = np.zeros(zones, np.intp)
-        """(zones,) row of the table with the first outcome of each zone."""
-        first = 0
-        for zone, outcomes in self.outcomes.items():
-            self._first_row[zone] = first
-            rows = slice(first, first + len(outcomes.targets))
-            target[rows] = outcomes.targets
-            self._table[rows, :-1] = outcomes.hazard
-            self._delay[rows] = outcomes.delay
-            self._weight[rows] = outcomes.weight
-            self.outcomes[zone] = outcomes._replace(hazard=self._table[rows, :-1])
-            first = rows.stop
-
-        # The index.
+    def _index(self, zones: int) -> None:
+        """Index the table by zone, and by pair of zones, for quick look-up."""
         self._zones = zones
-        key = source * zones + target
+        self._first_row = self.table.source.searchsorted(np.arange(zones + 1))
+        """(zones + 1,) row of the table with the first outcome of each zone."""
+        self._weight = self.table.weight
+        key = self.table.source * zones + self.table.target
         self._order = np.argsort(key, kind="stable")
         after_all = zones * zones
         self._pairs, self._pair_first, self._pair_rows = np.unique(
             np.append(key[self._order], after_all), return_index=True, return_counts=True
         )
         self._sources: dict[int, list[int]] = {}
+        """By target that was asked for: its sources."""
         self._is_source: dict[int, Bools] = {}
         """By target that was asked for: mask (zones,) of its sources."""
-        for zone, to in sorted({*zip(source.tolist(), target.tolist(), strict=True)}):
-            self._sources.setdefault(to, []).append(zone)
         self._limits = np.array(self.bins.limits)
 
     def _rows_of(self, sources: Indices | int, targets: Indices | int) -> tuple[Rows, Rows]:
@@ -324,66 +269,36 @@ class Hazards:
         (of the last row for the first one), and a lag after the last bin the last column of its own
         row; all are zero.
         """
-        at = self._limits.searchsorted(lag - self._delay.take(row), "right")
-        at += row * self._table.shape[1]
+        at = self._limits.searchsorted(lag - self.table.delay.take(row), "right")
+        at += row * self.table.hazard.shape[1]
         at -= 1
-        rates: Floats = self._table.take(at).astype(float) * self._weight.take(row)
+        rates: Floats = self.table.hazard.take(at).astype(float) * self._weight.take(row)
         return rates
 
-    def _mean_rates_before_exit(self, topology: Topology) -> dict[tuple[str, int], float]:
-        """Return the values of `rate_before_exit` by (camera, target).
+    def _rates_before_exit(self, topology: Topology) -> tuple[Rows, Rows, Floats]:
+        """Return the values of `rate_before_exit` above 0, as camera, target and rate (n,).
 
         Each is the expected number of appearances before the exit over the median dwell time,
-        averaged over the zones of the camera by their exits.
+        averaged over the zones of the camera by their exits. They are sorted by target.
         """
-        exits: dict[str, int] = {}
-        for zone in topology.zones:
-            exits[zone.camera] = exits.get(zone.camera, 0) + zone.exits
+        # Expected appearances before the exit, by row.
+        t, past = self.table, int(self.past.sum())
+        mass = (self._exposure[:, :past] * self.bins.widths[:past]).astype(np.float32)
+        expected = self._weight * np.einsum("rb,rb->r", t.hazard[:, :past], mass[t.source])
+        expected[t.delay > 0.0] = 0.0
 
-        rates: dict[tuple[str, int], float] = {}
-        for k, outcomes in self.outcomes.items():
-            zone = topology.zones[k]
-            deciles = self.stay[k]
-            median = deciles[len(deciles) // 2] if deciles else UNKNOWN_DWELL_SECONDS
-            share = zone.exits / max(exits[zone.camera], 1) / max(median, 1.0)
-            mass = outcomes.hazard * self.bins.widths * outcomes.exposure
-            expected = outcomes.weight * mass[:, self.past].sum(axis=1)
-            expected[outcomes.delay > 0.0] = 0.0
-            for target, number in zip(outcomes.targets.tolist(), expected.tolist(), strict=True):
-                key = zone.camera, target
-                rates[key] = rates.get(key, 0.0) + share * number
-        return rates
-
-    def _index_overlaps(self, topology: Topology) -> None:
-        """Compute the tables behind `cameras_before` and `seen_before`."""
-        # Targets by camera, and cameras by target.
-        reached: dict[str, set[int]] = {}
-        for (camera, target), rate in self._rate_before_exit.items():
-            if rate:
-                reached.setdefault(camera, set()).add(target)
-        for entry, targets in self._entered.items():
-            reached.setdefault(topology.zones[entry].camera, set()).update(targets)
-        self.cameras_before: dict[int, list[str]] = {}
-        """By target: cameras whose objects may appear there before they leave the view."""
-        for camera, zones in reached.items():
-            for target in sorted(zones):
-                self.cameras_before.setdefault(target, []).append(camera)
-
-        # For each zone, all targets of its camera, and its own targets that are possible before the
-        # exit.
-        offset = {camera.id: camera.clock_offset for camera in topology.cameras}
-        offsets = np.array([offset.get(zone.camera, 0.0) for zone in topology.zones])
-        self._seen_before: list[list[int]] = []
-        for k, zone in enumerate(topology.zones):
-            before = set(reached.get(zone.camera, ()))
-            if k in self.outcomes:
-                outcomes = self.outcomes[k]
-                shift = offsets[outcomes.targets] - offsets[k] + outcomes.delay
-                reported = self.bins.edges[:-1] < -shift[:, None]
-                possible = np.any(reported & (outcomes.hazard > 0.0), axis=1)
-                before.update(outcomes.targets[possible].tolist())
-            elsewhere = [to for to in before if topology.zones[to].camera != zone.camera]
-            self._seen_before.append(elsewhere)
+        # By camera and target, each zone with its share of the exits.
+        exits = np.array([zone.exits for zone in topology.zones], float)
+        of_camera = np.bincount(self.camera_of, exits)[self.camera_of]
+        known, median = self.stay.any(axis=1), self.stay[:, STAY_DECILES // 2]
+        median = np.where(known, median, UNKNOWN_DWELL_SECONDS)
+        expected *= (exits / np.maximum(of_camera, 1.0) / np.maximum(median, 1.0))[t.source]
+        key = t.target * len(self.cameras) + self.camera_of[t.source]
+        pair, of_pair = np.unique(key, return_inverse=True)
+        rate = np.bincount(of_pair, expected).astype(float, copy=False)
+        some = np.flatnonzero(rate)
+        cameras = max(len(self.cameras), 1)
+        return pair[some] % cameras, pair[some] // cameras, rate[some]
 
 
 def model_of(topology: Topology) -> Model:
@@ -392,13 +307,4 @@ def model_of(topology: Topology) -> Model:
         return topology.model
     low = min((link.transit.q10 for link in topology.links), default=0.0)
     high = max((link.transit.q90 for link in topology.links), default=60.0)
-    return Model(LAG_SCALE_SECONDS, LAG_STEP, min(2.0 * low, 0.0), max(2.0 * high, 1.0), [], [])
-
-
-def _counts(link: Link, bins: LagBins) -> Floats:
-    """Return the transitions of a link by lag (bins,); without histogram, normally distributed."""
-    if link.histogram is not None:
-        return masses_on_bins(link.histogram, bins)
-    sd = max((link.transit.q90 - link.transit.q10) / (2 * NORMAL_Q90), 0.5)
-    shape = np.exp(-0.5 * ((bins.centres - link.transit.q50) / sd) ** 2) * bins.widths
-    return shape / max(float(shape.sum()), 1e-300) * link.transitions
+    return Model(LAG_SCALE_SECONDS, LAG_STEP, min(2.0 * low, 0.0), max(2.0 * high, 1.0), b"")

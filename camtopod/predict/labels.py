@@ -12,6 +12,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from camtopod.arrays import Floats, Indices
+from camtopod.columns import numbers
 from camtopod.labels import plain
 from camtopod.predict.hazards import model_of
 from camtopod.records import Topology
@@ -36,10 +37,9 @@ class Labels:
         self._persistence = label_model.persistence if label_model else 0.0
         self._share = np.ones((len(topology.zones), len(self.names) + 1))
         """(zones, labels + 1) share of each label among the arrivals; the last is of unknown."""
-        shares = label_model.shares if label_model else {}
-        for k, zone in enumerate(topology.zones):
-            if zone.id in shares:
-                self._share[k, :-1] = np.maximum(shares[zone.id], SHARE_MIN)
+        if label_model:
+            shares = numbers(label_model.shares, np.float32, len(topology.zones), len(self.names))
+            self._share[:, :-1] = np.maximum(shares, SHARE_MIN)
 
     def __bool__(self) -> bool:
         return bool(self.names)

@@ -1,27 +1,29 @@
-"""The possible outcomes of an exit, and the second opinion about them.
+"""The possible outcomes of an exit: those of all zones as one table, and those of one zone.
 
 A version may have two opinions of where objects that leave a zone appear next: the hazards from
-zone to zone, and paths between cameras (`camtopod.learn.paths`). `with_paths` puts both into
-one set of outcomes, and `Outcomes.probabilities` averages what they say of an exit, now or later.
+zone to zone, and paths between cameras (`second_opinion`). A table has the rows of both, and
+`Outcomes.probabilities` averages what they say of an exit, now or later.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
 
 from camtopod.arrays import Bools, Floats, Rows, Singles
-from camtopod.records import CameraPath, Zone
-from camtopod.topology import REACH_WIDTHS, LagBins, student_share
+from camtopod.columns import numbers
+from camtopod.records import Link, Onward, Topology
+from camtopod.topology import LEAVE_FLOOR, LagBins, masses_of, masses_on_bins, smooth, weak_links
 
 FLOOR = 1e-6
 """Least probability of leaving the site, and rate (1/s) that is added to the learned one of
 arrivals from outside, so that some outcome is always possible.
 """
-PATHS_WEIGHT_MAX = 0.5
-"""Weight of the paths between cameras where no link of the zone is published."""
+EXPOSURE_MIN = 0.02
+"""Least share of the departures that counts as exposed to a lag."""
+NORMAL_Q90 = 1.2816
+"""0.9 quantile of the standard normal distribution."""
 
 
 class Outcomes(NamedTuple):
@@ -55,14 +57,6 @@ class Outcomes(NamedTuple):
     """Weight of the second opinion."""
 
     @property
-    def leaving(self) -> tuple[float, float]:
-        """Share of the departures after which objects leave, by each opinion.
-
-        Transitions that may be spurious are included.
-        """
-        return self.leave + float(self.share @ self.doubt), self.leave_by_paths
-
-    @property
     def weight(self) -> Floats:
         """(rows,) weight of the opinion that each row is of."""
         return np.where(self.by_path, self.paths_weight, 1.0 - self.paths_weight)
@@ -92,58 +86,146 @@ class Outcomes(NamedTuple):
         return chance, 1.0 - float(chance.sum())
 
 
-def with_paths(
-    outcomes: Outcomes,
-    link_share: float,
-    paths: Sequence[CameraPath],
-    zones: list[Zone],
-    bins: LagBins,
-) -> Outcomes:
-    """Return the mean of the outcomes of an exit and of the paths from its camera.
+class Table(NamedTuple):
+    """The outcomes of all zones of a version; rows are sorted by ``source``.
 
-    link_share: sum of the probabilities of the published links from its zone. The more of the
-        shares rests on these, the less the paths count: links have been tested, paths have not.
-    zones: all zones of the version.
+    The columns of rows are those of `Outcomes`; ``source`` is the zone of departure.
     """
-    total_share = max(float(outcomes.share.sum()), FLOOR)
-    weight = PATHS_WEIGHT_MAX * max(1.0 - link_share / total_share, 0.0)
-    if not weight:
-        return outcomes
 
-    # A path leads to all zones of its camera, as their entries do.
-    targets: list[int] = []
-    shares, hazards, delays = [], [], []
-    exposure = outcomes.exposure
-    for path in paths:
-        zone_rows = [k for k, zone in enumerate(zones) if path.to in (zone.camera, zone.id)]
-        entries = np.array([zones[k].entries for k in zone_rows]) + 1e-9
-        mass, delay = _lags(path, bins)
-        hazard = mass / (bins.widths * (1.0 if delay else exposure))
-        share = path.share * entries / entries.sum()
-        targets += zone_rows
-        shares.append(share)
-        hazards.append(share[:, None] * hazard)
-        delays.append(np.full(len(zone_rows), delay))
+    source: Rows
+    target: Rows
+    share: Floats
+    doubt: Floats
+    delay: Floats
+    hazard: Singles
+    """(rows, bins + 1); the last is zero, for lags without a bin."""
+    by_path: Bools
+    missed: Bools
+    leave: Floats
+    """(zones,) share of the departures after which objects leave, by the first opinion."""
+    leave_by_paths: Floats
+    """(zones,) the same by the second opinion; 0 if there is none."""
+    paths_weight: Floats
+    """(zones,) weight of the second opinion."""
 
-    # Both opinions.
-    no_rows = np.zeros((0, bins.size))
-    beside = np.concatenate([np.zeros(0), *shares])
-    return Outcomes(
-        targets=np.append(outcomes.targets, np.array(targets, np.intp)),
-        share=np.concatenate((outcomes.share, beside)),
-        leave=outcomes.leave,
-        hazard=np.concatenate([no_rows, outcomes.hazard, *hazards]).astype(np.float32),
-        exposure=exposure,
-        doubt=np.concatenate((outcomes.doubt, np.zeros(len(beside)))),
-        delay=np.concatenate((outcomes.delay, *delays)),
-        by_path=np.arange(len(outcomes.targets) + len(targets)) >= len(outcomes.targets),
-        missed=np.concatenate((outcomes.missed, np.zeros(len(beside), np.bool_))),
-        leave_by_paths=max(1.0 - float(beside.sum()), FLOOR),
-        paths_weight=weight,
+    @property
+    def weight(self) -> Floats:
+        """(rows,) weight of the opinion that each row is of."""
+        second = self.paths_weight[self.source]
+        return np.where(self.by_path, second, 1.0 - second)
+
+    def outcomes(self, zone: int, rows: slice, exposure: Floats) -> Outcomes:
+        """Return the outcomes of a zone, which are in some rows."""
+        return Outcomes(
+            targets=self.target[rows],
+            share=self.share[rows],
+            leave=float(self.leave[zone]),
+            hazard=self.hazard[rows, :-1],
+            exposure=exposure,
+            doubt=self.doubt[rows],
+            delay=self.delay[rows],
+            by_path=self.by_path[rows],
+            missed=self.missed[rows],
+            leave_by_paths=float(self.leave_by_paths[zone]),
+            paths_weight=float(self.paths_weight[zone]),
+        )
+
+
+def of_posterior(onward: Onward, zones: int, bins: LagBins) -> Table:
+    """Return the table of the outcomes in a model; ``zones``: their number."""
+    number = numbers(onward.number, np.int32, zones)
+    rows = int(number.sum())
+    hazard = np.zeros((rows, bins.size + 1), np.float32)
+    np.divide(masses_of(onward.hazard, bins), bins.widths, out=hazard[:, :-1], casting="same_kind")
+    share, doubt, delay = (
+        numbers(raw, np.float32, rows).astype(float)
+        for raw in (onward.share, onward.doubt, onward.delay)
+    )
+    return _one_opinion(
+        np.repeat(np.arange(zones), number),
+        numbers(onward.to, np.int32, rows).astype(np.intp),
+        share,
+        doubt,
+        delay,
+        hazard,
+        numbers(onward.missed, np.uint8, rows) > 0,
+        np.maximum(numbers(onward.leave, np.float32, zones).astype(float), FLOOR),
     )
 
 
-def _lags(path: CameraPath, bins: LagBins) -> tuple[Floats, float]:
-    """Return the mass of the lags of a path, (bins,), and the delay to be added to these lags."""
-    delay = max(path.place - REACH_WIDTHS * path.width, 0.0)
-    return np.diff(student_share(bins.edges, path.place - delay, path.width)), delay
+def of_links(topology: Topology, bins: LagBins, exposure: Floats) -> Table:
+    """Return the table of the outcomes that links tell, weak ones included.
+
+    exposure (zones, bins): share of the departures of each zone that are exposed to each lag.
+    """
+    index = {zone.id: k for k, zone in enumerate(topology.zones)}
+    links = [
+        link
+        for link in (*topology.links, *weak_links(topology))
+        if link.relation != "visible" and link.from_ in index and link.to in index
+    ]
+    links.sort(key=lambda link: index[link.from_])
+    source, target = (
+        np.array([index[zone] for zone in ends], np.intp)
+        for ends in ([link.from_ for link in links], [link.to for link in links])
+    )
+
+    # Hazard: expected arrivals per second, over the share of departures that is exposed.
+    share = np.array([link.probability for link in links], float)
+    delay = np.array([link.histogram.delay if link.histogram else 0.0 for link in links], float)
+    spread = np.zeros((len(links), bins.size))
+    if links:
+        spread = smooth(np.stack([_counts(link, bins) for link in links]))[0]
+    spread /= np.maximum(spread.sum(axis=1, keepdims=True), 1e-300)
+    exposed = np.where(delay[:, None] > 0.0, 1.0, exposure[source])
+    hazard = np.zeros((len(links), bins.size + 1), np.float32)
+    hazard[:, :-1] = share[:, None] * spread / (bins.widths * exposed)
+    seen_again = np.bincount(source, share, minlength=len(index))
+    leave = np.maximum(1.0 - seen_again, LEAVE_FLOOR)
+    none = np.zeros(len(links))
+    return _one_opinion(source, target, share, none, delay, hazard, none > 0, leave)
+
+
+def _one_opinion(
+    source: Rows,
+    target: Rows,
+    share: Floats,
+    doubt: Floats,
+    delay: Floats,
+    hazard: Singles,
+    missed: Bools,
+    leave: Floats,
+) -> Table:
+    """Return a table without a second opinion."""
+    by_path, none = np.zeros(len(source), np.bool_), np.zeros(len(leave))
+    return Table(source, target, share, doubt, delay, hazard, by_path, missed, leave, none, none)
+
+
+def _counts(link: Link, bins: LagBins) -> Floats:
+    """Return the transitions of a link by lag (bins,); without histogram, normally distributed."""
+    if link.histogram is not None:
+        return masses_on_bins(link.histogram, bins)
+    sd = max((link.transit.q90 - link.transit.q10) / (2 * NORMAL_Q90), 0.5)
+    shape = np.exp(-0.5 * ((bins.centres - link.transit.q50) / sd) ** 2) * bins.widths
+    return shape / max(float(shape.sum()), 1e-300) * link.transitions
+
+
+def exposures(stay: Singles, bins: LagBins) -> Floats:
+    """Return the share of the departures at each zone that are exposed to each lag, (zones, bins).
+
+    stay (zones, deciles): deciles of the dwell times; 0 if unknown.
+
+    For lags before the exit, it is the share of the passages that had begun by then; for lags after
+    the exit, and where it is unknown, it is 1.
+    """
+    past = np.flatnonzero(bins.edges[1:] <= 0)
+    known = np.flatnonzero(stay.any(axis=1))
+    deciles = stay[known].astype(float)
+    shorter = np.zeros((len(known), len(past)))
+    for low, width in zip(deciles[:, :-1].T, np.diff(deciles, axis=1).T, strict=True):
+        reach = (-bins.centres[past] - low[:, None]) / np.maximum(width, 1e-9)[:, None]
+        shorter += np.clip(reach, 0.0, 1.0)
+    result = np.ones((len(stay), bins.size))
+    begun = 1.0 - shorter / (deciles.shape[1] - 1)
+    result[np.ix_(known, past)] = np.clip(begun, EXPOSURE_MIN, 1.0)
+    return result

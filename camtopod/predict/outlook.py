@@ -384,24 +384,25 @@ def outside_rates(version: PreparedVersion) -> Floats:
     """Return the rate (zones, 1/s) of entries that no link explains.
 
     The version has the rate of arrivals that no departure explains at all. Spurious transitions
-    (`Outcome.doubt`) count as "left the site" for their exits, so their entries count as from
+    (`Outcomes.doubt`) count as "left the site" for their exits, so their entries count as from
     outside. Expected arrivals then account for the entries counted.
     """
     rate = np.array(version.hazards.arrival_rate)
     entries = np.array([float(zone.entries) for zone in version.zones])
 
     # Arrivals explained by departures, with and without spurious transitions.
-    expected_entries, surely = np.zeros((2, len(rate)))
-    for zone, outcomes in version.hazards.outcomes.items():
-        departures = version.hazards.departures[zone]
+    explained, surely = np.zeros((2, len(rate)))
+    for zone, departures in enumerate(version.hazards.departures.tolist()):
         alone = outlook(version, Departure(zone))
-        np.add.at(expected_entries, outcomes.targets, departures * outcomes.weight * outcomes.share)
-        np.add.at(surely, outcomes.targets, departures * alone.chance)
+        if alone.table is not None:
+            outcomes = alone.table.outcomes
+            np.add.at(explained, outcomes.targets, departures * outcomes.weight * outcomes.share)
+            np.add.at(surely, outcomes.targets, departures * alone.chance)
 
     # Duration of the window learned from, by zones with enough entries from outside.
-    is_clear = entries - expected_entries > OUTSIDE_SHARE_MIN * entries
+    is_clear = entries - explained > OUTSIDE_SHARE_MIN * entries
     if not is_clear.any():
         return rate
-    span = np.median((entries - expected_entries)[is_clear] / rate[is_clear])  # seconds
+    span = np.median((entries - explained)[is_clear] / rate[is_clear])  # seconds
     result: Floats = np.maximum(rate, (entries - surely) / span)
     return result

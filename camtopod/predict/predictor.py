@@ -412,11 +412,10 @@ class Predictor:
         causes = {self.prepared.cameras[k]: float(total[k]) for k in np.flatnonzero(total)}
 
         # Objects in other views that may appear at the zone before they leave.
-        entry_camera = self.zones[zone].camera
-        for camera in hazards.cameras_before.get(zone, []):
-            if camera == entry_camera:
+        here = self.zones[zone].camera
+        for camera, before_exit in hazards.rates_before(zone).items():
+            if camera == here:
                 continue
-            before_exit = hazards.rate_before_exit(camera, zone)
             for passage in self._open_passages.in_view(camera):
                 rate = before_exit + hazards.rate_entered(passage.entry, zone, t - passage.t)
                 rate *= self.prepared.labels.of_two(passage.label, label, zone)

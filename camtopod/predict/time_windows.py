@@ -19,7 +19,9 @@ from typing import NamedTuple
 import numpy as np
 
 from camtopod.arrays import Floats
-from camtopod.predict.hazards import NORMAL_Q90, model_of
+from camtopod.columns import numbers
+from camtopod.predict.hazards import model_of
+from camtopod.predict.outcomes import NORMAL_Q90
 from camtopod.records import Topology
 from camtopod.topology import (
     DWELL_SECONDS_MIN,
@@ -107,12 +109,14 @@ class PaceModel:
     """
 
     def __init__(self, topology: Topology) -> None:
-        index = {zone.id: k for k, zone in enumerate(topology.zones)}
         self._pace = model_of(topology).pace
         self._usual_dwell: dict[tuple[int | None, int], float] = {}
         if self._pace is not None:
-            for route in self._pace.ways:
-                self._usual_dwell[index[route.entry], index[route.exit]] = route.stay
+            entry, exit_ = (
+                numbers(raw, np.int32, -1).tolist() for raw in (self._pace.entry, self._pace.exit)
+            )
+            stay = numbers(self._pace.stay, np.float32, len(entry)).tolist()
+            self._usual_dwell.update(zip(zip(entry, exit_, strict=True), stay, strict=True))
 
     def of_passage(self, entry: int | None, exit_: int, dwell: float | None) -> PassagePace | None:
         """Return the expected pace of an object after a passage; None if the version has none.

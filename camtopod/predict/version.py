@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from camtopod.columns import numbers
 from camtopod.predict.anywhere import Anywhere
 from camtopod.predict.contexts import ContextMultipliers
 from camtopod.predict.hand_over import HandOver
@@ -29,12 +30,12 @@ class ExitTable:
     """Figures of a topology version about objects that leave at one zone.
 
     zone: index of the zone.
+    outcomes: its outcomes.
     """
 
-    def __init__(self, version: PreparedVersion, zone: int) -> None:
-        outcomes = version.hazards.outcomes[zone]
+    def __init__(self, version: PreparedVersion, zone: int, outcomes: Outcomes) -> None:
         self.zone = zone
-        self.outcomes: Outcomes = outcomes
+        self.outcomes = outcomes
         self.targets = [version.zones[target] for target in outcomes.targets]
         self.target_cameras = version.camera_of[outcomes.targets]
         """(rows,) number of each target's camera."""
@@ -84,18 +85,18 @@ class PreparedVersion:
         offsets = self.clock_offset.values()
         self.offset_range = max(offsets, default=0.0) - min(offsets, default=0.0)
         """Largest difference between two clocks, seconds."""
-        self.offset_of = np.array([self.clock_offset.get(zone.camera, 0.0) for zone in self.zones])
+        self.offset_of = self.hazards.offset_of
         """(zones, seconds) clock offset of each zone's camera."""
 
         # Cameras that have zones.
-        self.cameras = list(dict.fromkeys(zone.camera for zone in self.zones))
-        number = {camera: k for k, camera in enumerate(self.cameras)}
-        self.camera_of = np.array([number[zone.camera] for zone in self.zones], np.intp)
+        self.cameras = self.hazards.cameras
+        self.camera_of = self.hazards.camera_of
         """(zones,) number of each zone's camera."""
-        share = {row.camera: row.share for row in model.cameras}
+        shares = numbers(model.event_share, np.float32, len(topology.cameras)).astype(float)
+        share = dict(zip(self.clock_offset, shares.tolist(), strict=True))
         self.event_share = np.array([share.get(camera, 0.0) for camera in self.cameras])
         """(cameras,) share of each camera in all events of the site."""
-        self.anywhere = Anywhere(topology, self.hazards, self.cameras, self.camera_of)
+        self.anywhere = Anywhere(topology, self.hazards)
 
     @property
     def longest_lag(self) -> float:
@@ -105,9 +106,9 @@ class PreparedVersion:
     def longest_stays(self) -> dict[str, float]:
         """Return the longest known dwell time (seconds) by camera."""
         longest: dict[str, float] = {}
-        for zone, stay in zip(self.zones, self.hazards.stay, strict=True):
-            if any(stay):
-                longest[zone.camera] = max(longest.get(zone.camera, 0.0), stay[-1])
+        for zone, stay in zip(self.zones, self.hazards.stay[:, -1].tolist(), strict=True):
+            if stay:
+                longest[zone.camera] = max(longest.get(zone.camera, 0.0), stay)
         return longest
 
     def zone_of(self, event: Event) -> int | None:
@@ -121,6 +122,6 @@ class PreparedVersion:
 
     def table(self, zone: int) -> ExitTable | None:
         """Return the table of a zone, given by its index; None if the zone has no targets."""
-        if zone not in self._tables and zone in self.hazards.outcomes:
-            self._tables[zone] = ExitTable(self, zone)
+        if zone not in self._tables and (outcomes := self.hazards.outcomes(zone)) is not None:
+            self._tables[zone] = ExitTable(self, zone, outcomes)
         return self._tables.get(zone)

@@ -22,13 +22,14 @@ from collections.abc import Collection
 
 import numpy as np
 
+from camtopod.arrays import Floats
 from camtopod.codec import require_event
 from camtopod.predict.open_passages import Passage
 from camtopod.predict.outlook import Departure, anywhere_rates, outlook, outside_rates
 from camtopod.predict.recent_events import moved_zones
 from camtopod.predict.version import PreparedVersion
 from camtopod.predict.walk_graph import ExitOutlook, WalkEdge, WalkStep, pass_messages
-from camtopod.records import Event, Match, MatchedPassage, Topology
+from camtopod.records import Event, Link, Match, MatchedPassage, Topology
 from camtopod.topology import LEAVE_FLOOR, block_of, dwell_bins, masses_on_bins
 
 PROBABILITY_MIN = 0.01
@@ -59,7 +60,13 @@ class Walks:
         self._outside = outside_rates(prepared_version)
         self._nobody_leaves = prepared_version.anywhere.nobody_leaves
         self._dwell_bins = dwell_bins()
-        self._dwell = self._dwell_densities(topology)
+        number = {zone.id: k for k, zone in enumerate(topology.zones)}
+        self._visible: dict[tuple[int, int | None], Link] = {
+            (number[link.from_], number[link.to]): link
+            for link in topology.links
+            if link.relation == "visible" and link.histogram is not None
+        }
+        """Visible links by zone of entry and zone of exit."""
         self.forget()
 
     def forget(self) -> None:
@@ -238,27 +245,19 @@ class Walks:
         """Return the key of the passage without a track that ends in a zone; "" if none does."""
         weights = {}
         for key, step in in_view.items():
-            density = self._dwell.get((-1 if step.entry is None else step.entry, zone))
+            link = self._visible.get((-1 if step.entry is None else step.entry, zone))
             at = self._dwell_bins.bin_of(t - step.entry_t)
-            if step.track is None and density is not None and at >= 0:
-                weights[key] = density[at]
+            if step.track is None and link is not None and at >= 0:
+                weights[key] = self._dwell_density(link)[at]
         best = max(weights, key=weights.__getitem__, default="")
         return best if weights and weights[best] > 0.5 * sum(weights.values()) else ""
 
-    def _dwell_densities(self, topology: Topology) -> dict[tuple[int, int | None], list[float]]:
-        """Return the density (bins, 1/s) of the dwell times from zone of entry to zone of exit."""
-        number = {zone.id: k for k, zone in enumerate(topology.zones)}
-        bins = self._dwell_bins
-        return {
-            (number[link.from_], number[link.to]): (
-                link.probability
-                / max(link.transitions, 1e-9)
-                * masses_on_bins(link.histogram, bins)
-                / bins.widths
-            ).tolist()
-            for link in topology.links
-            if link.relation == "visible" and link.histogram is not None
-        }
+    def _dwell_density(self, link: Link) -> Floats:
+        """Return the density (bins, 1/s) of the dwell times of a visible link."""
+        assert link.histogram is not None
+        per_second = masses_on_bins(link.histogram, self._dwell_bins) / self._dwell_bins.widths
+        density: Floats = per_second * link.probability / max(link.transitions, 1e-9)
+        return density
 
     def _forget(self, now: float) -> None:
         """Forget the passages that have had no event for an hour, and the oldest of too many."""
@@ -319,10 +318,9 @@ class Walks:
         ]
 
         # Passages under way in other views.
-        for camera in self._hazards.cameras_before.get(zone, ()):
+        for camera, before_exit in self._hazards.rates_before(zone).items():
             if camera == step.camera:
                 continue
-            before_exit = self._hazards.rate_before_exit(camera, zone)
             for source_step in list(self._open.get(camera, {}).values())[-CANDIDATES_MAX:]:
                 if source_step.entry is not None:
                     entry_rate = self._hazards.rate_entered(

@@ -26,14 +26,9 @@ class ZoneLookup:
         self.of_camera: dict[str, list[int]] = {}
         for k, zone in enumerate(zones):
             self.of_camera.setdefault(zone.camera, []).append(k)
-        self._busiest = {
-            camera: max(camera_zones, key=lambda k: zones[k].entries + zones[k].exits)
-            for camera, camera_zones in self.of_camera.items()
-        }
-        self._shapes = {
-            camera: [shape for k in camera_zones if (shape := _shape(k, zones[k])) is not None]
-            for camera, camera_zones in self.of_camera.items()
-        }
+        self._zones = zones
+        self._shapes: dict[str, list[_Shape]] = {}
+        """By camera that was asked for."""
 
     def zone_of(self, event: Event) -> int | None:
         """Return the zone that an event most probably belongs to; None if its camera has no zones.
@@ -45,11 +40,16 @@ class ZoneLookup:
         if not camera_zones:
             return None
         if event.x is None or event.y is None:
-            return self._busiest[event.camera]
+            return max(camera_zones, key=lambda k: self._zones[k].entries + self._zones[k].exits)
 
+        shapes = self._shapes.get(event.camera)
+        if shapes is None:
+            every_shape = (_shape(k, self._zones[k]) for k in camera_zones)
+            shapes = [shape for shape in every_shape if shape is not None]
+            self._shapes[event.camera] = shapes
         likeliest = camera_zones[0]
         density_max = -math.inf
-        for zone, x, y, xx, two_xy, yy, det, weight in self._shapes[event.camera]:
+        for zone, x, y, xx, two_xy, yy, det, weight in shapes:
             dx = event.x - x
             dy = event.y - y
             density = weight - 0.5 * ((yy * dx * dx - two_xy * dx * dy + xx * dy * dy) / det)

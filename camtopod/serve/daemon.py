@@ -56,7 +56,7 @@ from camtopod.serve.learner_process import (
 from camtopod.serve.live_predictions import Live
 from camtopod.serve.runtime import LEARN_SECONDS, STALL_SECONDS, Beat, Progress, clock as clocks
 from camtopod.serve.storage import Journal, JournalWriter, StateError
-from camtopod.serve.versions import Versions
+from camtopod.serve.versions import PARTS, Versions, schema_of
 
 log = logging.getLogger(__name__)
 
@@ -164,7 +164,7 @@ class Daemon:
 
         # Publish the newest version again, and start the threads.
         if self.topology is not None:
-            self._bus.publish("topology", self._versions.answer({}), "topology")
+            self._versions.publish_newest()
         status_seconds = config.limits.status_seconds + STALL_SECONDS
         self._start_thread("receive", self._intake.work, STALL_SECONDS)
         self._start_thread("store", self._intake.store, STALL_SECONDS)
@@ -390,7 +390,8 @@ class Daemon:
 
     def _join_bus(self, bus: Bus) -> None:
         """Answer queries and subscribe to events; then other programs may see the daemon."""
-        bus.answer_queries("topology", lambda _, wanted: self._versions.answer(wanted), "topology")
+        for key in PARTS:
+            bus.answer_queries(key, self._versions.answer, schema_of(key))
         bus.answer_queries("admin/*", self._administer, "done")
         bus.answer_queries("predict/*", self._live.answer, "prediction")
         bus.answer_queries("recent", self._live.recent, "recent")

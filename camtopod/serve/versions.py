@@ -5,23 +5,37 @@ from __future__ import annotations
 import logging
 import re
 import sqlite3
+from collections.abc import Callable
 
 from msgspec.structs import replace
 
 from camtopod import codec
-from camtopod.records import Topology
+from camtopod.records import Topology, VersionModel
 from camtopod.serve.bus import Bus, QueryError
 from camtopod.serve.learner_process import LearnProgress, NewVersion, newest_topology
 from camtopod.serve.live_predictions import Live, Reader
 from camtopod.serve.storage import Journal, Learned, Snapshot, StateError
 from camtopod.topology import (
     links_between_views,
+    map_of,
     range_in_words,
+    version_model,
     waiting_for_links,
 )
 from camtopod.words import counted
 
 log = logging.getLogger(__name__)
+
+PARTS: dict[str, Callable[[Topology], Topology | VersionModel | None]] = {
+    "topology/model": version_model,
+    "topology": map_of,
+}
+"""Part of a version, by the key of the bus, in the order in which they are published."""
+
+
+def schema_of(key: str) -> str:
+    """Return the name of the type of what is published on a key."""
+    return key.replace("/", "-")
 
 
 class Versions:
@@ -36,15 +50,17 @@ class Versions:
         self._live = live
         self._walks = walks
         self.newest: Topology | None = None
-        """Without what takes most memory: its model and weak links."""
+        """Its map."""
         if (stored := newest_topology(journal)) is not None:
             live.use(Reader(stored, walks))
-            self.newest = replace(stored, model=None, weak_links=None)
+            self.newest = map_of(stored)
 
-    def answer(self, parameters: dict[str, str]) -> Topology:
-        """Return the newest version, or an older one of the epoch (``version``) if it is kept.
+    def answer(self, key: str, parameters: dict[str, str]) -> Topology | VersionModel | None:
+        """Return a part of the newest version, or of an older one of the epoch (``version``).
 
-        Raises `QueryError`.
+        key: one of `PARTS`.
+
+        Raises `QueryError` if the version is not kept.
         """
         if (newest := self.newest) is None:
             raise QueryError("nothing has been learned yet")
@@ -54,18 +70,20 @@ class Versions:
             if re.fullmatch("[0-9]{1,18}", wanted):
                 content = self._journal.version(epoch, int(wanted))
                 if content is not None:
-                    return codec.read(Topology, content)
+                    return PARTS[key](codec.read_topology(content))
         except (sqlite3.Error, StateError, codec.Rejected) as error:
             raise QueryError(f"version {wanted} of epoch {epoch} cannot be read: {error}") from None
         raise QueryError(f"version {wanted} of epoch {epoch} is not kept")
 
+    def publish_newest(self) -> None:
+        """Publish the newest version again."""
+        for key in PARTS:
+            self._bus.publish(key, self.answer(key, {}), schema_of(key))
+
     def learned(self, progress: LearnProgress, state: bytes) -> Learned:
         """Return what to store of the learner's progress, and to do once it is stored."""
         # Prepare predictions here, as this takes long; others go on meanwhile.
-        made = [
-            (version, codec.read(Topology, version.packed, pack=True))
-            for version in progress.versions
-        ]
+        made = [(version, _decoded(version)) for version in progress.versions]
         reader = Reader(made[-1][1], self._walks) if made else None
 
         def publish() -> None:
@@ -82,10 +100,11 @@ class Versions:
 
     def _publish(self, version: NewVersion, topology: Topology) -> None:
         """Publish a version that is stored, with its delta, and log its alarms."""
-        self.newest = replace(topology, model=None, weak_links=None)
-        if version.delta is not None:
-            self._bus.publish_raw("topology/delta", version.delta, "topology-delta")
-        self._bus.publish_raw("topology", version.packed, "topology")
+        self.newest = map_of(topology)
+        parts = {"topology/model": version.model, "topology": version.map}
+        for key, packed in {**parts, "topology/delta": version.delta}.items():
+            if packed is not None:
+                self._bus.publish_raw(key, packed, schema_of(key))
 
         # Log the new alarms and the version.
         for alarm in topology.alarms or []:
@@ -102,3 +121,9 @@ class Versions:
         )
         if not links:
             log.info("%s", waiting_for_links(topology))
+
+
+def _decoded(version: NewVersion) -> Topology:
+    """Return a version of its two parts."""
+    model = codec.read(VersionModel, version.model, pack=True).model
+    return replace(codec.read(Topology, version.map, pack=True), model=model)

@@ -5,8 +5,9 @@ times), `histograms` (transit-time histograms as a version stores them), `grid` 
 integers, and blocks of the image), `student_t` (lags of a path) and `shared_constants`.
 `declared_pairs` has what a user has declared. `camera_pairs` (overlapped views or unseen paths) and
 `markov_chain` (the chain over cameras) are computed from links. `site_names` has cameras' names
-within ids. `versions` has digests of versions and the deltas between them.
-`first_links` says what a site without links waits for.
+within ids. `versions` has digests of versions and the deltas between them. `named_figures`
+has weak links and what else a model says by name, and `first_links` says what a site without links
+waits for.
 """
 
 from camtopod.topology.camera_pairs import (
@@ -35,12 +36,12 @@ from camtopod.topology.grid import (
     blocks_of as blocks_of,
 )
 from camtopod.topology.histograms import (
-    DIGITS as DIGITS,
     STEPS as STEPS,
     counts_histogram as counts_histogram,
+    masses_of as masses_of,
     masses_on_bins as masses_on_bins,
     round_significant as round_significant,
-    step_histogram as step_histogram,
+    step_histograms as step_histograms,
 )
 from camtopod.topology.lag_bins import (
     DWELL_SECONDS_MAX as DWELL_SECONDS_MAX,
@@ -54,6 +55,12 @@ from camtopod.topology.lag_bins import (
     smooth as smooth,
 )
 from camtopod.topology.markov_chain import estimate_markov_chain as estimate_markov_chain
+from camtopod.topology.named_figures import (
+    by_name as by_name,
+    last_events as last_events,
+    weak_columns as weak_columns,
+    weak_links as weak_links,
+)
 from camtopod.topology.shared_constants import (
     BACK_OFF_DEPARTURES as BACK_OFF_DEPARTURES,
     DWELL_SECONDS_MIN as DWELL_SECONDS_MIN,
@@ -61,6 +68,7 @@ from camtopod.topology.shared_constants import (
     LEAVE_FLOOR as LEAVE_FLOOR,
     MULTIPLIER_MAX as MULTIPLIER_MAX,
     SLOWNESS_MAX as SLOWNESS_MAX,
+    STAY_DECILES as STAY_DECILES,
     UNKNOWN_DWELL_SECONDS as UNKNOWN_DWELL_SECONDS,
 )
 from camtopod.topology.site_names import (
@@ -79,5 +87,7 @@ from camtopod.topology.versions import (
     alarms_follow as alarms_follow,
     link_key as link_key,
     make_delta as make_delta,
+    map_of as map_of,
+    version_model as version_model,
     with_digest as with_digest,
 )

@@ -9,7 +9,11 @@ from __future__ import annotations
 
 import math
 
+import numpy as np
+
+from camtopod.columns import numbers
 from camtopod.records import Lacks, Link, Topology
+from camtopod.topology.named_figures import weak_links
 from camtopod.topology.site_names import camera_of
 
 NAMED_TRANSITIONS_MIN = 2.0
@@ -41,8 +45,8 @@ def longest_lag(topology: Topology) -> float:
     model = topology.model
     if model is None:
         return 0.0
-    delays = [way.hazard.delay for row in model.onward or [] for way in row.next_]
-    return model.lag_max + max(delays, default=0.0)
+    delay = model.onward.delay if model.onward is not None else b""
+    return model.lag_max + float(numbers(delay, np.float32, -1).max(initial=0.0))
 
 
 def range_in_words(topology: Topology) -> str:
@@ -117,7 +121,7 @@ def _lacking(topology: Topology) -> list[tuple[Link, Lacks]]:
     """Return the weak links between views that more traffic would publish, nearest first."""
     result = [
         (link, link.lacks)
-        for link in topology.weak_links or []
+        for link in weak_links(topology)
         if link.lacks is not None
         and link.transitions >= NAMED_TRANSITIONS_MIN
         and _joins_two_views(link)

@@ -1,9 +1,9 @@
 """Transit-time histograms over lag bins, as topology versions store them.
 
-A `Histogram` has the number of its first bin, a mass for each bin from there on, a unit by which
-masses are multiplied, and a delay in seconds to be added to lags (on long paths). Masses are either
-*counts* (expected transitions, three significant digits) or *steps* (whole multiples of the unit,
-at most `STEPS` per bin). The functions make such histograms and read them.
+The `Histogram` of a link has the number of its first bin, a *count* for each bin from there on
+(expected transitions, three significant digits), and a delay in seconds to be added to lags (on
+long paths). `Histograms` are those of many rows at once, in *steps*: whole multiples of a unit, at
+most `STEPS` per bin. The functions make such histograms and read them.
 """
 
 from __future__ import annotations
@@ -13,8 +13,9 @@ import math
 import numpy as np
 from msgspec.structs import replace
 
-from camtopod.arrays import Floats
-from camtopod.records import Histogram
+from camtopod.arrays import Bools, Floats, Rows, Singles
+from camtopod.columns import numbers, packed, rounded
+from camtopod.records import Histogram, Histograms
 from camtopod.topology.lag_bins import LagBins
 
 MASS_MIN = 1e-3
@@ -22,8 +23,8 @@ MASS_MIN = 1e-3
 STEPS = 250
 """Number of steps in the highest bin of a histogram in steps.
 
-A version has a histogram for each pair of zones that may be linked, thousands of them. Integers of
-this size take one or two bytes in a message and no memory of their own in Python.
+They take a byte each: a version has a histogram for each pair of zones that may be linked,
+thousands of them.
 """
 
 
@@ -33,24 +34,55 @@ def counts_histogram(counts: Floats, bins: LagBins, delay: float = 0.0) -> Histo
     counts (bins,): expected transitions in each of ``bins``.
     delay (seconds): to be added to the lags.
     """
-    first, values = _trimmed(counts, bins)
-    if not len(values):
+    [full] = np.nonzero(counts > MASS_MIN * counts.sum())
+    if not len(full):
         return Histogram(0, [])
-    return _delayed(Histogram(first, [float(f"{n:.3g}") for n in values]), delay)
+    kept = [float(f"{n:.3g}") for n in counts[full[0] : full[-1] + 1]]
+    whole = [int(n) if n.is_integer() else n for n in kept]  # fewer bytes
+    histogram = Histogram(bins.first + int(full[0]), whole)
+    return replace(histogram, delay=delay) if delay else histogram
 
 
-def step_histogram(mass: Floats, bins: LagBins, delay: float = 0.0) -> Histogram:
-    """Return a histogram in steps, without negligible bins at either end (`MASS_MIN`).
+def step_histograms(mass: Floats, bins: LagBins) -> Histograms:
+    """Return histograms in steps, without negligible bins at either end (`MASS_MIN`).
 
-    mass (bins,): mass in each of ``bins``, in any unit.
-    delay (seconds): to be added to the lags.
+    mass (n, bins): mass in each of ``bins``, in any unit.
     """
-    first, values = _trimmed(mass, bins)
-    unit = round_significant(float(values.max(initial=0.0)) / STEPS)
-    if unit == 0.0:
-        return Histogram(0, [])
-    steps = np.rint(values / unit).astype(np.int64).tolist()
-    return _delayed(Histogram(first, steps, unit), delay)
+    full = mass > MASS_MIN * mass.sum(axis=1, keepdims=True)
+    first = full.argmax(axis=1)
+    end = np.where(full.any(axis=1), bins.size - full[:, ::-1].argmax(axis=1), first)
+    unit = rounded(mass.max(axis=1, initial=0.0) / STEPS)
+    steps = np.rint(mass / np.where(unit > 0.0, unit, 1.0)[:, None])
+    return Histograms(
+        packed(bins.first + first, np.int16),
+        packed(end - first, np.int16),
+        packed(unit, np.float32),
+        packed(steps[_within(first, end, bins)], np.uint8),
+    )
+
+
+def masses_of(histograms: Histograms, bins: LagBins) -> Singles:
+    """Return the masses of n histograms in each of the given bins, (n, bins).
+
+    Raises ValueError for histograms that are not on the bins.
+    """
+    length = numbers(histograms.bins, np.int16, -1).astype(np.intp)
+    first = numbers(histograms.first, np.int16, len(length)).astype(np.intp) - bins.first
+    unit = numbers(histograms.unit, np.float32, len(length))
+    if ((length < 0) | ((length > 0) & ((first < 0) | (first + length > bins.size)))).any():
+        raise ValueError("a histogram is not on the model's lag bins")
+    within = _within(first, first + length, bins)
+    masses = np.zeros(within.shape, np.float32)
+    masses[within] = numbers(histograms.steps, np.uint8, int(length.sum()))
+    masses *= unit[:, None]
+    return masses
+
+
+def _within(first: Rows, end: Rows, bins: LagBins) -> Bools:
+    """Return a mask (n, bins) of the bins from the first of each row to its end."""
+    column = np.arange(bins.size, dtype=np.int16)
+    first, end = first.astype(np.int16), end.astype(np.int16)
+    return (column >= first[:, None]) & (column < end[:, None])
 
 
 def masses_on_bins(histogram: Histogram, bins: LagBins) -> Floats:
@@ -68,23 +100,8 @@ def masses_on_bins(histogram: Histogram, bins: LagBins) -> Floats:
     return result
 
 
-def _delayed(histogram: Histogram, delay: float) -> Histogram:
-    """Return a histogram with its delay (seconds); without one the field is left out."""
-    if delay == 0.0:
-        return histogram
-    return replace(histogram, delay=delay)
-
-
-def _trimmed(mass: Floats, bins: LagBins) -> tuple[int, Floats]:
-    """Return the number of the first bin that is kept, and the masses from there on."""
-    full = np.flatnonzero(mass > MASS_MIN * mass.sum())
-    if not len(full):
-        return 0, mass[:0]
-    return bins.first + int(full[0]), mass[full[0] : full[-1] + 1]
-
-
 DIGITS = 6
-"""Significant digits of figures in a version, and decimals of its chain."""
+"""Significant digits of figures in a version."""
 
 
 def round_significant(value: float) -> float:

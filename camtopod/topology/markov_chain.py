@@ -8,17 +8,16 @@ from __future__ import annotations
 from collections import defaultdict
 from collections.abc import Iterable
 
-from camtopod.records import ChainEdge, Link, Zone
+from camtopod.records import Link, Zone
 
 
 def estimate_markov_chain(
-    zones: Iterable[Zone], links: Iterable[Link], digits: int
-) -> list[ChainEdge]:
-    """Return the transition probabilities between cameras, sorted by camera.
+    zones: Iterable[Zone], links: Iterable[Link]
+) -> dict[str, dict[str, float]]:
+    """Return the probabilities of the next cameras, by camera and next camera.
 
     zones: all zones, with their exits.
     links: the links to use; visible links do not count, as they lead through one view.
-    digits: decimals of the probabilities.
 
     The probabilities of a camera add up to at most 1; the rest is the probability that an object
     leaves the site. A camera may follow itself, as objects come back.
@@ -36,8 +35,8 @@ def estimate_markov_chain(
             source = zone_of[link.from_]
             transitions[source.camera, zone_of[link.to].camera] += link.probability * source.exits
 
-    return [
-        ChainEdge(camera, next_camera, round(min(number / exits_of[camera], 1.0), digits))
-        for (camera, next_camera), number in sorted(transitions.items())
-        if exits_of[camera] > 0
-    ]
+    chain: dict[str, dict[str, float]] = {}
+    for (camera, next_camera), number in sorted(transitions.items()):
+        if exits_of[camera] > 0:
+            chain.setdefault(camera, {})[next_camera] = min(number / exits_of[camera], 1.0)
+    return chain

@@ -2,6 +2,8 @@
 
 LEAVE_FLOOR = 0.02
 """Smallest probability that an object which leaves a view leaves the site."""
+STAY_DECILES = 11
+"""Number of deciles of the dwell times of a zone, the shortest and the longest among them."""
 UNKNOWN_DWELL_SECONDS = 10.0
 """Dwell time, in seconds, assumed for a view of unknown dwell times."""
 DWELL_SECONDS_MIN = 0.2

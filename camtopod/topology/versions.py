@@ -1,8 +1,9 @@
 """Topology versions: the digest of a version's content, and deltas between versions.
 
-A delta lists the items (cameras, zones, links, pairs) that were added or changed since the version
-before, and the keys of those that are gone. A receiver that applies it checks the digest, and then
-has exactly the publisher's version.
+A version has a map and a model, which are apart on the bus. A delta lists the items of the map
+(cameras, zones, links, pairs) that were added or changed since the version before, and the keys of
+those that are gone. A receiver that applies it has exactly the publisher's map; the digest tells
+whether a map and a model are.
 """
 
 from __future__ import annotations
@@ -13,7 +14,17 @@ from typing import Any
 
 import msgspec
 
-from camtopod.records import DELTA_SCHEMA, TOPOLOGY_SCHEMA, Alarm, Delta, Link, Topology
+from camtopod.columns import inflated
+from camtopod.records import (
+    DELTA_SCHEMA,
+    MODEL_SCHEMA,
+    TOPOLOGY_SCHEMA,
+    Alarm,
+    Delta,
+    Link,
+    Topology,
+    VersionModel,
+)
 
 NOT_CONTENT = ("schema", "site", "epoch", "version", "digest", "evidence")
 """Fields that the digest does not cover, so that it depends on the learned events alone."""
@@ -38,7 +49,6 @@ KEYS: dict[str, Callable[[Any], Any]] = {
     "cameras": lambda camera: camera.id,
     "zones": lambda zone: zone.id,
     "links": link_key,
-    "weak_links": link_key,
     "pairs": lambda pair: pair.cameras,
 }
 """Function from an item to its key, by the list of a topology that has the item."""
@@ -47,7 +57,8 @@ KEYS: dict[str, Callable[[Any], Any]] = {
 def digest_of(topology: Topology) -> str:
     """Return the digest of a version: ``sha256:`` and the hash of its content in canonical JSON.
 
-    Canonical JSON has sorted keys and shortest decimals.
+    Canonical JSON has sorted keys and shortest decimals. Of the model, it has the numbers of each
+    column, however they are deflated, little-endian and in base64.
     """
     content = {
         name: getattr(topology, name)
@@ -55,9 +66,21 @@ def digest_of(topology: Topology) -> str:
         if name not in NOT_CONTENT
     }
     content = {name: value for name, value in content.items() if value is not None}
-    if not topology.weak_links:  # an empty list and no list are the same content
-        content.pop("weak_links", None)
+    if topology.model is not None:
+        content["model"] = _inflated(msgspec.to_builtins(topology.model, builtin_types=(bytes,)))
     return "sha256:" + hashlib.sha256(msgspec.json.encode(content, order="sorted")).hexdigest()
+
+
+def _inflated(content: dict[str, Any]) -> dict[str, Any]:
+    """Return the content of a model or of one of its tables, the numbers of columns inflated."""
+    result = {}
+    for name, value in content.items():
+        if isinstance(value, dict):
+            value = _inflated(value)
+        elif isinstance(value, bytes) and value:
+            value = inflated(value)
+        result[name] = value
+    return result
 
 
 def with_digest(topology: Topology) -> Topology:
@@ -65,8 +88,19 @@ def with_digest(topology: Topology) -> Topology:
     return msgspec.structs.replace(topology, schema=TOPOLOGY_SCHEMA, digest=digest_of(topology))
 
 
+def map_of(topology: Topology) -> Topology:
+    """Return the map of a version: all but its model."""
+    return msgspec.structs.replace(topology, model=None)
+
+
+def version_model(topology: Topology) -> VersionModel | None:
+    """Return the model of a version as it is published beside the map; None if it has none."""
+    head = (topology.site, topology.epoch, topology.version, topology.digest)
+    return None if topology.model is None else VersionModel(MODEL_SCHEMA, *head, topology.model)
+
+
 def make_delta(old: Topology, new: Topology) -> Delta:
-    """Return the delta from one version to the next.
+    """Return the delta from the map of one version to the next.
 
     Raise ValueError if ``new`` is not the next version after ``old`` in the same epoch.
     """
@@ -94,8 +128,6 @@ def make_delta(old: Topology, new: Topology) -> Delta:
         new.as_of,
         new.events,
         new.digest,
-        chain=new.chain,
-        model=new.model,
         alarms=_new_alarms(new),
         score=new.score,
         evidence=new.evidence,

@@ -10,15 +10,18 @@ from numpy.typing import NDArray
 
 from camtopod.export import seconds
 from camtopod.learn.links import MONTE_CARLO_SEED, mahalanobis, monte_carlo
-from camtopod.records import CameraModel, Link, Model, Pair, Topology, ZoneModel
+from camtopod.records import Link, Model, Pair, Topology
 from camtopod.topology import (
     DWELL_SECONDS_MAX,
     LagBins,
+    by_name,
     lacks_in_words,
+    last_events,
     link_key,
     masses_on_bins,
     mentions,
     smooth,
+    weak_links,
 )
 from camtopod.web.map_data import nearness, why_provisional
 from camtopod.words import alarms_in_words
@@ -29,37 +32,37 @@ class Explanations:
 
     def __init__(self, topology: Topology) -> None:
         self.topology = topology
-        model = topology.model
-        self._zone_models: dict[str, ZoneModel] = {}
-        self._camera_models: dict[str, CameraModel] = {}
-        if model is not None:
-            self._zone_models = {one.zone: one for one in model.zones}
-            self._camera_models = {one.camera: one for one in model.cameras}
         self._camera_of = {zone.id: zone.camera for zone in topology.zones}
+        self.last_events = last_events(topology)
+        """By camera: time of its last learned event, Unix seconds."""
+        model = topology.model or Model(1.0, 1.0, 0.0, 1.0, b"")
+        self._share = by_name((one.id for one in topology.cameras), model.event_share)
+        self._departures = by_name(self._camera_of, model.departures, np.int32)
+        self._arrival_rate = by_name(self._camera_of, model.arrival_rate)
         self._pairs = {pair.cameras: pair for pair in topology.pairs}
 
         # Links by key, and by their cameras.
         self._links = {link_key(link): link for link in topology.links}
-        self._weak = {link_key(link): link for link in topology.weak_links or []}
+        weak = weak_links(topology)
+        self._weak = {link_key(link): link for link in weak}
         self._between = self._by_cameras(topology.links)
-        self._weak_between = self._by_cameras(topology.weak_links or [])
+        self._weak_between = self._by_cameras(weak)
 
     def camera(self, camera: str) -> dict[str, Any] | None:
         """Return a camera's zones, figures and links; None for an unknown camera."""
         found = [one for one in self.topology.cameras if one.id == camera]
         if not found:
             return None
-        known = self._camera_models.get(camera)
         zones = [zone for zone in self.topology.zones if zone.camera == camera]
-        rates = {name: model.arrival_rate for name, model in self._zone_models.items()}
+        rates = self._arrival_rate
         links = [link for ends, some in self._between.items() if camera in ends for link in some]
         return {
             "id": camera,
             "version": self.topology.version,
             "clock_offset": found[0].clock_offset,
             "clock_offset_sd": found[0].clock_offset_sd,
-            "share": known and known.share,
-            "last_event": known and known.last_event,
+            "share": self._share.get(camera),
+            "last_event": self.last_events.get(camera),
             "zones": [
                 {**msgspec.to_builtins(zone), "arrival_rate": rates.get(zone.id)} for zone in zones
             ],
@@ -101,21 +104,20 @@ class Explanations:
         link = self._links.get(key) or self._weak.get(key)
         if link is None:
             return None
-        source = self._zone_models.get(from_)
-        target = self._zone_models.get(to)
+        departures = self._departures.get(from_)
         background = None
-        if source is not None and target is not None:
-            background = source.departures * target.arrival_rate
+        if departures is not None and to in self._arrival_rate:
+            background = departures * self._arrival_rate[to]
         weak = key not in self._links
         return {
             **brief(link),
             "version": self.topology.version,
             "weak": weak,
             "cameras": [self._camera_of[from_], self._camera_of[to]],
-            "departures": source and source.departures,
+            "departures": departures,
             "background": background,
             "chart": _chart(self.topology.model, link),
-            "why": why(link, weak, source, background),
+            "why": why(link, weak, departures, background),
         }
 
     def _by_cameras(self, links: list[Link]) -> dict[frozenset[str], list[Link]]:
@@ -165,7 +167,7 @@ def _chart(model: Model | None, link: Link) -> dict[str, Any] | None:
     }
 
 
-def why(link: Link, weak: bool, source: ZoneModel | None, background: float | None) -> list[str]:
+def why(link: Link, weak: bool, left: int | None, background: float | None) -> list[str]:
     """Return the evidence for a link, a sentence each."""
     if link.provisional:
         return [link.provisional, "So what is known of this link is not real."]
@@ -180,8 +182,8 @@ def why(link: Link, weak: bool, source: ZoneModel | None, background: float | No
 
     # A link between views: departures, transit times, background, significance.
     departures = "the objects"
-    if source is not None:
-        departures = f"{source.departures:,} objects"
+    if left is not None:
+        departures = f"{left:,} objects"
     said = [
         f"Of {departures} that left at {link.from_}, about {_count(link.transitions)} appeared "
         f"next at {link.to}: {_share(link.probability)}.",

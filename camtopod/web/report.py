@@ -10,6 +10,7 @@ from typing import Any
 
 from camtopod.config import Config
 from camtopod.records import Link, Topology
+from camtopod.topology import weak_links
 from camtopod.web.explanations import Explanations
 from camtopod.web.growth import step, thinned
 from camtopod.web.map_data import draw
@@ -78,7 +79,7 @@ def _explained(topology: Topology) -> list[Link]:
     camera = {zone.id: zone.camera for zone in topology.zones}
     links = [
         *topology.links,
-        *(link for link in topology.weak_links or [] if camera[link.from_] != camera[link.to]),
+        *(link for link in weak_links(topology) if camera[link.from_] != camera[link.to]),
     ]
     links.sort(
         key=lambda link: (link.relation == "visible", link.q_value > 0.05, -link.transitions)

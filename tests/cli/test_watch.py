@@ -16,6 +16,7 @@ from pathlib import Path
 
 import msgspec
 import pytest
+from model_rows import CameraModel, Model, with_rows
 from serving import camtopod, free_endpoint, small_config, wait_for
 
 from camtopod import codec
@@ -27,9 +28,7 @@ from camtopod.records import (
     TOPOLOGY_SCHEMA,
     Alarm,
     Camera,
-    CameraModel,
     Link,
-    Model,
     NextCamera,
     Prediction,
     SelfScore,
@@ -174,7 +173,8 @@ def test_a_camera_without_grabber_and_without_events_for_a_day_is_gone() -> None
         publish(site, name, state="running", reason="")
     models = [CameraModel("learned", 0.5, NOW - day - 1)]
     model = Model(1.0, 0.1, -60.0, 600.0, [], models)
-    learned = msgspec.structs.replace(NOTHING, cameras=[Camera("learned", [])], model=model)
+    bare = msgspec.structs.replace(NOTHING, cameras=[Camera("learned", [])])
+    learned = with_rows(bare, model, [])
 
     assert cameras(site, learned) == {
         "here": ELSEWHERE,

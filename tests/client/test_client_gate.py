@@ -6,6 +6,16 @@ import math
 
 import numpy as np
 import pytest
+from model_rows import (
+    CameraModel,
+    EntryKernel,
+    LabelModel,
+    Model,
+    Onward,
+    Outcome,
+    ZoneModel,
+    with_rows,
+)
 from msgspec.structs import replace
 from scipy.optimize import linear_sum_assignment
 
@@ -17,19 +27,12 @@ from camtopod.predict.predictor import Predictor
 from camtopod.records import (
     TOPOLOGY_SCHEMA,
     Camera,
-    CameraModel,
-    EntryKernel,
     Event,
     Histogram,
-    LabelModel,
     Link,
-    Model,
-    Onward,
-    Outcome,
     Topology,
     Transit,
     Zone,
-    ZoneModel,
 )
 from camtopod.sim.simulation import SimSettings, simulate
 from camtopod.topology.lag_bins import LagBins
@@ -68,9 +71,8 @@ def a_topology(*links: Link, ahead: tuple[float, float, float] = (0.0, 0.0, 0.0)
         Camera(name, [zone.id for zone in zones if zone.camera == name], offset)
         for name, offset in zip("abc", ahead, strict=True)
     ]
-    return Topology(
-        TOPOLOGY_SCHEMA, "hq", "01J", 7, 0.0, 800, "", cameras, zones, [*links], [], model=model
-    )
+    plain = Topology(TOPOLOGY_SCHEMA, "hq", "01J", 7, 0.0, 800, "", cameras, zones, [*links], [])
+    return with_rows(plain, model)
 
 
 THREE = a_topology(
@@ -139,8 +141,7 @@ def overlapping() -> Topology:
     onward = [
         Onward("a/1", 0.5, [Outcome("b/1", 0.5, Histogram(bins.bin_of(-9.0) + bins.first, [1e-3]))])
     ]
-    model = replace(THREE.model, onward=onward, entered=[EntryKernel("a/2", "b/1", four)])
-    return replace(THREE, model=model)
+    return with_rows(THREE, onward=onward, entered=[EntryKernel("a/2", "b/1", four)])
 
 
 def test_an_open_track_that_came_when_those_from_there_do_is_the_same_object() -> None:
@@ -260,10 +261,9 @@ def test_association_beats_the_nearest_in_time(site: Site) -> None:
 
 def test_labels_that_differ_speak_against_one_object() -> None:
     """By the rule of the version; an exit without one has its entry's."""
-    assert THREE.model is not None
     shares = {zone.id: [0.1, 0.9] for zone in THREE.zones}
     labels = LabelModel(["bus", "car"], 0.9, shares)
-    gate = Gate(replace(THREE, model=replace(THREE.model, labels=labels)))
+    gate = Gate(with_rows(THREE, labels=labels))
     began = replace(LEFT, kind="entry", t=990.0, label="bus")
     entries = [began, *(replace(came("b", 1008.0), label=label) for label in ("bus", "car", None))]
 

@@ -13,6 +13,7 @@ from xml.etree import ElementTree
 import msgspec
 import networkx as nx
 import pytest
+from model_rows import with_rows
 from synthetic_topology import synthetic_topology
 
 from camtopod.cli.main import main
@@ -73,7 +74,7 @@ def test_weak_links_are_drawn_dashed_if_asked_for(
         msgspec.structs.replace(one, transitions=9.0, lacks=Lacks(passages, 60.0))
         for one, passages in ((first, 3.0), (shown[0], 3.0), (hidden[0], 10.0))
     ]
-    topology = msgspec.structs.replace(TOPOLOGY, links=shown, weak_links=weak)
+    topology = with_rows(msgspec.structs.replace(TOPOLOGY, links=shown), weak=weak)
     path = tmp_path / "topology.json"
     path.write_bytes(to_json(topology))
 

@@ -65,7 +65,7 @@ def decoded(messages: dict[str, str]) -> dict[str, Any]:
 
 def of_camera(name: str, figures: CameraFigures, status: Status | None) -> CameraState:
     daemon = DaemonStatus("running", cameras={name: figures})
-    [state] = camera_states(daemon, {name: (status, 0.0)} if status else {}, None)
+    [state] = camera_states(daemon, {name: (status, 0.0)} if status else {}, None, {})
     return state
 
 

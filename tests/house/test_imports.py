@@ -27,8 +27,10 @@ PACKAGES = sorted(
 )
 
 FLOORS = (
-    "files words records statuses admin arrays redact visible soundness codec event_time publishers mqtt untrusted_xml",
+    "files words records admin arrays columns older redact visible soundness sound_columns codec "
+    "event_time publishers mqtt untrusted_xml",
     "topology",
+    "statuses",
     "predict",
     "learn.settings learn.limits learn.lags",
     "learn.zones",

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from hypothesis import given, settings, strategies as st
+from model_rows import rows_of
 
 from camtopod.codec import decode_topology, to_json
 from camtopod.learn.learner import Learner
@@ -46,8 +47,7 @@ def test_whatever_is_learned_is_read_and_makes_predictions(seed: int) -> None:
     assert learner.topology is not None
 
     topology = decode_topology(to_json(learner.topology))
-    assert topology.model is not None
-    for row in topology.model.onward or []:
+    for row in rows_of(topology).onward or []:
         assert row.leave + sum(outcome.share for outcome in row.next_) <= 1.0 + 1e-4
 
     predictor = Predictor(topology)

@@ -4,20 +4,23 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from model_rows import CameraPath, rows_of, with_rows
 from msgspec.structs import replace
 from test_predictor import EXIT, any_topology, chances, link, sound
 
 from camtopod.predict.predictor import Predictor
-from camtopod.records import CameraPath, Prediction
+from camtopod.records import (
+    Prediction,
+)
 
 
 def asked(unknown: float, seed: int = 3, after: float | None = None) -> Prediction:
     """Predict an exit at a/1, with the given part of all that leave unknown."""
     topology = any_topology(np.random.default_rng(seed))
-    model = topology.model
-    assert model is not None
-    zones = [replace(zone, arrival_rate=0.01 * (1 + k)) for k, zone in enumerate(model.zones)]
-    predictor = Predictor(replace(topology, model=replace(model, zones=zones)))
+    zones = [
+        replace(zone, arrival_rate=0.01 * (1 + k)) for k, zone in enumerate(rows_of(topology).zones)
+    ]
+    predictor = Predictor(with_rows(topology, zones=zones))
     predictor.prepared.anywhere.unknown[:] = unknown
     now = None if after is None else EXIT.t + after
     prediction = predictor.predict(EXIT, now)
@@ -58,13 +61,9 @@ def test_where_objects_go_is_learned_by_links_or_by_many_who_left(
 def departing(departures: int, linked: bool = False) -> Prediction:
     """Predict an exit at a/1, from which so many objects have left."""
     topology = any_topology(np.random.default_rng(3))
-    model = topology.model
-    assert model is not None
-    zones = [replace(zone, departures=departures) for zone in model.zones]
+    zones = [replace(zone, departures=departures) for zone in rows_of(topology).zones]
     links = [link("a/1", "b/1", 0.5, 8.0)] if linked else []
-    return Predictor(replace(topology, links=links, model=replace(model, zones=zones))).predict(
-        EXIT
-    )
+    return Predictor(replace(with_rows(topology, zones=zones), links=links)).predict(EXIT)
 
 
 def test_who_has_not_come_for_long_has_left() -> None:
@@ -81,14 +80,14 @@ def test_who_has_not_come_for_long_has_left() -> None:
 def test_what_paths_do_not_explain_may_be_anywhere_on_a_large_site() -> None:
     """Two opinions say that all leave; of the second it is not known."""
     topology = any_topology(np.random.default_rng(3))
-    model = topology.model
-    assert model is not None
-    zones = [replace(zone, arrival_rate=1e-5, departures=900) for zone in model.zones]
-    cameras = [replace(topology.cameras[0], id=f"{k}") for k in range(36)]
+    rows = rows_of(topology).zones
+    zones = [replace(zone, arrival_rate=1e-5, departures=900) for zone in rows]
+    cameras = [*topology.cameras, *(replace(topology.cameras[0], id=f"{k}") for k in range(33))]
     unknown = []
     for paths in (None, [CameraPath("b", "c", 0.5, 300.0, 1.0)]):
-        bare = replace(model, zones=zones, onward=[], contexts=[], paths=paths)
-        predictor = Predictor(replace(topology, cameras=cameras, links=[], model=bare))
+        site = replace(topology, cameras=cameras, links=[])
+        bare = with_rows(site, rows_of(topology), zones=zones, onward=[], contexts=[], paths=paths)
+        predictor = Predictor(bare)
         unknown.append(predictor.prepared.anywhere.unknown[2])
     assert unknown[0] < 0.01
     assert 0.2 < unknown[1] < 0.4

@@ -6,6 +6,7 @@ import math
 
 import numpy as np
 import pytest
+from model_rows import Pace, Way, with_rows
 from msgspec.structs import replace
 from test_predictor import (
     ENTERED,
@@ -24,7 +25,11 @@ from test_predictor import (
 from bench.support.prediction_scores import PredictionScore, score_predictions
 from camtopod.predict import anywhere
 from camtopod.predict.predictor import Predictor
-from camtopod.records import Event, Pace, Prediction, Topology, Way
+from camtopod.records import (
+    Event,
+    Prediction,
+    Topology,
+)
 
 AT_B = Event("b", "entry", 1008.0, 0.5, 0.5)
 
@@ -118,9 +123,7 @@ def test_who_was_slow_is_awaited_for_longer() -> None:
     instead of 8 s.
     """
     pace = Pace(1.0, 1.0, 0.3, [Way("a/2", "a/1", 10.0)])
-    walk = replace(
-        a_topology([link("a/1", "b/1", 0.8, 8.0)]), model=replace(THREE.model, pace=pace)
-    )
+    walk = with_rows(a_topology([link("a/1", "b/1", 0.8, 8.0)]), pace=pace)
     entered = replace(ENTERED, x=0.9, y=0.5)
     usual, slow = [entered], [replace(entered, t=970.0)]
 

@@ -11,6 +11,20 @@ import naive
 import numpy as np
 import pytest
 from hypothesis import given, settings, strategies as st
+from model_rows import (
+    CameraModel,
+    Context,
+    EntryKernel,
+    LabelModel,
+    Model,
+    Onward,
+    Outcome,
+    Pace,
+    Way,
+    ZoneModel,
+    rows_of,
+    with_rows,
+)
 from msgspec.structs import replace
 
 from bench.support.prediction_scores import score_predictions
@@ -23,23 +37,13 @@ from camtopod.predict.reporting import DEAD_PRIOR
 from camtopod.records import (
     TOPOLOGY_SCHEMA,
     Camera,
-    CameraModel,
-    Context,
-    EntryKernel,
     Event,
     Histogram,
-    LabelModel,
     Link,
-    Model,
-    Onward,
-    Outcome,
-    Pace,
     Prediction,
     Topology,
     Transit,
-    Way,
     Zone,
-    ZoneModel,
 )
 from camtopod.sim.simulation import SimSettings, simulate
 from camtopod.sim.truth import Truth
@@ -89,22 +93,8 @@ def a_topology(
         [CameraModel(name, 0.25, 0.0) for name in "abcd"],
     )
     cameras = [Camera(name, [zone.id for zone in zones if zone.camera == name]) for name in "abcd"]
-    return Topology(
-        TOPOLOGY_SCHEMA,
-        "hq",
-        "01J",
-        7,
-        0.0,
-        800,
-        "",
-        cameras,
-        zones,
-        links,
-        [],
-        weak or [],
-        [],
-        model,
-    )
+    plain = Topology(TOPOLOGY_SCHEMA, "hq", "01J", 7, 0.0, 800, "", cameras, zones, links, [])
+    return with_rows(plain, model, weak or [])
 
 
 THREE = a_topology(
@@ -171,7 +161,7 @@ def test_a_camera_without_a_zone_or_without_links_leads_nowhere() -> None:
 
 
 def test_a_topology_that_has_only_what_the_contract_asks() -> None:
-    plain = replace(THREE, weak_links=None, chain=None, model=None)
+    plain = replace(THREE, model=None)
     prediction = Predictor(plain).predict(EXIT)
     sound(prediction)
 
@@ -296,15 +286,14 @@ def test_a_newer_version_remembers_what_has_been_seen() -> None:
     ]
     for event in events:
         predictor.observe(event)
-    reordered = replace(OVERLAP, version=8, zones=OVERLAP.zones[::-1])
+    rows = rows_of(OVERLAP)
+    reordered = with_rows(replace(OVERLAP, version=8, zones=OVERLAP.zones[::-1]), rows)
     followed = Predictor(reordered)
     followed.take_over(predictor)
 
     assert replace(followed.predict(EXIT), version=7) == predictor.predict(EXIT)
     gone = replace(OVERLAP, version=8, zones=[z for z in OVERLAP.zones if z.camera != "d"])
-    gone = replace(
-        gone, model=replace(gone.model, zones=[z for z in gone.model.zones if z.zone != "d/1"])
-    )
+    gone = with_rows(gone, rows, [], zones=[z for z in rows.zones if z.zone != "d/1"])
     followed = Predictor(gone)
     followed.take_over(predictor)
     prediction = followed.predict(EXIT)
@@ -362,8 +351,8 @@ def any_topology(rng: np.random.Generator) -> Topology:
         share = rng.dirichlet(np.ones(len(targets) + 1))
         if targets:
             following = [
-                Outcome(n, s, histogram(-24, 34, s), rng.random())
-                for n, s in zip(targets, share, strict=False)
+                Outcome(n, s, histogram(-24, 34, s), float(rng.random()))
+                for n, s in zip(targets, share.tolist(), strict=False)
             ]
             onward.append(Onward(name, max(float(share[-1]), 0.02), following))
         else:
@@ -406,9 +395,8 @@ def any_topology(rng: np.random.Generator) -> Topology:
         labels = LabelModel(["bus", "car"], float(rng.uniform(0, 0.99)), shares)
         model = replace(model, labels=labels)
     cameras = [Camera(c, [n for n in names if n[0] == c]) for c in "abc"]
-    return Topology(
-        TOPOLOGY_SCHEMA, "hq", "01J", 1, 0.0, 800, "", cameras, zones, [], [], model=model
-    )
+    plain = Topology(TOPOLOGY_SCHEMA, "hq", "01J", 1, 0.0, 800, "", cameras, zones, [], [])
+    return with_rows(plain, model, [])
 
 
 @settings(max_examples=30)
@@ -510,7 +498,7 @@ def test_an_arrival_of_another_label_is_hardly_the_one() -> None:
     """So the object is still to come; the label of an exit is that of its entry."""
     shares = {zone.id: [0.1, 0.9] for zone in OVERLAP.zones}
     labels = LabelModel(["bus", "car"], 0.9999, shares)
-    topology = replace(OVERLAP, model=replace(OVERLAP.model, labels=labels))
+    topology = with_rows(OVERLAP, labels=labels)
 
     def there(mine: str | None, seen: str | None, exit_: str | None = None) -> float:
         predictor = Predictor(topology)
@@ -528,7 +516,7 @@ def test_an_arrival_of_another_label_is_hardly_the_one() -> None:
 def test_a_newer_version_numbers_labels_anew() -> None:
     shares = {zone.id: [0.1, 0.9] for zone in OVERLAP.zones}
     older, newer = (
-        replace(OVERLAP, model=replace(OVERLAP.model, labels=LabelModel(names, 0.9, shares)))
+        with_rows(OVERLAP, labels=LabelModel(names, 0.9, shares))
         for names in (["bus", "car"], ["car", "truck"])
     )
     predictor = Predictor(older)

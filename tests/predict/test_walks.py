@@ -8,6 +8,7 @@ import frigate_messages as says
 import naive
 import numpy as np
 import pytest
+from model_rows import LabelModel, with_rows
 from msgspec.structs import replace
 from serving import T0, closing_event, walkers
 
@@ -21,7 +22,11 @@ from camtopod.predict.walks import (
     REVISE_SECONDS,
     UNSEEN_IN_VIEW,
 )
-from camtopod.records import Event, LabelModel, Match, Topology
+from camtopod.records import (
+    Event,
+    Match,
+    Topology,
+)
 
 T = T0 + 1e6
 """A time without other events."""
@@ -255,7 +260,7 @@ def with_labels(topology: Topology, persistence: float = 0.95) -> Topology:
     assert topology.model is not None
     shares = {zone.id: [0.1, 0.9] for zone in topology.zones}
     labels = LabelModel(["bus", "car"], persistence, shares)
-    return replace(topology, model=replace(topology.model, labels=labels))
+    return with_rows(topology, labels=labels)
 
 
 def test_of_two_passages_that_fit_the_one_with_the_same_label_goes_on(learned: Topology) -> None:

@@ -25,6 +25,7 @@ from serving import (
     wait_for,
     walkers,
 )
+from synthetic_topology import synthetic_topology
 
 from camtopod import codec
 from camtopod.learn.learner import Learner
@@ -37,6 +38,7 @@ from camtopod.records import (
     Match,
     Prediction,
     Topology,
+    VersionModel,
 )
 from camtopod.serve import bus as buses, daemon as daemons
 from camtopod.serve.bus import Bus, BusError, QueryError
@@ -46,6 +48,7 @@ from camtopod.serve.outbox.publisher import Publisher
 from camtopod.serve.outbox.spool import Spool
 from camtopod.serve.runtime.clock import ulid
 from camtopod.serve.storage.journal import Journal
+from camtopod.topology import map_of, version_model, with_digest
 from camtopod.topology.versions import digest_of
 
 NOW = T0 + 20 * serving.SPAN_SECONDS
@@ -185,7 +188,10 @@ def test_old_versions_can_be_asked_for(site: Site) -> None:
     )
 
     def asked(**parameters: object) -> Topology:
-        return codec.read(Topology, bus.query("topology", parameters)[0][1], pack=True)
+        map_ = codec.read(Topology, bus.query("topology", parameters)[0][1], pack=True)
+        assert map_.model is None
+        answer = bus.query("topology/model", parameters)[0][1]
+        return replace(map_, model=codec.read(VersionModel, answer, pack=True).model)
 
     first = asked(version=1)
     assert (first.version, first.digest) == (1, digest_of(first))
@@ -199,7 +205,7 @@ def test_old_versions_can_be_asked_for(site: Site) -> None:
     before = daemon.status().journal
     daemon.stop()
     again = site.daemon()
-    assert asked_of(site, again, first.version) == first
+    assert asked_of(site, again, first.version) == map_of(first)
     assert again.status().journal.entries == before.entries
 
 
@@ -553,6 +559,29 @@ def test_a_view_that_missed_a_version_fetches_it_when_the_status_names_a_newer_v
     assert view.fetched == 2
     told_and_updated()
     assert view.fetched == 2
+
+
+def test_a_view_goes_on_with_the_version_before_until_map_and_model_are_there() -> None:
+    """In whichever order they come; a model of another version is none of a map."""
+    first, second, third = (
+        with_digest(replace(synthetic_topology(4, version=number), epoch="01A"))
+        for number in (1, 2, 3)
+    )
+    bus = OneBus()
+    bus.kept[1] = first
+    view = TopologySubscriber(bus)  # type: ignore[arg-type]
+    assert view.update() == first
+
+    bus.publish("topology", msgspec.to_builtins(map_of(second)))
+    assert (view.update(), view.topology) == (None, first)
+    bus.publish("topology/model", version_model(second))
+    assert view.update() == second
+    bus.publish("topology/model", version_model(third))
+    assert (view.update(), view.topology) == (None, second)
+    bus.publish("topology", msgspec.to_builtins(map_of(third)))
+    assert view.update() == third
+    assert digest_of(third) == third.digest
+    assert view.fetched == 1
 
 
 def test_names_that_no_camera_has_are_said_after_ten_minutes(site: Site) -> None:

@@ -6,13 +6,21 @@ import itertools
 from collections.abc import Sequence
 
 import pytest
+from model_rows import LabelModel, with_rows
 from msgspec.structs import replace
 from serving import closing_event, numbered, walkers
 
 from camtopod.learn.learner import Learner
 from camtopod.predict import Predictor, Walks
 from camtopod.predict.between import BetweenCameras
-from camtopod.records import Between, Event, InView, LabelModel, Match, Prediction, Topology
+from camtopod.records import (
+    Between,
+    Event,
+    InView,
+    Match,
+    Prediction,
+    Topology,
+)
 from camtopod.serve import live_predictions
 from camtopod.serve.bus import QueryError
 from camtopod.serve.hourly_counts import HOURS_MAX
@@ -233,9 +241,9 @@ def test_recent_events_have_labels_that_the_version_knows(learned: Topology) -> 
     """So what no class is, as a plate sent by mistake, is not told to readers."""
     assert learned.model is not None
     shares = {zone.id: [1.0] for zone in learned.zones}
-    known = replace(learned.model, labels=LabelModel(["person"], 0.9, shares))
+    known = with_rows(learned, labels=LabelModel(["person"], 0.9, shares))
     live = Live(lambda answer: None, lambda: EVENTS[-2].t)
-    live.use(Reader(replace(learned, model=known), walks=False))
+    live.use(Reader(known, walks=False))
     sent = ["Person", "ab123cd", None]
     live.remember(
         [replace(event, label=label) for event, label in zip(EVENTS[-5:-2], sent, strict=True)]

@@ -26,8 +26,6 @@ def apply_delta(old: Topology, delta: Delta) -> Topology:
         as_of=delta.as_of,
         events=delta.events,
         digest=delta.digest,
-        chain=delta.chain,
-        model=delta.model,
         alarms=[*(old.alarms or []), *(delta.alarms or [])][-ALARMS_KEPT_MAX:] or None,
         score=delta.score,
         evidence=delta.evidence,

@@ -6,9 +6,12 @@ import time
 from collections.abc import Callable
 from typing import Any
 
+from msgspec.structs import replace
+
 from camtopod import codec
-from camtopod.records import EventHours, Recent, SeenEvent, Topology
+from camtopod.records import EventHours, Model, Recent, SeenEvent, Topology
 from camtopod.serve.bus import QueryError
+from camtopod.topology import map_of, version_model
 
 
 class OneBus:
@@ -38,12 +41,12 @@ class OneBus:
         self.asked.append((key, parameters))
         if key == "recent":
             return [(key, self._recent(parameters or {}))]
-        if key != "topology":
+        if key not in ("topology", "topology/model"):
             return []
         wanted = (parameters or {}).get("version", max(self.kept, default=0))
         if wanted not in self.kept:
             raise QueryError("not kept")
-        return [(key, codec.to_msgpack(self.kept[wanted]))]
+        return [(key, codec.to_msgpack(parts(self.kept[wanted])[key]))]
 
     def _recent(self, given: dict[str, Any]) -> bytes:
         if "format" in given or "since" not in given:
@@ -56,5 +59,15 @@ class OneBus:
 
     def publish(self, key: str, noun: object) -> None:
         pattern = key.split("/")[0] + "/*"
-        for receive in [*self.subscribed.get(key, []), *self.subscribed.get(pattern, [])]:
-            receive(key, codec.to_msgpack(noun))
+        for part, message in (parts(noun) if isinstance(noun, Topology) else {key: noun}).items():
+            for receive in [*self.subscribed.get(part, []), *self.subscribed.get(pattern, [])]:
+                receive(part, codec.to_msgpack(message))
+
+
+NO_MODEL = Model(1.0, 0.1, -1.0, 1.0, b"")
+
+
+def parts(topology: Topology) -> dict[str, object]:
+    """Return the messages of a version by key, as a daemon publishes them."""
+    whole = replace(topology, model=topology.model or NO_MODEL)
+    return {"topology/model": version_model(whole), "topology": map_of(whole)}

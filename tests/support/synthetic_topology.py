@@ -5,20 +5,19 @@ from __future__ import annotations
 import math
 import random
 
+from model_rows import CameraModel, Model, ZoneModel, with_rows
+
 from camtopod.records import (
     TOPOLOGY_SCHEMA,
     Alarm,
     Camera,
-    CameraModel,
     Histogram,
     Link,
-    Model,
     Pair,
     SelfScore,
     Topology,
     Transit,
     Zone,
-    ZoneModel,
 )
 from camtopod.topology.lag_bins import LagBins
 from camtopod.topology.versions import with_digest
@@ -67,27 +66,25 @@ def synthetic_topology(
             for other in sides[camera] - {one}:
                 ends = f"{names[camera]}/{one + 1}", f"{names[camera]}/{other + 1}"
                 links.append(made_link(*ends, 9.0, 80.0, False, visible=True))
-    return with_digest(
-        Topology(
-            TOPOLOGY_SCHEMA,
-            "mall",
-            "01J",
-            version,
-            as_of,
-            400 * cameras,
-            "",
-            [
-                Camera(name, [zone.id for zone in zones if zone.camera == name], 0.0, 0.1)
-                for name in names
-            ],
-            zones,
-            sorted(links, key=lambda x: (x.from_, x.to, x.relation)),
-            pairs,
-            model=_model(names, zones, as_of),
-            alarms=[Alarm(version, as_of, "camera_silent", names[0], "no event since 02:10")],
-            score=SelfScore(200, 1, 1.1, 0.75, 0.91, 1.6, 0.55),
-        )
+    plain = Topology(
+        TOPOLOGY_SCHEMA,
+        "mall",
+        "01J",
+        version,
+        as_of,
+        400 * cameras,
+        "",
+        [
+            Camera(name, [zone.id for zone in zones if zone.camera == name], 0.0, 0.1)
+            for name in names
+        ],
+        zones,
+        sorted(links, key=lambda x: (x.from_, x.to, x.relation)),
+        pairs,
+        alarms=[Alarm(version, as_of, "camera_silent", names[0], "no event since 02:10")],
+        score=SelfScore(200, 1, 1.1, 0.75, 0.91, 1.6, 0.55),
     )
+    return with_digest(with_rows(plain, _model(names, zones, as_of), []))
 
 
 def made_link(

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import pytest
+from model_rows import with_rows
 from msgspec.structs import replace
 from synthetic_topology import made_link, synthetic_topology
 
@@ -12,6 +13,7 @@ from camtopod.topology import (
     likely_links,
     links_between_views,
     waiting_for_links,
+    weak_links,
 )
 
 SITE = synthetic_topology(12)
@@ -21,14 +23,16 @@ A, B = SITE.zones[0], SITE.zones[-1]
 def without_links(weak: list[tuple[float, float, float]], cameras: int = 12) -> Topology:
     """Return the site without links; ``weak``: (transitions, passages and seconds that lack)."""
     return replace(
-        SITE,
+        with_rows(
+            SITE,
+            weak=[
+                replace(made_link(A.id, B.id, 20.0, n), lacks=Lacks(passages, seconds))
+                for n, passages, seconds in weak
+            ],
+        ),
         cameras=SITE.cameras[:cameras],
         links=[link for link in SITE.links if link.relation == "visible"],
         pairs=[],
-        weak_links=[
-            replace(made_link(A.id, B.id, 20.0, n), lacks=Lacks(passages, seconds))
-            for n, passages, seconds in weak
-        ],
     )
 
 
@@ -66,7 +70,7 @@ def test_a_pair_is_named_only_if_it_leads_clearly() -> None:
     c, d = SITE.zones[1], SITE.zones[-2]
     for n, named in ((2.0, True), (6.0, False)):
         other = replace(made_link(c.id, d.id, 20.0, n), lacks=Lacks(6.0, 900.0))
-        both = replace(topology, weak_links=[*(topology.weak_links or []), other])
+        both = with_rows(topology, weak=[*weak_links(topology), other])
         assert ("nearest are" in waiting_for_links(both)) == named
 
 
@@ -85,7 +89,7 @@ def test_the_share_never_falls_and_ends_with_the_first_link() -> None:
 
 def test_a_link_within_one_view_is_not_likely() -> None:
     inside = replace(made_link(A.id, A.id, 20.0, 9.0), lacks=Lacks(1.0, 60.0))
-    topology = replace(without_links([]), weak_links=[inside])
+    topology = with_rows(without_links([]), weak=[inside])
     assert likely_links(topology) == []
     assert "0% of the evidence is there." in waiting_for_links(topology)
 

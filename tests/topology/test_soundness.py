@@ -2,19 +2,25 @@
 
 from __future__ import annotations
 
+import base64
 import copy
 import json
+import math
 import random
+import zlib
 from pathlib import Path
 from typing import Any
 from xml.etree import ElementTree
 
 import msgspec
+import numpy as np
 import pytest
+from model_rows import rows_of
 
 from bench.support.disturbances import with_wrong_clocks, without_positions, without_tracks
 from camtopod.cli.main import main
 from camtopod.codec import Rejected, decode_topology, to_json
+from camtopod.columns import numbers, packed
 from camtopod.export import FORMATS
 from camtopod.learn.learner import Learner
 from camtopod.learn.settings import Settings
@@ -39,6 +45,15 @@ def learned(events: list[Event]) -> Topology:
 SITE = learned(simulate(SimSettings(cameras=4, hours=0.5, seed=3, overlap_share=0.9))[0])
 PLAIN: dict[str, Any] = json.loads(to_json(SITE))
 assert SITE.model is not None
+OLDER = PLAIN | {"model": msgspec.to_builtins(rows_of(SITE))}
+"""The site in the form of older files."""
+
+
+def column(values: list[float], kind: type = np.float32) -> str:
+    """Return a column as JSON has it."""
+    return base64.b64encode(packed(values, kind)).decode()
+
+
 LINK = next(k for k, link in enumerate(SITE.links) if link.relation != "visible")
 NUMBERS = (0, -1, 1, 5, 1e-12, 1e15, -1e300, 10**30, 2**53, 0.5)
 ODD = (*NUMBERS, None, "", "a b", "a\x1bb/1", [], [1, 2], {}, True)
@@ -62,7 +77,6 @@ def renamed(old: str, new: str) -> bytes:
 FEW = msgspec.structs.replace(
     SITE,
     links=SITE.links[:3] + [link for link in SITE.links[3:] if link.relation != "visible"][:5],
-    weak_links=(SITE.weak_links or [])[:3],
 )
 """The site with few links, each of which costs time to draw."""
 FIRST = SITE.cameras[0].id
@@ -89,22 +103,37 @@ WRONG = {
     "a camera's zone that is not there": changed("cameras.0.zones", ["cellar/1"]),
     "a link to nowhere": changed(f"links.{LINK}.to", "cellar/1"),
     "a pair with nobody": changed("pairs.0.cameras", [FIRST, "zzz"]),
-    "an outcome nowhere": changed("model.onward.0.next_.0.to", "cellar/1"),
+    "an outcome nowhere": changed("model.onward.0.next_.0.to", "cellar/1", OLDER),
+    "a column of one number too few": changed("model.arrival_rate", column([0.1])),
+    "a column that is not there": changed("model.onward.to", ""),
+    "a column that is not deflated": changed("model.arrival_rate", "AAAA"),
+    "a column that is far too large": changed(
+        "model.arrival_rate", base64.b64encode(zlib.compress(bytes((1 << 28) + 4))).decode()
+    ),
+    "no number": changed("model.event_share", column([math.nan] * len(SITE.cameras))),
+    "a share of 3": changed("model.onward.leave", column([3.0] * len(SITE.zones))),
+    "more outcomes than columns have": changed(
+        "model.onward.number", column([10**9] * len(SITE.zones), np.int32)
+    ),
+    "a zone of no number": changed("model.pace.entry", column([len(SITE.zones)], np.int32)),
+    "bins that are not there": changed(
+        "model.onward.hazard.first",
+        column([5000] * len(numbers(SITE.model.onward.to, np.int32, -1)), np.int16),
+    ),
     "a pair of one": changed("pairs.0.cameras", [FIRST, FIRST]),
     "a zone of another camera": changed("zones.0.camera", SITE.cameras[1].id),
     "a probability of 3": changed(f"links.{LINK}.probability", 3.0),
     "a hundred quadrillion exits": changed("zones.0.exits", 10**17),
     "a version of many digits": changed("version", 10**4000),
-    "deciles that fall": changed("model.zones.0.stay", [float(k) for k in range(10, -1, -1)]),
-    "a correlation of 5": changed("model.pace.correlation", 5),
-    "a way of no time": changed(
-        "model.pace",
-        {
-            **PLAIN["model"]["pace"],
-            "ways": [{"entry": SITE.zones[0].id, "exit": SITE.zones[0].id, "stay": 0}],
-        },
+    "deciles that fall": changed(
+        "model.stay", column([float(k) for k in range(11 * len(SITE.zones), 0, -1)])
     ),
-    "a share below 0": changed("model.onward.0.next_.0.share", -0.5),
+    "a correlation of 5": changed("model.pace.correlation", 5),
+    "a way of no time": changed("model.pace.ways.0.stay", 0, OLDER),
+    "a share below 0": changed("model.onward.0.next_.0.share", -0.5, OLDER),
+    "a row without a field": changed("model.zones.0", {}, OLDER),
+    "a model that is none": changed("model", True, OLDER),
+    "rows that are none": changed("model.contexts", 7, OLDER),
     "a clock of a geological age": changed("cameras.0.clock_offset", 1e15),
 }
 
@@ -113,6 +142,14 @@ WRONG = {
 def test_what_cannot_be_is_refused(why: str) -> None:
     with pytest.raises(Rejected, match=" - at `"):
         decode_topology(WRONG[why])
+
+
+def test_an_older_form_is_converted_to_the_same_columns() -> None:
+    """But the order of contexts of one zone, and weak links, which older rows have apart."""
+    again = decode_topology(json.dumps(OLDER).encode())
+    assert again.model is not None
+    assert SITE.model is not None
+    assert rows_of(again) == rows_of(SITE)
 
 
 def test_every_command_says_that_it_is_no_topology(

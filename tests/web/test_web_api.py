@@ -74,7 +74,7 @@ def test_the_topology_and_its_versions(api: str, learned_daemon: LearnedDaemon) 
     newest = content(f"{api}/topology")
 
     assert newest["version"] == number
-    assert newest["model"]["zones"]
+    assert newest["model"]["departures"]
     assert content(f"{api}/topology?version={number}") == newest
     assert content(f"{api}/versions")[-1]["version"] == number
     for wrong, status, said in (

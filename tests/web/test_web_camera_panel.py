@@ -5,6 +5,7 @@ from __future__ import annotations
 import time
 
 from chromium import Browser
+from model_rows import rows_of, with_rows
 from msgspec.structs import replace
 from page_fixture import Shown, opened
 from synthetic_topology import synthetic_topology
@@ -119,7 +120,7 @@ def test_counts_of_zones_stand_beside_each_other(browser: Browser) -> None:
         replace(one, zones=[id for id in ids if id.startswith(f"{one.id}/")])
         for one in SITE.cameras
     ]
-    shown = Shown(replace(SITE, cameras=cameras, zones=zones))
+    shown = Shown(with_rows(replace(SITE, cameras=cameras, zones=zones), rows_of(SITE)))
     with shown.serving():
         opened(browser, shown, f"#/camera/{A}")
         browser.wait(lambda: browser.count(".scene .zone") > len(numbers), "the zones")

@@ -75,7 +75,6 @@ def joined(*edges: tuple[str, str, float, float, float]) -> Topology:
         ],
         links=links,
         pairs=pairs,
-        weak_links=None,
         model=None,
         alarms=None,
         score=None,

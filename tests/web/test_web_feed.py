@@ -11,6 +11,7 @@ from typing import Any, cast
 import msgspec
 import pytest
 from fake_bus import OneBus
+from model_rows import rows_of, with_rows
 from synthetic_topology import synthetic_topology
 
 from camtopod.records import (
@@ -137,7 +138,8 @@ def test_a_camera_that_was_added_is_on_the_map_before_a_version_knows_it(rig: Ri
     assert rig.pages.of("cameras") == [None], "once"
 
     known = [*SITE.cameras, Camera("added", [])]
-    rig.feed.show(msgspec.structs.replace(SITE, version=SITE.version + 1, cameras=known))
+    newer = msgspec.structs.replace(SITE, version=SITE.version + 1, cameras=known)
+    rig.feed.show(with_rows(newer, rows_of(SITE)))
     assert not any(camera.new for camera in shown_map(rig).cameras.values())
 
 
@@ -198,7 +200,6 @@ def test_it_says_since_when_and_why_it_is_not_live(rig: Rig) -> None:
 
 
 def test_health_has_every_camera_that_anybody_knows_and_its_reason(rig: Rig) -> None:
-    assert SITE.model is not None
     rig.feed.show(SITE)
     counted = {"b": {"events": 7, "newest": 990.0, "ahead": None, "alive": True}}
     daemon = {"state": "running", "cameras": counted, "reject_samples": {"malformed": ["secret"]}}
@@ -209,7 +210,7 @@ def test_health_has_every_camera_that_anybody_knows_and_its_reason(rig: Rig) -> 
     rig.bus.publish("status/a", {"state": "stalled", "reason": 1000 * "x", "events": 3})
 
     rows = rig.rows()
-    learned = SITE.model.cameras[0].last_event
+    learned = rows_of(SITE).cameras[0].last_event
     assert set(rows) == {"a", "b", *NAMES}
     assert (rows["a"]["state"], rows["a"]["reason"]) == ("stalled", 500 * "x")
     assert (rows["b"]["state"], rows["b"]["events"]) == (ELSEWHERE, 7)

@@ -8,6 +8,7 @@ import cv2
 import numpy as np
 import pytest
 from chromium import Browser
+from model_rows import with_rows
 from msgspec.structs import replace
 from page_fixture import Shown, opened
 from synthetic_topology import made_link, synthetic_topology
@@ -19,7 +20,7 @@ SITE = synthetic_topology(4)
 NAMES = [camera.id for camera in SITE.cameras]
 A, B = SITE.zones[0], SITE.zones[-1]
 LIKELY = replace(made_link(A.id, B.id, 20.0, 4.0), q_value=0.5, lacks=Lacks(3.0, 1800.0))
-YOUNG = replace(SITE, links=[], pairs=[], weak_links=[LIKELY])
+YOUNG = with_rows(replace(SITE, links=[], pairs=[]), weak=[LIKELY])
 
 
 def test_before_the_first_version_it_says_how_many_events_there_are(browser: Browser) -> None:
@@ -36,7 +37,9 @@ def test_before_the_first_version_it_says_how_many_events_there_are(browser: Bro
 
 def test_what_is_likely_and_what_is_not_known_are_told_apart(browser: Browser) -> None:
     """Nobody is said to leave the site before that is known, and half a chance is no fact."""
-    shown = Shown(YOUNG)
+    exits = {A.id: 100, B.id: 99}
+    zones = [replace(zone, exits=exits.get(zone.id, 0)) for zone in SITE.zones]
+    shown = Shown(with_rows(replace(YOUNG, zones=zones), weak=[]))
     with shown.serving():
         opened(browser, shown)
         for camera, leave, share, words in (

@@ -6,6 +6,7 @@ import math
 from typing import Any
 
 import pytest
+from model_rows import with_rows
 from msgspec.structs import replace
 from synthetic_topology import made_link, synthetic_topology
 
@@ -40,7 +41,7 @@ def weak_edge(*changes: dict[str, Any]) -> MapEdge | None:
     ends = topology.zones[0], topology.zones[-1]
     link = replace(made_link(ends[0].id, ends[1].id, 20.0, 12.0), q_value=0.02)
     weak = [replace(link, **changed) for changed in changes]
-    return map_edges(replace(topology, weak_links=weak)).get(f"{ends[0].camera} {ends[1].camera}")
+    return map_edges(with_rows(topology, weak=weak)).get(f"{ends[0].camera} {ends[1].camera}")
 
 
 def test_evidence_that_is_nearly_enough_is_on_the_map() -> None:

@@ -17,6 +17,7 @@ from camtopod.cli.generated.example_config import attribute_docs
 from camtopod.config import TABLES, CameraSettings, Config, fields
 from camtopod.records import (
     DELTA_SCHEMA,
+    MODEL_SCHEMA,
     RESERVED,
     TOPOLOGY_SCHEMA,
     Delta,
@@ -25,12 +26,14 @@ from camtopod.records import (
     Prediction,
     Status,
     Topology,
+    VersionModel,
 )
 from camtopod.serve.requests import Answer, Batch, Hello
 
 _TYPES_OF: dict[str, list[Any]] = {
     "event": [Event],
     "topology": [Topology],
+    "model": [VersionModel],
     "delta": [Delta],
     "prediction": [Prediction],
     "match": [Match],
@@ -39,6 +42,11 @@ _TYPES_OF: dict[str, list[Any]] = {
     "configuration": [Config],
 }
 """Types by the name of the schema; ``store`` is a request of a spool, or its answer."""
+_SCHEMAS = {
+    "Topology": TOPOLOGY_SCHEMA,
+    "VersionModel": MODEL_SCHEMA,
+    "Delta": DELTA_SCHEMA,
+}
 NAMES = tuple(_TYPES_OF)
 """Names of the schemas."""
 _TABLES: dict[type[Struct], str] = {kind: name for name, kind in TABLES.items()} | {
@@ -74,7 +82,7 @@ def schema(name: str) -> dict[str, Any]:
     # Rules that the types cannot express.
     if "Event" in types:  # a position has both coordinates
         types["Event"]["dependentRequired"] = {"x": ["y"], "y": ["x"]}
-    for kind, constant in (("Topology", TOPOLOGY_SCHEMA), ("Delta", DELTA_SCHEMA)):
+    for kind, constant in _SCHEMAS.items():
         if kind in types:
             types[kind]["properties"]["schema"] = {"const": constant}
     dialect = "https://json-schema.org/draft/2020-12/schema"

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from camtopod.arrays import Floats
+from camtopod.arrays import Floats, first_of_group, places
+from camtopod.columns import figures, packed
 from camtopod.learn.assemble import zone_id
 from camtopod.learn.limits import PATH_CAMERAS_MAX
 from camtopod.learn.links import NEXT_ZONES_MAX, PathEvidence
@@ -12,8 +13,8 @@ from camtopod.learn.paths.camera_lags import camera_lags
 from camtopod.learn.paths.dictionary import find_peaks
 from camtopod.learn.paths.path_fit import PathFit
 from camtopod.learn.traffic import Scene
-from camtopod.records import CameraPath
-from camtopod.topology import favours, round_significant
+from camtopod.records import PathColumns
+from camtopod.topology import favours
 
 DEPARTURES_PER_ZONE = 40.0
 """Departures per zone from which the fit by zones needs no second opinion, given positions."""
@@ -53,7 +54,7 @@ def second_opinion(
     lag_min: float,
     odds: Floats | None = None,
     label_persistence: float = 0.0,
-) -> tuple[list[CameraPath], PathEvidence | None]:
+) -> tuple[PathColumns, PathEvidence | None]:
     """Return the paths, sorted by their ends and place, and the evidence for links.
 
     There is no evidence (None) where paths lead between zones.
@@ -83,19 +84,18 @@ def second_opinion(
     if by_zone:
         fit.run()
 
+    # The likeliest paths of each end, by the places of their ends in the topology.
     pair, share, place, width = fit.paths
-    rows = []
+    source, target = pair // len(cameras), pair % len(cameras)
     order = np.argsort(-share, kind="stable")
-    for camera, name in enumerate(cameras):
-        likely = order[pair[order] // len(cameras) == camera][:NEXT_ZONES_MAX]
-        rows += [
-            CameraPath(
-                name,
-                cameras[int(pair[k]) % len(cameras)],
-                *(round_significant(float(x[k])) for x in (share, place, width)),
-            )
-            for k in likely.tolist()
-        ]
-    return sorted(rows, key=lambda row: (row.from_, row.to, row.place)), (
-        None if by_zone else fit.evidence()
+    order = order[first_of_group(source[order], NEXT_ZONES_MAX)]
+    sorted_place = places(cameras)
+    source, target = sorted_place[source[order]], sorted_place[target[order]]
+    row = np.lexsort((place[order], target, source))
+    paths = PathColumns(
+        by_zone,
+        packed(source[row], np.int32),
+        packed(target[row], np.int32),
+        *(figures(column[order[row]]) for column in (share, place, width)),
     )
+    return paths, None if by_zone else fit.evidence()

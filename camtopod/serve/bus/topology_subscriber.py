@@ -2,18 +2,24 @@
 
 from __future__ import annotations
 
+import contextlib
 import logging
 import time
 from collections import deque
 from collections.abc import Callable
+from typing import Any
+
+from msgspec.structs import replace
 
 from camtopod import codec
 from camtopod.keys.rules import STATUS
-from camtopod.records import DaemonStatus, Topology
+from camtopod.records import DaemonStatus, Topology, VersionModel
 from camtopod.serve.bus.session import Bus, QueryError
 
 log = logging.getLogger(__name__)
 
+PARTS: dict[str, type] = {"topology/model": VersionModel, "topology": Topology}
+"""Types of the two parts of a version, by key."""
 QUERY_INTERVAL_SECONDS = 0.5
 """Shortest time between two queries for the topology."""
 
@@ -21,8 +27,9 @@ QUERY_INTERVAL_SECONDS = 0.5
 class TopologySubscriber:
     """The newest topology of one site's daemon. Call `update` from one thread, as often as needed.
 
-    A late start, a missed version and a restarted daemon are all handled the same way: the topology
-    is queried. A missed version is noticed from the daemon's status.
+    A version is new when its map and its model are there, in whichever order they come. A late
+    start, a missed version and a restarted daemon are all handled the same way: the topology is
+    queried. A missed version is noticed from the daemon's status.
 
     on_news: called by other threads when a version is published, and when a daemon comes or goes.
     """
@@ -30,8 +37,10 @@ class TopologySubscriber:
     def __init__(self, bus: Bus, on_news: Callable[[], None] = lambda: None) -> None:
         self._bus = bus
         self._on_news = on_news
-        self._received: deque[bytes] = deque(maxlen=1)
-        """The newest version published that `update` has not seen; another thread appends it."""
+        self._received: deque[tuple[str, bytes]] = deque(maxlen=2)
+        """The newest map and model that `update` has not seen; another thread appends them."""
+        self._parts: dict[str, Any] = dict.fromkeys(PARTS)
+        """The newest map and model, by key."""
         self._stale = True
         self._ask_after = 0.0
         self.topology: Topology | None = None
@@ -40,7 +49,8 @@ class TopologySubscriber:
         """Number of times the topology was queried and received."""
         self.daemons: set[str] = set()
         """Names of the daemons that are there; another thread changes it."""
-        bus.subscribe("topology", self._on_topology)
+        for key in PARTS:
+            bus.subscribe(key, self._on_part)
         bus.subscribe(STATUS, self._on_status)
         bus.watch_alive("daemon", self._on_daemon)
 
@@ -48,13 +58,13 @@ class TopologySubscriber:
         """Process what has been received; return the newest version, or None if it is not new."""
         before = self.topology
         while self._received:
-            self._take(self._received.popleft())
+            self._take(*self._received.popleft())
         if self._stale and time.monotonic() >= self._ask_after:
             self._fetch()
         return self.topology if self.topology is not before else None
 
-    def _on_topology(self, key: str, payload: bytes) -> None:
-        self._received.append(payload)
+    def _on_part(self, key: str, payload: bytes) -> None:
+        self._received.append((key, payload))
         self._on_news()
 
     def _on_daemon(self, name: str, alive: bool) -> None:
@@ -81,28 +91,42 @@ class TopologySubscriber:
         """Query the topology."""
         self._ask_after = time.monotonic() + QUERY_INTERVAL_SECONDS
         self._stale = False  # before the query: a daemon may restart meanwhile
-        try:
-            answers = self._bus.query("topology", one=True)
-        except QueryError:  # nothing learned yet
-            answers = []
+        answers = []
+        with contextlib.suppress(QueryError):  # nothing learned yet
+            for key in PARTS:
+                answers += self._bus.query(key, one=True)
         if not answers:
             self._stale = True
             return
         self.fetched += 1
-        self._take(answers[0][1])
+        for part in answers:
+            self._take(*part)
+        self._stale = self._stale or self._both() is None
 
-    def _take(self, payload: bytes) -> None:
-        """Keep a version if it is newer.
+    def _take(self, key: str, payload: bytes) -> None:
+        """Keep a map or a model, and the version if both are there and it is newer.
 
         One of another epoch is kept even if that is older: then a daemon has lost its state and its
         clock is behind.
         """
         try:
-            newest = codec.decode_topology(payload, pack=True)
+            self._parts[key] = codec.read(PARTS[key], payload, pack=True)
+            held, newest = self.topology, self._both()
+            if newest is not None and (
+                held is None or newest.epoch != held.epoch or newest.version > held.version
+            ):
+                codec.require_sound(newest)
+                self.topology = newest
         except codec.Rejected as error:
             log.warning("malformed topology, querying it again: %s", error)
             self._stale = True
-            return
-        held = self.topology
-        if held is None or newest.epoch != held.epoch or newest.version > held.version:
-            self.topology = newest
+
+    def _both(self) -> Topology | None:
+        """Return the version of the newest map and model; None if they are not of one version."""
+        map_: Topology | None = self._parts["topology"]
+        model: VersionModel | None = self._parts["topology/model"]
+        if map_ is None or map_.model is not None:  # a whole version
+            return map_
+        if model is None or (model.epoch, model.version) != (map_.epoch, map_.version):
+            return None
+        return replace(map_, model=model.model)

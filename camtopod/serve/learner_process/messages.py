@@ -80,12 +80,13 @@ class Loaded(Struct):
 class NewVersion(Struct):
     """A new version, not stored yet.
 
-    packed: the version as MessagePack.
-    delta: difference from the version before, as MessagePack.
+    map, model: the two parts of the version, as MessagePack.
+    delta: difference from the map of the version before, as MessagePack.
     """
 
     stored: StoredVersion
-    packed: bytes
+    map: bytes
+    model: bytes
     delta: bytes | None
 
 

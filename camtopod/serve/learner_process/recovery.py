@@ -145,7 +145,7 @@ def newest_topology(journal: Journal) -> Topology | None:
     if content is None:
         return None
     try:
-        return codec.read(Topology, content)
+        return codec.read_topology(content)
     except codec.Rejected as error:
         log.error("the newest version in the journal cannot be read: %s", error)
         return None

@@ -43,7 +43,7 @@ from camtopod.serve.learner_process.messages import (
     Question,
 )
 from camtopod.serve.storage import StoredVersion, read_command
-from camtopod.topology import alarms_follow, make_delta
+from camtopod.topology import alarms_follow, make_delta, map_of, version_model
 
 NICENESS = 5
 """Added to the daemon's niceness: when all cores are busy, predictions and acks precede fits.
@@ -220,7 +220,8 @@ class Worker:
             stored = StoredVersion(
                 topology.epoch, topology.version, topology.digest, codec.to_json(topology)
             )
-            made.append(NewVersion(stored, codec.to_msgpack(topology), delta))
+            parts = codec.to_msgpack(map_of(topology)), codec.to_msgpack(version_model(topology))
+            made.append(NewVersion(stored, *parts, delta))
         return made
 
 

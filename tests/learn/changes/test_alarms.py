@@ -13,6 +13,7 @@ from camtopod.learn.learner import Learner
 from camtopod.learn.settings import Settings
 from camtopod.learn.snapshot import pack, unpack
 from camtopod.records import Camera, Event, Topology
+from camtopod.topology import weak_links
 from camtopod.topology.versions import ALARMS_KEPT_MAX
 
 ZONES = ["a/1", "b/1", "b/2"]
@@ -198,7 +199,7 @@ def test_a_way_that_changes_is_told_and_published(rerouted: list[Topology]) -> N
     links = {link.to: link.probability for link in last.links if link.relation != "visible"}
     assert set(links) == {right}
     assert links[right] == pytest.approx(0.8, abs=0.1)
-    assert not any(link.to == left and link.from_.startswith("a") for link in last.weak_links or [])
+    assert not any(link.to == left and link.from_.startswith("a") for link in weak_links(last))
 
 
 def test_one_fit_tells_of_a_way_that_changed_within_its_window(rerouted: list[Topology]) -> None:

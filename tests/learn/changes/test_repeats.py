@@ -13,7 +13,7 @@ from camtopod.learn.learner import Learner
 from camtopod.learn.settings import Settings
 from camtopod.records import Event, Topology
 from camtopod.sim.simulation import SimSettings, simulate
-from camtopod.topology import POSITION_ONE, camera_of
+from camtopod.topology import POSITION_ONE, camera_of, weak_links
 
 LOOPED = {"cam01": 80.0, "cam02": 113.6, "cam03": 150.0}
 """Cameras that play a recording, and its length in seconds."""
@@ -79,7 +79,7 @@ def test_recordings_in_a_loop_are_said_and_their_links_are_provisional(
         assert {alarm.detail.split(" s:")[0] for alarm in alarms} == {
             f"repeats itself every {length:.1f}" for length in LOOPED.values()
         }
-    links = [*topology.links, *(topology.weak_links or [])]
+    links = [*topology.links, *weak_links(topology)]
     looped = [link for link in links if {camera_of(link.from_), camera_of(link.to)} & {*LOOPED}]
     assert looped
     assert all("repeats itself every" in link.provisional for link in looped)

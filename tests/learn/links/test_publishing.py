@@ -13,6 +13,7 @@ from camtopod.learn.links.transit_time import TransitFigures
 from camtopod.learn.settings import Settings
 from camtopod.records import Topology
 from camtopod.sim.simulation import SimSettings, simulate
+from camtopod.topology import weak_links
 
 SETTINGS = Settings()
 HOUR = 3600.0
@@ -91,7 +92,7 @@ def test_what_is_forecast_is_published_about_then() -> None:
     for version in versions:
         for link in version.links:
             published.setdefault((link.from_, link.to), version.as_of)
-        for link in version.weak_links or []:
+        for link in weak_links(version):
             if link.lacks is not None and link.q_value < 0.05 and link.transitions > 5:
                 forecast.setdefault((link.from_, link.to), (version.as_of, link.lacks.seconds))
     due = {key: said for key, said in forecast.items() if sum(said) <= versions[-1].as_of}

@@ -8,6 +8,7 @@ import naive
 import numpy as np
 import pytest
 from hypothesis import given, strategies as st
+from model_rows import rows_of
 from synthetic_events import learned_from, passage
 
 from camtopod.codec import decode_topology, to_json
@@ -77,8 +78,7 @@ def walkers(seed: int, objects: int, share: float = 1.0, seconds: float = 30.0) 
 
 
 def overlaps(topology: Topology) -> dict[tuple[str, str], float]:
-    assert topology.model is not None
-    return {(row.camera, row.to): row.share for row in topology.model.overlaps or []}
+    return {(row.camera, row.to): row.share for row in rows_of(topology).overlaps or []}
 
 
 def predictions(topology: Topology, events: list[Event]) -> Iterator[tuple[Event, Prediction]]:

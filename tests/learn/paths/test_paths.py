@@ -7,6 +7,7 @@ from typing import Any
 import naive
 import numpy as np
 import pytest
+from model_rows import CameraPath, rows_of, with_rows
 from msgspec.structs import replace
 from synthetic_events import learned_from
 
@@ -21,8 +22,11 @@ from camtopod.learn.paths.camera_lags import camera_lags
 from camtopod.learn.traffic import Scene
 from camtopod.learn.traffic.events import Arrivals, Departures
 from camtopod.predict import Predictor
-from camtopod.predict.outcomes import PATHS_WEIGHT_MAX
-from camtopod.records import CameraPath, Event, Topology
+from camtopod.predict.second_opinion import PATHS_WEIGHT_MAX
+from camtopod.records import (
+    Event,
+    Topology,
+)
 from camtopod.topology import LagBins, student_density, student_share
 
 BINS = LagBins(-120.0, 180.0)
@@ -47,15 +51,12 @@ def topology() -> Topology:
 
 
 def paths_of(topology: Topology) -> list[CameraPath]:
-    assert topology.model is not None
-    assert topology.model.paths is not None
-    return topology.model.paths
+    return rows_of(topology).paths or []
 
 
 def with_paths(topology: Topology, paths: list[CameraPath] | None) -> Topology:
     """Return the version with these paths, and without links, so that the paths count most."""
-    assert topology.model is not None
-    return replace(topology, links=[], model=replace(topology.model, paths=paths))
+    return with_rows(replace(topology, links=[]), paths=paths)
 
 
 def test_a_long_path_and_a_short_one_are_found(topology: Topology) -> None:

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import naive
 import numpy as np
 import pytest
+from model_rows import rows_of
 from msgspec.structs import replace
 
 from camtopod.learn.association import adjust, find_candidates, fit_jointly
@@ -174,9 +175,8 @@ def test_a_site_learns_how_far_labels_persist() -> None:
     topology = learned(events).topology
 
     assert topology is not None
-    assert topology.model is not None
-    assert topology.model.labels
-    labels = topology.model.labels
+    labels = rows_of(topology).labels
+    assert labels is not None
     assert labels.names == ["bus", "car"]
     assert labels.persistence > 0.9
     assert {len(row) for row in labels.shares.values()} == {2}

@@ -11,6 +11,7 @@ from camtopod.learn.settings import Settings
 from camtopod.learn.zones.cells import cell_sums, cells_of, fixed_point
 from camtopod.learn.zones.zone_map import find_zones
 from camtopod.records import Event
+from camtopod.topology import weak_links
 
 BEFORE = [(0.05, 0.5), (0.5, 0.95), (0.9, 0.3)]
 AFTER = [(0.3, 0.1), (0.7, 0.7), (0.2, 0.8)]
@@ -133,9 +134,7 @@ def test_learner_starts_a_turned_camera_anew_and_says_so() -> None:
     assert not set(zones["a"]) & set(old)
     places_now = np.array([(zone.x, zone.y) for zone in after.zones if zone.camera == "a"])
     assert (np.abs(places_now[:, None] - np.array(AFTER)).max(axis=2).min(axis=1) < 0.02).all()
-    assert not any(
-        {link.from_, link.to} & set(old) for link in [*after.links, *(after.weak_links or [])]
-    )
+    assert not any({link.from_, link.to} & set(old) for link in [*after.links, *weak_links(after)])
     assert any(link.from_ in zones["a"] and link.to.startswith("b/") for link in after.links)
     moved = [alarm for alarm in after.alarms or [] if alarm.kind == "camera_moved"]
     assert [alarm.subject for alarm in moved] == ["a"]
