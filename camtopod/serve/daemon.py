@@ -186,7 +186,6 @@ class Daemon:
         if self._stopping.is_set():
             return
 
-        # Ask the threads to end and wait for them.
         self._stopping.set()
         deadline = time.monotonic() + STOP_SECONDS
         for thread in self._threads:
@@ -231,7 +230,6 @@ class Daemon:
         learning = self._learning
         counted = self._figures()
 
-        # The first reason found is given.
         topology = self.topology
         reason = (
             self._reason
@@ -386,6 +384,11 @@ class Daemon:
         self._on_progress(recovered.progress)
         self._learning = LearnerFeeder(recovered, process, self._journal, self._on_progress)
         self._live.remember(recent)
+        self._forget_cameras()
+
+    def _forget_cameras(self) -> None:
+        """Let predictions and earlier versions forget cameras, too."""
+        self._versions.forgotten = self._intake.names.erased
         self._live.forget_cameras(self._intake.names.state.forgotten)
 
     def _join_bus(self, bus: Bus) -> None:
@@ -410,7 +413,7 @@ class Daemon:
         try:
             command = command_of(key, parameters)
             done = execute(self._intake, command, self.topology, self._reset, self._begun)
-            self._live.forget_cameras(self._intake.names.state.forgotten)
+            self._forget_cameras()
             return Done(done)
         except CommandRefused as error:
             raise QueryError(str(error)) from None

@@ -5,7 +5,7 @@ from __future__ import annotations
 import logging
 import re
 import sqlite3
-from collections.abc import Callable
+from collections.abc import Callable, Collection
 
 from msgspec.structs import replace
 
@@ -51,6 +51,8 @@ class Versions:
         self._walks = walks
         self.newest: Topology | None = None
         """Its map."""
+        self.forgotten: Collection[str] = ()
+        """Cameras of which nothing is kept; earlier versions with one of them are not given."""
         if (stored := newest_topology(journal)) is not None:
             live.use(Reader(stored, walks))
             self.newest = map_of(stored)
@@ -69,11 +71,16 @@ class Versions:
         try:
             if re.fullmatch("[0-9]{1,18}", wanted):
                 content = self._journal.version(epoch, int(wanted))
-                if content is not None:
-                    return PARTS[key](codec.read_topology(content))
+                version = None if content is None else codec.read_topology(content)
+                if version is not None and self._is_kept(version):
+                    return PARTS[key](version)
         except (sqlite3.Error, StateError, codec.Rejected) as error:
             raise QueryError(f"version {wanted} of epoch {epoch} cannot be read: {error}") from None
         raise QueryError(f"version {wanted} of epoch {epoch} is not kept")
+
+    def _is_kept(self, version: Topology) -> bool:
+        """Return True if no camera of a version has been forgotten."""
+        return not {camera.id for camera in version.cameras} & {*self.forgotten}
 
     def publish_newest(self) -> None:
         """Publish the newest version again."""

@@ -87,6 +87,15 @@ def test_a_forgotten_camera_leaves_at_once_and_its_spool_empties(
     wait_for(lambda: "b" not in cameras(daemon), "the next version")
     wait_for(lambda: followed(view, daemon), "it to be followed")
     assert "b" not in daemon.status().cameras
+    with pytest.raises(QueryError, match="version 1 of epoch .* is not kept"):
+        bus.query("topology", {"version": "1"})
+
+    def raw_of(camera: str) -> set[bytes]:
+        entries = (entry for _, entry in daemon._journal.entries())
+        return {entry.raw for entry in entries if entry is not None and entry.camera == camera}
+
+    wait_for(lambda: raw_of("b") == {b""}, "its events to leave the journal")
+    assert b"" not in raw_of("a")
 
     # Its events are refused, and leave the spool; those of others are learned.
     publisher = site.publisher()

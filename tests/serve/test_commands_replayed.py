@@ -139,6 +139,21 @@ def test_other_declarations_begin_an_epoch(start: Start) -> None:
     assert declared_in(again) is None
 
 
+def test_events_that_count_for_a_renamed_camera_are_not_erased() -> None:
+    """Not even where its old name was taken back, and is forgotten as that of another camera."""
+    names = Names(NamesState(), lambda: 9.0)
+    for command, erased in (
+        (Forget("a"), {"a"}),
+        (Rename("b", "yard"), {"a"}),
+        (Forget("b", until=1.0), {"a"}),
+        (TakeBack("b"), {"a"}),
+        (Forget("b"), {"a"}),
+        (TakeBack("a"), set()),
+    ):
+        names.state = carried_out(names.state, command, {"a", "b"}, 2.0)[0]
+        assert names.erased == erased, command
+
+
 def test_what_the_old_name_sends_late_takes_no_declaration_away() -> None:
     """The daemon forgets the old name by itself once the camera sends under the new one."""
     state = NamesState()

@@ -43,6 +43,8 @@ class NamesState(Struct, frozen=True):
     aliases: old names of renamed cameras -> their present names.
     ended: of forgotten names that were aliases, the camera, and the time (Unix seconds) before
         which an event still counts for it.
+    shared: names that were taken back after they had ended, so that earlier events under them are
+        another camera's.
     since (Unix seconds): when the site was reset; None if it never was.
     """
 
@@ -50,6 +52,7 @@ class NamesState(Struct, frozen=True):
     aliases: dict[str, str] = {}
     ended: dict[str, tuple[str, float]] = {}
     since: float | None = None
+    shared: tuple[str, ...] = ()
 
 
 def read_names(journal: Journal) -> NamesState:
@@ -145,8 +148,9 @@ def _take_back(state: NamesState, camera: str) -> tuple[NamesState, str]:
         )
     forgotten = {name: since for name, since in state.forgotten.items() if name != camera}
     ended = {name: end for name, end in state.ended.items() if name != camera}
+    shared = (*state.shared, camera) if camera in state.ended else state.shared
     return (
-        replace(state, forgotten=forgotten, ended=ended),
+        replace(state, forgotten=forgotten, ended=ended, shared=shared),
         f"events of {camera} are accepted again, as of a new camera",
     )
 
@@ -253,9 +257,9 @@ class Names:
 
     @property
     def erased(self) -> set[str]:
-        """Forgotten names but those whose events count for a renamed camera. Any thread."""
+        """Forgotten names without events that count for a renamed camera. Any thread."""
         state = self.state
-        return state.forgotten.keys() - state.ended.keys()
+        return state.forgotten.keys() - state.ended.keys() - {*state.shared}
 
     def status(self) -> NamesStatus:
         """Return the part of the daemon's status about names. Any thread."""
