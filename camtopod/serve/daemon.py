@@ -368,7 +368,7 @@ class Daemon:
             numbers,
             cameras,
             Names(read_names(self._journal), self._clock),
-            Backlogs(lateness, event_clock, now, is_new=not len(self._journal)),
+            Backlogs(lateness, event_clock, now),
             event_clock,
             JournalWriter(self._journal, self._clock),
             limits,

@@ -71,6 +71,7 @@ def test_what_is_on_the_bus_is_valid(tmp_path: Path) -> None:
         for name, key in {
             "event": "event/*",
             "topology": "topology",
+            "model": "topology/model",
             "delta": "topology/delta",
             "prediction": "prediction/*",
             "match": "match/*",

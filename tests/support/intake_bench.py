@@ -84,17 +84,14 @@ class IntakeBench:
         for _, entry in self.journal.entries():
             if entry is not None and entry.kind == "event":
                 learned.note(microseconds(codec.event_from_bytes(entry.raw).t), entry.camera)
+            elif entry is not None and entry.kind == "waits":
+                learned.wait_for(codec.read(set[str], entry.raw))
         event_clock = EventClock(learned, future, 10.0, self.wall, self.now)
         self.intake = Intake(
             Numbers(self.journal.numbers()),
             Cameras(self.limits.cameras_max),
             Names(read_names(self.journal), lambda: self.wall),
-            Backlogs(
-                LATENESS,
-                event_clock,
-                self.now - backlogs.SETTLE_SECONDS * settled,
-                is_new=not len(self.journal),
-            ),
+            Backlogs(LATENESS, event_clock, self.now - backlogs.SETTLE_SECONDS * settled),
             event_clock,
             JournalWriter(self.journal, lambda: self.wall),
             self.limits,

@@ -54,10 +54,9 @@ class Backlogs:
     never steps.
 
     lateness: the learner's (seconds). An event older than this is of a backlog.
-    is_new: True if the learner has learned nothing, and waits for nobody.
     """
 
-    def __init__(self, lateness: float, event_clock: EventClock, now: float, is_new: bool) -> None:
+    def __init__(self, lateness: float, event_clock: EventClock, now: float) -> None:
         self._lateness = lateness
         self._event_clock = event_clock
         self._settled = now + SETTLE_SECONDS
@@ -65,8 +64,8 @@ class Backlogs:
         self.said_hello = True
         """True if a camera has come back since the last wait for backlogs, perhaps with one."""
         self._unsettled_since = now
-        self.waited = frozenset[str]() if is_new else None
-        """Cameras that the learner was last told to wait for; None: it may wait for any."""
+        self.waited = event_clock.waited
+        """Cameras that the learner was last told to wait for."""
 
     def note_request(
         self, camera: CameraState, oldest: float | None, wall: float, now: float
@@ -79,7 +78,7 @@ class Backlogs:
             return
         if self.said_hello and oldest is not None and wall - oldest > self._lateness:
             self.said_hello = False
-            if self.waited is not None and ANY_CAMERA not in self.waited:
+            if ANY_CAMERA not in self.waited:
                 self._unsettled_since = now
             until = min(now + SETTLE_SECONDS, self._unsettled_since + UNSETTLED_SECONDS_MAX)
             self._settled = max(self._settled, until)

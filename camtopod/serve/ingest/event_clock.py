@@ -46,6 +46,11 @@ class EventClock:
         """Event time (Unix seconds) that the learner waits for; set from any thread."""
 
     @property
+    def waited(self) -> frozenset[str]:
+        """Cameras that the learner waits for, after what is stored."""
+        return frozenset(self._learned.state.waited)
+
+    @property
     def watermark(self) -> float:
         """The learner's watermark after what is stored, Unix seconds; -infinity without one."""
         watermark_us = self._learned.state.watermark_us

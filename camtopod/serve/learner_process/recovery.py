@@ -134,6 +134,8 @@ def event_time(
                     time.load(EventTimeState())
                 case Rewind(to):
                     time.rewind(microseconds(to))
+    for _, entry in journal.commands(recovered.position, "('waits')")[-1:]:
+        time.wait_for(codec.read(set[str], entry.raw))
     for event in recent:
         time.note(microseconds(event.t), event.camera)
     return time

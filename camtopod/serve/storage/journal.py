@@ -299,12 +299,12 @@ class Journal:
                 after = row[0]
                 yield row[0], Entry(*row[2:7]) if sound(row) else None
 
-    def commands(self, after: int = 0) -> list[tuple[float, Entry]]:
+    def commands(self, after: int = 0, kinds: str = _COMMANDS) -> list[tuple[float, Entry]]:
         """Return the commands and corrections after an entry, and when they were stored.
 
-        Raises `sqlite3.Error`.
+        kinds: other kinds, in SQL. Raises `sqlite3.Error`.
         """
-        rows = self._rows(f"entry WHERE id > ? AND kind IN {_COMMANDS} ORDER BY id", after)
+        rows = self._rows(f"entry WHERE id > ? AND kind IN {kinds} ORDER BY id", after)
         return [(row[1], Entry(*row[2:7])) for row in rows]
 
     def skip(self, number: int) -> None:
