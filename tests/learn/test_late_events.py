@@ -20,12 +20,12 @@ from camtopod.sim.settings import SimSettings
 from camtopod.sim.simulation import simulate
 
 T0 = 1e6
-SITE = SimSettings(cameras=5, hours=0.3, seed=3)
+SITE = SimSettings(cameras=5, hours=0.25, seed=3)
 Learned = tuple[list[object], dict[object, tuple[float, float]]]
 
 
 def learned(events: list[Event], **given: float) -> Learner:
-    learner = Learner(Settings(**given))  # type: ignore[arg-type]
+    learner = Learner(Settings(**{"refit_share": 0.5, **given}))  # type: ignore[arg-type]
     for event in events:
         learner.receive(event)
     learner.flush()
@@ -53,7 +53,7 @@ def in_order() -> tuple[list[Event], Learned]:
     return events, (zones, links)
 
 
-@settings(max_examples=8, deadline=None)
+@settings(max_examples=6, deadline=None)
 @given(st.randoms(use_true_random=False), st.sampled_from([1, 30, 10_000]))
 def test_any_interleaving_of_the_cameras_ends_with_the_same(
     chance: random.Random, stretch: int
@@ -104,7 +104,7 @@ def test_backlogs_are_waited_for_and_events_in_memory_are_limited(
     early, late = ([e for e in events if (e.camera == "cam01") is is_it] for is_it in (False, True))
 
     def learn(until_done: list[Event]) -> Learner:
-        learner = Learner()
+        learner = Learner(Settings(refit_share=0.5))
         learner.wait_for({"", "cam01"})
         for event in early:
             learner.receive(event)
