@@ -91,16 +91,17 @@ class TopologySubscriber:
         """Query the topology."""
         self._ask_after = time.monotonic() + QUERY_INTERVAL_SECONDS
         self._stale = False  # before the query: a daemon may restart meanwhile
-        answers = []
+        version: dict[str, object] = {}  # of the model: the next one may come meanwhile
         with contextlib.suppress(QueryError):  # nothing learned yet
             for key in PARTS:
-                answers += self._bus.query(key, one=True)
-        if not answers:
+                for part in self._bus.query(key, version, one=True):
+                    self._take(*part)
+                if (model := self._parts["topology/model"]) is not None:
+                    version = {"epoch": model.epoch, "version": model.version}
+        if not version:
             self._stale = True
             return
         self.fetched += 1
-        for part in answers:
-            self._take(*part)
         self._stale = self._stale or self._both() is None
 
     def _take(self, key: str, payload: bytes) -> None:
