@@ -97,7 +97,7 @@ class EventTime:
             self._raise_watermark()
 
     def rewind(self, to_us: int) -> None:
-        """Move event time and watermark back to ``to_us``, and wait for nobody.
+        """Move event time and watermark back to ``to_us``; wait for no camera.
 
         Events from then on are learned again. Needed when a wrong clock has stamped events later
         than that.

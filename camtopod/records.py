@@ -354,7 +354,7 @@ class Overlaps(Struct, frozen=True):
 
 
 class PathColumns(Struct, frozen=True, rename={"from_": "from"}):
-    """PathColumns between cameras, on which lags have Student's t distribution (5 degrees).
+    """Paths between cameras, on which lags have Student's t distribution (5 degrees).
 
     of_zones: the ends are zones; else they are cameras.
     from_, to (n,): the ends of each.

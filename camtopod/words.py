@@ -87,7 +87,7 @@ class DaemonState(Struct, frozen=True):
     """The state of the daemon.
 
     live: False if nothing has been heard of it for too long.
-    words: its state, and what else somebody should know at a glance.
+    words: its state, alarms, and cameras that need attention.
     """
 
     live: bool
@@ -99,7 +99,7 @@ class DaemonState(Struct, frozen=True):
 class AlarmWords(Struct, frozen=True):
     """An alarm in words.
 
-    title: what has changed. open: whether somebody should still know (`alarms_in_words`).
+    title: what has changed. open: whether it still needs attention (`alarms_in_words`).
     """
 
     title: str
@@ -141,13 +141,13 @@ def camera_states(
     topology: Topology | None,
     last_events: Mapping[str, float],
 ) -> list[CameraState]:
-    """Return the state of each camera that anybody knows, those that need attention first.
+    """Return the state of each known camera, those that need attention first.
 
     grabbers: newest status of each camera, and the seconds since it was received.
     topology: the newest version.
     last_events: by camera, the time of its last event that was learned, Unix seconds.
 
-    A forgotten camera is just that, whatever its grabber says: somebody wanted it away, so it is
+    A forgotten camera is forgotten, whatever its grabber says: it was removed on purpose, so it is
     neither trouble nor fine; nothing is left of it once its grabber is silent. A grabber that has
     said nothing for `silent_after` is silent, unless it had ended: a film has nothing more to say.
     A camera without a grabber that works is gone after `OLD_SECONDS`, so that what was removed
@@ -227,7 +227,7 @@ def daemon_state(
     away: why nothing can be heard of the daemon; "" if it can.
 
     A daemon that is not heard of (`silent_after`) is silent, whatever it said last. One that
-    works is good only if nothing on its site waits for somebody: a degraded daemon and cameras
+    works is good only if nothing on its site needs attention: a degraded daemon and cameras
     that need attention are bad, open alarms and its warnings are worth a look. While it catches
     up, what it says is old, so it is neither good nor bad.
     """
@@ -273,8 +273,8 @@ def alarm_title(alarm: Alarm) -> str:
 def alarms_in_words(topology: Topology | None) -> list[AlarmWords]:
     """Return the alarms of a version, newest first.
 
-    An alarm is open for `OLD_SECONDS` unless the same subject has a later one, as nobody closes
-    it by hand; that a camera is back is news, but nothing to look after.
+    An alarm is open for `OLD_SECONDS` unless the same subject has a later one, as alarms are
+    not closed by hand; that a camera is back is news, but nothing to look after.
     """
     if topology is None:
         return []
@@ -301,7 +301,7 @@ def alarms_in_words(topology: Topology | None) -> list[AlarmWords]:
 def when(row: NextCamera) -> str:
     """Return when an object appears, in words; where views overlap it may have done so already.
 
-    Times that nobody has measured are not said as if somebody had.
+    Times that were not measured are not given as if they were.
     """
     if row.prior:
         return "no times known yet"
@@ -315,8 +315,8 @@ def when(row: NextCamera) -> str:
 def headline(prediction: Prediction) -> Headline:
     """Return what is said of a prediction: its likeliest outcomes, the first as the headline.
 
-    An outcome is told as a fact only if it is `LIKELY`. Otherwise the headline is the likeliest
-    camera, as somebody who looks needs a place to look at: "most likely" if no outcome is
+    An outcome is stated as a fact only if it is `LIKELY`. Otherwise the headline is the likeliest
+    camera, which is the place to look at: "most likely" if no outcome is
     likelier, "perhaps" if leaving the site is. Who is likely in view now comes before all that may
     follow. Nobody is said to leave where it is not learned yet whether objects do.
     """

@@ -27,7 +27,7 @@ LOOK_SECONDS = 10.0
 class Awaited(Struct, frozen=True):
     """An arrival at a camera.
 
-    camera: where the object left; None if nobody is awaited.
+    camera: where the object left; None without an expected arrival.
     from_, until (Unix seconds): when it is likely to arrive, or to be worth a look; None if that is
         not known.
     """
@@ -38,8 +38,8 @@ class Awaited(Struct, frozen=True):
     until: float | None = None
 
 
-NOBODY = Awaited(0.0)
-"""That nobody is about to come."""
+NO_ARRIVAL = Awaited(0.0)
+"""No arrival is expected."""
 
 
 class Passing(Struct, frozen=True):

@@ -15,7 +15,7 @@ import msgspec
 from msgspec import Struct
 
 from camtopod import __version__, codec
-from camtopod.export.arrivals import NOBODY, Awaited, Passing, look_at
+from camtopod.export.arrivals import NO_ARRIVAL, Awaited, Passing, look_at
 from camtopod.records import DaemonStatus, Prediction, Topology
 from camtopod.topology import links_between_views
 from camtopod.words import (
@@ -211,7 +211,7 @@ def arrival_states(
     """
     messages = {}
     for field, awaited in (("expected", expected), ("look_here", looks)):
-        arrival = awaited.get(camera, NOBODY)
+        arrival = awaited.get(camera, NO_ARRIVAL)
         state = {
             field: _switch(arrival.probability > LIKELY),
             "probability": round(arrival.probability, 3),

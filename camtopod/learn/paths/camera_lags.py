@@ -128,10 +128,8 @@ def camera_lags(
     departure, arrival = ranges(first, end - first)
 
     # An object does not return before it has left, and its own entry is no transition.
-    departure_place, arrival_place = (
-        (departures.zone, arrivals.zone) if by_zone else (departures.camera, arrivals.camera)
-    )
-    source, target = departure_place.astype(np.int64), arrival_place.astype(np.int64)
+    source = (departures.zone if by_zone else departures.camera).astype(np.int64)
+    arrival_place = arrivals.zone if by_zone else arrivals.camera
     lag = arrivals.t[arrival] - departures.t[departure]
     possible = departures.camera[departure] != arrivals.camera[arrival]
     if not by_zone:
@@ -143,7 +141,7 @@ def camera_lags(
     )
 
     # In order of pair and lag.
-    pair = source[departure] * cameras + target[arrival]
+    pair = source[departure] * cameras + arrival_place[arrival]
     key = keys(pair, lag, lag_min, lag_max)
     order = np.flatnonzero(possible)
     order = order[np.argsort(key[order], kind="stable")]
@@ -152,7 +150,7 @@ def camera_lags(
         departures.t,
         departures.t - departures.since,
         source,
-        target,
+        arrival_place.astype(np.int64),
         rate,
         activity_rates(arrivals.t, arrival_place, arrivals.camera, rate),
         departure,

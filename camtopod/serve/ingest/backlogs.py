@@ -4,8 +4,8 @@ When the daemon or the network was away, every spool delivers its backlog, some 
 Each event is stored as it comes. But if the learner's time went on with the first backlog, the
 cameras whose backlogs are still to come would look silent, and the passages between them unseen.
 So the learner's watermark waits for cameras with older events to deliver
-(`camtopod.event_time.EventTime.wait_for`). The journal says for whom, so that a replay waits
-for the same.
+(`camtopod.event_time.EventTime.wait_for`). The journal names them, so that a replay waits for the
+same.
 
 A camera that gains less than a second a second on the clock is waited for no longer: its events are
 late, and are learned all the same. So are those of a camera that has been away alone.
@@ -48,7 +48,7 @@ class Trial(Struct):
 
 
 class Backlogs:
-    """Decides for whom the learner waits; used by one thread.
+    """Decides which cameras the learner waits for; used by one thread.
 
     In all methods ``wall`` is this machine's time in Unix seconds, ``now`` that of a clock that
     never steps.
@@ -88,7 +88,7 @@ class Backlogs:
     def changed(
         self, wall: float, now: float, present: Callable[[Iterable[str]], set[str]]
     ) -> list[Received]:
-        """Return the entry that tells the learner for whom to wait, if that has changed.
+        """Return the entry that tells the learner which cameras to wait for, if that has changed.
 
         present: returns the present names of cameras, without forgotten ones.
         """

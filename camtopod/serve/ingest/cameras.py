@@ -215,7 +215,7 @@ class Cameras:
         others = f", {len(behind) - 1} more less" * (len(behind) > 1)
         return (
             f"camera {worst} catches up and is {math.ceil(seconds / 60.0)} min behind{others}:"
-            " its events are learned as they come, and nobody else is delayed"
+            " its events are learned as they come, and no other camera is delayed"
         )
 
     def log_behind(self, wall: float, now: float) -> None:

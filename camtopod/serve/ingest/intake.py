@@ -10,7 +10,7 @@ there into the journal:
 2. a request is admitted, and its events are decoded; an invalid event is stored under its number,
    so that the spool can drop it, and is not learned;
 3. forgotten and renamed cameras are looked after (`names`), floods are cut (`cameras`), the learner
-   is told for whose backlogs to wait (`backlogs`), and event time follows the clock when no events
+   is told which backlogs to wait for (`backlogs`), and event time follows the clock when no events
    come (`event_clock`);
 4. the events are committed to the journal, many in one transaction, and handed to the learner;
 5. each request whose events are all stored is answered (`answers`).
