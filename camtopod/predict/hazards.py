@@ -7,8 +7,8 @@ and the rates at which known objects cause an arrival: objects that have left a 
 (`rates_by_row`, `rates_from`) and objects that are still in an overlapping view (`rate_entered`, by
 the time since their entry, and `rate_before_exit`, the mean over the passage).
 
-All outcomes are rows of one table (`outcomes.Table`). The rows of a zone are prepared with the first
-exit from it, as a version may be replaced before most zones have one.
+All outcomes are rows of one table (`outcomes.Table`). The rows of a zone are prepared with the
+first exit from it, as a version may be replaced before most zones have one.
 """
 
 from __future__ import annotations
