@@ -22,7 +22,6 @@ from collections.abc import Sequence
 import numpy as np
 
 from camtopod.arrays import Floats, Rows
-from camtopod.client.errors import zone_at, zones_of
 from camtopod.codec import require_event
 from camtopod.predict import (
     Departure,
@@ -34,7 +33,7 @@ from camtopod.predict import (
     outside_rates,
 )
 from camtopod.records import Event, Topology
-from camtopod.topology import block_of
+from camtopod.topology import block_of, zone_at, zones_of
 
 
 class Gate:
@@ -84,7 +83,7 @@ class Gate:
         camera that this version does not have. Zones come and go with versions: for events prefer
         `affinity`, which finds zones by position.
         """
-        source = zone_at(self.topology, from_zone)
+        source = self._zone(from_zone)
         zones = np.array(self._zones(to_camera, to_zone), np.intp)
         departure_t = t_exit - self._ahead[self.topology.zones[source].camera]
         lag = t_entry - self._ahead[to_camera] - departure_t
@@ -114,9 +113,7 @@ class Gate:
         """
         if math.isnan(seconds):
             raise ValueError("seconds is not a number")
-        return _log_unseen(
-            outlook(self.prepared, Departure(zone_at(self.topology, from_zone))), seconds
-        )
+        return _log_unseen(outlook(self.prepared, Departure(self._zone(from_zone))), seconds)
 
     def affinity(
         self, exits: Sequence[Event], entries: Sequence[Event], now: float | None = None
@@ -199,8 +196,12 @@ class Gate:
     def _zones(self, camera: str, zone: str | None) -> list[int]:
         """Return the zones (indices) of a camera, or the one zone given."""
         if zone is not None:
-            return [zone_at(self.topology, zone, camera)]
-        return zones_of(self.topology, camera)
+            return [self._zone(zone, camera)]
+        return zones_of(self.topology.version, self.topology.zones, camera)
+
+    def _zone(self, zone: str, camera: str | None = None) -> int:
+        """Return the index of a zone; with ``camera``, of one of its zones."""
+        return zone_at(self.topology.version, self.topology.zones, zone, camera)
 
 
 def _log_unseen(answer: Outlook, seconds: float) -> float:

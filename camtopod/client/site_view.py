@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 
 from camtopod import codec
 from camtopod.client.answer_queue import AnswerQueue
-from camtopod.client.errors import NothingLearned, zone_at, zones_of
+from camtopod.client.errors import NothingLearned
 from camtopod.client.gate import Gate
 from camtopod.client.wakeup import ChangeSignal
 from camtopod.config import Config, config_file, secret_files
@@ -38,6 +38,7 @@ from camtopod.serve.bus import (
     take_only_site,
 )
 from camtopod.serve.runtime import clock
+from camtopod.topology import zone_at
 
 log = logging.getLogger(__name__)
 
@@ -158,9 +159,9 @@ class SiteView:
             topology, predictor = self._now().topology, self._predictor
             assert predictor is not None
             if zone is None:
-                zones_of(topology, camera)
+                predictor.prepared.require_camera(camera)
                 return predictor.predict(event, now)
-            place = zone_at(topology, zone, camera)
+            place = zone_at(topology.version, topology.zones, zone, camera)
             return predictor.predict_from(place, event.t, track=track, now=now, label=event.label)
 
     def observe(self, event: Event) -> None:

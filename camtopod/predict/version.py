@@ -19,6 +19,7 @@ from camtopod.predict.outcomes import Outcomes
 from camtopod.predict.time_windows import PaceModel
 from camtopod.predict.zone_lookup import ZoneLookup
 from camtopod.records import Event, Topology
+from camtopod.topology import UnknownPlace
 
 LEARNED_EXITS = 100
 """Exits at a zone after which it is known where objects go, without any link: one that a tenth of
@@ -110,6 +111,11 @@ class PreparedVersion:
             if stay:
                 longest[zone.camera] = max(longest.get(zone.camera, 0.0), stay)
         return longest
+
+    def require_camera(self, camera: str) -> None:
+        """Raise `UnknownPlace` (a KeyError) for a camera that this version does not have."""
+        if camera not in self.clock_offset:
+            raise UnknownPlace("camera", camera, self.number, list(self.clock_offset))
 
     def zone_of(self, event: Event) -> int | None:
         """Return the zone (index) that an event belongs to; None if its camera has no zone."""

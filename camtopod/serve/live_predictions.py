@@ -21,6 +21,7 @@ from camtopod.predict import BetweenCameras, Predictor, Walks
 from camtopod.records import Between, Event, Match, Prediction, Recent, SeenEvent, Topology
 from camtopod.serve.bus import QueryError
 from camtopod.serve.hourly_counts import HourlyCounts
+from camtopod.topology import UnknownPlace, zone_at
 
 FRESH_SECONDS = 30.0
 """Age of an event from which on, if it was not heard, it is one of a backlog: only observed.
@@ -288,13 +289,12 @@ class Live:
             predictor = self._reader.predictor
             event, now = asked_exit(camera, parameters, predictor.prepared.as_of)
             try:
-                if "zone" not in parameters:
-                    return predictor.predict(event, now)
-                for number, zone in enumerate(predictor.zones):
-                    if zone.camera == camera and zone.id == parameters["zone"]:
-                        return predictor.predict_from(number, event.t, now=now, label=event.label)
-                raise QueryError(f"camera {camera!r} has no zone {parameters['zone']!r}")
-            except ValueError as error:
+                if "zone" in parameters:
+                    zone = zone_at(predictor.version, predictor.zones, parameters["zone"], camera)
+                    return predictor.predict_from(zone, event.t, now=now, label=event.label)
+                predictor.prepared.require_camera(camera)
+                return predictor.predict(event, now)
+            except (ValueError, UnknownPlace) as error:
                 raise QueryError(str(error)) from None
 
 

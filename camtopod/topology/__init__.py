@@ -7,7 +7,7 @@ integers, and blocks of the image), `student_t` (lags of a path) and `shared_con
 `markov_chain` (the chain over cameras) are computed from links. `site_names` has cameras' names
 within ids. `versions` has digests of versions and the deltas between them. `named_figures`
 has weak links and what else a model says by name, and `first_links` says what a site without links
-waits for.
+waits for. `places` finds cameras and zones by name.
 """
 
 from camtopod.topology.camera_pairs import (
@@ -60,6 +60,11 @@ from camtopod.topology.named_figures import (
     last_events as last_events,
     weak_columns as weak_columns,
     weak_links as weak_links,
+)
+from camtopod.topology.places import (
+    UnknownPlace as UnknownPlace,
+    zone_at as zone_at,
+    zones_of as zones_of,
 )
 from camtopod.topology.shared_constants import (
     BACK_OFF_DEPARTURES as BACK_OFF_DEPARTURES,

@@ -102,7 +102,8 @@ def test_a_wrong_question_is_answered_with_what_is_wrong(api: str) -> None:
     for query, said in (
         ("predict", "the id of the camera"),
         ("predict?camera=a&place=3", "unknown parameter 'place': use zone, x, y, t, now, label"),
-        ("predict?camera=a&zone=b/1", "camera 'a' has no zone 'b/1'"),
+        ("predict?camera=a&zone=b/1", "has no zone of a called 'b/1'; there are a/"),
+        ("predict?camera=nowhere", "has no camera 'nowhere'; there are "),
         ("predict?camera=a&zone=a/1%3Bt=5", "an id of the topology or a number"),
         ("predict?camera=a&t=noon", "t, x, y and now are numbers"),
         ("predictions?camera=a/b", "the id of a camera"),
