@@ -89,7 +89,7 @@ class SiteView:
                 )
             self._view = TopologySubscriber(self._bus, self._wake.set)
             self._wake.wait(QUERY_SECONDS)  # a running daemon is announced at once
-            self._refresh()
+            self._use(self._view.first(QUERY_SECONDS))
             self._thread.start()
             undo.pop_all()
         guard(self)
@@ -264,12 +264,12 @@ class SiteView:
             while not self._closing.is_set():
                 self._wake.wait(LOOK_SECONDS)
                 self._wake.clear()
-                self._refresh()
+                self._use(self._view.update())
         finally:
             self._say_there(False)
 
-    def _refresh(self) -> None:
-        version = self._view.update()
+    def _use(self, version: Topology | None) -> None:
+        """Answer by a newer version, if there is one."""
         if version is not None:
             prepared_version = PreparedVersion(_with_all_alive(version))
             gate, predictor = Gate(version, prepared_version), Predictor(version, prepared_version)

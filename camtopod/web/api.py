@@ -18,6 +18,7 @@ from starlette.routing import Route
 from camtopod import codec
 from camtopod.records import Match, Prediction
 from camtopod.serve.bus import JSON, Bus, QueryError
+from camtopod.topology import UnknownPlace
 from camtopod.web.feed import Feed
 from camtopod.web.outbox import PageQueues
 
@@ -101,8 +102,9 @@ class Api:
             return error(400, "camera: the id of the camera whose view the object left")
         if unknown := sorted(set(given) - set(ASKED)):
             return error(400, f"unknown parameter {unknown[0][:20]!r}: use {', '.join(ASKED)}")
-        if camera not in (self._feed.names() or {camera}):
-            return error(404, f"there is no camera {camera}: /api/status lists those that are")
+        newest, names = self._feed.topology, self._feed.names()
+        if newest is not None and camera not in names:
+            return error(404, str(UnknownPlace("camera", camera, newest.version, sorted(names))))
         return self._asked(f"predict/{camera}", given, 400)
 
     async def predictions(self, request: Request) -> Response:

@@ -103,7 +103,6 @@ def test_a_wrong_question_is_answered_with_what_is_wrong(api: str) -> None:
         ("predict", "the id of the camera"),
         ("predict?camera=a&place=3", "unknown parameter 'place': use zone, x, y, t, now, label"),
         ("predict?camera=a&zone=b/1", "has no zone of a called 'b/1'; there are a/"),
-        ("predict?camera=nowhere", "has no camera 'nowhere'; there are "),
         ("predict?camera=a&zone=a/1%3Bt=5", "an id of the topology or a number"),
         ("predict?camera=a&t=noon", "t, x, y and now are numbers"),
         ("predictions?camera=a/b", "the id of a camera"),
@@ -112,6 +111,12 @@ def test_a_wrong_question_is_answered_with_what_is_wrong(api: str) -> None:
     ):
         status, error = answer(f"{api}/{query}")
         assert (status, said in error["error"]) == (400, True), error
+
+
+def test_a_camera_that_is_not_there_is_answered_with_those_that_are(api: str) -> None:
+    status, error = answer(f"{api}/predict?camera=nowhere")
+    assert status == 404
+    assert "has no camera 'nowhere'; there are" in error["error"]
 
 
 def test_the_status(api: str) -> None:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import contextlib
 import logging
 import time
 from collections import deque
@@ -43,6 +42,8 @@ class TopologySubscriber:
         """The newest map and model, by key."""
         self._stale = True
         self._ask_after = 0.0
+        self._is_answered = False
+        """True once a daemon has told its version, or that it has none."""
         self.topology: Topology | None = None
         """The newest version received; None before the first."""
         self.fetched = 0
@@ -62,6 +63,20 @@ class TopologySubscriber:
         if self._stale and time.monotonic() >= self._ask_after:
             self._fetch()
         return self.topology if self.topology is not before else None
+
+    def first(self, seconds: float) -> Topology | None:
+        """Return the version of a daemon that is there; None if it has none.
+
+        A program that has just joined may ask before the bus knows who answers, and asks again.
+
+        seconds: longest wait for an answer.
+        """
+        deadline = time.monotonic() + seconds
+        while (version := self.update()) is None and not self._is_answered:
+            if not self.daemons or time.monotonic() >= deadline:
+                break
+            time.sleep(max(self._ask_after - time.monotonic(), 0.0))
+        return version
 
     def _on_part(self, key: str, payload: bytes) -> None:
         self._received.append((key, payload))
@@ -92,17 +107,20 @@ class TopologySubscriber:
         self._ask_after = time.monotonic() + QUERY_INTERVAL_SECONDS
         self._stale = False  # before the query: a daemon may restart meanwhile
         version: dict[str, object] = {}  # of the model: the next one may come meanwhile
-        with contextlib.suppress(QueryError):  # nothing learned yet
+        try:
             for key in PARTS:
                 for part in self._bus.query(key, version, one=True):
                     self._take(*part)
                 if (model := self._parts["topology/model"]) is not None:
                     version = {"epoch": model.epoch, "version": model.version}
+        except QueryError:  # nothing learned yet
+            self._is_answered = True
         if not version:
             self._stale = True
             return
         self.fetched += 1
-        self._stale = self._stale or self._both() is None
+        self._is_answered = self._both() is not None
+        self._stale = self._stale or not self._is_answered
 
     def _take(self, key: str, payload: bytes) -> None:
         """Keep a map or a model, and the version if both are there and it is newer.
