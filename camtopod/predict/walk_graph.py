@@ -43,8 +43,8 @@ class WalkStep:
         """Edges from the passages that it may continue."""
         self.outside = 0.0
         """Rate at which objects from outside enter where it does, 1/s."""
-        self.match_edges: list[tuple[WalkEdge, float]] = []
-        """The probabilities of its edges when its match was given."""
+        self.is_final = False
+        """True if its match does not change any more."""
         self.claims: dict[str, Claims] = {}
         """By the entries that may continue it: by their camera while in view, "" afterwards."""
 
@@ -94,6 +94,10 @@ class Claims:
         self.odds = 0.0
 
 
+NO_CLAIMS = Claims()
+"""Those on a passage that no entry claims; never changed."""
+
+
 class WalkEdge:
     """An entry, and an earlier passage that it may continue.
 
@@ -106,14 +110,17 @@ class WalkEdge:
         self.entry = entry
         self.slot = slot
         self.weight = weight
-        self.claims = source.claims.setdefault(slot, Claims())
-        """The claims that compete with it for the passage."""
+        self.claims = source.claims.get(slot, NO_CLAIMS)
+        """The claims that compete with it for the passage, and its own once it is added."""
         self.message = 1.0 / entry.outside
         """Sum-product message from the entry, s."""
         self.probability = 0.0
+        self.matched = 0.0
+        """The probability when the match of the entry was given."""
 
     def add(self) -> None:
         """Add the edge to its entry, and its claim to those on the passage."""
+        self.claims = self.source.claims.setdefault(self.slot, Claims())
         self.entry.edges.append(self)
         self.claims.edges.append(self)
         self.claims.odds += self.weight * self.message

@@ -18,7 +18,7 @@ from __future__ import annotations
 import itertools
 from bisect import bisect_right
 from collections import deque
-from collections.abc import Collection
+from collections.abc import Collection, Iterable
 
 import numpy as np
 
@@ -72,7 +72,9 @@ class Walks:
     def forget(self) -> None:
         """Forget all passages; needed when event time has been taken back."""
         self._events: deque[tuple[float, WalkStep]] = deque()
-        """Time of each event, and its passage, oldest first."""
+        """Time of each event after which its passage may be continued, and passage, oldest first."""
+        self._past_events: deque[tuple[float, WalkStep]] = deque()
+        """The events before these, as far as walks are named by them."""
         self._names: set[str] = set()
         """Their names."""
         self._open: dict[str, dict[str, WalkStep]] = {}
@@ -84,11 +86,14 @@ class Walks:
 
     def forget_cameras(self, cameras: Collection[str]) -> None:
         """Forget the passages of cameras; what came after one of them begins a walk."""
-        steps = {id(step): step for _, step in self._events}.values()
+        steps = self._steps(itertools.chain(self._events, self._past_events))
         names = {step.name for step in steps if step.camera in cameras}
         for step in steps:
             step.is_forgotten |= step.name in names
-        self._events = deque(item for item in self._events if item[1].name not in names)
+        self._events, self._past_events = (
+            deque(item for item in events if item[1].name not in names)
+            for events in (self._events, self._past_events)
+        )
         self._recent_steps = deque(step for step in self._recent_steps if step.name not in names)
         self._names -= names
         self._open = {name: steps for name, steps in self._open.items() if name not in cameras}
@@ -97,11 +102,8 @@ class Walks:
                 zone_steps.remove(step)
 
         # What other passages know of them.
-        for _, step in self._events:
+        for step in steps:
             step.edges = [edge for edge in step.edges if edge.source.name not in names]
-            step.match_edges = [
-                item for item in step.match_edges if item[0].source.name not in names
-            ]
             for claims in step.claims.values():
                 claims.edges = [edge for edge in claims.edges if edge.entry.name not in names]
                 claims.odds = sum(edge.weight * edge.message for edge in claims.edges)
@@ -109,11 +111,12 @@ class Walks:
     def take_over(self, older: Walks) -> None:
         """Take over the passages from walks by an older version; this must be new."""
         new_zones = moved_zones(older._prepared_version.zones, self._prepared_version.zones)
-        self._events = older._events
+        self._events, self._past_events = older._events, older._past_events
         self._names = older._names
         self._open = older._open
         self._recent_steps = older._recent_steps
-        for step in {id(step): step for _, step in self._events}.values():
+        in_view = [step for steps in self._open.values() for step in steps.values()]
+        for step in self._steps(self._events, in_view):
             step.entry = new_zones.get(-1 if step.entry is None else step.entry)
         for zone, steps in older._ended_steps.items():
             if zone in new_zones:
@@ -163,12 +166,13 @@ class Walks:
             if not self._recent_steps or self._recent_steps[0].t + REVISE_SECONDS > now:
                 break
             step = self._recent_steps.popleft()
+            if step.is_final:
+                continue
             walk = step.walk
             self._add_late(step)
             self._settle(step, step.entry_t + REVISE_SECONDS)
             has_changed = any(
-                abs(edge.probability - probability) > REVISE_CHANGE
-                for edge, probability in step.match_edges
+                abs(edge.probability - edge.matched) > REVISE_CHANGE for edge in step.edges
             )
             match = self._match(step)
             if has_changed or match.walk != walk:
@@ -190,9 +194,16 @@ class Walks:
         ]
         for edge in self._likely(step, candidates, step.entry_t + REVISE_SECONDS):
             edge.add()
-            step.match_edges.append((edge, 0.0))
 
     # --- Passages ---
+
+    @staticmethod
+    def _steps(
+        events: Iterable[tuple[float, WalkStep]], others: Iterable[WalkStep] = ()
+    ) -> list[WalkStep]:
+        """Return the passages of some events, and others, each once."""
+        steps = itertools.chain((step for _, step in events), others)
+        return list({id(step): step for step in steps}.values())
 
     def _step(self, event: Event, entry: int | None, t: float) -> WalkStep:
         """Return a new passage that begins with an event, under a name of its own."""
@@ -260,11 +271,23 @@ class Walks:
         return density
 
     def _forget(self, now: float) -> None:
-        """Forget the passages that have had no event for an hour, and the oldest of too many."""
+        """Forget what cannot be continued any more, and the names of walks after an hour."""
+        # Passages that ended longer ago than the longest lag; then they have but their names.
+        longest = self._hazards.lag_max + REVISE_SECONDS
         while self._events and (
-            now - self._events[0][0] > MEMORY_SECONDS or len(self._events) > EVENTS_MAX
+            now - self._events[0][0] > longest or len(self._events) > EVENTS_MAX
         ):
-            t, step = self._events.popleft()
+            t, step = event = self._events.popleft()
+            self._past_events.append(event)
+            if t == step.exit_t:
+                self._release(step)
+
+        # Passages that have had no event for an hour, and the oldest of too many.
+        while self._past_events and (
+            now - self._past_events[0][0] > MEMORY_SECONDS
+            or len(self._past_events) + len(self._events) > EVENTS_MAX
+        ):
+            t, step = self._past_events.popleft()
             if t < (step.t if step.exit_t is None else step.exit_t):
                 continue
             self._names.discard(step.name)
@@ -273,11 +296,17 @@ class Walks:
             key = step.track or step.name
             if in_view.get(key) is step:
                 del in_view[key]
-            if step in (zone_steps := self._ended_steps.get(step.zone, deque())):
-                zone_steps.remove(step)
-            step.edges, step.match_edges, step.claims, step.before = [], [], {}, None
-        while self._recent_steps and self._recent_steps[0].is_forgotten:
+            self._release(step)
+            step.before = None
+        while self._recent_steps and self._recent_steps[0].is_final:
             self._recent_steps.popleft()
+
+    def _release(self, step: WalkStep) -> None:
+        """Release what matching needs to know of a passage."""
+        step.is_final = True
+        if step in (zone_steps := self._ended_steps.get(step.zone, deque())):
+            zone_steps.remove(step)
+        step.edges, step.claims, step.expected = [], {}, None
 
     # --- Matching ---
 
@@ -404,7 +433,8 @@ class Walks:
         edges = [edge for edge in edges if edge.probability >= PROBABILITY_MIN]
         is_known = bool(edges) and edges[0].probability > 0.5
         step.before = edges[0].source if is_known else None
-        step.match_edges = [(edge, edge.probability) for edge in step.edges]
+        for edge in step.edges:
+            edge.matched = edge.probability
         rows = [_row(edge) for edge in edges]
         new = 1.0 - sum(row.probability for row in rows)
         return Match(

@@ -144,11 +144,29 @@ def test_two_walks_of_one_instant_have_two_names(walks: Walks) -> None:
     assert second.walk == f"a@{T:.0f}.25/2"
 
 
+def remembered(walks: Walks) -> list[WalkStep]:
+    """Return the passages of the events that are remembered, oldest first."""
+    return [step for _, step in (*walks._past_events, *walks._events)]
+
+
+def test_what_cannot_be_continued_any_more_has_but_its_name(walks: Walks) -> None:
+    events = [entry("a", T, "1"), exit_("a", T + 4, "1"), entry("b", T + 13, "3")]
+    first, second = matched(walks, [*events, exit_("b", T + 17, "3")])
+    walks.observe(entry("c", T + 17 + walks._hazards.lag_max + REVISE_SECONDS, "4"))
+    assert all(step.edges for step in remembered(walks)[2:4])
+    assert walks.revised(T + 20 + walks._hazards.lag_max + 2 * REVISE_SECONDS) == []
+
+    steps = remembered(walks)[:4]
+    assert [step.walk for step in steps] == 2 * [first.walk] + 2 * [second.walk]
+    assert not any(step.edges or step.claims or step.expected for step in steps)
+    assert not any(walks._ended_steps.values())
+
+
 def test_passages_are_forgotten_after_an_hour(walks: Walks) -> None:
     events = [entry("a", T, "1"), exit_("a", T + 4, "1"), entry("a", T + 5, "2")]
     matched(walks, events)
     matched(walks, [entry("b", T + 5 + MEMORY_SECONDS + 1, "3")])
-    assert len(walks._events) == len(walks._recent_steps) == 1
+    assert len(remembered(walks)) == len(walks._recent_steps) == 1
     assert not walks._open["a"]
     assert not any(walks._ended_steps.values())
 
@@ -160,7 +178,7 @@ def test_a_passage_is_remembered_from_its_last_event_on(walks: Walks) -> None:
     assert late.from_[0].track == "1"
     assert late.walk == first.walk
     walks.revised(T + 2 * MEMORY_SECONDS - 4)  # that passage is forgotten, its successor is not
-    assert [step.track for _, step in walks._events] == ["3"]
+    assert [step.track for step in remembered(walks)] == ["3"]
 
 
 def test_a_walk_is_named_by_its_oldest_passage_of_the_last_hour(walks: Walks) -> None:
@@ -181,7 +199,7 @@ def test_what_came_after_a_forgotten_camera_begins_a_walk(walks: Walks) -> None:
     [second] = matched(walks, [entry("b", T + 13, "3"), exit_("b", T + 17, "3")])
     assert second.walk == first.walk
     walks.forget_cameras({"b"})
-    assert [step.walk for _, step in walks._events] == [first.walk, first.walk]
+    assert [step.walk for step in remembered(walks)] == [first.walk, first.walk]
 
 
 def test_nothing_is_left_of_a_forgotten_camera(walks: Walks) -> None:
@@ -192,7 +210,7 @@ def test_nothing_is_left_of_a_forgotten_camera(walks: Walks) -> None:
     walks.forget_cameras({"a"})
 
     assert before.walk == f"a@{T:.0f}"
-    assert [(step.track, step.walk, step.edges) for _, step in walks._events] == 2 * [
+    assert [(step.track, step.walk, step.edges) for step in remembered(walks)] == 2 * [
         ("3", f"b@{T + 13:.0f}", [])
     ]
     [new] = matched(walks, [entry("c", T + 13.5, "4")])
