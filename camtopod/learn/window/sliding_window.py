@@ -216,12 +216,10 @@ class Window:
         row = self.entries_of_exits()
         mate = np.where(row >= 0, number[np.maximum(row, 0)], self.column("mate"))
         self.state.columns = {**self.state.columns, "mate": mate}
-        open_passages, moves = self.state.open, []
-        while (
-            open_passages and open_passages[last := next(reversed(open_passages))] >= base + first
-        ):
-            moves.append((int(number[open_passages.pop(last) - base]), last))
-        open_passages.update((key, row) for row, key in sorted(moves) if row != NONE)
+        passages, moves = self.state.open, []
+        while passages and passages[last := next(reversed(passages))] >= base + first:
+            moves.append((int(number[passages.pop(last) - base]), last))
+        passages.update((key, row) for row, key in sorted(moves) if row != NONE)
 
     def forget_old(self, before_us: int) -> int:
         """Remove events older than ``before_us`` or beyond the window's size; return their number.
