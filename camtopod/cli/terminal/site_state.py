@@ -50,8 +50,8 @@ class SiteState:
             return words
         daemon = self._statuses.daemon
         reject_count = sum(daemon.rejects.values())
-        stored = daemon.events.stored
-        return f"{words}, {stored} events stored, {reject_count} rejected since its start"
+        stored_count = daemon.events.stored
+        return f"{words}, {stored_count} events stored, {reject_count} rejected since its start"
 
     def camera_lines(self, topology: Topology | None, now: float) -> list[str]:
         """Return a line for each camera at ``now`` (Unix seconds).
