@@ -42,12 +42,12 @@ def places(names: Sequence[str]) -> Rows:
     return np.argsort(np.argsort(np.array(names, object)))
 
 
-def first_of_group(group: Indices, most: int) -> Bools:
-    """Return a mask (n,) of the first rows of each group, ``most`` of each; group (n,)."""
+def first_of_group(group: Indices, limit: int) -> Bools:
+    """Return a mask (n,) of the first rows of each group, ``limit`` of each; group (n,)."""
     order = np.argsort(group, kind="stable")
-    ordered = group[order]
+    runs = group[order]
     first = np.zeros(len(group), np.bool_)
-    first[order] = np.arange(len(group)) - np.searchsorted(ordered, ordered) < most
+    first[order] = np.arange(len(group)) - np.searchsorted(runs, runs) < limit
     return first
 
 

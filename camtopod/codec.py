@@ -90,8 +90,8 @@ def is_camera(name: str) -> bool:
 def require_camera(name: str) -> None:
     """Raise `ValueError` unless a camera may have this id."""
     if not is_camera(name):
-        allowed = "1 to 64 of the characters A-Z a-z 0-9 _ . -, and not daemon"
-        raise ValueError(f"camera {name!r}: {allowed}")
+        rule = "1 to 64 of the characters A-Z a-z 0-9 _ . -, and not daemon"
+        raise ValueError(f"camera {name!r}: {rule}")
 
 
 def require_event(event: Event, kind: Kind | None = None) -> None:
@@ -227,8 +227,8 @@ def _rejection(error: Exception) -> Rejected:
         return Rejected("not-utf8", "text is not UTF-8")
     if isinstance(error, RecursionError):
         return Rejected("too-deep", "nested too deeply")
-    what = "it is empty, or cut off" if str(error) == _CUT_OFF else str(error)
-    return Rejected("malformed", what)
+    mistake = "it is empty, or cut off" if str(error) == _CUT_OFF else str(error)
+    return Rejected("malformed", mistake)
 
 
 def read(kind: type[_T], raw: bytes, pack: bool = False) -> _T:
@@ -283,8 +283,8 @@ def read_topology(raw: bytes, pack: bool = False) -> Topology:
 def _converted(content: dict[str, Any]) -> Topology:
     """Return a topology of an older form; raise `Rejected`."""
     try:
-        changed = older.with_columns(content)
-        return msgspec.convert(changed, Topology)
+        columns = older.with_columns(content)
+        return msgspec.convert(columns, Topology)
     except msgspec.ValidationError as error:
         raise _rejection(error) from None
     except (KeyError, TypeError, AttributeError, ArithmeticError, ValueError) as error:

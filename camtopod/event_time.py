@@ -104,10 +104,10 @@ class EventTime:
         """
         state = self.state
         state.waited = {}
-        come, most_us = self._event_time(), to_us + self.lateness_us
-        if come is not None and state.newest_us is not None and state.newest_us > most_us:
+        event_us, most_us = self._event_time(), to_us + self.lateness_us
+        if event_us is not None and state.newest_us is not None and state.newest_us > most_us:
             state.newest_us = most_us
-            state.second_us = min(come, most_us)
+            state.second_us = min(event_us, most_us)
             state.leader = None
             if state.watermark_us is not None:
                 state.watermark_us = min(state.watermark_us, to_us)
@@ -124,12 +124,12 @@ class EventTime:
 
     def _raise_watermark(self) -> None:
         """Raise the watermark; only `rewind` lowers it."""
-        come = self._event_time()
-        assert come is not None
+        event_us = self._event_time()
+        assert event_us is not None
         times = self.state.waited.values()
-        reached = [t_us for t_us in times if t_us is not None]
-        if len(reached) < len(times):
+        camera_us = [t_us for t_us in times if t_us is not None]
+        if len(camera_us) < len(times):
             return
-        watermark = min([come - self.lateness_us, *reached])
+        watermark = min([event_us - self.lateness_us, *camera_us])
         if self.state.watermark_us is None or watermark > self.state.watermark_us:
             self.state.watermark_us = watermark

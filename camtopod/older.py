@@ -39,15 +39,15 @@ def with_columns(topology: Row) -> Row:
             "paths": lambda rows: _paths(rows, zones, cameras),
             "labels": lambda labels: _labels(labels, zones),
         }
-        changed: Row = {
+        columns: Row = {
             name: table(model[name])
             for name, table in tables.items()
             if model.get(name) is not None
         }
         if weak := topology.get("weak_links"):
-            changed["weak_links"] = _weak_links(weak, zones)
+            columns["weak_links"] = _weak_links(weak, zones)
         return topology | {
-            "model": model | _of_zones(model, zones) | _of_cameras(model, cameras) | changed
+            "model": model | _of_zones(model, zones) | _of_cameras(model, cameras) | columns
         }
 
 
@@ -64,8 +64,8 @@ def _ends(rows: list[Row], index: dict[str, int], *names: str) -> Row:
 def _histograms(histograms: list[Row]) -> Row:
     """Return histograms as columns."""
     units, steps = [], []
-    for one in histograms:
-        mass, unit = np.array(one["mass"], float), float(one.get("unit", 1.0))
+    for histogram in histograms:
+        mass, unit = np.array(histogram["mass"], float), float(histogram.get("unit", 1.0))
         if mass.max(initial=0.0) > STEPS or (mass % 1.0).any():
             unit *= mass.max() / STEPS
             mass *= STEPS / mass.max()
@@ -73,7 +73,7 @@ def _histograms(histograms: list[Row]) -> Row:
         steps.append(np.rint(np.clip(mass, 0.0, STEPS)))
     return {
         "first": _column(histograms, "first", kind=np.int16),
-        "bins": packed([len(one) for one in steps], np.int16),
+        "bins": packed([len(row) for row in steps], np.int16),
         "unit": packed(units, np.float32),
         "steps": packed(np.concatenate([np.zeros(0), *steps]), np.uint8),
     }
@@ -110,11 +110,11 @@ def _of_cameras(model: Row, cameras: dict[str, int]) -> Row:
     return {"event_share": packed(share, np.float32), "last_event": packed(last, np.float64)}
 
 
-def _onward(listed: list[Row], zones: dict[str, int]) -> Row:
-    listed = sorted(listed, key=lambda row: zones[row["zone"]])
-    rows = [one for row in listed for one in row["next_"]]
+def _onward(zone_rows: list[Row], zones: dict[str, int]) -> Row:
+    zone_rows = sorted(zone_rows, key=lambda row: zones[row["zone"]])
+    rows = [successor for row in zone_rows for successor in row["next_"]]
     leave, number = np.ones(len(zones)), np.zeros(len(zones))
-    for row in listed:
+    for row in zone_rows:
         leave[zones[row["zone"]]] = row["leave"]
         number[zones[row["zone"]]] += len(row["next_"])
     return {
@@ -129,8 +129,8 @@ def _onward(listed: list[Row], zones: dict[str, int]) -> Row:
     }
 
 
-def _contexts(listed: list[Row], zones: dict[str, int], cameras: dict[str, int]) -> Row:
-    rows = sorted(listed, key=lambda row: zones[row["zone"]])
+def _contexts(contexts: list[Row], zones: dict[str, int], cameras: dict[str, int]) -> Row:
+    rows = sorted(contexts, key=lambda row: zones[row["zone"]])
     number = np.bincount([zones[row["zone"]] for row in rows], minlength=len(zones))
     entry = [-1 if row.get("entry") is None else zones[row["entry"]] for row in rows]
     block = [-1 if row.get("block") is None else row["block"] for row in rows]
@@ -178,10 +178,10 @@ def _labels(labels: Row, zones: dict[str, int]) -> Row:
 def _weak_links(rows: list[Row], zones: dict[str, int]) -> Row:
     transit = [row["transit"] for row in rows]
     lacks = [row.get("lacks") or NO_LACKS for row in rows]
-    known = ("mode", "mean", "sd", "q10", "q50", "q90")
+    names = ("mode", "mean", "sd", "q10", "q50", "q90")
     columns = [
         *(_column(rows, name) for name in ("probability", "transitions")),
-        *(_column(transit, name) for name in known),
+        *(_column(transit, name) for name in names),
         *(_column(transit, name, np.nan) for name in ("mean_sd", "q50_sd")),
         *(_column(rows, name) for name in ("q_value", "mahalanobis_variance")),
         *(_column(lacks, name) for name in ("passages", "seconds")),

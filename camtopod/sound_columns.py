@@ -104,10 +104,10 @@ def _next_zones(model: Model, zones: int, zone: Range, bins: tuple[int, int]) ->
         _column(onward, "delay", (rows,), DURATION)
         _column(onward, "missed", (rows,), (0, 1), np.uint8)
         _hazards(onward.hazard, rows, bins)
-    if (entered := model.entered) is not None:
-        rows = len(_column(entered, "zone", (-1,), zone, np.int32))
-        _column(entered, "to", (rows,), zone, np.int32)
-        _hazards(entered.hazard, rows, bins)
+    if (kernels := model.entered) is not None:
+        rows = len(_column(kernels, "zone", (-1,), zone, np.int32))
+        _column(kernels, "to", (rows,), zone, np.int32)
+        _hazards(kernels.hazard, rows, bins)
 
 
 def _contexts(model: Model, zones: int, zone: Range, camera: Range) -> None:
@@ -117,9 +117,9 @@ def _contexts(model: Model, zones: int, zone: Range, camera: Range) -> None:
         _column(contexts, "block", (rows,), (-1, COUNT[1]), np.int32)
         _column(contexts, "previous", (rows,), (-1, camera[1]), np.int32)
         _column(contexts, "departures", (rows,), NUMBER)
-        followed = _column(contexts, "followed", (rows,), (0, 2**15), np.int16)
-        _column(contexts, "to", (int(followed.sum()),), zone, np.int32)
-        _column(contexts, "transitions", (int(followed.sum()),), NUMBER)
+        counts = _column(contexts, "followed", (rows,), (0, 2**15), np.int16)
+        _column(contexts, "to", (int(counts.sum()),), zone, np.int32)
+        _column(contexts, "transitions", (int(counts.sum()),), NUMBER)
 
 
 def _few(model: Model, zones: int, zone: Range, camera: Range, offsets: tuple[int, int]) -> None:
@@ -148,9 +148,9 @@ def _few(model: Model, zones: int, zone: Range, camera: Range, offsets: tuple[in
         _column(weak, "to", (rows,), zone, np.int32)
         _column(weak, "overlapped", (rows,), (0, 1), np.uint8)
         figures = _column(weak, "figures", (rows, FIGURES), None)
-        known = np.delete(figures, OPTIONAL_FIGURES, axis=1)
+        basics = np.delete(figures, OPTIONAL_FIGURES, axis=1)
         possible = figures[:, (0, 1, 10, 11)]
-        if not np.isfinite(known).all() or np.isinf(figures).any() or (possible < 0.0).any():
+        if not np.isfinite(basics).all() or np.isinf(figures).any() or (possible < 0.0).any():
             raise ValueError("a number out of its range in WeakLinks - at `$.model.figures`")
         if len(weak.provisional) not in (0, rows):
             raise ValueError("more or fewer texts than links - at `$.model.provisional`")

@@ -58,7 +58,7 @@ def _repeated(topology: Topology) -> Iterator[str]:
     keys: dict[str, list[Hashable]] = {
         "cameras": [camera.id for camera in topology.cameras],
         "zones": [zone.id for zone in topology.zones],
-        "links": [(one.from_, one.to, one.relation) for one in topology.links],
+        "links": [(link.from_, link.to, link.relation) for link in topology.links],
         "pairs": [pair.cameras for pair in topology.pairs],
     }
     for place, entries in keys.items():
@@ -97,10 +97,10 @@ def _histograms(topology: Topology, model: Model) -> Iterator[str]:
 
     # Dwell times, of visible links, have bins of their own.
     for link in topology.links:
-        one = link.histogram
-        if one is None or link.relation == "visible" or not one.mass:
+        histogram = link.histogram
+        if histogram is None or link.relation == "visible" or not histogram.mass:
             continue
-        if not first <= one.first <= end - len(one.mass):
+        if not first <= histogram.first <= end - len(histogram.mass):
             yield "a histogram is not on the model's lag bins - at `$.links`"
 
 

@@ -61,8 +61,8 @@ class Statuses:
             name: (status, abs(now - max(last_t, self._reachable_since)))
             for name, (status, last_t) in self._grabbers.copy().items()
         }
-        learned = last_events(topology) if topology is not None else {}
-        return camera_states(self.daemon, grabbers, topology, learned)
+        event_times = last_events(topology) if topology is not None else {}
+        return camera_states(self.daemon, grabbers, topology, event_times)
 
     def daemon_state(self, topology: Topology | None, away: str = "") -> DaemonState:
         """Return the state of the daemon; ``away``: why nothing can be heard of it."""

@@ -54,7 +54,7 @@ def camera_numbers(topology: Topology) -> dict[str, int]:
     """
     names = [camera.id for camera in topology.cameras]
     digits = [re.findall(r"[0-9]+", name)[-1:] for name in names]
-    numbers = {name: int(found[0]) for name, found in zip(names, digits, strict=True) if found}
+    numbers = {name: int(group[0]) for name, group in zip(names, digits, strict=True) if group}
     if len(set(numbers.values())) == len(names):
         return numbers
     return {name: rank for rank, name in enumerate(sorted(names), 1)}

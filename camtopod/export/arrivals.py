@@ -81,19 +81,19 @@ class Arrivals:
         self._rename(match.walk)
 
         # The exits that it may continue.
-        for one in self._exits.values():
-            one.seen.pop(entry[:2], None)
+        for departure in self._exits.values():
+            departure.seen.pop(entry[:2], None)
         for passage in match.from_:
-            if (left := self._exits.get((passage.camera, passage.t))) is not None:
-                left.seen[entry[:2]] = passage.probability
+            if (source := self._exits.get((passage.camera, passage.t))) is not None:
+                source.seen[entry[:2]] = passage.probability
 
         # Its walk.
-        passages = [one for one in self._entries.values() if one.walk == match.walk]
-        passages.sort(key=lambda one: one.t)
+        passages = [passage for passage in self._entries.values() if passage.walk == match.walk]
+        passages.sort(key=lambda passage: passage.t)
         if before is None:
             return Passing(match, passages)
-        emptied = all(one.walk != before.walk for one in self._entries.values())
-        return Passing(match, passages, True, before.walk if emptied else None)
+        is_empty = all(passage.walk != before.walk for passage in self._entries.values())
+        return Passing(match, passages, True, before.walk if is_empty else None)
 
     def _rename(self, walk: str) -> None:
         """Give a walk its present name: it is named by its oldest passage of the last hour."""
@@ -110,13 +110,13 @@ class Arrivals:
     def forget(self, now: float) -> None:
         """Forget exits and entries older than an hour, and the oldest beyond the limits."""
         self._exits = {
-            key: one
-            for key, one in list(self._exits.items())[-EXITS_MAX:]
+            key: departure
+            for key, departure in list(self._exits.items())[-EXITS_MAX:]
             if abs(now - key[1]) < MEMORY_SECONDS
         }
         self._entries = {
-            key: one
-            for key, one in list(self._entries.items())[-ENTRIES_MAX:]
+            key: match
+            for key, match in list(self._entries.items())[-ENTRIES_MAX:]
             if abs(now - key[1]) < MEMORY_SECONDS
         }
 
@@ -127,19 +127,21 @@ class Arrivals:
         """
         likeliest: dict[str, Awaited] = {}
         none_comes: dict[str, float] = defaultdict(lambda: 1.0)
-        for one in self._exits.values():
-            prediction = one.prediction
-            missing = max(0.0, 1.0 - sum(one.seen.values()))
+        for departure in self._exits.values():
+            prediction = departure.prediction
+            remainder = max(0.0, 1.0 - sum(departure.seen.values()))
             shares: dict[str, float] = defaultdict(float)
             for row in prediction.candidates:
                 from_, until = prediction.t + row.q10, prediction.t + row.q90
                 if not now <= until:
                     continue
                 window = (None, None) if row.prior else (from_, until)
-                arrival = Awaited(row.probability * missing, prediction.camera, *window)
+                arrival = Awaited(row.probability * remainder, prediction.camera, *window)
                 shares[row.camera] += arrival.probability
                 best = likeliest.get(row.camera, arrival)
-                likeliest[row.camera] = max(best, arrival, key=lambda one: one.probability)
+                likeliest[row.camera] = max(
+                    best, arrival, key=lambda candidate: candidate.probability
+                )
             for camera, share in shares.items():
                 none_comes[camera] *= max(0.0, 1.0 - share)
         return {
@@ -152,18 +154,18 @@ class Arrivals:
 
         Once it has been seen again, that is where.
         """
-        found: dict[str, Awaited] = {}
-        for (camera, t), one in self._exits.items():
-            look, sees = look_at(one.prediction)
-            rows = [row for row in one.prediction.candidates if row.camera == look]
+        looks: dict[str, Awaited] = {}
+        for (camera, t), departure in self._exits.items():
+            look, sees = look_at(departure.prediction)
+            rows = [row for row in departure.prediction.candidates if row.camera == look]
             from_ = t
             until = t + max([LOOK_SECONDS, *(row.q90 for row in rows[:1])])
-            for (other, entered), probability in one.seen.items():
-                if probability > LIKELY and other != camera:
-                    look, sees, from_, until = other, probability, entered, entered + LOOK_SECONDS
+            for (place, begin), probability in departure.seen.items():
+                if probability > LIKELY and place != camera:
+                    look, sees, from_, until = place, probability, begin, begin + LOOK_SECONDS
             if sees > LIKELY and now <= until:
-                found[look] = Awaited(sees, camera, from_, until)
-        return found
+                looks[look] = Awaited(sees, camera, from_, until)
+        return looks
 
 
 def look_at(prediction: Prediction) -> tuple[str, float]:
@@ -172,5 +174,5 @@ def look_at(prediction: Prediction) -> tuple[str, float]:
     With its probability; "none" and 0 if there is no such camera.
     """
     looks = prediction.look or prediction.candidates  # without overlapping views
-    shares = sum_by_camera(one for one in looks if one.camera != prediction.camera)
+    shares = sum_by_camera(row for row in looks if row.camera != prediction.camera)
     return max(shares.items(), key=lambda item: item[1], default=("none", 0.0))

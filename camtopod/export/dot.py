@@ -35,8 +35,8 @@ def to_dot(topology: Topology) -> str:
         }
         if edge.weak:
             attributes["style"] = "dashed"
-        shown = ", ".join(f"{name}={_quoted(value)}" for name, value in attributes.items())
-        lines.append(f"  {_quoted(edge.from_)} -> {_quoted(edge.to)} [{shown}];")
+        text = ", ".join(f"{name}={_quoted(value)}" for name, value in attributes.items())
+        lines.append(f"  {_quoted(edge.from_)} -> {_quoted(edge.to)} [{text}];")
     return "\n".join([*lines, "}", ""])
 
 

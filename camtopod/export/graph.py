@@ -52,13 +52,13 @@ def edges(topology: Topology) -> list[Edge]:
         exits[zone.camera] += zone.exits
 
     # Links between different cameras, by pair of cameras.
-    grouped: dict[tuple[str, str], list[Link]] = defaultdict(list)
+    groups: dict[tuple[str, str], list[Link]] = defaultdict(list)
     for link in links_between_views(topology):
-        grouped[camera[link.from_], camera[link.to]].append(link)
+        groups[camera[link.from_], camera[link.to]].append(link)
 
     # One edge per pair, with the times of its main link.
     result = []
-    for (a, b), links in sorted(grouped.items()):
+    for (a, b), links in sorted(groups.items()):
         chief = max(links, key=lambda x: (x.relation == "overlapped", x.transitions, x.from_, x.to))
         relation = RELATIONS[chief.relation == "overlapped"]
         transitions = sum(link.transitions for link in links)
@@ -70,11 +70,11 @@ def edges(topology: Topology) -> list[Edge]:
 
 def with_weak_links(topology: Topology) -> Topology:
     """Return a topology to draw, with the likely links of cameras that no published link joins."""
-    joined = {(camera_of(link.from_), camera_of(link.to)) for link in topology.links}
+    pairs = {(camera_of(link.from_), camera_of(link.to)) for link in topology.links}
     weak = [
         link
         for link in likely_links(topology)
-        if (camera_of(link.from_), camera_of(link.to)) not in joined
+        if (camera_of(link.from_), camera_of(link.to)) not in pairs
     ]
     return replace(topology, links=[*topology.links, *weak])
 

@@ -144,7 +144,7 @@ def site_state(
         if topology.score is not None:
             state["score"] = round(100.0 * topology.score.top1, 1)
             state["usual"] = round(100.0 * topology.score.baseline_top1, 1)
-    for newest in [one for one in alarms_in_words(topology) if one.open][:1]:
+    for newest in [alarm for alarm in alarms_in_words(topology) if alarm.open][:1]:
         alarm = {
             "alarm": newest.title[:255],  # all that Home Assistant takes
             "detail": newest.detail,
@@ -152,9 +152,9 @@ def site_state(
             "at": _iso(newest.t),
         }
     between: dict[str, Any] = dict.fromkeys(("between", "low", "high", "since", "pairs"))
-    if daemon.live and (told := status.between) is not None:
-        ends = {"low": told.low, "high": told.high, "since": _iso(told.since)}
-        between = {"between": round(told.number, 1), **ends, "pairs": told.pairs}
+    if daemon.live and (estimate := status.between) is not None:
+        ends = {"low": estimate.low, "high": estimate.high, "since": _iso(estimate.since)}
+        between = {"between": round(estimate.number, 1), **ends, "pairs": estimate.pairs}
     return {
         topics.daemon: ("offline", "online")[daemon.live],
         topics.topic_of("", "state"): _json(state),
@@ -210,8 +210,8 @@ def arrival_states(
     expected, looks: by camera.
     """
     messages = {}
-    for field, awaited in (("expected", expected), ("look_here", looks)):
-        arrival = awaited.get(camera, NO_ARRIVAL)
+    for field, arrivals in (("expected", expected), ("look_here", looks)):
+        arrival = arrivals.get(camera, NO_ARRIVAL)
         state = {
             field: _switch(arrival.probability > LIKELY),
             "probability": round(arrival.probability, 3),
@@ -223,21 +223,21 @@ def arrival_states(
     return messages
 
 
-def walk_messages(topics: Topics, passing: Passing) -> Messages:
+def walk_messages(topics: Topics, entry: Passing) -> Messages:
     """Return the messages of an entry: its match with its walk, and the first time an event."""
-    match = passing.match
+    match = entry.match
     passages = [
-        {"camera": one.camera, "t": one.t, "track": one.track}
-        for one in passing.passages[-PASSAGES_MAX:]
+        {"camera": passage.camera, "t": passage.t, "track": passage.track}
+        for passage in entry.passages[-PASSAGES_MAX:]
     ]
     walk = msgspec.to_builtins(match) | {"passages": passages}
-    if passing.was is not None:
-        walk["was"] = passing.was
-    if passing.again:
+    if entry.was is not None:
+        walk["was"] = entry.was
+    if entry.again:
         return {topics.walk: _json(walk | {"again": True})}
 
     outcomes: list[tuple[float, str, str | None]] = [(match.new, "new", None)]
-    outcomes += [(one.probability, "continued", one.camera) for one in match.from_]
+    outcomes += [(passage.probability, "continued", passage.camera) for passage in match.from_]
     probability, kind, camera = max(outcomes, key=lambda outcome: outcome[0])
     event = {
         "event_type": kind if probability > LIKELY else "uncertain",

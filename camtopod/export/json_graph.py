@@ -24,7 +24,7 @@ def to_json_graph(topology: Topology) -> str:
         }
         for camera in topology.cameras
     ]
-    drawn = [
+    rows = [
         {
             "source": edge.from_,
             "target": edge.to,
@@ -43,6 +43,6 @@ def to_json_graph(topology: Topology) -> str:
         "multigraph": False,
         "graph": {name: getattr(topology, name) for name in _ABOUT},
         "nodes": nodes,
-        "edges": drawn,
+        "edges": rows,
     }
     return msgspec.json.format(msgspec.json.encode(graph), indent=2).decode() + "\n"

@@ -28,42 +28,42 @@ MARGIN = 0.8
 
 
 def places(
-    names: Iterable[str], joined: Mapping[tuple[str, str], bool], before: Mapping[str, Place]
+    names: Iterable[str], edges: Mapping[tuple[str, str], bool], before: Mapping[str, Place]
 ) -> dict[str, Place]:
     """Return the position of each camera; an unseen path is about 1 long, y grows downwards.
 
-    joined: for pairs of names, whether their views overlap.
+    edges: for pairs of names, whether their views overlap.
     before: positions in an earlier version, if any.
     """
     # The network as a graph.
     order = sorted(names)
     number = {name: k for k, name in enumerate(order)}
-    pairs = np.array([(number[a], number[b]) for a, b in joined], int).reshape(-1, 2)
-    length = np.where(list(joined.values()), OVERLAPPED_LENGTH, 1.0)
+    pairs = np.array([(number[a], number[b]) for a, b in edges], int).reshape(-1, 2)
+    length = np.where(list(edges.values()), OVERLAPPED_LENGTH, 1.0)
     graph = coo_matrix((length, pairs.T), shape=(len(order), len(order))).tocsr()
     count, part = connected_components(graph, directed=False)
 
     # Lay out each connected part, then put them beside each other, largest first.
-    held = np.array([before.get(name, (np.nan, np.nan)) for name in order]).reshape(-1, 2)
+    start = np.array([before.get(name, (np.nan, np.nan)) for name in order]).reshape(-1, 2)
     at = np.zeros((len(order), 2))
     parts = sorted((np.flatnonzero(part == k) for k in range(count)), key=len, reverse=True)
     for members in parts:
         apart = shortest_path(graph[members][:, members], directed=False)
-        at[members] = _one_part(apart, held[members])
+        at[members] = _one_part(apart, start[members])
     _put_on_shelves(at, parts)
 
     # Keep the cameras of before in place on the whole, even if a part grew to the left.
-    stayed = ~np.isnan(held[:, 0])
-    if stayed.any():
-        at += np.median((held - at)[stayed], axis=0)
+    is_old = ~np.isnan(start[:, 0])
+    if is_old.any():
+        at += np.median((start - at)[is_old], axis=0)
     return {name: (x, y) for name, (x, y) in zip(order, np.round(at, 3).tolist(), strict=True)}
 
 
-def _one_part(apart: Floats, held: Floats) -> Floats:
+def _one_part(apart: Floats, start: Floats) -> Floats:
     """Return positions (n, 2) of a connected part.
 
     apart (n, n): graph distances.
-    held (n, 2): previous positions, or nan.
+    start (n, 2): previous positions, or nan.
     """
     n = len(apart)
     if n == 1:
@@ -72,20 +72,20 @@ def _one_part(apart: Floats, held: Floats) -> Floats:
     aside = np.column_stack([np.cos(turn), np.sin(turn)])
 
     # From the previous positions, if half of them are known; new cameras start near neighbours.
-    known = ~np.isnan(held[:, 0])
-    if known.sum() * 2 >= n:
-        at = held.copy()
-        for k in np.flatnonzero(~known):
-            near = known & (apart[k] <= apart[k][known].min() + 1e-9)
-            at[k] = held[near].mean(0) + 0.3 * aside[k]
+    is_old = ~np.isnan(start[:, 0])
+    if is_old.sum() * 2 >= n:
+        at = start.copy()
+        for k in np.flatnonzero(~is_old):
+            near = is_old & (apart[k] <= apart[k][is_old].min() + 1e-9)
+            at[k] = start[near].mean(0) + 0.3 * aside[k]
         return _majorised(apart, at, rounds=25)
 
     # Else from classical scaling: the two widest dimensions of the distances, the wider across.
-    squared = apart**2
-    inner = -0.5 * (squared - squared.mean(0) - squared.mean(1)[:, None] + squared.mean())
+    squares = apart**2
+    inner = -0.5 * (squares - squares.mean(0) - squares.mean(1)[:, None] + squares.mean())
     value, vector = eigh(inner, subset_by_index=[n - 2, n - 1])
-    scaled = (vector * np.sqrt(np.maximum(value, 0.0)))[:, ::-1]
-    return _majorised(apart, scaled + 0.05 * aside, rounds=60)
+    plane = (vector * np.sqrt(np.maximum(value, 0.0)))[:, ::-1]
+    return _majorised(apart, plane + 0.05 * aside, rounds=60)
 
 
 def _majorised(apart: Floats, at: Floats, rounds: int) -> Floats:
@@ -94,12 +94,12 @@ def _majorised(apart: Floats, at: Floats, rounds: int) -> Floats:
     Stress is the sum of (distance / graph distance - 1)^2 over pairs of cameras.
     """
     n = len(apart)
-    wanted = apart + np.eye(n)
-    weight = 1.0 / wanted**2
+    target = apart + np.eye(n)
+    weight = 1.0 / target**2
     np.fill_diagonal(weight, 0.0)
     laplacian = np.diag(weight.sum(1)) - weight
     solve = np.linalg.inv(laplacian + 1.0 / n) - 1.0 / n
-    pull = weight * wanted
+    pull = weight * target
     for _ in range(rounds):
         distance = np.maximum(cdist(at, at), 1e-6)
         ratio = pull / distance

@@ -54,38 +54,38 @@ def to_svg(topology: Topology) -> str:
     most frequent transit times in both directions; tooltips say which is which.
     """
     # One line for both directions of a pair, those with most transitions first.
-    both: dict[tuple[str, str], list[Edge]] = defaultdict(list)
+    pairs: dict[tuple[str, str], list[Edge]] = defaultdict(list)
     for edge in edges(topology):
-        both[min(edge.from_, edge.to), max(edge.from_, edge.to)].append(edge)
-    ranked = sorted(both.items(), key=lambda item: -sum(way.transitions for way in item[1]))
+        pairs[min(edge.from_, edge.to), max(edge.from_, edge.to)].append(edge)
+    rows = sorted(pairs.items(), key=lambda item: -sum(way.transitions for way in item[1]))
 
     # Positions, with a margin for names.
-    joined = {pair: any(way.overlapped for way in ways) for pair, ways in both.items()}
-    at = places((camera.id for camera in topology.cameras), joined, {})
-    placed = np.array([*at.values()]).reshape(-1, 2)
-    low = placed.min(0, initial=np.inf)
-    where = {name: (np.array(place) - low) * UNIT + MARGIN for name, place in at.items()}
-    width, height = np.max([(420.0, 0.0), *where.values()], axis=0) + MARGIN + (0.0, LINE)
+    layout_edges = {pair: any(way.overlapped for way in ways) for pair, ways in pairs.items()}
+    at = places((camera.id for camera in topology.cameras), layout_edges, {})
+    coordinates = np.array([*at.values()]).reshape(-1, 2)
+    low = coordinates.min(0, initial=np.inf)
+    points = {name: (np.array(place) - low) * UNIT + MARGIN for name, place in at.items()}
+    width, height = np.max([(420.0, 0.0), *points.values()], axis=0) + MARGIN + (0.0, LINE)
 
     # Lines, circles, then texts where they hit nothing.
     title = _shown(f"{topology.site}, version {topology.version}, {topology.events:,} events")
-    most = max((sum(way.transitions for way in ways) for _, ways in ranked), default=1.0)
-    texts = _Texts([(x - RADIUS, y - RADIUS, x + RADIUS, y + RADIUS) for x, y in where.values()])
+    transitions_max = max((sum(way.transitions for way in ways) for _, ways in rows), default=1.0)
+    texts = _Texts([(x - RADIUS, y - RADIUS, x + RADIUS, y + RADIUS) for x, y in points.values()])
     lines = [
         f'<svg xmlns="http://www.w3.org/2000/svg" viewBox="0 0 {width:.0f} {height:.0f}">',
         f"<title>{title}</title><style>{_STYLE}</style>",
         f'<rect width="{width:.0f}" height="{height:.0f}" fill="#ffffff"/>',
         f'<text class="title" x="16" y="26">{title}</text>',
     ]
-    lines += [_line(where[a], where[b], ways, most) for (a, b), ways in ranked]
+    lines += [_line(points[a], points[b], ways, transitions_max) for (a, b), ways in rows]
     for camera in topology.cameras:
-        at_camera = where[camera.id]
+        at_camera = points[camera.id]
         lines.append(_circle(f"{camera.id}, zones: {len(camera.zones)}", at_camera))
         sides = [(at_camera[0], at_camera[1] + side * NAME_DISTANCE) for side in (1, -1)]
         texts.write(camera.id[:20], sides, "name")
-    for (a, b), ways in ranked:
+    for (a, b), ways in rows:
         text = " / ".join(_time(way) for way in ways if not way.overlapped)
-        along = [where[a] + share * (where[b] - where[a]) for share in _ALONG]
+        along = [points[a] + share * (points[b] - points[a]) for share in _ALONG]
         texts.write(text, along, "time")
     return "\n".join([*lines, *texts.lines, _legend(height), "</svg>", ""])
 
@@ -93,20 +93,20 @@ def to_svg(topology: Topology) -> str:
 class _Texts:
     """Texts of the drawing, each where it hits none before, and none of the circles.
 
-    taken: boxes (left, top, right, bottom) of the circles.
+    boxes: left, top, right and bottom of each circle.
     """
 
-    def __init__(self, taken: list[Box]) -> None:
+    def __init__(self, boxes: list[Box]) -> None:
         self.lines: list[str] = []
-        self._taken = taken
+        self._boxes = boxes
 
     def write(self, text: str, middles: Iterable[Point], kind: str) -> None:
         """Write a text at the first of the places where it is free; nowhere if none is."""
         half = 0.5 * WIDTH_OF_LETTER * len(text)
         for x, y in middles:
             box = (x - half, y - LINE / 2, x + half, y + LINE / 2)
-            if text and not any(_hits(box, other) for other in self._taken):
-                self._taken.append(box)
+            if text and not any(_hits(box, obstacle) for obstacle in self._boxes):
+                self._boxes.append(box)
                 self.lines.append(
                     f'<text class="{kind}" text-anchor="middle" x="{x:.1f}" y="{y + 4.5:.1f}">'
                     f"{_shown(text)}</text>"
@@ -114,9 +114,9 @@ class _Texts:
                 break
 
 
-def _hits(one: Box, other: Box) -> bool:
+def _hits(a: Box, b: Box) -> bool:
     """Return True if two boxes have an area in common."""
-    apart = one[2] <= other[0] or other[2] <= one[0] or one[3] <= other[1] or other[3] <= one[1]
+    apart = a[2] <= b[0] or b[2] <= a[0] or a[3] <= b[1] or b[3] <= a[1]
     return not apart
 
 
@@ -125,20 +125,20 @@ def _shown(text: str) -> str:
     return escape(visible(text))
 
 
-def _line(a: Point, b: Point, ways: list[Edge], most: float) -> str:
+def _line(a: Point, b: Point, ways: list[Edge], transitions_max: float) -> str:
     """Return the line between two cameras, with both directions in its tooltip.
 
-    most: number of transitions of the widest line.
+    transitions_max: number of transitions of the widest line.
     """
-    overlapped = any(way.overlapped for way in ways)
+    is_overlap = any(way.overlapped for way in ways)
     dashes = f' stroke-dasharray="{DASHES}"' if all(way.weak for way in ways) else ""
-    share = math.sqrt(sum(way.transitions for way in ways) / max(most, 1e-9))
+    share = math.sqrt(sum(way.transitions for way in ways) / max(transitions_max, 1e-9))
     width = WIDTHS[0] + (WIDTHS[1] - WIDTHS[0]) * share
     tooltip = "; ".join(f"{way.from_} → {way.to} {_time(way)}" for way in ways)
     return (
         f"<g><title>{_shown(tooltip)}</title>"
         f'<line x1="{a[0]:.1f}" y1="{a[1]:.1f}" x2="{b[0]:.1f}" y2="{b[1]:.1f}"'
-        f' stroke="{STROKE[overlapped]}" stroke-width="{width:.1f}"{dashes}'
+        f' stroke="{STROKE[is_overlap]}" stroke-width="{width:.1f}"{dashes}'
         ' stroke-linecap="round"/></g>'
     )
 

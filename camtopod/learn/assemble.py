@@ -161,9 +161,9 @@ def with_contradictions(links: list[Link], declarations: Declared | None) -> lis
 
 def empty_topology(settings: Settings, bins: LagBins) -> Topology:
     """Return the topology of a site without cameras; the learner adds the remaining fields."""
-    corrected = settings.correct_clocks
+    correction = settings.correct_clocks
     model = Model(
-        bins.scale, bins.step, bins.lag_min, bins.lag_max, b"", clocks_corrected=corrected
+        bins.scale, bins.step, bins.lag_min, bins.lag_max, b"", clocks_corrected=correction
     )
     return Topology(TOPOLOGY_SCHEMA, "", "", 0, 0.0, 0, "", [], [], [], [], model=model)
 

@@ -138,9 +138,9 @@ class Learner:
         require_event(event)
         if (
             not self._intake.has_room_for(event.camera)
-            and (replaced := camera_to_replace(self._intake, self._window)) is not None
+            and (camera := camera_to_replace(self._intake, self._window)) is not None
         ):
-            self._retire({replaced})
+            self._retire({camera})
         verdict = self._intake.receive(event)
         self.resume()
         return verdict
@@ -170,8 +170,8 @@ class Learner:
 
     def updates(self) -> list[Topology]:
         """Return the versions made since the last call, oldest first."""
-        made, self._updates = self._updates, []
-        return made
+        versions, self._updates = self._updates, []
+        return versions
 
     def save(self) -> LearnerState:
         """Return a copy of the state, from which `load` continues; fetch the `updates` before."""
@@ -193,13 +193,13 @@ class Learner:
         The evidence of their events about other cameras is kept. `camtopod.learn.rename` renames a
         camera.
         """
-        known = names & {*self._window.cameras, *self._intake.state.newest, *self.state.retired}
+        cameras = names & {*self._window.cameras, *self._intake.state.newest, *self.state.retired}
         self._intake.drop_held(names)
         self._forget(names)
         self._alarms.erase(names)
         for name in names & self.state.retired.keys():
             del self.state.retired[name]
-        return bool(known)
+        return bool(cameras)
 
     def make_version(self) -> None:
         """Make a version at once from the present window; do nothing before the first event."""
@@ -262,12 +262,12 @@ class Learner:
         if watermark is None:
             return
         # An event at the watermark may still be received.
-        reached = (watermark - 1) // self._tick_us * self._tick_us
-        if self.state.done_us is not None and reached <= self.state.done_us:
+        last_tick = (watermark - 1) // self._tick_us * self._tick_us
+        if self.state.done_us is not None and last_tick <= self.state.done_us:
             return
         while (oldest := self._intake.oldest_held_us) is not None:
             tick = self._tick_of(oldest)
-            if tick > reached:
+            if tick > last_tick:
                 break
             self._learn(tick)
             self.state.done_us = tick
@@ -279,7 +279,7 @@ class Learner:
                 self._refit(tick)
                 if self.pauses:
                     return
-        self.state.done_us = reached
+        self.state.done_us = last_tick
 
     @property
     def is_paused(self) -> bool:
@@ -297,9 +297,9 @@ class Learner:
     def _learn(self, until_us: int) -> None:
         """Move the held events up to ``until_us`` into the window, and remove old ones from it."""
         # Predict the next camera of some exits, to be scored once the outcome is known.
-        held = self._intake.take_until(until_us)
-        batch = self._window.without_repeats(held)
-        self._intake.note_repeats(len(held) - len(batch))
+        events = self._intake.take_until(until_us)
+        batch = self._window.without_repeats(events)
+        self._intake.note_repeats(len(events) - len(batch))
         if not self.only_last:
             self._scorer.watch(batch)
 
@@ -362,37 +362,37 @@ class Learner:
         if clocks.offset.any():
             scene = label_events(self._window, maps, clocks.offset)
         state = self.state
-        declared = declared_by(self.settings.topology, state.names or {}, self._window.cameras)
-        known = Known(state.followed, state.learned, self.only_last, state.scorer.waiting, declared)
-        found = refit(scene, self._window, clocks, known, self.settings, self.on_step)
-        self.state.followed = found.followed
-        self._scorer.mark(found.happened)
+        pairs = declared_by(self.settings.topology, state.names or {}, self._window.cameras)
+        facts = Known(state.followed, state.learned, self.only_last, state.scorer.waiting, pairs)
+        result = refit(scene, self._window, clocks, facts, self.settings, self.on_step)
+        self.state.followed = result.followed
+        self._scorer.mark(result.happened)
 
-        self._publish(self._topology_of(found, tick_us), tick_us)
+        self._publish(self._topology_of(result, tick_us), tick_us)
 
-    def _topology_of(self, found: Refit, tick_us: int) -> Topology:
+    def _topology_of(self, result: Refit, tick_us: int) -> Topology:
         """Return the topology that follows from a refit; raise the alarms of its changes."""
         cameras = self._window.cameras
         now = tick_us / MICROSECONDS
         oldest = float(self._window.column("t")[0]) / MICROSECONDS
-        news = self._alarms.repeats(now, oldest, cameras, found.repeats)
+        news = self._alarms.repeats(now, oldest, cameras, result.repeats)
         repeats = self.state.alarms.repeats
-        scene = found.scene
-        bins = found.bins
-        between = link_records(cameras, scene, found.published, bins)
-        visible = link_records(cameras, scene, found.visible, dwell_bins(), "visible")
-        weak = link_records(cameras, scene, found.weak, bins, histograms=False, lacks=found.lacks)
+        scene = result.scene
+        bins = result.bins
+        between = link_records(cameras, scene, result.published, bins)
+        visible = link_records(cameras, scene, result.visible, dwell_bins(), "visible")
+        weak = link_records(cameras, scene, result.weak, bins, histograms=False, lacks=result.lacks)
         topology = assemble(
             self.settings,
             self._window,
             scene,
-            found.model,
+            result.model,
             self.state.clocks.clocks,
             links=with_provisional(between + visible, repeats),
             weak_links=with_provisional(weak, repeats),
         )
 
-        self._report(found, topology, now, news)
+        self._report(result, topology, now, news)
         return topology
 
     @property
@@ -424,22 +424,22 @@ class Learner:
             self._scorer.use(version, events_for_version(self.state, self._window))
         self._updates.append(version)
 
-    def _report(self, found: Refit, topology: Topology, now: float, news: list[News]) -> None:
+    def _report(self, result: Refit, topology: Topology, now: float, news: list[News]) -> None:
         """Raise alarms for ``news`` and for each change that this version is the first to show."""
         cameras = self._window.cameras
-        ids = [zone_id(cameras, zone) for zone in found.scene.zones]
+        ids = [zone_id(cameras, zone) for zone in result.scene.zones]
         if self.only_last:  # no earlier version has published the links that have closed
-            self._alarms.join(ids, zone_pairs_of(found.significant_links))
+            self._alarms.join(ids, zone_pairs_of(result.significant_links))
         news = [
             *news,
             *self._alarms.changes(
                 now,
-                found.scene,
+                result.scene,
                 ids,
                 cameras,
-                found.silences,
-                found.changes,
-                zone_pairs_of(found.published),
+                result.silences,
+                result.changes,
+                zone_pairs_of(result.published),
                 self.settings.publish_probability_min,
             ),
             *self._alarms.clocks(topology.cameras, self.settings.overlap_tolerance_seconds),

@@ -63,9 +63,9 @@ def build_model(
     window: Window,
     changes: list[Change],
     clocks_corrected: bool,
-    overlapping: Sequence[OverlappingViews] = (),
+    overlaps: Sequence[OverlappingViews] = (),
     paths: PathColumns | None = None,
-    missed: MissedTransitions | None = None,
+    misses: MissedTransitions | None = None,
 ) -> Model:
     """Return the part of the topology, beside the links, that prediction reads.
 
@@ -74,9 +74,9 @@ def build_model(
     bins: bins of the lags.
     changes: links whose share has changed within the window.
     clocks_corrected: True if the links' transit times are in corrected time.
-    overlapping: pairs of overlapping views.
+    overlaps: pairs of overlapping views.
     paths: the second opinion (`camtopod.learn.paths`); None without one.
-    missed: transitions that missed detections make; None for none.
+    misses: transitions that missed detections make; None for none.
     """
     place = places([zone_id(cameras, zone) for zone in scene.zones])
     model = Model(
@@ -87,14 +87,14 @@ def build_model(
         *_of_zones(place, scene, posterior),
         *_of_cameras(places(cameras), window),
         clocks_corrected=clocks_corrected,
-        overlaps=_overlaps(places(cameras), overlapping, offset_bins(bins.scale, bins.step)),
+        overlaps=_overlaps(places(cameras), overlaps, offset_bins(bins.scale, bins.step)),
     )
     if posterior is None:
         return model
     now = _presently(posterior, changes)
     return replace(
         model,
-        onward=_onward(place, posterior, now, bins, missed_shares(posterior, scene, bins, missed)),
+        onward=_onward(place, posterior, now, bins, missed_shares(posterior, scene, bins, misses)),
         entered=_entered(place, posterior, bins),
         contexts=_contexts(place, places(cameras), posterior, now),
         pace=_pace(place, scene, posterior.fit.persistence),
@@ -115,16 +115,16 @@ def _pace(place: Rows, scene: Scene, persistence: Persistence) -> Pace | None:
         scene.arrivals.zone[p.own], p.zone, p.t - p.since, len(place)
     )
     entry, exit_ = place[pair // len(place)], place[pair % len(place)]
-    listed = np.lexsort((exit_, entry))
-    listed = listed[np.isfinite(log_dwell[listed])]
+    order = np.lexsort((exit_, entry))
+    order = order[np.isfinite(log_dwell[order])]
     scaling, correlation, sd = (round_significant(value) for value in persistence[:3])
     return Pace(
         scaling,
         correlation,
         sd,
-        packed(entry[listed], np.int32),
-        packed(exit_[listed], np.int32),
-        figures(np.exp(log_dwell[listed])),
+        packed(entry[order], np.int32),
+        packed(exit_[order], np.int32),
+        figures(np.exp(log_dwell[order])),
     )
 
 
@@ -148,10 +148,10 @@ def _of_zones(place: Rows, scene: Scene, posterior: Posterior | None) -> tuple[b
     in the zone.
     """
     d = scene.departures
-    known = np.flatnonzero(np.isfinite(d.since))
-    dwell_times = (d.t - d.since)[known]
+    passages = np.flatnonzero(np.isfinite(d.since))
+    dwell_times = (d.t - d.since)[passages]
     stay = np.zeros((len(place), STAY_DECILES))
-    for zone, rows in enumerate(rows_by_group(d.zone[known], len(place))):
+    for zone, rows in enumerate(rows_by_group(d.zone[passages], len(place))):
         if len(rows):
             stay[zone] = np.quantile(dwell_times[rows], np.linspace(0.0, 1.0, STAY_DECILES))
     rate = np.array(scene.entries, float) / max(scene.last - scene.first, 1.0)
@@ -199,33 +199,33 @@ class _Missed(NamedTuple):
 
 
 def missed_shares(
-    posterior: Posterior, scene: Scene, bins: LagBins, missed: MissedTransitions | None
+    posterior: Posterior, scene: Scene, bins: LagBins, misses: MissedTransitions | None
 ) -> _Missed:
     """Return what missed detections add to the shares that the fit has found, the largest first.
 
-    missed: as for `build_model`.
+    misses: as for `build_model`.
     """
-    if missed is None:
-        none = np.zeros(0, np.intp)
-        return _Missed(none, none, np.zeros(0), np.zeros((0, bins.size)))
+    if misses is None:
+        empty = np.zeros(0, np.intp)
+        return _Missed(empty, empty, np.zeros(0), np.zeros((0, bins.size)))
 
     # The share that the fit lacks, what may be spurious left out.
     c = posterior.fit.candidates
-    row, known = missed.rows_in(c.source, c.target)
+    row, exists = misses.rows_in(c.source, c.target)
     departures = np.bincount(scene.departures.zone, minlength=len(scene.zones))
-    share = missed.transitions / departures[missed.source]
-    share[known] -= (posterior.share * (1.0 - posterior.doubt))[row[known]]
+    share = misses.transitions / departures[misses.source]
+    share[exists] -= (posterior.share * (1.0 - posterior.doubt))[row[exists]]
 
     # By lag.
-    listed = np.argsort(-share, kind="stable")[: int((share > SHARE_MIN).sum())]
-    place, width = missed.place[listed, None], missed.width[listed, None]
+    order = np.argsort(-share, kind="stable")[: int((share > SHARE_MIN).sum())]
+    place, width = misses.place[order, None], misses.width[order, None]
     below = student_share(bins.edges, place, np.maximum(width, EVENT_SD_SECONDS))
-    mass = share[listed, None] * np.diff(below, axis=1)
-    return _Missed(missed.source[listed], missed.target[listed], mass.sum(axis=1), mass)
+    mass = share[order, None] * np.diff(below, axis=1)
+    return _Missed(misses.source[order], misses.target[order], mass.sum(axis=1), mass)
 
 
 def _onward(
-    place: Rows, posterior: Posterior, now: Floats, bins: LagBins, missed: _Missed
+    place: Rows, posterior: Posterior, now: Floats, bins: LagBins, misses: _Missed
 ) -> Onward:
     """Return, for each zone of departure, the next zones with shares and lags.
 
@@ -238,7 +238,7 @@ def _onward(
     # Shares of each zone, with that of leaving, and the hazards likewise, make 1 at most.
     c, zones = posterior.fit.candidates, len(place)
     total = posterior.leave + np.bincount(c.source, posterior.share * now, minlength=zones)
-    total = np.maximum(total + np.bincount(missed.source, missed.share, minlength=zones), 1.0)
+    total = np.maximum(total + np.bincount(misses.source, misses.share, minlength=zones), 1.0)
     now = now / total[c.source]
     share = posterior.share * now
 
@@ -246,24 +246,24 @@ def _onward(
     pairs = np.flatnonzero(share > SHARE_MIN)
     pairs = pairs[np.argsort(-share[pairs], kind="stable")]
     pairs = pairs[first_of_group(c.source[pairs], NEXT_ZONES_MAX)]
-    added = np.flatnonzero(first_of_group(missed.source, NEXT_ZONES_MAX))
-    scale = 1.0 / total[missed.source[added]]
-    source = place[np.append(c.source[pairs], missed.source[added])]
+    extra = np.flatnonzero(first_of_group(misses.source, NEXT_ZONES_MAX))
+    scale = 1.0 / total[misses.source[extra]]
+    source = place[np.append(c.source[pairs], misses.source[extra])]
     row = np.argsort(source, kind="stable")
     mass = np.concatenate(
         (
             posterior.fit.hazard[pairs] * bins.widths * now[pairs, None],
-            missed.mass[added] * scale[:, None],
+            misses.mass[extra] * scale[:, None],
         )
     )
-    of_fit, none = row < len(pairs), np.zeros(len(added))
-    delay = np.append(posterior.delay[pairs], none)
+    of_fit, zeros = row < len(pairs), np.zeros(len(extra))
+    delay = np.append(posterior.delay[pairs], zeros)
     return Onward(
         leave=figures((posterior.leave / total)[np.argsort(place)]),
         number=packed(np.bincount(source, minlength=zones), np.int32),
-        to=packed(place[np.append(c.target[pairs], missed.target[added])][row], np.int32),
-        share=figures(np.append(share[pairs], missed.share[added] * scale)[row]),
-        doubt=figures(np.append(posterior.doubt[pairs], none)[row]),
+        to=packed(place[np.append(c.target[pairs], misses.target[extra])][row], np.int32),
+        share=figures(np.append(share[pairs], misses.share[extra] * scale)[row]),
+        doubt=figures(np.append(posterior.doubt[pairs], zeros)[row]),
         delay=figures(delay[row]),
         missed=packed(~of_fit, np.uint8),
         hazard=step_histograms(mass[row], bins),
@@ -278,35 +278,35 @@ def _entered(place: Rows, posterior: Posterior, bins: LagBins) -> EntryKernelCol
     p = posterior
     mass = p.entry_hazard * bins.widths
     total = mass.sum(axis=1)
-    listed = np.flatnonzero(total > SHARE_MIN)
-    listed = listed[np.argsort(-total[listed], kind="stable")]
-    listed = listed[first_of_group(p.entry_source[listed], NEXT_ZONES_MAX)]
-    source, target = place[p.entry_source[listed]], place[p.entry_target[listed]]
+    order = np.flatnonzero(total > SHARE_MIN)
+    order = order[np.argsort(-total[order], kind="stable")]
+    order = order[first_of_group(p.entry_source[order], NEXT_ZONES_MAX)]
+    source, target = place[p.entry_source[order]], place[p.entry_target[order]]
     row = np.lexsort((target, source))
     return EntryKernelColumns(
         packed(source[row], np.int32),
         packed(target[row], np.int32),
-        step_histograms(mass[listed[row]], bins),
+        step_histograms(mass[order[row]], bins),
     )
 
 
-def _overlaps(place: Rows, overlapping: Sequence[OverlappingViews], bins: LagBins) -> Overlaps:
+def _overlaps(place: Rows, overlaps: Sequence[OverlappingViews], bins: LagBins) -> Overlaps:
     """Return the overlapping views, sorted by cameras.
 
     place (cameras,): place of each camera in the topology.
     bins: bins of the offsets.
     """
-    views = sorted(overlapping, key=lambda view: (place[view.source], place[view.target]))
-    same, others = (
+    views = sorted(overlaps, key=lambda view: (place[view.source], place[view.target]))
+    same_masses, other_masses = (
         np.array(rows, float).reshape(-1, bins.size)
         for rows in ([view.same for view in views], [view.others for view in views])
     )
     return Overlaps(
         packed(place[[view.source for view in views]] if views else [], np.int32),
         packed(place[[view.target for view in views]] if views else [], np.int32),
-        figures(np.minimum(same.sum(axis=1), 1.0)),
-        step_histograms(same, bins),
-        step_histograms(others, bins),
+        figures(np.minimum(same_masses.sum(axis=1), 1.0)),
+        step_histograms(same_masses, bins),
+        step_histograms(other_masses, bins),
     )
 
 
@@ -321,22 +321,22 @@ def _contexts(place: Rows, cameras: Rows, posterior: Posterior, now: Floats) -> 
         (level, np.flatnonzero(level.departures >= FOLLOWED_TRANSITIONS_MIN), name == "previous")
         for name, level in zip(LEVELS, posterior.levels, strict=True)
     ]
-    zone, part, block = np.concatenate([level.keys[listed] for level, listed, _ in levels]).T
-    by_camera = np.repeat([one[2] for one in levels], [len(listed) for _, listed, _ in levels])
+    zone, part, block = np.concatenate([level.keys[rows] for level, rows, _ in levels]).T
+    by_camera = np.repeat([item[2] for item in levels], [len(rows) for _, rows, _ in levels])
     entry, previous = np.full((2, len(zone)), -1)
     entry[~by_camera] = place[part[~by_camera]]
     previous[by_camera] = cameras[part[by_camera]]
-    departures = np.concatenate([level.departures[listed] for level, listed, _ in levels])
+    departures = np.concatenate([level.departures[rows] for level, rows, _ in levels])
 
     # Their transitions, scaled to present shares.
     c = posterior.fit.candidates
-    moved = vstack([level.moved[listed] for level, listed, _ in levels], format="csr")
-    at = np.repeat(np.arange(len(zone)), np.diff(moved.indptr))
-    pair = np.searchsorted(c.source, zone)[at] + moved.indices
-    number = moved.data.astype(float) * now[pair]
-    departures = departures + np.bincount(at, number - moved.data, minlength=len(zone))
-    many = number > FOLLOWED_TRANSITIONS_MIN
-    at, to, number = at[many], place[c.target[pair[many]]], number[many]
+    transitions = vstack([level.moved[rows] for level, rows, _ in levels], format="csr")
+    at = np.repeat(np.arange(len(zone)), np.diff(transitions.indptr))
+    pair = np.searchsorted(c.source, zone)[at] + transitions.indices
+    number = transitions.data.astype(float) * now[pair]
+    departures = departures + np.bincount(at, number - transitions.data, minlength=len(zone))
+    is_frequent = number > FOLLOWED_TRANSITIONS_MIN
+    at, to, number = at[is_frequent], place[c.target[pair[is_frequent]]], number[is_frequent]
 
     row = np.lexsort((previous, block, entry, place[zone]))
     of_row = np.lexsort((to, np.argsort(row)[at]))

@@ -47,7 +47,7 @@ class Hazards:
         camera = {name: k for k, name in enumerate(self.cameras)}
         self.camera_of = np.array([camera[zone.camera] for zone in topology.zones], np.intp)
         """(zones,) number of each zone's camera."""
-        offset = {one.id: one.clock_offset for one in topology.cameras}
+        offset = {record.id: record.clock_offset for record in topology.cameras}
         self.offset_of = np.array([offset.get(zone.camera, 0.0) for zone in topology.zones])
         """(zones, seconds) clock offset of each zone's camera."""
 
@@ -76,14 +76,14 @@ class Hazards:
         """Longest lag with a bin, delays of long paths included, seconds."""
 
         # Entry kernels, and mean rates before the exit.
-        self._entered: dict[int, dict[int, Sequence[float]]] = {}
+        self._entry_kernels: dict[int, dict[int, Sequence[float]]] = {}
         """By zone of entry, and by target: hazards by lag bin."""
         if model.entered is not None:
             entry = numbers(model.entered.zone, np.int32, -1).tolist()
             to = numbers(model.entered.to, np.int32, len(entry)).tolist()
             hazards = masses_of(model.entered.hazard, self.bins) / self.bins.widths
             for row in zip(entry, to, hazards, strict=True):
-                self._entered.setdefault(row[0], {})[row[1]] = row[2]
+                self._entry_kernels.setdefault(row[0], {})[row[1]] = row[2]
         self._before = self._rates_before_exit(topology)
         self._rate_before_exit: dict[int, dict[str, float]] = {}
         """By target that was asked for: the values of `rate_before_exit` by camera."""
@@ -124,11 +124,11 @@ class Hazards:
         if is_source is None:
             is_source = self._is_source[target] = np.zeros(self._zones, np.bool_)
             is_source[self.sources(target)] = True
-        [some] = is_source.take(sources).nonzero()
-        which, row = self._rows_of(sources.take(some), target)
-        which = some.take(which)
-        first = self._first_row.take(sources.take(which))
-        return which, row - first, self._at(row, lag.take(which))
+        [hits] = is_source.take(sources).nonzero()
+        index, row = self._rows_of(sources.take(hits), target)
+        index = hits.take(index)
+        first = self._first_row.take(sources.take(index))
+        return index, row - first, self._at(row, lag.take(index))
 
     def sources(self, target: int) -> list[int]:
         """Return the zones from which objects appear next at a zone."""
@@ -143,18 +143,18 @@ class Hazards:
 
         targets (n,), lag (n, seconds): zones, and the time since the object has left.
         """
-        which, row = self._rows_of(source, targets)
-        rates = self._at(row, lag.take(which))
-        return np.bincount(which, rates, minlength=len(lag)).astype(float, copy=False)
+        index, row = self._rows_of(source, targets)
+        rates = self._at(row, lag.take(index))
+        return np.bincount(index, rates, minlength=len(lag)).astype(float, copy=False)
 
     def rows_to(self, source: int, targets: Indices) -> tuple[Rows, Rows]:
         """Return which of the ``targets`` (n,) outcomes of a zone lead to, and their rows, (m,)."""
-        which, row = self._rows_of(source, targets)
-        return which, row - self._first_row[source]
+        index, row = self._rows_of(source, targets)
+        return index, row - self._first_row[source]
 
     def rates_entered(self, entry: int, targets: Ints, elapsed: Floats) -> Floats:
         """Return `rate_entered` (n, 1/s) for several targets and times (n, s) since the entry."""
-        if entry not in self._entered:
+        if entry not in self._entry_kernels:
             return np.zeros(len(elapsed))
         pairs = zip(targets.tolist(), elapsed.tolist(), strict=True)
         return np.array([self.rate_entered(entry, target, seconds) for target, seconds in pairs])
@@ -167,7 +167,7 @@ class Hazards:
 
         It is the entry kernel of the two zones at ``elapsed``.
         """
-        row = self._entered.get(entry, {}).get(target)
+        row = self._entry_kernels.get(entry, {}).get(target)
         at = self.bins.bin_of(elapsed)
         if row is None or elapsed < 0.0 or at < 0:
             return 0.0
@@ -196,7 +196,7 @@ class Hazards:
             names = [self.cameras[k] for k in camera[rows].tolist()]
             rates = self._rate_before_exit[target] = {
                 self.cameras[self.camera_of[entry]]: 0.0
-                for entry, targets in self._entered.items()
+                for entry, targets in self._entry_kernels.items()
                 if target in targets
             }
             rates.update(zip(names, rate[rows].tolist(), strict=True))
@@ -212,12 +212,12 @@ class Hazards:
             t = self.table
             rows = slice(*self._first_row[zone : zone + 2].tolist())
             shift = self.offset_of[t.target[rows]] - self.offset_of[zone] + t.delay[rows]
-            reported = self.bins.edges[:-1] < -shift[:, None]
-            early = np.any(reported & (t.hazard[rows, :-1] > 0.0), axis=1)
+            before_exit = self.bins.edges[:-1] < -shift[:, None]
+            early = np.any(before_exit & (t.hazard[rows, :-1] > 0.0), axis=1)
             possible = np.zeros(self._zones, np.bool_)
             camera = self.camera_of[zone]
             possible[self._before[1][self._before[0] == camera]] = True
-            for entry, targets in self._entered.items():
+            for entry, targets in self._entry_kernels.items():
                 if self.camera_of[entry] == camera:
                     possible[list(targets)] = True
             possible[t.target[rows][early]] = True
@@ -232,8 +232,8 @@ class Hazards:
 
         It is the share of the bin that lies within the passage, and 1 after the exit.
         """
-        begun = (self.bins.edges[1:] + dwell) / self.bins.widths
-        return np.where(self.past, np.minimum(np.maximum(begun, 0.0), 1.0), 1.0)
+        part = (self.bins.edges[1:] + dwell) / self.bins.widths
+        return np.where(self.past, np.minimum(np.maximum(part, 0.0), 1.0), 1.0)
 
     def _index(self, zones: int) -> None:
         """Index the table by zone, and by pair of zones, for quick look-up."""
@@ -257,10 +257,10 @@ class Hazards:
         """Return which of n pairs of zones the rows of the table are of, and these rows, (m,)."""
         key = np.multiply(sources, self._zones, dtype=np.int64) + targets
         pair = self._pairs.searchsorted(key)
-        [some] = (self._pairs.take(pair) == key).nonzero()
-        pair = pair.take(some)
-        which, at = ranges(self._pair_first.take(pair), self._pair_rows.take(pair))
-        return some.take(which), self._order.take(at)
+        [hits] = (self._pairs.take(pair) == key).nonzero()
+        pair = pair.take(hits)
+        index, at = ranges(self._pair_first.take(pair), self._pair_rows.take(pair))
+        return hits.take(index), self._order.take(at)
 
     def _at(self, row: Rows, lag: Floats) -> Floats:
         """Return the weighted hazards (n, 1/s) of rows (n,) of the table at lags (n, seconds).
@@ -290,15 +290,15 @@ class Hazards:
         # By camera and target, each zone with its share of the exits.
         exits = np.array([zone.exits for zone in topology.zones], float)
         of_camera = np.bincount(self.camera_of, exits)[self.camera_of]
-        known, median = self.stay.any(axis=1), self.stay[:, STAY_DECILES // 2]
-        median = np.where(known, median, UNKNOWN_DWELL_SECONDS)
+        has_median, median = self.stay.any(axis=1), self.stay[:, STAY_DECILES // 2]
+        median = np.where(has_median, median, UNKNOWN_DWELL_SECONDS)
         expected *= (exits / np.maximum(of_camera, 1.0) / np.maximum(median, 1.0))[t.source]
         key = t.target * len(self.cameras) + self.camera_of[t.source]
         pair, of_pair = np.unique(key, return_inverse=True)
         rate = np.bincount(of_pair, expected).astype(float, copy=False)
-        some = np.flatnonzero(rate)
+        hits = np.flatnonzero(rate)
         cameras = max(len(self.cameras), 1)
-        return pair[some] % cameras, pair[some] // cameras, rate[some]
+        return pair[hits] % cameras, pair[hits] // cameras, rate[hits]
 
 
 def model_of(topology: Topology) -> Model:

@@ -22,23 +22,27 @@ class Done(Struct):
 
 def parameters_of(command: Command) -> tuple[str, dict[str, str]]:
     """Return the key below the site, and the parameters, of the query for a command."""
-    parameters = {one.name: getattr(command, one.name) for one in fields(command) if one.required}
+    parameters = {
+        field.name: getattr(command, field.name) for field in fields(command) if field.required
+    }
     return f"admin/{command.__struct_config__.tag}", parameters
 
 
 def command_of(key: str, parameters: dict[str, str]) -> Command:
     """Return the command that a query asks for; raise `QueryError`."""
-    asked = {**parameters, "type": key.removeprefix("admin/")}
-    asked.pop("format", None)  # of the answer
+    content = {**parameters, "type": key.removeprefix("admin/")}
+    content.pop("format", None)  # of the answer
     try:
-        command: Command = msgspec.convert(asked, Forget | TakeBack | Rename | Reset, strict=False)
+        command: Command = msgspec.convert(
+            content, Forget | TakeBack | Rename | Reset, strict=False
+        )
     except msgspec.ValidationError as error:
         raise QueryError(f"{key}: {codec.in_words(error)}") from None
 
     # Fields with defaults are the daemon's own.
-    unknown = asked.keys() - {"type", *(field.name for field in fields(command))}
-    own = [field for field in fields(command) if not field.required]
-    unknown |= {one.name for one in own if getattr(command, one.name) != one.default}
+    unknown = content.keys() - {"type", *(field.name for field in fields(command))}
+    defaults = [field for field in fields(command) if not field.required]
+    unknown |= {field.name for field in defaults if getattr(command, field.name) != field.default}
     if unknown:
         raise QueryError(f"{key}: unknown parameter {', '.join(sorted(unknown))}: nothing is done")
     return command

@@ -84,7 +84,7 @@ class Daemon:
         self._steady = clocks.steady_clock_for(clock)
         self._bus: Bus | None = None
         self._stopping = threading.Event()
-        self._failed = threading.Event()
+        self._failure = threading.Event()
         self._threads: list[threading.Thread] = []
         self._process: LearnerProcess | None = None
         self.started = False
@@ -124,7 +124,7 @@ class Daemon:
 
         Return False if ``cancel`` was set before that was done.
         """
-        cancelled = cancel or self._stopping
+        cancellation = cancel or self._stopping
         self.progress.watch("start", LEARN_SECONDS)
         config = self._config
         self._journal = Journal(config.state_directory, config.keep)
@@ -137,7 +137,7 @@ class Daemon:
                 # The process loads its libraries while the bus is joined.
                 self._process = process = LearnerProcess()
                 self._bus = open_daemon_session(config)
-                recovered = recover(
+                recovery = recover(
                     self._journal,
                     process,
                     config.learner,
@@ -145,16 +145,16 @@ class Daemon:
                     self._new_epoch,
                     present_names(read_names(self._journal)),
                 )
-                if cancelled.is_set():
+                if cancellation.is_set():
                     return False
-                self._build(self._bus, recovered, process)
+                self._build(self._bus, recovery, process)
                 self._rivals = OtherDaemons(self._bus, clocks.ulid(self._clock()))
-                self._rivals.require_none(config.bus.connect_seconds, cancelled)
+                self._rivals.require_none(config.bus.connect_seconds, cancellation)
                 self._started_at = self._steady()
                 self._join_bus(self._bus)
-            except LearnerEnded as ended:
-                note_failure(self._journal, ended.at)
-                raise StateError(f"{ended}; start the daemon again") from None
+            except LearnerEnded as death:
+                note_failure(self._journal, death.at)
+                raise StateError(f"{death}; start the daemon again") from None
             except sqlite3.Error as error:
                 raise StateError(
                     f"cannot read the journal in {config.state_directory}: {error};"
@@ -179,7 +179,7 @@ class Daemon:
 
     def wait(self, seconds: float | None = None) -> bool:
         """Wait until a thread has failed (return True) or the time is over (return False)."""
-        return self._failed.wait(seconds)
+        return self._failure.wait(seconds)
 
     def stop(self) -> None:
         """Stop cleanly, within about `STOP_SECONDS`; may be called twice."""
@@ -202,7 +202,7 @@ class Daemon:
     def failing(self) -> list[str]:
         """Return the reasons for a restart; empty if all loops make progress."""
         reasons = self.progress.stalled()
-        if self._failed.is_set():
+        if self._failure.is_set():
             reasons.insert(0, "a part of the daemon has failed")
         return reasons
 
@@ -228,7 +228,7 @@ class Daemon:
         """
         intake = self._intake
         learning = self._learning
-        counted = self._figures()
+        figures = self._figures()
 
         topology = self.topology
         reason = (
@@ -237,7 +237,7 @@ class Daemon:
             or "; ".join(self.failing())
             or intake.cameras.fast_clocks_reason(self._config.limits.future_seconds_max)
         )
-        newest = max((one.newest or 0.0 for one in counted.values()), default=0.0)
+        newest = max((camera.newest or 0.0 for camera in figures.values()), default=0.0)
         status = DaemonStatus(
             state="degraded" if reason else "running",
             reason=redact(reason),
@@ -245,7 +245,7 @@ class Daemon:
             epoch=self.epoch,
             t=self._clock(),
             status_seconds=self._config.limits.status_seconds,
-            events=EventCounts(**intake.counts, lost=intake.numbers.lost, waiting=learning.waiting),
+            events=EventCounts(**intake.counts, lost=intake.numbers.loss, waiting=learning.waiting),
             rejects=dict(intake.rejects.counts),
             reject_samples=intake.rejects.samples(),
             dropped=dict(intake.inbox.dropped),
@@ -256,8 +256,8 @@ class Daemon:
             questions_refused=self._live.counts["questions_refused"],
             between=self._live.between(pairs_max),
             names=intake.names.status(),
-            journal=replace(self._journal.status(), damaged=self._learning.damaged),
-            cameras=counted,
+            journal=replace(self._journal.status(), damaged=self._learning.damage_count),
+            cameras=figures,
             warnings=self._warnings(),
         )
         if topology is None:
@@ -274,24 +274,24 @@ class Daemon:
         """Return what somebody should look at, a sentence each."""
         if self._steady() - self._started_at < NAMES_SECONDS:
             return []
-        learned = self.topology.cameras if self.topology else []
-        return self._intake.missing(self._config.topology, {camera.id for camera in learned})
+        cameras = self.topology.cameras if self.topology else []
+        return self._intake.missing(self._config.topology, {camera.id for camera in cameras})
 
     def _figures(self) -> dict[str, CameraFigures]:
         """Return the status by camera: of all that are known, once it is known who is there."""
         intake = self._intake
         present = intake.names.present
         cameras = intake.cameras.all()
-        known = {camera.id for camera in self.topology.cameras} if self.topology else set()
+        ids = {camera.id for camera in self.topology.cameras} if self.topology else set()
         if intake.names.state.since is None:
-            known.update(one.name for one in cameras)
+            ids.update(camera.name for camera in cameras)
 
         # Names may be old ones. After a start the grabbers come back one by one.
-        alive, known = present(intake.alive.copy()), present(known)
+        alive, ids = present(intake.alive.copy()), present(ids)
         if self._steady() - self._started_at < RETURN_SECONDS:
-            alive |= present(one.name for one in cameras if one.spooled)
-            known &= alive
-        return intake.cameras.status(alive, known)
+            alive |= present(camera.name for camera in cameras if camera.spooled)
+            ids &= alive
+        return intake.cameras.status(alive, ids)
 
     @property
     def _reason(self) -> str:
@@ -329,16 +329,16 @@ class Daemon:
 
     def _rewind(self, to: float) -> Rewind:
         """Return the command that takes event time back to ``to`` (Unix seconds)."""
-        ended = self._last_epoch
-        self._begun(clocks.ulid(self._clock(), after=ended))
+        before = self._last_epoch
+        self._begun(clocks.ulid(self._clock(), after=before))
         log.error(
             "this machine's clock was set back: what was learned of later events is dropped, and"
             " event time continues from the clock, in epoch %s",
             self._last_epoch,
         )
-        return Rewind(to, ended, self._last_epoch)
+        return Rewind(to, before, self._last_epoch)
 
-    def _build(self, bus: Bus, recovered: Recovered, process: LearnerProcess) -> None:
+    def _build(self, bus: Bus, recovery: Recovered, process: LearnerProcess) -> None:
         """Create the parts from the recovered state and connect them."""
         limits = self._config.limits
 
@@ -353,7 +353,7 @@ class Daemon:
         # Event time as the learner knows it; the newest events may be newer than the snapshot.
         recent = recent_events(self._journal)
         lateness = self._config.learn.lateness_seconds
-        learned = event_time(self._journal, recovered, self._config.learn, recent)
+        learner_time = event_time(self._journal, recovery, self._config.learn, recent)
 
         # Receiving and storing.
         numbers = Numbers(self._journal.numbers())
@@ -362,7 +362,7 @@ class Daemon:
         for camera in numbers.cameras[-limits.cameras_max :]:
             cameras.register(camera, now)
         event_clock = EventClock(
-            learned, limits.future_seconds_max, limits.settle_seconds, wall, now
+            learner_time, limits.future_seconds_max, limits.settle_seconds, wall, now
         )
         self._intake = Intake(
             numbers,
@@ -381,8 +381,8 @@ class Daemon:
         )
 
         # Learning, and what predictions remember.
-        self._on_progress(recovered.progress)
-        self._learning = LearnerFeeder(recovered, process, self._journal, self._on_progress)
+        self._on_progress(recovery.progress)
+        self._learning = LearnerFeeder(recovery, process, self._journal, self._on_progress)
         self._live.remember(recent)
         self._forget_cameras()
 
@@ -400,7 +400,7 @@ class Daemon:
         bus.answer_queries("recent", self._live.recent, "recent")
         bus.answer_queries(
             STATUS,
-            lambda _, wanted: self.status(None if wanted.get("pairs") == "all" else STATUS_PAIRS),
+            lambda _, query: self.status(None if query.get("pairs") == "all" else STATUS_PAIRS),
             "status",
         )
         bus.subscribe("event/*", self._intake.inbox.on_event)
@@ -412,9 +412,9 @@ class Daemon:
         """Execute the operator's command of a query. Raises `QueryError`."""
         try:
             command = command_of(key, parameters)
-            done = execute(self._intake, command, self.topology, self._reset, self._begun)
+            effect = execute(self._intake, command, self.topology, self._reset, self._begun)
             self._forget_cameras()
-            return Done(done)
+            return Done(effect)
         except CommandRefused as error:
             raise QueryError(str(error)) from None
         except (sqlite3.Error, StateError) as error:
@@ -441,7 +441,7 @@ class Daemon:
 
         def guarded() -> None:
             with contextlib.ExitStack() as undo:
-                undo.callback(self._failed.set)  # the traceback goes to standard error by itself
+                undo.callback(self._failure.set)  # the traceback goes to standard error by itself
                 work(self._stopping, mark.beat)
                 undo.pop_all()
 

@@ -101,8 +101,8 @@ def read_request(payload: bytes) -> Hello | Batch:
     )
     if isinstance(request, Batch):
         seq = request.after
-        for following, _ in request.events:
-            if following <= seq:
+        for next_seq, _ in request.events:
+            if next_seq <= seq:
                 raise codec.Rejected("bad-batch", "the events are not by rising seq after `after`")
-            seq = following
+            seq = next_seq
     return request

@@ -37,8 +37,8 @@ def counts_histogram(counts: Floats, bins: LagBins, delay: float = 0.0) -> Histo
     [full] = np.nonzero(counts > MASS_MIN * counts.sum())
     if not len(full):
         return Histogram(0, [])
-    kept = [float(f"{n:.3g}") for n in counts[full[0] : full[-1] + 1]]
-    whole = [int(n) if n.is_integer() else n for n in kept]  # fewer bytes
+    masses = [float(f"{n:.3g}") for n in counts[full[0] : full[-1] + 1]]
+    whole = [int(n) if n.is_integer() else n for n in masses]  # fewer bytes
     histogram = Histogram(bins.first + int(full[0]), whole)
     return replace(histogram, delay=delay) if delay else histogram
 

@@ -18,16 +18,18 @@ NO_LACKS = (math.nan, math.nan)
 
 def by_name(names: Iterable[str], raw: bytes, kind: type[Any] = np.float32) -> dict[str, Any]:
     """Return the numbers of a column with one for each name, those that are not 0."""
-    listed = list(names)
-    column = numbers(raw, kind, len(listed)).tolist()
-    return {name: number for name, number in zip(listed, column, strict=True) if number}
+    sequence = list(names)
+    column = numbers(raw, kind, len(sequence)).tolist()
+    return {name: number for name, number in zip(sequence, column, strict=True) if number}
 
 
 def last_events(topology: Topology) -> dict[str, float]:
     """Return, by camera, the time of its last learned event, Unix seconds."""
     if topology.model is None:
         return {}
-    return by_name((one.id for one in topology.cameras), topology.model.last_event, np.float64)
+    return by_name(
+        (camera.id for camera in topology.cameras), topology.model.last_event, np.float64
+    )
 
 
 def weak_columns(links: Sequence[Link], zones: Sequence[Zone]) -> WeakLinks | None:
@@ -40,17 +42,17 @@ def weak_columns(links: Sequence[Link], zones: Sequence[Zone]) -> WeakLinks | No
     index = {zone.id: k for k, zone in enumerate(zones)}
     figures = [
         (
-            *(one.probability, one.transitions, *astuple(one.transit)),
-            *(one.q_value, one.mahalanobis_variance),
-            *(NO_LACKS if one.lacks is None else astuple(one.lacks)),
+            *(link.probability, link.transitions, *astuple(link.transit)),
+            *(link.q_value, link.mahalanobis_variance),
+            *(NO_LACKS if link.lacks is None else astuple(link.lacks)),
         )
-        for one in links
+        for link in links
     ]
-    provisional = [one.provisional for one in links]
+    provisional = [link.provisional for link in links]
     return WeakLinks(
-        packed([index[one.from_] for one in links], np.int32),
-        packed([index[one.to] for one in links], np.int32),
-        packed([one.relation == "overlapped" for one in links], np.uint8),
+        packed([index[link.from_] for link in links], np.int32),
+        packed([index[link.to] for link in links], np.int32),
+        packed([link.relation == "overlapped" for link in links], np.uint8),
         packed(np.array(figures, float), np.float32),
         provisional if any(provisional) else [],
     )
@@ -62,7 +64,7 @@ def weak_links(topology: Topology) -> list[Link]:
     if columns is None:
         return []
     source, to = (numbers(raw, np.int32, -1).tolist() for raw in (columns.from_, columns.to))
-    overlapped = numbers(columns.overlapped, np.uint8, len(to)).tolist()
+    overlaps = numbers(columns.overlapped, np.uint8, len(to)).tolist()
     provisional = columns.provisional or [""] * len(to)
     links = []
     for k, row in enumerate(numbers(columns.figures, np.float32, len(to), 14).tolist()):
@@ -71,7 +73,7 @@ def weak_links(topology: Topology) -> list[Link]:
             Link(
                 topology.zones[source[k]].id,
                 topology.zones[to[k]].id,
-                "overlapped" if overlapped[k] else "unseen",
+                "overlapped" if overlaps[k] else "unseen",
                 short[0],
                 short[1],
                 Transit(*short[2:10]),

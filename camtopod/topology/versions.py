@@ -140,10 +140,10 @@ def alarms_follow(old: Topology, new: Topology) -> bool:
 
     It cannot after a camera was forgotten or renamed, which changes earlier alarms.
     """
-    known = [*(old.alarms or []), *(_new_alarms(new) or [])]
-    return (known[-ALARMS_KEPT_MAX:] or None) == new.alarms
+    alarms = [*(old.alarms or []), *(_new_alarms(new) or [])]
+    return (alarms[-ALARMS_KEPT_MAX:] or None) == new.alarms
 
 
 def _new_alarms(topology: Topology) -> list[Alarm] | None:
     """Return the alarms that this version was the first to show; None if there are none."""
-    return [one for one in topology.alarms or [] if one.version == topology.version] or None
+    return [alarm for alarm in topology.alarms or [] if alarm.version == topology.version] or None

@@ -96,16 +96,16 @@ class Api:
 
     def predict(self, request: Request) -> Response:
         """Return the daemon's prediction for an exit: `ASKED` are those of ``predict/{camera}``."""
-        given = dict(request.query_params)
-        camera = given.pop("camera", "")
+        parameters = dict(request.query_params)
+        camera = parameters.pop("camera", "")
         if not codec.is_camera(camera):
             return error(400, "camera: the id of the camera whose view the object left")
-        if unknown := sorted(set(given) - set(ASKED)):
+        if unknown := sorted(set(parameters) - set(ASKED)):
             return error(400, f"unknown parameter {unknown[0][:20]!r}: use {', '.join(ASKED)}")
         newest, names = self._feed.topology, self._feed.names()
         if newest is not None and camera not in names:
             return error(404, str(UnknownPlace("camera", camera, newest.version, sorted(names))))
-        return self._asked(f"predict/{camera}", given, 400)
+        return self._asked(f"predict/{camera}", parameters, 400)
 
     async def predictions(self, request: Request) -> Response:
         """Stream the daemon's predictions, of all exits or those of ``camera``."""
@@ -135,14 +135,14 @@ class Api:
 
         return streamed(readers.messages(page_queue, lambda: b": still here\n\n"))
 
-    def _asked(self, key: str, given: dict[str, str], refused: int) -> Response:
-        """Return the daemon's answer to a query; ``refused`` is the status of a refusal."""
-        if any(set(value) & set(";=&?#") for value in given.values()):
+    def _asked(self, key: str, parameters: dict[str, str], status: int) -> Response:
+        """Return the daemon's answer to a query; ``status`` is that of a refusal."""
+        if any(set(value) & set(";=&?#") for value in parameters.values()):
             return error(400, "a parameter is an id of the topology or a number")
         try:
-            answers = self._bus.query(key, {**given, "format": JSON}, one=True)
+            answers = self._bus.query(key, {**parameters, "format": JSON}, one=True)
         except QueryError as refusal:
-            return error(refused, str(refusal))
+            return error(status, str(refusal))
         if not answers:
             return error(503, "the daemon does not answer")
         return content(msgspec.Raw(answers[0][1]))
@@ -152,9 +152,9 @@ class Api:
         kind = key.partition("/")[0]
         with contextlib.suppress(codec.Rejected):
             answer = codec.read(_STREAMED[kind], payload, pack=True)
-            encoded = codec.to_json(answer)
+            line = codec.to_json(answer)
             for camera in (answer.camera, _EVERY_CAMERA):
-                self._readers[kind].send(kind, encoded, camera, passing=True)
+                self._readers[kind].send(kind, line, camera, is_optional=True)
 
 
 def streamed(messages: AsyncIterator[bytes]) -> Response:
@@ -168,6 +168,6 @@ def content(value: Any) -> Response:
     return Response(codec.to_json(value), media_type="application/json")
 
 
-def error(status: int, what: str, headers: Mapping[str, str] | None = None) -> Response:
+def error(status: int, reason: str, headers: Mapping[str, str] | None = None) -> Response:
     """Return the response that says what is wrong."""
-    return JSONResponse({"error": what}, status, headers)
+    return JSONResponse({"error": reason}, status, headers)

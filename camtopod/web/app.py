@@ -74,7 +74,7 @@ class Routes:
         name = request.path_params["camera"]
         return self._explained(
             f"camera {name}",
-            lambda known: known.camera(name),
+            lambda explanations: explanations.camera(name),
             picture=picture_of(self._pictures, name) is not None,
             page=self._config.cameras.get(name, CameraSettings()).page or None,
         )
@@ -83,18 +83,22 @@ class Routes:
         """Return the links between two cameras."""
         a = request.path_params["a"]
         b = request.path_params["b"]
-        return self._explained(f"a link between {a} and {b}", lambda known: known.pair(a, b))
+        return self._explained(
+            f"a link between {a} and {b}", lambda explanations: explanations.pair(a, b)
+        )
 
     def link(self, request: Request) -> Response:
         """Return one link, given by ``from``, ``to`` and ``relation``."""
         from_, to, relation = (request.query_params.get(k, "") for k in ("from", "to", "relation"))
         return self._explained(
-            f"the link {from_} → {to}", lambda known: known.link(from_, to, relation)
+            f"the link {from_} → {to}", lambda explanations: explanations.link(from_, to, relation)
         )
 
     def walks(self, request: Request) -> Response:
         """Return the newest matches, oldest first."""
-        return content([shown_match(one) for one in self._feed.walks(-math.inf)[-MATCHES_SHOWN:]])
+        return content(
+            [shown_match(match) for match in self._feed.walks(-math.inf)[-MATCHES_SHOWN:]]
+        )
 
     def pictures(self, request: Request) -> Response:
         """Return the cameras of which there is a picture."""
@@ -148,13 +152,13 @@ class Routes:
         return streamed(stream())
 
     def _explained(
-        self, what: str, details_of: Callable[[Explanations], Any], **more: Any
+        self, subject: str, details_of: Callable[[Explanations], Any], **extras: Any
     ) -> Response:
         """Return the response with details of the newest version, or that it does not have them."""
         details = self._feed.explanations and details_of(self._feed.explanations)
         if not details:
-            return error(404, f"{what} is not in the newest version")
-        return content({**details, **more})
+            return error(404, f"{subject} is not in the newest version")
+        return content({**details, **extras})
 
 
 def application(

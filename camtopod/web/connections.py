@@ -26,9 +26,9 @@ class Connection(H11Protocol):
     def connection_made(self, transport: Any) -> None:
         """Make room, and wait for the first request."""
         if len(self.connections) >= CONNECTIONS_MAX:
-            others: list[Any] = [*self.connections]
-            waiting = (one for one in others if one.flow.write_paused or not one.has_request)
-            oldest = min(waiting, key=lambda one: one._since, default=self)
+            peers: list[Any] = [*self.connections]
+            candidates = (peer for peer in peers if peer.flow.write_paused or not peer.has_request)
+            oldest = min(candidates, key=lambda peer: peer._since, default=self)
             (transport if oldest is self else oldest.transport).abort()
             self.connections.discard(oldest)
         super().connection_made(transport)

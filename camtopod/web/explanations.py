@@ -36,7 +36,7 @@ class Explanations:
         self.last_events = last_events(topology)
         """By camera: time of its last learned event, Unix seconds."""
         model = topology.model or Model(1.0, 1.0, 0.0, 1.0, b"")
-        self._share = by_name((one.id for one in topology.cameras), model.event_share)
+        self._share = by_name((camera.id for camera in topology.cameras), model.event_share)
         self._departures = by_name(self._camera_of, model.departures, np.int32)
         self._arrival_rate = by_name(self._camera_of, model.arrival_rate)
         self._pairs = {pair.cameras: pair for pair in topology.pairs}
@@ -50,17 +50,17 @@ class Explanations:
 
     def camera(self, camera: str) -> dict[str, Any] | None:
         """Return a camera's zones, figures and links; None for an unknown camera."""
-        found = [one for one in self.topology.cameras if one.id == camera]
-        if not found:
+        entries = [entry for entry in self.topology.cameras if entry.id == camera]
+        if not entries:
             return None
         zones = [zone for zone in self.topology.zones if zone.camera == camera]
         rates = self._arrival_rate
-        links = [link for ends, some in self._between.items() if camera in ends for link in some]
+        links = [link for ends, group in self._between.items() if camera in ends for link in group]
         return {
             "id": camera,
             "version": self.topology.version,
-            "clock_offset": found[0].clock_offset,
-            "clock_offset_sd": found[0].clock_offset_sd,
+            "clock_offset": entries[0].clock_offset,
+            "clock_offset_sd": entries[0].clock_offset_sd,
             "share": self._share.get(camera),
             "last_event": self.last_events.get(camera),
             "zones": [
@@ -68,7 +68,9 @@ class Explanations:
             ],
             "links": [brief(link) for link in links],
             "alarms": [
-                one for one in alarms_in_words(self.topology) if mentions(one.subject, [camera])
+                alarm
+                for alarm in alarms_in_words(self.topology)
+                if mentions(alarm.subject, [camera])
             ],
         }
 
@@ -77,13 +79,13 @@ class Explanations:
         first, second = sorted((a, b))
         links = self._between.get(frozenset((a, b)), [])
         weak = self._weak_between.get(frozenset((a, b)), [])
-        shown = links or weak
+        choice = links or weak
         pair = self._pairs.get((first, second))
-        if (pair is None and not shown) or first == second:
+        if (pair is None and not choice) or first == second:
             return None
 
-        transitions = sum(link.transitions for link in shown)
-        best = min(shown, key=nearness, default=None)
+        transitions = sum(link.transitions for link in choice)
+        best = min(choice, key=nearness, default=None)
         return {
             "cameras": [first, second],
             "relation": pair and pair.relation,
@@ -154,20 +156,20 @@ def _chart(model: Model | None, link: Link) -> dict[str, Any] | None:
 
     # Samples of the curve, and the range worth drawing.
     samples = monte_carlo.observe(density, np.array([link.transit.sd]), bins, MONTE_CARLO_SEED)
-    drawn = np.flatnonzero((density[0] > 0.004 * density[0].max()) | (counts[0] > 0))
-    shown = slice(int(drawn[0]), int(drawn[-1]) + 1)
+    positions = np.flatnonzero((density[0] > 0.004 * density[0].max()) | (counts[0] > 0))
+    columns = slice(int(positions[0]), int(positions[-1]) + 1)
     return {
         "delay": link.histogram.delay,
         "scale": bins.scale,
         "step": bins.step,
-        "first": bins.first + int(drawn[0]),
-        "counts": _short(counts[0, shown]),
-        "curve": _short(curve[0, shown]),
+        "first": bins.first + int(positions[0]),
+        "counts": _short(counts[0, columns]),
+        "curve": _short(curve[0, columns]),
         "samples": _short(np.sort(samples[0]) + link.histogram.delay),
     }
 
 
-def why(link: Link, weak: bool, left: int | None, background: float | None) -> list[str]:
+def why(link: Link, weak: bool, departures: int | None, background: float | None) -> list[str]:
     """Return the evidence for a link, a sentence each."""
     if link.provisional:
         return [link.provisional, "So what is known of this link is not real."]
@@ -181,33 +183,33 @@ def why(link: Link, weak: bool, left: int | None, background: float | None) -> l
         ]
 
     # A link between views: departures, transit times, background, significance.
-    departures = "the objects"
-    if left is not None:
-        departures = f"{left:,} objects"
-    said = [
-        f"Of {departures} that left at {link.from_}, about {_count(link.transitions)} appeared "
+    subject = "the objects"
+    if departures is not None:
+        subject = f"{departures:,} objects"
+    sentences = [
+        f"Of {subject} that left at {link.from_}, about {_count(link.transitions)} appeared "
         f"next at {link.to}: {_share(link.probability)}.",
         _time_taken(link),
     ]
     if background is not None:
         span = link.transit.q90 - link.transit.q10
-        unrelated = _count(background * span)
-        found = _count(0.8 * link.transitions)  # those from q10 to q90
-        said.append(
-            f"Within these {seconds(span)} about {unrelated} unrelated arrivals are "
-            f"expected; {found} more than that were found."
+        expectation = _count(background * span)
+        excess = _count(0.8 * link.transitions)  # those from q10 to q90
+        sentences.append(
+            f"Within these {seconds(span)} about {expectation} unrelated arrivals are "
+            f"expected; {excess} more than that were found."
         )
-    said.append(
+    sentences.append(
         f"Of links with as much evidence as this one, {_odds(link.q_value)} would be spurious."
     )
-    said.append(
+    sentences.append(
         f"The variance of its transit times is {_share(link.mahalanobis_variance)} of that of "
         f"unrelated events (Var(d) = {link.mahalanobis_variance:.2g}; the thesis requires at most "
         f"{mahalanobis.LINKED_VARIANCE_MAX:g})."
     )
 
     if link.contradicted:
-        said.append(
+        sentences.append(
             "It contradicts not_neighbours in [topology] of the configuration, by which nobody "
             "goes between these cameras without passing another one."
         )
@@ -215,12 +217,12 @@ def why(link: Link, weak: bool, left: int | None, background: float | None) -> l
     # Unmet rules of a weak link.
     if weak:
         lacks = f" It lacks {lacks_in_words(link.lacks)}." if link.lacks else ""
-        said.append(
+        sentences.append(
             "It is not published: it does not meet all of the rule for that yet (among others "
             "publish_q_max and publish_probability_min in [learn] of the configuration)."
             f"{lacks} It is used in predictions only."
         )
-    return said
+    return sentences
 
 
 def _time_taken(link: Link) -> str:
@@ -246,16 +248,16 @@ def why_pair(pair: Pair | None) -> list[str]:
         "overlapped": "their views overlap",
         "unseen_path": "a path that no camera sees joins them",
     }
-    said = [f"The two cameras are related: {kinds[pair.relation]}."]
+    sentences = [f"The two cameras are related: {kinds[pair.relation]}."]
     if pair.by_lags is not None and pair.by_lags == pair.by_sum_rule:
-        said.append("Both tests agree: the times of their events, and their number.")
+        sentences.append("Both tests agree: the times of their events, and their number.")
     elif pair.by_lags is not None:
-        counted = kinds.get(str(pair.by_sum_rule), "not decided, as it could not be tested")
-        said.append(f"By the times of events: {kinds[pair.by_lags]}.")
-        said.append(f"By the number of events (table 4.4 of the thesis): {counted}.")
+        verdict = kinds.get(str(pair.by_sum_rule), "not decided, as it could not be tested")
+        sentences.append(f"By the times of events: {kinds[pair.by_lags]}.")
+        sentences.append(f"By the number of events (table 4.4 of the thesis): {verdict}.")
     if pair.reason:
-        said.append(f"Reason: {pair.reason}.")
-    return said
+        sentences.append(f"Reason: {pair.reason}.")
+    return sentences
 
 
 def _short(values: NDArray[np.float64]) -> list[float]:

@@ -58,7 +58,7 @@ def shown(prediction: Prediction) -> dict[str, Any]:
         **{name: getattr(prediction, name) for name in ("camera", "zone", "t", "version")},
         "place": answer.place,
         "words": answer.words,
-        "now": [Look(*one) for one in seen_now(prediction).items()],
+        "now": [Look(*item) for item in seen_now(prediction).items()],
         "next": prediction.candidates[:NEXT_SHOWN],
     }
 
@@ -68,8 +68,8 @@ def shown_match(match: Match) -> dict[str, Any]:
     return {
         **{name: getattr(match, name) for name in ("camera", "t", "walk", "new")},
         "from": [
-            {"camera": one.camera, "t": one.t, "probability": one.probability}
-            for one in match.from_[:NEXT_SHOWN]
+            {"camera": passage.camera, "t": passage.t, "probability": passage.probability}
+            for passage in match.from_[:NEXT_SHOWN]
         ],
     }
 
@@ -157,11 +157,11 @@ class Feed:
 
     def _present(self) -> set[str]:
         """Return the cameras whose events can come."""
-        return {one.id for one in self._statuses.cameras(None) if one.alive}
+        return {camera.id for camera in self._statuses.cameras(None) if camera.alive}
 
     def hello(self) -> bytes:
         """Return the first messages for a page that has just connected: server-sent events."""
-        past = [message("past", one) for one in self._predictions.copy()]
+        past = [message("past", content) for content in self._predictions.copy()]
         return message("version", self._version()) + b"".join(past)
 
     def beat(self) -> bytes:
@@ -203,14 +203,14 @@ class Feed:
         if (recent := self.recent(SEEN_PER_SECOND_MAX, since=self._answered_at)) is not None:
             self._answered_at = recent.t
             if recent.events:
-                self._page_queues.send("seen", codec.to_json(recent.events), passing=True)
+                self._page_queues.send("seen", codec.to_json(recent.events), is_optional=True)
 
-    def recent(self, most: int = REPORT_EVENTS_MAX, **asked: float) -> Recent | None:
-        """Return the newest events of the last hour, at most ``most``; None without an answer."""
+    def recent(self, count: int = REPORT_EVENTS_MAX, **parameters: float) -> Recent | None:
+        """Return the newest events of the last hour, at most ``count``; None without an answer."""
         with contextlib.suppress(QueryError, codec.Rejected):
-            for _, payload in self._bus.query("recent", asked, one=True):
+            for _, payload in self._bus.query("recent", parameters, one=True):
                 recent = codec.read(Recent, payload, pack=True)
-                return Recent(recent.t, recent.events[-most:])
+                return Recent(recent.t, recent.events[-count:])
         return None
 
     def _version(self) -> bytes:
@@ -237,11 +237,11 @@ class Feed:
         if self._limits["prediction"].take(self._clock()):
             content = codec.to_json(shown(prediction))
             self._predictions.append(content)
-            self._page_queues.send("prediction", content, passing=True)
+            self._page_queues.send("prediction", content, is_optional=True)
 
     def _on_match(self, match: Match) -> None:
         """Keep a match; forward it, unless there are too many this second."""
         now = self._clock()
         self._matches.add(match, now)
         if self._limits["match"].take(now):
-            self._page_queues.send("match", codec.to_json(shown_match(match)), passing=True)
+            self._page_queues.send("match", codec.to_json(shown_match(match)), is_optional=True)

@@ -30,7 +30,7 @@ class Step(Struct, frozen=True):
 def step(topology: Topology) -> Step:
     """Return what the map of a version has."""
     pairs = {" ".join(sorted(pair.cameras)): pair.relation for pair in topology.pairs}
-    return Step(topology.version, topology.as_of, [one.id for one in topology.cameras], pairs)
+    return Step(topology.version, topology.as_of, [camera.id for camera in topology.cameras], pairs)
 
 
 def thinned(versions: Sequence[_T]) -> list[_T]:
@@ -45,7 +45,7 @@ def steps(bus: Bus, newest: Topology) -> list[Step]:
     It takes as long as the daemon needs to read up to `STEPS_MAX` versions.
     """
     before = [_asked(bus, newest.epoch, version) for version in thinned(range(1, newest.version))]
-    return [*(one for one in before if one is not None), step(newest)]
+    return [*(entry for entry in before if entry is not None), step(newest)]
 
 
 def _asked(bus: Bus, epoch: str, version: int) -> Step | None:

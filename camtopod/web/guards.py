@@ -50,10 +50,10 @@ class Guard:
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
         async def send_with_headers(message: Message) -> None:
             if message["type"] == "http.response.start":
-                given = {name for name, _ in message["headers"]}
-                added = [(name.encode(), value.encode()) for name, value in HEADERS.items()]
-                missing = [header for header in added if header[0] not in given]
-                message = {**message, "headers": [*message["headers"], *missing]}
+                header_names = {name for name, _ in message["headers"]}
+                defaults = [(name.encode(), value.encode()) for name, value in HEADERS.items()]
+                additions = [header for header in defaults if header[0] not in header_names]
+                message = {**message, "headers": [*message["headers"], *additions]}
             await send(message)
 
         app = self._app

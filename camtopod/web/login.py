@@ -145,9 +145,9 @@ def cookie_name(request: Request) -> str:
     return f"camtopod_session_{request.url.port or request.url.scheme}"
 
 
-def _same(given: str, expected: str) -> bool:
+def _same(text: str, expected: str) -> bool:
     """Compare in a time that does not depend on the content."""
-    return hmac.compare_digest(given.encode(), expected.encode())
+    return hmac.compare_digest(text.encode(), expected.encode())
 
 
 def _login_page(message: str, status: int) -> Response:

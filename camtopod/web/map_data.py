@@ -71,7 +71,7 @@ def draw(topology: Topology, before: Map = NO_MAP, new: Iterable[str] = ()) -> M
     new: cameras of the site that are not in the version yet.
     """
     # Edges and counts of events.
-    drawn = map_edges(topology)
+    pair_edges = map_edges(topology)
     entries = dict.fromkeys((camera.id for camera in topology.cameras), 0)
     exits = entries.copy()
     for zone in topology.zones:
@@ -80,7 +80,7 @@ def draw(topology: Topology, before: Map = NO_MAP, new: Iterable[str] = ()) -> M
 
     # Nodes.
     new = set(new) - entries.keys()
-    at = _places([*entries, *new], drawn, before)
+    at = _places([*entries, *new], pair_edges, before)
     cameras = {
         camera.id: MapCamera(
             *at[camera.id], len(camera.zones), entries[camera.id], exits[camera.id]
@@ -94,7 +94,7 @@ def draw(topology: Topology, before: Map = NO_MAP, new: Iterable[str] = ()) -> M
         topology.version,
         topology.as_of,
         cameras,
-        drawn,
+        pair_edges,
         alarms_in_words(topology),
         waiting_for_links(topology),
     )
@@ -109,10 +109,10 @@ def map_edges(topology: Topology) -> dict[str, MapEdge]:
     # Directions of each pair, from published links first, and the link nearest to publication.
     pairs = {_key(*pair.cameras): pair for pair in topology.pairs}
     for published, links in ((True, topology.links), (False, likely_links(topology))):
-        known = set(ways)
+        earlier_keys = set(ways)
         for edge in edges(replace(topology, links=links, pairs=[])):
             key = _key(edge.from_, edge.to)
-            if published or key not in known:
+            if published or key not in earlier_keys:
                 ways.setdefault(key, []).append(edge)
         for link in links:
             key = _key(camera[link.from_], camera[link.to])
@@ -121,16 +121,16 @@ def map_edges(topology: Topology) -> dict[str, MapEdge]:
     # One edge per pair.
     result = {}
     for key in sorted({*ways, *pairs}):
-        there = ways.get(key, [])
-        transitions = sum(way.transitions for way in there)
+        directions = ways.get(key, [])
+        transitions = sum(way.transitions for way in directions)
         pair = pairs.get(key)
-        relation = RELATIONS[any(way.overlapped for way in there)]
+        relation = RELATIONS[any(way.overlapped for way in directions)]
         result[key] = MapEdge(
             pair.relation if pair else relation,
             why_provisional(pair, transitions, best.get(key)),
             pair is not None,
             transitions,
-            there,
+            directions,
         )
     return result
 
@@ -159,19 +159,19 @@ def why_provisional(pair: Pair | None, transitions: float, best: Link | None) ->
     return ""
 
 
-def _places(names: list[str], drawn: Mapping[str, MapEdge], before: Map) -> dict[str, Place]:
+def _places(names: list[str], pair_edges: Mapping[str, MapEdge], before: Map) -> dict[str, Place]:
     """Return the camera positions; those of before if the network is the same."""
-    joined = _joined(drawn)
-    held = {name: (camera.x, camera.y) for name, camera in before.cameras.items()}
-    if joined == _joined(before.edges) and set(names) == set(held):
-        return held
-    return places(names, joined, held)
+    layout_edges = _joined(pair_edges)
+    positions = {name: (camera.x, camera.y) for name, camera in before.cameras.items()}
+    if layout_edges == _joined(before.edges) and set(names) == set(positions):
+        return positions
+    return places(names, layout_edges, positions)
 
 
-def _joined(drawn: Mapping[str, MapEdge]) -> dict[tuple[str, str], bool]:
+def _joined(pair_edges: Mapping[str, MapEdge]) -> dict[tuple[str, str], bool]:
     """Return the edges that determine the layout, with whether views overlap."""
     result = {}
-    for key, edge in drawn.items():
+    for key, edge in pair_edges.items():
         if edge.published:
             a, b = key.split(" ")
             result[a, b] = edge.relation == "overlapped"

@@ -28,11 +28,11 @@ class PageQueue:
         self.camera = camera
         self._loop = asyncio.get_running_loop()
         self._messages: asyncio.Queue[bytes | None] = asyncio.Queue()
-        self._closed = False
+        self._is_closed = False
 
-    def put(self, message: bytes, passing: bool) -> None:
-        """Add a message; one that is ``passing`` may be left out. Any thread; never blocks."""
-        self._loop.call_soon_threadsafe(self._put, message, passing)
+    def put(self, message: bytes, is_optional: bool) -> None:
+        """Add a message; an optional one may be left out. Any thread; never blocks."""
+        self._loop.call_soon_threadsafe(self._put, message, is_optional)
 
     def close(self) -> None:
         """End the stream after the messages that wait. Any thread."""
@@ -47,14 +47,14 @@ class PageQueue:
             message = await asyncio.wait_for(self._messages.get(), BEAT_SECONDS)
         except TimeoutError:
             message = b""
-        return None if self._closed else message
+        return None if self._is_closed else message
 
-    def _put(self, message: bytes, passing: bool) -> None:
-        """Add a message; a slow page gets fewer of the passing ones."""
-        waiting = self._messages.qsize()
-        if waiting >= MESSAGES_MAX:
-            self._closed = True
-        elif not passing or waiting < MESSAGES_MAX // 4:
+    def _put(self, message: bytes, is_optional: bool) -> None:
+        """Add a message; a slow page gets fewer of the optional ones."""
+        length = self._messages.qsize()
+        if length >= MESSAGES_MAX:
+            self._is_closed = True
+        elif not is_optional or length < MESSAGES_MAX // 4:
             self._messages.put_nowait(message)
 
 
@@ -63,7 +63,7 @@ class PageQueues:
 
     def __init__(self) -> None:
         self._queues: set[PageQueue] = set()
-        self._closed = False
+        self._is_closed = False
 
     @property
     def is_any_open(self) -> bool:
@@ -75,7 +75,7 @@ class PageQueues:
 
         camera: as in `send`.
         """
-        if self._closed or len(self._queues) >= PAGES_MAX:
+        if self._is_closed or len(self._queues) >= PAGES_MAX:
             return None
         queue = PageQueue(camera)
         self._queues.add(queue)
@@ -90,19 +90,19 @@ class PageQueues:
             self._queues.discard(queue)
 
     def send(
-        self, name: str, content: bytes, camera: str | None = None, passing: bool = False
+        self, name: str, content: bytes, camera: str | None = None, is_optional: bool = False
     ) -> None:
         """Send a server-sent event to all pages, or to those opened for ``camera``.
 
         content: one line of JSON.
-        passing: pages that lag may miss it.
+        is_optional: pages that lag may miss it.
         """
         for queue in tuple(self._queues):
             if camera is None or queue.camera == camera:
-                queue.put(message(name, content), passing)
+                queue.put(message(name, content), is_optional)
 
     def close(self) -> None:
         """End all connections."""
-        self._closed = True
+        self._is_closed = True
         for queue in tuple(self._queues):
             queue.close()

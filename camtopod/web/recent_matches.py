@@ -35,15 +35,15 @@ class RecentMatches:
         """Return the matches of entries later than ``since``, in order of time."""
         since = max(since, now - MATCHES_SECONDS)
         with self._mutex:
-            found = [match for match in self._matches.values() if match.t > since]
-        return sorted(found, key=lambda match: match.t)
+            matches = [match for match in self._matches.values() if match.t > since]
+        return sorted(matches, key=lambda match: match.t)
 
     def forget(self, cameras: Collection[str]) -> None:
         """Forget the matches that name any of the cameras."""
         with self._mutex:
             for entry, match in list(self._matches.items()):
-                named = [match.camera, *(one.camera for one in match.from_)]
-                if any(camera in cameras for camera in named):
+                names = [match.camera, *(passage.camera for passage in match.from_)]
+                if any(camera in cameras for camera in names):
                     del self._matches[entry]
 
     def clear(self) -> None:

@@ -37,18 +37,18 @@ def gather(
     config: with the floor plan, if there is one.
     """
     plan = Path(config.map.plan) if config is not None and config.map.plan else None
-    drawn = draw(topology)
+    site_map = draw(topology)
     explanations = Explanations(topology)
     cameras = [camera.id for camera in topology.cameras]
     files = {name: path for name in cameras if (path := picture_of(pictures, name)) is not None}
     versions = [*older, topology]
     return {
-        "map": drawn,
+        "map": site_map,
         "cameras": {
             name: {**(explanations.camera(name) or {}), "picture": name in files}
             for name in cameras
         },
-        "pairs": {key: explanations.pair(*key.split(" ")) for key in drawn.edges},
+        "pairs": {key: explanations.pair(*key.split(" ")) for key in site_map.edges},
         "links": {
             f"{link.from_} {link.to} {link.relation}": explanations.link(
                 link.from_, link.to, link.relation
@@ -56,9 +56,10 @@ def gather(
             for link in _explained(topology)
         },
         "versions": [
-            summary(one, before) for before, one in zip([None, *older], versions, strict=True)
+            summary(version, before)
+            for before, version in zip([None, *older], versions, strict=True)
         ],
-        "growth": [step(one) for one in thinned(versions)],
+        "growth": [step(version) for version in thinned(versions)],
         "pictures": {name: _data_url(path) for name, path in files.items()},
         "plan": plan and config and {"href": _data_url(plan), "at": placed(config)},
     }

@@ -30,7 +30,7 @@ def page(data: Any) -> str:
         "img-src data:; base-uri 'none'; form-action 'none'"
     )
     # Escaped so that no text in the data can end the script element.
-    held = msgspec.json.encode(data).decode().replace("<", "\\u003c")
+    content = msgspec.json.encode(data).decode().replace("<", "\\u003c")
     return f"""<!doctype html>
 <html lang="en">
 <head>
@@ -43,7 +43,7 @@ def page(data: Any) -> str:
 <style>{style}</style>
 </head>
 <body>
-<script type="application/json" id="report">{held}</script>
+<script type="application/json" id="report">{content}</script>
 <script type="module">{script}</script>
 </body>
 </html>
@@ -55,22 +55,22 @@ def scripts() -> str:
 
     The order is that of their dependencies.
     """
-    done: dict[str, str] = {}
-    _add(FIRST, done)
-    return "\n".join(done.values())
+    modules: dict[str, str] = {}
+    _add(FIRST, modules)
+    return "\n".join(modules.values())
 
 
-def _add(name: str, done: dict[str, str]) -> None:
+def _add(name: str, modules: dict[str, str]) -> None:
     """Add a module after those it imports; imports have no cycles."""
-    if name in done:
+    if name in modules:
         return
     source = (STATIC / name).read_text("utf-8")
-    for _, other in _IMPORT.findall(source):
-        _add(other, done)
-    exported = ", ".join(_EXPORT.findall(source))
+    for _, dependency in _IMPORT.findall(source):
+        _add(dependency, modules)
+    exports = ", ".join(_EXPORT.findall(source))
     body = _IMPORT.sub(lambda match: f"const {match[1]} = {_variable(match[2])};\n", source)
     body = re.sub(r"^export ", "", body, flags=re.MULTILINE)
-    done[name] = f"const {_variable(name)} = (() => {{\n{body}\nreturn {{ {exported} }};\n}})();"
+    modules[name] = f"const {_variable(name)} = (() => {{\n{body}\nreturn {{ {exports} }};\n}})();"
 
 
 def _variable(name: str) -> str:

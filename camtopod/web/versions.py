@@ -49,7 +49,7 @@ def summary(topology: Topology, before: Topology | None) -> dict[str, Any]:
         "pairs": len(topology.pairs),
         "longest": longest_lag(topology) or None,
         "score": topology.score,
-        "alarms": [one for one in topology.alarms or [] if one.version == topology.version],
+        "alarms": [alarm for alarm in topology.alarms or [] if alarm.version == topology.version],
         "since": since,
         "changes": changes[:CHANGES_MAX],
         "changes_count": len(changes),
@@ -71,8 +71,8 @@ def _parts(topology: Topology) -> dict[tuple[str, tuple[str, ...]], str]:
     """Return the relation of every pair in words, and "" for every other part of a version."""
     links = links_between_views(topology)
     return {
-        **{("camera", (one.id,)): "" for one in topology.cameras},
-        **{("pair", one.cameras): _RELATIONS[one.relation] for one in topology.pairs},
-        **{("link", link_key(one)): "" for one in links},
-        **{("zone", (one.id,)): "" for one in topology.zones},
+        **{("camera", (camera.id,)): "" for camera in topology.cameras},
+        **{("pair", pair.cameras): _RELATIONS[pair.relation] for pair in topology.pairs},
+        **{("link", link_key(link)): "" for link in links},
+        **{("zone", (zone.id,)): "" for zone in topology.zones},
     }

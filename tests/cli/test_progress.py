@@ -25,7 +25,7 @@ def test_of_work_that_is_waited_for_a_pipe_hears_too(
 ) -> None:
     now = [10.0]
     monkeypatch.setattr(progress.time, "monotonic", lambda: now[0])
-    with Progress(piped=True) as shown:
+    with Progress(lines=True) as shown:
         for second in range(12):
             now[0] = 10.0 + second
             shown.show("%d s", second)

@@ -100,7 +100,7 @@ def test_a_daemon_with_less_gets_the_events_again_and_a_hole_is_left_out(grabber
     grabber.hello(Answer({"b1": 0}, batch=3))
     grabber.batch()
     grabber.answered(Answer({"b1": 3}, batch=3, late=2, refused=1))
-    assert (grabber.delivery.late, grabber.delivery.refused) == (2, 1)
+    assert (grabber.delivery.late, grabber.delivery.refusals) == (2, 1)
     grabber.add(1)
     grabber.spool._db.execute("UPDATE event SET raw = x'00' WHERE seq = 2")
 

@@ -101,7 +101,7 @@ def test_two_entries_at_one_instant_may_be_of_one_object(walks: Walks) -> None:
     a, b = (walks._prepared_version.zone_of(event) for event in events[:2])
     assert a is not None
     assert b is not None
-    walks._hazards._entered = {b: {a: [0.5] * walks._hazards.bins.size}}
+    walks._hazards._entry_kernels = {b: {a: [0.5] * walks._hazards.bins.size}}
 
     first, second, later = matched(walks, events)
     assert first.from_ == []

@@ -556,9 +556,9 @@ def test_a_view_that_missed_a_version_fetches_it_when_the_status_names_a_newer_v
         return view.update() == versions[1]
 
     wait_for(told_and_updated, "the whole to be fetched")
-    assert view.fetched == 2
+    assert view.fetch_count == 2
     told_and_updated()
-    assert view.fetched == 2
+    assert view.fetch_count == 2
 
 
 def test_a_view_goes_on_with_the_version_before_until_map_and_model_are_there() -> None:
@@ -581,7 +581,7 @@ def test_a_view_goes_on_with_the_version_before_until_map_and_model_are_there() 
     bus.publish("topology", msgspec.to_builtins(map_of(third)))
     assert view.update() == third
     assert digest_of(third) == third.digest
-    assert view.fetched == 1
+    assert view.fetch_count == 1
 
 
 def test_names_that_no_camera_has_are_said_after_ten_minutes(site: Site) -> None:

@@ -178,7 +178,7 @@ def test_a_damaged_entry_begins_an_epoch_with_what_is_left(start: Start) -> None
     one.journal._db.execute("UPDATE entry SET raw = x'00' WHERE id BETWEEN 20 AND 60")
     again = start()
     again.run()
-    assert again.learning.damaged == 41
+    assert again.learning.damage_count == 41
     assert {epoch for epoch, _, _ in again.published} == {"F"}
     assert [version for _, version, _ in again.published] == list(
         range(1, len(again.published) + 1)

@@ -50,7 +50,7 @@ class KeptMessages(PageQueues):
         return self.is_open
 
     def send(
-        self, name: str, content: bytes, camera: str | None = None, passing: bool = False
+        self, name: str, content: bytes, camera: str | None = None, is_optional: bool = False
     ) -> None:
         self.sent.append((name, json.loads(content)))
 
@@ -269,12 +269,12 @@ def test_a_page_that_lags_gets_less_and_then_comes_back() -> None:
     async def lag() -> list[bytes | None]:
         queue = PageQueue()
         for _ in range(MESSAGES_MAX):
-            queue.put(b"passing", passing=True)
-        queue.put(b"must", passing=False)
+            queue.put(b"passing", is_optional=True)
+        queue.put(b"must", is_optional=False)
         await asyncio.sleep(0)
         taken = [await queue.take() for _ in range(MESSAGES_MAX // 4 + 1)]
         for _ in range(MESSAGES_MAX + 1):
-            queue.put(b"must", passing=False)
+            queue.put(b"must", is_optional=False)
         await asyncio.sleep(0)
         return [*taken, await queue.take()]
 

@@ -229,7 +229,7 @@ def _until(daemon: Daemon, is_done: Callable[[float], bool]) -> None:
     """
     line = ""
     moved_at = time.monotonic()
-    with Progress(piped=True) as progress:
+    with Progress(lines=True) as progress:
         while not is_done(time.monotonic() - moved_at):
             if daemon.wait(0.1):
                 raise exits.CommandError("demo: the daemon has failed")

@@ -105,7 +105,7 @@ def run(args: argparse.Namespace) -> None:
 
 def _feed(learner: Learner, reader: LineReader, paths: list[str], updates: BinaryIO | None) -> None:
     """Pass every line to the learner, write each version, show progress."""
-    with Progress(piped=True) as progress:
+    with Progress(lines=True) as progress:
 
         def say_step(step: str) -> None:
             progress.show("step %d of %d: %s", STEPS.index(step) + 1, len(STEPS), step)

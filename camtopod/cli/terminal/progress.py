@@ -1,6 +1,6 @@
 """Progress of long work on standard error.
 
-On a terminal it is one line that is overwritten; elsewhere nothing, or with ``piped`` a line every
+On a terminal it is one line that is overwritten; elsewhere nothing, or with ``lines`` a line every
 few seconds.
 """
 
@@ -20,16 +20,16 @@ _CLEAR = "\r\x1b[K"
 
 
 class Progress(contextlib.AbstractContextManager["Progress"]):
-    """Progress line, cleared when the block ends; with ``piped`` also without a terminal."""
+    """Progress line, cleared when the block ends; with ``lines`` also without a terminal."""
 
-    def __init__(self, piped: bool = False) -> None:
+    def __init__(self, lines: bool = False) -> None:
         self._terminal = sys.stderr.isatty()
-        self._every = math.inf
+        self._interval = math.inf
         if self._terminal:
-            self._every = SHOW_SECONDS
-        elif piped:
-            self._every = PIPED_SECONDS
-        self._next = time.monotonic() + self._every
+            self._interval = SHOW_SECONDS
+        elif lines:
+            self._interval = PIPED_SECONDS
+        self._next = time.monotonic() + self._interval
 
     @property
     def due(self) -> bool:
@@ -40,7 +40,7 @@ class Progress(contextlib.AbstractContextManager["Progress"]):
         """Print ``form % values`` unless the last line is too recent; may be called often."""
         if not self.due:
             return
-        self._next = time.monotonic() + self._every
+        self._next = time.monotonic() + self._interval
         if self._terminal:
             print(f"{_CLEAR}{form % values}", end="\r", file=sys.stderr, flush=True)
         else:

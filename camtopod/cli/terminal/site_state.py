@@ -49,8 +49,9 @@ class SiteState:
         if not state.live:
             return words
         daemon = self._statuses.daemon
-        rejected = sum(daemon.rejects.values())
-        return f"{words}, {daemon.events.stored} events stored, {rejected} rejected since its start"
+        reject_count = sum(daemon.rejects.values())
+        stored_count = daemon.events.stored
+        return f"{words}, {stored_count} events stored, {reject_count} rejected since its start"
 
     def camera_lines(self, topology: Topology | None, now: float) -> list[str]:
         """Return a line for each camera at ``now`` (Unix seconds).
@@ -58,19 +59,23 @@ class SiteState:
         Those with problems come first, with an exclamation mark.
         """
         lines = []
-        for one in self._statuses.cameras(topology):
+        for camera in self._statuses.cameras(topology):
             last = ""
-            if one.newest is not None and 0 <= now - one.newest < 1e6:
-                last = f"{now - one.newest:.0f} s"
-            mark = "!" if one.look == "bad" else " "
+            if camera.newest is not None and 0 <= now - camera.newest < 1e6:
+                last = f"{now - camera.newest:.0f} s"
+            mark = "!" if camera.look == "bad" else " "
             lines.append(
-                f"{mark} {one.id:<20} {one.state:<13} {one.events or 0:>8} {last:>9}  {one.reason}"
+                f"{mark} {camera.id:<20} {camera.state:<13} {camera.events or 0:>8}"
+                f" {last:>9}  {camera.reason}"
             )
         return lines
 
     def prediction_lines(self) -> list[str]:
         """Return the predictions in words, newest first."""
-        return [f"{one.zone or one.camera} -> {one}" for one in reversed([*self._predictions])]
+        return [
+            f"{prediction.zone or prediction.camera} -> {prediction}"
+            for prediction in reversed([*self._predictions])
+        ]
 
 
 def topology_lines(topology: Topology | None) -> list[str]:
@@ -85,8 +90,8 @@ def topology_lines(topology: Topology | None) -> list[str]:
     ]
     if looked_for := range_in_words(topology):
         lines.append(f"looked for: {looked_for}")
-    if waiting := waiting_for_links(topology):
-        lines.append(waiting)
+    if remark := waiting_for_links(topology):
+        lines.append(remark)
     if (s := topology.score) is not None:
         lines.append(
             f"predictions: next camera right {s.top1:.2f} (baseline {s.baseline_top1:.2f}), "

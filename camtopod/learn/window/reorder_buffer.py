@@ -129,10 +129,10 @@ class ReorderBuffer:
             self._is_sorted = True
         held = self.state.held
         first = bisect_left(held, -until_us, key=_newest_first)
-        taken = [(microseconds(event.t), event) for event in held[first:]]
+        batch = [(microseconds(event.t), event) for event in held[first:]]
         del held[first:]
         self.oldest_held_us = microseconds(held[-1].t) if held else None
-        return sorted(taken, key=_sort_key)
+        return sorted(batch, key=_sort_key)
 
     def _hold_only(self, events: list[Event]) -> None:
         """Replace the held events."""
@@ -146,12 +146,12 @@ def _newest_first(event: Event) -> int:
     return -microseconds(event.t)
 
 
-def _sort_key(timed: tuple[int, Event]) -> tuple[int, str, str, float, float, str, str, int, str]:
+def _sort_key(item: tuple[int, Event]) -> tuple[int, str, str, float, float, str, str, int, str]:
     """Return the key of (microseconds, event) in the canonical order: its time, then its content.
 
     So the order of events at the same time does not depend on the order in which they are received.
     """
-    t_us, event = timed
+    t_us, event = item
     x, y = (-1.0, -1.0) if event.x is None or event.y is None else (event.x, event.y)
     seq = -1 if event.seq is None else event.seq
     track = "" if event.track is None else f"={event.track}"

@@ -179,7 +179,7 @@ class Window:
 
         An event with a number or without a position is none of these.
         """
-        return [timed for timed in batch if timed[1].seq is not None or not self._holds(*timed)]
+        return [item for item in batch if item[1].seq is not None or not self._holds(*item)]
 
     def _holds(self, t_us: int, event: Event) -> bool:
         """Return True if a row has the time, camera, kind and position of an event."""
@@ -216,10 +216,10 @@ class Window:
         row = self.entries_of_exits()
         mate = np.where(row >= 0, number[np.maximum(row, 0)], self.column("mate"))
         self.state.columns = {**self.state.columns, "mate": mate}
-        opened, moved = self.state.open, []
-        while opened and opened[last := next(reversed(opened))] >= base + first:
-            moved.append((int(number[opened.pop(last) - base]), last))
-        opened.update((key, row) for row, key in sorted(moved) if row != NONE)
+        passages, moves = self.state.open, []
+        while passages and passages[last := next(reversed(passages))] >= base + first:
+            moves.append((int(number[passages.pop(last) - base]), last))
+        passages.update((key, row) for row, key in sorted(moves) if row != NONE)
 
     def forget_old(self, before_us: int) -> int:
         """Remove events older than ``before_us`` or beyond the window's size; return their number.
@@ -238,10 +238,10 @@ class Window:
     def _forget_labels(self) -> None:
         """Forget the labels without events in the window."""
         column = self.column("label")
-        used = np.unique(column[column != NONE])
+        labels = np.unique(column[column != NONE])
         number = np.append(np.zeros(len(self.state.labels), np.int32), NONE).astype(np.int32)
-        number[used] = np.arange(len(used))
-        self.state.labels = [self.state.labels[k] for k in used.tolist()]
+        number[labels] = np.arange(len(labels))
+        self.state.labels = [self.state.labels[k] for k in labels.tolist()]
         self._label_index = {label: k for k, label in enumerate(self.state.labels)}
         self._hold({**self.state.columns, "label": number[column]})
 
@@ -252,18 +252,18 @@ class Window:
             del self._rows[camera][:rows]
         state.columns = {name: column[drop:] for name, column in state.columns.items()}
         state.base += drop
-        gone = list(takewhile(lambda key: state.open[key] < state.base, state.open))
-        for key in gone:
+        keys = list(takewhile(lambda key: state.open[key] < state.base, state.open))
+        for key in keys:
             del state.open[key]
 
-    def _forget_flood(self, most: int) -> int:
-        """Remove up to ``most`` of the oldest rows of a flooding camera; return their number."""
-        if most == 0 or len(self.cameras) < FLOOD_CAMERAS_MIN:
+    def _forget_flood(self, limit: int) -> int:
+        """Remove up to ``limit`` of the oldest rows of a flooding camera; return their number."""
+        if limit == 0 or len(self.cameras) < FLOOD_CAMERAS_MIN:
             return 0
         count = self.events_of_cameras()
         camera = int(count.argmax())
-        allowed = int(FLOOD_SHARE * self.events_max)
-        surplus = min(most, int(count[camera]) - allowed)
+        quota = int(FLOOD_SHARE * self.events_max)
+        surplus = min(limit, int(count[camera]) - quota)
         if surplus <= 0:
             return 0
         rows = np.flatnonzero(self.column("camera") == camera)
@@ -272,9 +272,9 @@ class Window:
 
     def forget_camera(self, camera: int, before: int) -> None:
         """Remove the camera's rows before the row ``before``."""
-        gone = self.column("camera") == camera
-        gone[before:] = False
-        self._drop(gone)
+        mask = self.column("camera") == camera
+        mask[before:] = False
+        self._drop(mask)
 
     def forget_cameras(self, names: Set[str]) -> NDArray[np.int64]:
         """Forget cameras and their events, and renumber the other cameras.
@@ -283,35 +283,35 @@ class Window:
         """
         # Remove the events.
         state = self.state
-        kept = np.array([name not in names for name in self.cameras], np.bool_)
-        number = np.where(kept, np.cumsum(kept) - 1, NONE)
-        self._drop(~kept[self.column("camera")])
+        is_kept = np.array([name not in names for name in self.cameras], np.bool_)
+        number = np.where(is_kept, np.cumsum(is_kept) - 1, NONE)
+        self._drop(~is_kept[self.column("camera")])
 
         # Renumber the cameras of the other events.
-        renumbered = number[state.columns["camera"]].astype(_COLUMNS["camera"])
+        camera_column = number[state.columns["camera"]].astype(_COLUMNS["camera"])
         state.open = {
             (int(number[camera]), track): row for (camera, track), row in state.open.items()
         }
 
         # Remove the cameras.
-        others = np.flatnonzero(kept).tolist()
-        state.seen = [self.seen[camera] for camera in others]
-        state.cameras = [self.cameras[camera] for camera in others]
+        indices = np.flatnonzero(is_kept).tolist()
+        state.seen = [self.seen[camera] for camera in indices]
+        state.cameras = [self.cameras[camera] for camera in indices]
         self._index = {name: camera for camera, name in enumerate(self.cameras)}
-        self._hold({**state.columns, "camera": renumbered})
+        self._hold({**state.columns, "camera": camera_column})
         return number
 
-    def _drop(self, gone: NDArray[np.bool_]) -> None:
-        """Remove the rows of the mask ``gone`` (n,), of any age; the others get new numbers."""
-        if not gone.any():
+    def _drop(self, mask: NDArray[np.bool_]) -> None:
+        """Remove the rows of the ``mask`` (n,), of any age; the others get new numbers."""
+        if not mask.any():
             return
         state = self.state
-        base = state.base + int(gone.sum())
+        base = state.base + int(mask.sum())
 
         # The absolute row of each remaining row after the removal.
-        self._renumber(np.where(gone, NONE, base + np.cumsum(~gone) - 1))
+        self._renumber(np.where(mask, NONE, base + np.cumsum(~mask) - 1))
         state.base = base
-        self._hold({name: column[~gone] for name, column in state.columns.items()})
+        self._hold({name: column[~mask] for name, column in state.columns.items()})
 
     def _hold(self, columns: dict[str, NDArray[Any]], room: int = 0) -> None:
         """Store columns, with unused memory for ``room`` more rows behind them."""
@@ -338,8 +338,8 @@ class Window:
 
     def has_position(self) -> NDArray[np.bool_]:
         """Return a mask (n,) of the rows that have a position."""
-        known: NDArray[np.bool_] = self.column("px") != NONE
-        return known
+        mask: NDArray[np.bool_] = self.column("px") != NONE
+        return mask
 
     def labels(self) -> tuple[list[str], NDArray[np.int32]]:
         """Return the `LABELS_MAX` most frequent labels, sorted, and that of each row (n,).
@@ -353,10 +353,10 @@ class Window:
         names = self.state.labels
         events = np.bincount(label[label != NONE], minlength=len(names)).tolist()
         frequent = sorted((-number, names[k], k) for k, number in enumerate(events) if number)
-        counted = sorted((name, k) for _, name, k in frequent[:LABELS_MAX])
+        ranking = sorted((name, k) for _, name, k in frequent[:LABELS_MAX])
         number = np.full(len(names) + 1, NONE, np.int32)
-        number[[k for _, k in counted]] = np.arange(len(counted))
-        return [name for name, _ in counted], number[label]
+        number[[k for _, k in ranking]] = np.arange(len(ranking))
+        return [name for name, _ in ranking], number[label]
 
     @property
     def labels_left_out(self) -> int:
@@ -382,13 +382,13 @@ class Window:
             self._rows.append(array("q"))
         return self._index[name]
 
-    def _mate(self, camera: int, timed: tuple[int, Event], row: int) -> int:
+    def _mate(self, camera: int, item: tuple[int, Event], row: int) -> int:
         """Return the value of ``mate`` for a new event; remember entries that have a track.
 
-        timed: (microseconds, event).
+        item: (microseconds, event).
         row: absolute number of the event's row.
         """
-        t_us, event = timed
+        t_us, event = item
         if event.track is None:
             return NONE
         open_passages = self.state.open
@@ -406,6 +406,6 @@ class Window:
         return NONE
 
 
-def _fixed_point(value: float | None, other: float | None) -> int:
-    """Return ``value`` in fixed point; `NONE` if it or the other is missing."""
-    return NONE if value is None or other is None else round(value * POSITION_ONE)
+def _fixed_point(value: float | None, partner: float | None) -> int:
+    """Return ``value`` in fixed point; `NONE` if it or ``partner`` is missing."""
+    return NONE if value is None or partner is None else round(value * POSITION_ONE)

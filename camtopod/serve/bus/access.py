@@ -61,9 +61,9 @@ def read_access(config: Config, clock: Clock) -> rules.Access | None:
 
     # Warn of certificates that end.
     for certificate, days in rules.expiring_certificates(access, clock()):
-        when = f"expires in {days:.0f} days" if days > 0 else f"expired {-days:.0f} days ago"
+        remark = f"expires in {days:.0f} days" if days > 0 else f"expired {-days:.0f} days ago"
         log.warning(
-            "the certificate of %s %s: make another with `camtopod keys`", certificate.name, when
+            "the certificate of %s %s: make another with `camtopod keys`", certificate.name, remark
         )
     return access
 
@@ -89,21 +89,21 @@ def openness_warning(config: Config) -> str | None:
             "no authentication: every program of this machine can read and write everything; see "
             "README, 'Security'"
         )
-    who = f"any program that reaches the bus at {', '.join(config.dials)}"
+    public = f"any program that reaches the bus at {', '.join(config.dials)}"
     if config.listens:
-        who = f"ANYBODY ON THE NETWORK who reaches {', '.join(config.listens)}"
+        public = f"ANYBODY ON THE NETWORK who reaches {', '.join(config.listens)}"
     return (
-        f"no authentication: {who} can write events, read everything learned and answer in the"
+        f"no authentication: {public} can write events, read everything learned and answer in the"
         " daemon's place; `camtopod keys init` and [bus.tls] close it, see README, 'Security'"
     )
 
 
 def is_local(endpoint: str) -> bool:
     """Return True if an endpoint can be reached from this machine only."""
-    protocol, _, rest = endpoint.partition("/")
+    protocol, _, address = endpoint.partition("/")
     if protocol in ("unixsock-stream", "vsock", "serial"):
         return True
-    host = rest.split("#")[0].split("?")[0].rpartition(":")[0].strip("[]")
+    host = address.split("#")[0].split("?")[0].rpartition(":")[0].strip("[]")
     if host == "localhost":
         return True
     try:

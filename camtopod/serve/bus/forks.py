@@ -20,39 +20,39 @@ FORKED = (
 """Error message in a forked child."""
 
 
-def _refuse(one: object, name: str) -> object:
+def _refuse(target: object, name: str) -> object:
     """Get an attribute of a parent's object: closing it does nothing, all else raises."""
     if name == "close":
         return lambda: None
     if name.startswith("__"):
-        return object.__getattribute__(one, name)
+        return object.__getattribute__(target, name)
     raise BusError(FORKED)
 
 
-_guarded: weakref.WeakSet[Any] = weakref.WeakSet()
-_used: list[bool] = []  # not empty once this process has opened a session, or tried to
-_forked: list[bool] = []  # not empty in a child of such a process
+_targets: weakref.WeakSet[Any] = weakref.WeakSet()
+_uses: list[bool] = []  # not empty once this process has opened a session, or tried to
+_forks: list[bool] = []  # not empty in a child of such a process
 
 
-def guard(one: Any) -> None:
-    """Make ``one``, which can be closed, unusable in children that are forked from now on."""
-    _guarded.add(one)
+def guard(target: Any) -> None:
+    """Make ``target``, which can be closed, unusable in children that are forked from now on."""
+    _targets.add(target)
 
 
 def note_use() -> None:
     """Note that zenoh's threads begin here. Raises `BusError` if a parent has had them."""
-    if _forked:
+    if _forks:
         raise BusError(FORKED)
-    _used.append(True)
+    _uses.append(True)
 
 
 def _after_fork() -> None:
     """Take the parent's objects from a child."""
-    _forked.extend(_used[:1])
-    for one in list(_guarded):
-        atexit.unregister(one.close)
-        kind: Any = type(one)
-        one.__class__ = type(kind)(kind.__name__, (kind,), {"__getattribute__": _refuse})
+    _forks.extend(_uses[:1])
+    for target in list(_targets):
+        atexit.unregister(target.close)
+        kind: Any = type(target)
+        target.__class__ = type(kind)(kind.__name__, (kind,), {"__getattribute__": _refuse})
 
 
 os.register_at_fork(after_in_child=_after_fork)

@@ -89,9 +89,9 @@ class Bus(contextlib.AbstractContextManager["Bus"]):
         self._session = session
         self._bytes_max = settings.message_bytes_max
         self._too_large: set[str] = set()
-        self._declared: list[Any] = []
-        self._closed = threading.Event()
-        self._asked = threading.Condition()
+        self._declarations: list[Any] = []
+        self._end = threading.Event()
+        self._idle = threading.Condition()
         self._asking = 0  # requests that have not ended
         forks.guard(self)
 
@@ -129,7 +129,7 @@ class Bus(contextlib.AbstractContextManager["Bus"]):
                 priority=_FIRST if schema in _PROMPT else _USUAL,
             )
         except zenoh.ZError as error:
-            if not self._closed.is_set():
+            if not self._end.is_set():
                 log.warning("cannot publish on %s: %s", key, error)
 
     def subscribe(self, key: str, on_message: OnMessage) -> Callable[[], None]:
@@ -143,10 +143,10 @@ class Bus(contextlib.AbstractContextManager["Bus"]):
                 on_message(self._below(str(sample.key_expr)), sample.payload.to_bytes())
 
         subscriber: Any = self._session.declare_subscriber(self._full(key), receive)
-        self._declared.append(subscriber)
+        self._declarations.append(subscriber)
 
         def end() -> None:
-            self._declared.remove(subscriber)
+            self._declarations.remove(subscriber)
             with contextlib.suppress(zenoh.ZError):
                 subscriber.undeclare()
 
@@ -162,24 +162,24 @@ class Bus(contextlib.AbstractContextManager["Bus"]):
             with query:
                 pairs = (pair.partition("=") for pair in str(query.parameters).split(";") if pair)
                 parameters = {name: value for name, _, value in pairs}
-                asked = str(query.key_expr) if "*" in key else self._full(key)
+                full_key = str(query.key_expr) if "*" in key else self._full(key)
 
                 # Get the answer, or the refusal.
                 try:
-                    answered = answer(self._below(asked), parameters)
+                    content = answer(self._below(full_key), parameters)
                 except QueryError as error:
                     query.reply_err(redact(str(error)).encode(), encoding="text/plain")
                     return
-                if answered is None:
+                if content is None:
                     return
 
                 # Encode and send it.
                 as_json = parameters.get("format") == JSON
-                payload = codec.to_json(answered) if as_json else codec.to_msgpack(answered)
-                self._mind_size(self._below(asked), payload)
-                query.reply(asked, payload, encoding=JSON if as_json else _PACK.format(schema))
+                payload = codec.to_json(content) if as_json else codec.to_msgpack(content)
+                self._mind_size(self._below(full_key), payload)
+                query.reply(full_key, payload, encoding=JSON if as_json else _PACK.format(schema))
 
-        self._declared.append(self._session.declare_queryable(self._full(key), reply))
+        self._declarations.append(self._session.declare_queryable(self._full(key), reply))
 
     def query(
         self,
@@ -199,14 +199,14 @@ class Bus(contextlib.AbstractContextManager["Bus"]):
         Answers that do not come within the time limit are missing. Raises `QueryError` if there is
         no answer but a refusal.
         """
-        given = ";".join(f"{name}={value}" for name, value in (parameters or {}).items())
+        arguments = ";".join(f"{name}={value}" for name, value in (parameters or {}).items())
         answers: list[tuple[str, bytes]] = []
         refusal = None
 
         try:
             # Send the query, and collect answers and refusals.
             replies = self._session.get(
-                f"{self._full(key)}?{given}",
+                f"{self._full(key)}?{arguments}",
                 zenoh.handlers.FifoChannel(_REPLIES_MAX),
                 timeout=seconds or QUERY_SECONDS,
                 consolidation=zenoh.ConsolidationMode.NONE,
@@ -236,10 +236,10 @@ class Bus(contextlib.AbstractContextManager["Bus"]):
         It is called on a thread of the bus, at once if no program answers on ``key`` or that one
         ends, and after ``seconds`` at the latest. It must not block.
         """
-        answered = threading.Lock()
+        gate = threading.Lock()
 
         def answer(content: bytes | None) -> None:
-            if answered.acquire(blocking=False):
+            if gate.acquire(blocking=False):
                 on_answer(content)
 
         def receive(reply: zenoh.Reply) -> None:
@@ -247,11 +247,11 @@ class Bus(contextlib.AbstractContextManager["Bus"]):
 
         def end() -> None:
             answer(None)
-            with self._asked:
+            with self._idle:
                 self._asking -= 1
-                self._asked.notify_all()
+                self._idle.notify_all()
 
-        with self._asked:
+        with self._idle:
             self._asking += 1
         try:
             self._session.get(
@@ -270,21 +270,21 @@ class Bus(contextlib.AbstractContextManager["Bus"]):
         """Call ``on_request`` for every request of `ask` on ``key`` (may contain ``*``)."""
 
         def receive(query: zenoh.Query) -> None:
-            asked = str(query.key_expr)
+            full_key = str(query.key_expr)
 
             def reply(answer: bytes) -> None:
                 with query, contextlib.suppress(zenoh.ZError):  # the program that asked has ended
-                    query.reply(asked, answer, encoding=_encoding("store"))
+                    query.reply(full_key, answer, encoding=_encoding("store"))
 
             content = query.payload
-            on_request(self._below(asked), b"" if content is None else content.to_bytes(), reply)
+            on_request(self._below(full_key), b"" if content is None else content.to_bytes(), reply)
 
-        self._declared.append(self._session.declare_queryable(self._full(key), receive))
+        self._declarations.append(self._session.declare_queryable(self._full(key), receive))
 
     def announce(self, role: str, name: str) -> None:
         """Declare ``alive/{role}/{name}``, which vanishes with this session."""
         token = self._session.liveliness().declare_token(self._full(f"alive/{role}/{name}"))
-        self._declared.append(token)
+        self._declarations.append(token)
 
     def list_alive(self, role: str) -> list[str]:
         """Return the names of the programs of a role that are on the bus.
@@ -318,7 +318,7 @@ class Bus(contextlib.AbstractContextManager["Bus"]):
                 on_change(name, sample.kind == zenoh.SampleKind.PUT)
 
         key = self._full(f"alive/{role}/*")
-        self._declared.append(
+        self._declarations.append(
             self._session.liveliness().declare_subscriber(key, change, history=True)
         )
 
@@ -329,27 +329,29 @@ class Bus(contextlib.AbstractContextManager["Bus"]):
             if event.kind == zenoh.SampleKind.PUT:
                 sockets.close_without_waiting()
 
-        self._declared.append(self._session.info.declare_link_events_listener(change, history=True))
+        self._declarations.append(
+            self._session.info.declare_link_events_listener(change, history=True)
+        )
 
     @property
     def connected(self) -> bool:
         """True if the session is connected to a router now; zenoh reconnects by itself."""
-        return not self._closed.is_set() and bool(self._session.info.routers_zid())
+        return not self._end.is_set() and bool(self._session.info.routers_zid())
 
     def close(self) -> None:
         """Flush and close; may be called twice."""
-        if self._closed.is_set():
+        if self._end.is_set():
             return
-        self._closed.set()
-        for declared in self._declared:
+        self._end.set()
+        for declaration in self._declarations:
             with contextlib.suppress(zenoh.ZError):
-                declared.undeclare()
+                declaration.undeclare()
         with contextlib.suppress(zenoh.ZError):  # raised after zenoh's own timeout (zenoh#2675)
             self._session.close()  # type: ignore[no-untyped-call]
 
         # A callback that comes when the interpreter has ended would end the process by force.
-        with self._asked:
-            self._asked.wait_for(lambda: not self._asking, CALLBACKS_SECONDS_MAX)
+        with self._idle:
+            self._idle.wait_for(lambda: not self._asking, CALLBACKS_SECONDS_MAX)
 
     def __exit__(self, *_: object) -> None:
         self.close()

@@ -25,18 +25,18 @@ class OtherDaemons:
     def __init__(self, bus: Bus, name: str) -> None:
         self._bus = bus
         self.name = name
-        self._there: set[str] = set()
+        self._rivals: set[str] = set()
 
-    def require_none(self, seconds: float, cancelled: threading.Event) -> None:
+    def require_none(self, seconds: float, cancel: threading.Event) -> None:
         """Raise `BusError` if there is another daemon, and it does not leave within ``seconds``."""
         deadline = time.monotonic() + seconds
-        while others := set(self._bus.list_alive("daemon")) - {self.name}:
+        while rivals := set(self._bus.list_alive("daemon")) - {self.name}:
             if time.monotonic() >= deadline:
                 raise BusError(
-                    f"another daemon ({', '.join(sorted(others))}) serves site {self._bus.site} "
+                    f"another daemon ({', '.join(sorted(rivals))}) serves site {self._bus.site} "
                     f"on this bus: stop it, or give one of them another [site] name"
                 )
-            if cancelled.wait(0.1):
+            if cancel.wait(0.1):
                 return
 
     def appear(self) -> None:
@@ -47,14 +47,14 @@ class OtherDaemons:
     @property
     def reason(self) -> str:
         """Reason for the degraded state; "" if this is the only daemon."""
-        if not self._there:
+        if not self._rivals:
             return ""
-        others = ", ".join(sorted(self._there.copy()))
-        return f"another daemon ({others}) serves the same site: stop one of them"
+        rivals = ", ".join(sorted(self._rivals.copy()))
+        return f"another daemon ({rivals}) serves the same site: stop one of them"
 
     def _on_change(self, name: str, alive: bool) -> None:
         if not alive:
-            self._there.discard(name)
-        elif name != self.name and name not in self._there:
-            self._there.add(name)
+            self._rivals.discard(name)
+        elif name != self.name and name not in self._rivals:
+            self._rivals.add(name)
             log.error("%s", self.reason)

@@ -18,25 +18,25 @@ def sites_instead(bus: Bus, config: Config) -> list[str]:
     return [] if bus.site in sites else sites
 
 
-def in_words(others: list[str]) -> str:
+def in_words(sites: list[str]) -> str:
     """Return the sites that have a daemon, as the end of a message that one has none."""
-    return f"; there is a daemon of site {' and of site '.join(others)}" if others else ""
+    return f"; there is a daemon of site {' and of site '.join(sites)}" if sites else ""
 
 
-def log_other_sites(bus: Bus, others: list[str]) -> None:
+def log_other_sites(bus: Bus, sites: list[str]) -> None:
     """Log that the site of ``bus`` has no daemon, if other sites have one."""
-    if others:
-        log.warning("no daemon of site %s is there%s", bus.site, in_words(others))
+    if sites:
+        log.warning("no daemon of site %s is there%s", bus.site, in_words(sites))
 
 
-def take_only_site(bus: Bus, config: Config, others: list[str]) -> bool:
+def take_only_site(bus: Bus, config: Config, sites: list[str]) -> bool:
     """Make ``bus`` one of the only site that has a daemon, if the configuration names no site.
 
-    others: result of `sites_instead`.
+    sites: result of `sites_instead`.
 
     Return True if the site of ``bus`` is another one now. Only programs that read may do so.
     """
-    if len(others) != 1 or config.site != SiteSettings():
+    if len(sites) != 1 or config.site != SiteSettings():
         return False
-    [bus.site] = others
+    [bus.site] = sites
     return True

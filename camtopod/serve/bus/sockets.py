@@ -23,10 +23,10 @@ def close_without_waiting() -> None:
     """
     for fd in map(int, os.listdir(_DESCRIPTORS) if os.path.isdir(_DESCRIPTORS) else []):
         with contextlib.suppress(OSError):  # another file, or closed meanwhile
-            one = socket.socket(socket.AF_INET, socket.SOCK_STREAM, fileno=fd)
+            connection = socket.socket(socket.AF_INET, socket.SOCK_STREAM, fileno=fd)
             try:
-                family = one.getsockopt(socket.SOL_SOCKET, socket.SO_DOMAIN)
+                family = connection.getsockopt(socket.SOL_SOCKET, socket.SO_DOMAIN)
                 if family in (socket.AF_INET, socket.AF_INET6):
-                    one.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, _NO_LINGER)
+                    connection.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, _NO_LINGER)
             finally:
-                one.detach()
+                connection.detach()

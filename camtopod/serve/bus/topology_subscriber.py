@@ -36,7 +36,7 @@ class TopologySubscriber:
     def __init__(self, bus: Bus, on_news: Callable[[], None] = lambda: None) -> None:
         self._bus = bus
         self._on_news = on_news
-        self._received: deque[tuple[str, bytes]] = deque(maxlen=2)
+        self._queue: deque[tuple[str, bytes]] = deque(maxlen=2)
         """The newest map and model that `update` has not seen; another thread appends them."""
         self._parts: dict[str, Any] = dict.fromkeys(PARTS)
         """The newest map and model, by key."""
@@ -46,7 +46,7 @@ class TopologySubscriber:
         """True once a daemon has told its version, or that it has none."""
         self.topology: Topology | None = None
         """The newest version received; None before the first."""
-        self.fetched = 0
+        self.fetch_count = 0
         """Number of times the topology was queried and received."""
         self.daemons: set[str] = set()
         """Names of the daemons that are there; another thread changes it."""
@@ -58,8 +58,8 @@ class TopologySubscriber:
     def update(self) -> Topology | None:
         """Process what has been received; return the newest version, or None if it is not new."""
         before = self.topology
-        while self._received:
-            self._take(*self._received.popleft())
+        while self._queue:
+            self._take(*self._queue.popleft())
         if self._stale and time.monotonic() >= self._ask_after:
             self._fetch()
         return self.topology if self.topology is not before else None
@@ -79,7 +79,7 @@ class TopologySubscriber:
         return version
 
     def _on_part(self, key: str, payload: bytes) -> None:
-        self._received.append((key, payload))
+        self._queue.append((key, payload))
         self._on_news()
 
     def _on_daemon(self, name: str, alive: bool) -> None:
@@ -97,9 +97,11 @@ class TopologySubscriber:
         except codec.Rejected as error:
             log.debug("ignoring a malformed status of the daemon: %s", error)
             return
-        held = self.topology
-        told = (newest.epoch, newest.version)
-        if newest.version > 0 and (held is None or told > (held.epoch, held.version)):
+        topology = self.topology
+        version = (newest.epoch, newest.version)
+        if newest.version > 0 and (
+            topology is None or version > (topology.epoch, topology.version)
+        ):
             self._stale = True
 
     def _fetch(self) -> None:
@@ -118,7 +120,7 @@ class TopologySubscriber:
         if not version:
             self._stale = True
             return
-        self.fetched += 1
+        self.fetch_count += 1
         self._is_answered = self._both() is not None
         self._stale = self._stale or not self._is_answered
 
@@ -130,9 +132,11 @@ class TopologySubscriber:
         """
         try:
             self._parts[key] = codec.read(PARTS[key], payload, pack=True)
-            held, newest = self.topology, self._both()
+            topology, newest = self.topology, self._both()
             if newest is not None and (
-                held is None or newest.epoch != held.epoch or newest.version > held.version
+                topology is None
+                or newest.epoch != topology.epoch
+                or newest.version > topology.version
             ):
                 codec.require_sound(newest)
                 self.topology = newest

@@ -37,7 +37,7 @@ class Answers:
         self._alive = alive
         self._steady = steady
         self._mutex = threading.Lock()  # of the cameras' pending requests
-        self._looked = -math.inf
+        self._last_look = -math.inf
 
     def encode(
         self,
@@ -45,11 +45,11 @@ class Answers:
         reason: Reason = "",
         detail: str = "",
         late: int = 0,
-        refused: int = 0,
+        refusals: int = 0,
     ) -> bytes:
         """Return an answer in MessagePack. All cameras share the room for further events."""
         batch = min(max(1, self._room() // max(1, len(self._alive))), BATCH_EVENTS_MAX)
-        return codec.to_msgpack(Answer(have, batch, reason, detail, late, refused))
+        return codec.to_msgpack(Answer(have, batch, reason, detail, late, refusals))
 
     def wait_for_storage(self, camera: CameraState, pending: Pending) -> None:
         """Keep a request until its events are stored; an earlier one of the camera is ended."""
@@ -65,14 +65,14 @@ class Answers:
         have = self._numbers.stored(name, pending.boot)
         if have >= pending.up_to:
             camera.asked = self._steady()
-            answer = self.encode({pending.boot: have}, late=pending.late, refused=pending.refused)
+            answer = self.encode({pending.boot: have}, late=pending.late, refusals=pending.refused)
             self._end(camera, pending, answer)
 
     def end_held(self, now: float) -> None:
         """Answer requests whose events have waited for too long; the grabbers ask again."""
-        if now - self._looked < LOOK_SECONDS:
+        if now - self._last_look < LOOK_SECONDS:
             return
-        self._looked = now
+        self._last_look = now
         for camera in self._cameras.all():
             pending = camera.pending
             if pending is not None and now - pending.since >= HELD_SECONDS_MAX:

@@ -59,7 +59,7 @@ class Backlogs:
     def __init__(self, lateness: float, event_clock: EventClock, now: float) -> None:
         self._lateness = lateness
         self._event_clock = event_clock
-        self._settled = now + SETTLE_SECONDS
+        self._deadline = now + SETTLE_SECONDS
         self._trials: dict[str, tuple[CameraState, Trial]] = {}
         self.said_hello = True
         """True if a camera has come back since the last wait for backlogs, perhaps with one."""
@@ -81,7 +81,7 @@ class Backlogs:
             if ANY_CAMERA not in self.waited:
                 self._unsettled_since = now
             until = min(now + SETTLE_SECONDS, self._unsettled_since + UNSETTLED_SECONDS_MAX)
-            self._settled = max(self._settled, until)
+            self._deadline = max(self._deadline, until)
         if camera.more and wall - camera.reached > self._lateness:
             self._trials.setdefault(camera.name, (camera, Trial(now, wall - camera.reached)))
 
@@ -95,12 +95,12 @@ class Backlogs:
         for name, (camera, trial) in list(self._trials.items()):
             if not self._is_waited_for(camera, trial, wall, now):
                 del self._trials[name]
-        waited = frozenset([*present(self._trials), *[ANY_CAMERA][: now < self._settled]])
-        if waited == self.waited:
+        cameras = frozenset([*present(self._trials), *[ANY_CAMERA][: now < self._deadline]])
+        if cameras == self.waited:
             return []
-        self.waited = waited
-        raw = codec.to_json(sorted(waited))
-        return [Received(Entry("waits", "", None, None, raw), waited=waited)]
+        self.waited = cameras
+        raw = codec.to_json(sorted(cameras))
+        return [Received(Entry("waits", "", None, None, raw), waited=cameras)]
 
     def _is_waited_for(self, camera: CameraState, trial: Trial, wall: float, now: float) -> bool:
         """Return True if a camera has older events to deliver, and gets on with it."""
@@ -112,6 +112,6 @@ class Backlogs:
             return False
         if now - trial.since < TRIAL_SECONDS:
             return True
-        gained = trial.behind - behind
+        gain = trial.behind - behind
         trial.since, trial.behind = now, behind
-        return gained >= TRIAL_SECONDS
+        return gain >= TRIAL_SECONDS

@@ -128,10 +128,10 @@ class Cameras:
     def __init__(self, cameras_max: int) -> None:
         self._cameras_max = cameras_max
         self._cameras: dict[str, CameraState] = {}
-        self._counted: dict[str, Counted] = {}
-        self._refused = ""  # the camera that was refused last
+        self._tallies: dict[str, Counted] = {}
+        self._refusal = ""  # the camera that was refused last
         self._refused_at = -math.inf
-        self._logged: set[str] = set()  # cameras that are behind
+        self._laggards: set[str] = set()  # cameras that are behind
 
     def __contains__(self, name: object) -> bool:
         return name in self._cameras
@@ -148,7 +148,7 @@ class Cameras:
         camera = self._cameras.get(name)
         if camera is None:
             if len(self._cameras) >= self._cameras_max and not self._make_room(now, spooled):
-                self._refused = name
+                self._refusal = name
                 self._refused_at = now
                 return None
             camera = self._cameras[name] = CameraState(name, now)
@@ -161,26 +161,26 @@ class Cameras:
 
         An event of a flood is not counted.
         """
-        counted = self._counted.setdefault(event.camera, Counted())
-        if not counted.seconds.take(event.t):
+        tally = self._tallies.setdefault(event.camera, Counted())
+        if not tally.seconds.take(event.t):
             return False
-        counted.newest = max(counted.newest, event.t)
-        counted.events += 1
+        tally.newest = max(tally.newest, event.t)
+        tally.events += 1
         return True
 
     def forget(self, name: str) -> None:
         """Forget what was counted and heard of a camera."""
-        self._counted.pop(name, None)
+        self._tallies.pop(name, None)
         if (camera := self._cameras.get(name)) is not None:
             camera.heard, camera.heard_seconds = EventNumbers(), Seconds()
 
     def forget_all(self) -> None:
         """Forget what was counted."""
-        self._counted.clear()
+        self._tallies.clear()
 
     def rename(self, old: str, new: str) -> None:
         """Move what was counted of the camera ``old`` to the name ``new``."""
-        self._counted[new] = self._counted.pop(old, Counted())
+        self._tallies[new] = self._tallies.pop(old, Counted())
 
     def all(self) -> list[CameraState]:
         """Return the states of all cameras. Any thread."""
@@ -188,17 +188,17 @@ class Cameras:
 
     def heard(self) -> set[str]:
         """Return the cameras of which something was heard that has a number. Any thread."""
-        return {one.name for one in self.all() if one.heard}
+        return {camera.name for camera in self.all() if camera.heard}
 
     def refused_reason(self, now: float) -> str:
         """Return which camera is refused, as there are too many, and what to do; else "".
 
         Any thread.
         """
-        if now - self._refused_at > SAID_SECONDS or self._refused in self._cameras:
+        if now - self._refused_at > SAID_SECONDS or self._refusal in self._cameras:
             return ""
         return (
-            f"camera {self._refused}: refused, as limits.cameras_max ({self._cameras_max}) is"
+            f"camera {self._refusal}: refused, as limits.cameras_max ({self._cameras_max}) is"
             " reached: raise it, or stop the programs that send cameras which are not of this site;"
             " a camera that has been silent for an hour makes room"
         )
@@ -211,30 +211,30 @@ class Cameras:
         behind = self._behind(wall, now)
         if not behind:
             return ""
-        worst, seconds = max(behind.items(), key=lambda one: one[1])
-        others = f", {len(behind) - 1} more less" * (len(behind) > 1)
+        worst, seconds = max(behind.items(), key=lambda item: item[1])
+        suffix = f", {len(behind) - 1} more less" * (len(behind) > 1)
         return (
-            f"camera {worst} catches up and is {math.ceil(seconds / 60.0)} min behind{others}:"
+            f"camera {worst} catches up and is {math.ceil(seconds / 60.0)} min behind{suffix}:"
             " its events are learned as they come, and no other camera is delayed"
         )
 
     def log_behind(self, wall: float, now: float) -> None:
         """Log who catches up, when a camera begins to, and when all have done so."""
         behind = self._behind(wall, now).keys()
-        if behind - self._logged:
+        if behind - self._laggards:
             log.warning("%s", self.behind_reason(wall, now))
-        elif self._logged and not behind:
+        elif self._laggards and not behind:
             log.info("no camera is behind any more")
-        self._logged = self._logged | behind if behind else set()
+        self._laggards = self._laggards | behind if behind else set()
 
     def _behind(self, wall: float, now: float) -> dict[str, float]:
         """Return by how much (seconds) each camera is behind that still delivers a backlog."""
         return {
-            one.name: wall - one.reached
-            for one in self.all()
-            if one.more
-            and now - one.asked <= SAID_SECONDS
-            and BEHIND_SECONDS_MIN < wall - one.reached < math.inf
+            camera.name: wall - camera.reached
+            for camera in self.all()
+            if camera.more
+            and now - camera.asked <= SAID_SECONDS
+            and BEHIND_SECONDS_MIN < wall - camera.reached < math.inf
         }
 
     def fast_clocks_reason(self, seconds_max: float) -> str:
@@ -244,7 +244,7 @@ class Cameras:
 
         Any thread.
         """
-        names = [one.name for one in self.all() if (one.ahead or 0.0) > seconds_max]
+        names = [camera.name for camera in self.all() if (camera.ahead or 0.0) > seconds_max]
         if not names:
             return ""
         return (
@@ -253,19 +253,19 @@ class Cameras:
         )
 
     def status(
-        self, alive: Set[str] = frozenset(), known: Set[str] = frozenset()
+        self, alive: Set[str] = frozenset(), names: Set[str] = frozenset()
     ) -> dict[str, CameraFigures]:
-        """Return the entries in the status of cameras that were counted, and of ``known`` others.
+        """Return the entries in the status of cameras that were counted, and of other ``names``.
 
         alive: those whose grabber is there.
         """
         figures = {}
-        for name in sorted({*self._counted.copy(), *known}):
-            counted = self._counted.get(name, Counted())
+        for name in sorted({*self._tallies.copy(), *names}):
+            tally = self._tallies.get(name, Counted())
             ahead = self._cameras[name].ahead if name in self._cameras else None
             figures[name] = CameraFigures(
-                counted.events,
-                counted.newest if counted.events else None,
+                tally.events,
+                tally.newest if tally.events else None,
                 None if ahead is None else round(ahead, 3),
                 name in alive,
             )
@@ -278,15 +278,15 @@ class Cameras:
         """
         if now - self._refused_at < REFUSED_SECONDS and not spooled:
             return False
-        others = [
-            one
-            for one in self._cameras.values()
-            if one.pending is None
-            and (now - one.received >= IDLE_SECONDS or (spooled and not one.spooled))
+        candidates = [
+            camera
+            for camera in self._cameras.values()
+            if camera.pending is None
+            and (now - camera.received >= IDLE_SECONDS or (spooled and not camera.spooled))
         ]
-        if not others:
+        if not candidates:
             return False
-        gone = min(others, key=lambda one: (one.spooled, one.received)).name
-        del self._cameras[gone]
-        self._counted.pop(gone, None)
+        name = min(candidates, key=lambda camera: (camera.spooled, camera.received)).name
+        del self._cameras[name]
+        self._tallies.pop(name, None)
         return True

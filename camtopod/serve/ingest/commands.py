@@ -23,7 +23,7 @@ def execute(
     command: Command,
     topology: Topology | None,
     reset: Callable[[], Reset],
-    begun: Callable[[str], None],
+    on_epoch: Callable[[str], None],
 ) -> str:
     """Execute a command; return its effect as a sentence, once it is stored. Any thread.
 
@@ -31,7 +31,7 @@ def execute(
 
     topology: the newest version.
     reset: returns the whole command of a reset.
-    begun: notes the epoch that a reset has begun.
+    on_epoch: notes the epoch that a reset has begun.
 
     Raises `CommandRefused` and `sqlite3.Error`; then nothing has changed.
     """
@@ -39,19 +39,19 @@ def execute(
         if isinstance(command, Reset):
             command = reset()
         cameras = intake.cameras
-        known = {*intake.numbers.cameras, *cameras.status(), *cameras.heard()}
+        senders = {*intake.numbers.cameras, *cameras.status(), *cameras.heard()}
         if topology is not None:
-            known.update(camera.id for camera in topology.cameras)
-        names, received, effect = intake.names.prepare(command, known)
+            senders.update(camera.id for camera in topology.cameras)
+        names, item, effect = intake.names.prepare(command, senders)
 
         # Store it after the events received before.
         deadline = time.monotonic() + STORED_SECONDS_MAX
         while intake.queue.waiting:
             if intake.writer.reason or time.monotonic() > deadline:
-                why = intake.writer.reason or "the disk does not answer"
-                raise CommandRefused(f"{why}; nothing has changed, try again later")
+                reason = intake.writer.reason or "the disk does not answer"
+                raise CommandRefused(f"{reason}; nothing has changed, try again later")
             time.sleep(0.005)
-        intake.writer.store_command(received.entry, received.meta)
+        intake.writer.store_command(item.entry, item.meta)
 
         # Put it in force.
         intake.names.state = names
@@ -65,7 +65,7 @@ def execute(
                 cameras.forget_all()
                 intake.event_clock.newest = -math.inf
                 intake.backlogs.waited = frozenset()
-                begun(command.epoch)
-        intake.note_stored([received])
+                on_epoch(command.epoch)
+        intake.note_stored([item])
     log.warning("%s", effect)
     return effect

@@ -25,16 +25,16 @@ class EventClock:
     In all methods ``wall`` is this machine's time in Unix seconds, ``now`` that of a clock that
     never steps.
 
-    learned: event time as the learner has it after the stored entries.
+    event_time: event time as the learner has it after the stored entries.
     behind_max: how far (seconds) this machine's clock may be behind event time.
     settle: how far (seconds) event time stays behind the clock when no events come.
     """
 
     def __init__(
-        self, learned: EventTime, behind_max: float, settle: float, wall: float, now: float
+        self, event_time: EventTime, behind_max: float, settle: float, wall: float, now: float
     ) -> None:
-        self._learned = learned
-        newest_us = learned.state.newest_us
+        self._event_time = event_time
+        newest_us = event_time.state.newest_us
         self.newest = -math.inf if newest_us is None else newest_us / MICROSECONDS
         """Event time of the newest event to be learned, Unix seconds; -infinity if there is none.
         """
@@ -48,12 +48,12 @@ class EventClock:
     @property
     def waited(self) -> frozenset[str]:
         """Cameras that the learner waits for, after what is stored."""
-        return frozenset(self._learned.state.waited)
+        return frozenset(self._event_time.state.waited)
 
     @property
     def watermark(self) -> float:
         """The learner's watermark after what is stored, Unix seconds; -infinity without one."""
-        watermark_us = self._learned.state.watermark_us
+        watermark_us = self._event_time.state.watermark_us
         return -math.inf if watermark_us is None else watermark_us / MICROSECONDS
 
     def reason(self, wall: float) -> str:
@@ -75,7 +75,7 @@ class EventClock:
 
     def note_taken(self, ready: list[Received], now: float) -> None:
         """Follow the events to be learned."""
-        times = [received.event.t for received in ready if received.event is not None]
+        times = [item.event.t for item in ready if item.event is not None]
         self.newest = max([self.newest, *times])
         self._quiet_since = now
 
@@ -94,17 +94,17 @@ class EventClock:
         self.newest = to
         return [Received(Entry("advance", "", None, None, repr(to).encode()), advance=to)]
 
-    def note_stored(self, received: Received) -> bool:
+    def note_stored(self, item: Received) -> bool:
         """Follow event time as the learner does; return True if an event is late."""
-        if received.event is not None:
-            return not self._learned.note(microseconds(received.event.t), received.event.camera)
-        if received.waited is not None:
-            self._learned.wait_for(received.waited)
-        if received.advance is not None:
-            self._learned.advance(microseconds(received.advance))
-        match received.command:
+        if item.event is not None:
+            return not self._event_time.note(microseconds(item.event.t), item.event.camera)
+        if item.waited is not None:
+            self._event_time.wait_for(item.waited)
+        if item.advance is not None:
+            self._event_time.advance(microseconds(item.advance))
+        match item.command:
             case Reset():
-                self._learned.load(EventTimeState())
+                self._event_time.load(EventTimeState())
             case Rewind(to):
-                self._learned.rewind(microseconds(to))
+                self._event_time.rewind(microseconds(to))
         return False

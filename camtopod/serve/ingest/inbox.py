@@ -24,17 +24,17 @@ class Inbox:
     `PUBLISHED_MAX` are dropped. All unknown cameras share the room of one, as names can be
     invented.
 
-    known: the cameras that are known.
+    cameras: the cameras that are known.
     """
 
-    def __init__(self, known: Container[str]) -> None:
-        self._known = known
+    def __init__(self, cameras: Container[str]) -> None:
+        self._cameras = cameras
         self._requests: deque[AskedFor] = deque()
-        self._published: deque[tuple[str, bytes, str]] = deque()
+        self._publications: deque[tuple[str, bytes, str]] = deque()
         """Camera, content, and whose room it takes."""
-        self._taken: Counter[str] = Counter()  # number of publications by whose room they take
+        self._counts: Counter[str] = Counter()  # number of publications by whose room they take
         self._mutex = threading.Lock()
-        self._woken = threading.Event()
+        self._wakeup = threading.Event()
         self.dropped: Counter[str] = Counter()
         """Number of publications dropped for lack of room, by camera; "": of unknown ones."""
 
@@ -42,40 +42,42 @@ class Inbox:
         """Receive a request on ``store/{camera}``."""
         with self._mutex:
             self._requests.append((key.removeprefix("store/"), content, reply))
-            self._woken.set()
+            self._wakeup.set()
 
     def on_event(self, key: str, content: bytes) -> None:
         """Receive a publication on ``event/{camera}``."""
         camera = key.removeprefix("event/")
         with self._mutex:
-            known = camera if camera in self._known else ""
-            if self._taken[known] >= PUBLISHED_MAX:
-                self.dropped[known] += 1
+            room = camera if camera in self._cameras else ""
+            if self._counts[room] >= PUBLISHED_MAX:
+                self.dropped[room] += 1
                 return
-            self._taken[known] += 1
-            self._published.append((camera, content[: codec.EVENT_BYTES_MAX + 1], known))
-            self._woken.set()
+            self._counts[room] += 1
+            self._publications.append((camera, content[: codec.EVENT_BYTES_MAX + 1], room))
+            self._wakeup.set()
 
     def take_request(self) -> AskedFor | None:
         """Return the oldest request, which is then no longer here; None if there is none."""
         return self._requests.popleft() if self._requests else None
 
-    def take_published(self, most: int) -> list[tuple[str, bytes]]:
-        """Return up to ``most`` publications (camera, content), which are then no longer here."""
-        if not self._published:
+    def take_published(self, limit: int) -> list[tuple[str, bytes]]:
+        """Return up to ``limit`` publications (camera, content), which are then no longer here."""
+        if not self._publications:
             return []
         with self._mutex:
-            taken = [self._published.popleft() for _ in range(min(most, len(self._published)))]
-            self._taken -= Counter(room for _, _, room in taken)
-        return [(camera, content) for camera, content, _ in taken]
+            publications = [
+                self._publications.popleft() for _ in range(min(limit, len(self._publications)))
+            ]
+            self._counts -= Counter(room for _, _, room in publications)
+        return [(camera, content) for camera, content, _ in publications]
 
     @property
     def has_messages(self) -> bool:
         """True if a message is here."""
-        return bool(self._requests or self._published)
+        return bool(self._requests or self._publications)
 
     def wait(self, seconds: float) -> None:
         """Wait until a message has come, at most ``seconds``."""
         if not self.has_messages:
-            self._woken.wait(seconds)
-        self._woken.clear()
+            self._wakeup.wait(seconds)
+        self._wakeup.clear()

@@ -124,13 +124,13 @@ class Intake:
         elif len(self.alive) < self.limits.cameras_max:
             self.alive.add(camera)
 
-    def missing(self, declared: TopologySettings, learned: Set[str]) -> list[str]:
+    def missing(self, declarations: TopologySettings, learner_cameras: Set[str]) -> list[str]:
         """Return a warning of declared names that no camera has, a sentence; else none.
 
-        learned: cameras of the newest version.
+        learner_cameras: cameras of the newest version.
         """
-        there = learned | {camera.name for camera in self.cameras.all()}
-        return missing_names(declared, self.names.state, there)
+        cameras = learner_cameras | {camera.name for camera in self.cameras.all()}
+        return missing_names(declarations, self.names.state, cameras)
 
     def work(self, stopping: threading.Event, beat: Beat = no_beat) -> None:
         """Move what is received on until ``stopping``, and once more at the end."""
@@ -158,8 +158,8 @@ class Intake:
             # 1, 2. Take publications and requests.
             self._take_published(wall, now)
             enough = self.counts["received"] + TAKEN_AT_ONCE_MAX
-            while self.counts["received"] < enough and (asked := self.inbox.take_request()):
-                self._take(*asked, wall, now)
+            while self.counts["received"] < enough and (request := self.inbox.take_request()):
+                self._take(*request, wall, now)
             self._answers.end_held(now)
 
             # 3. Backlogs to wait for, and time that passes without events.
@@ -179,16 +179,16 @@ class Intake:
         """
         # 4. Store.
         ready = self.queue.take(COMMIT_EVENTS_MAX, seconds, self.limits.commit_seconds)
-        entries = [received.entry for received in ready]
+        entries = [item.entry for item in ready]
         meta: dict[str, str] = {}
-        for received in ready:
-            meta |= received.meta
+        for item in ready:
+            meta |= item.meta
         new = self.writer.store(entries, stopping, beat, meta)
         if new is None:
             return False
         if len(new) < len(entries):  # after a rescue, some may be there already
-            added = set(map(id, new))
-            ready = [received for received in ready if id(received.entry) in added]
+            ids = set(map(id, new))
+            ready = [item for item in ready if id(item.entry) in ids]
         self.note_stored(ready)
 
         # 5. Answer.
@@ -239,16 +239,18 @@ class Intake:
         self.counts["received"] += len(request.events)
         self.counts["duplicate"] += len(request.events) - len(new)
         events = [spooled_event(name, request.boot, seq, raw, self.rejects) for seq, raw in new]
-        for received in events:
-            self._put(camera, received, wall)
+        for item in events:
+            self._put(camera, item, wall)
         camera.more, camera.asked = request.more, now
-        oldest = next((one.event.t for one in events if one.event is not None), None)
+        oldest = next((item.event.t for item in events if item.event is not None), None)
         self.backlogs.note_request(camera, oldest, wall, now)
         answers.note_stored(name)
-        for one in events:  # what is published meanwhile waits for one of them, not for a backlog
+        for item in events:  # what is published meanwhile waits for one of them, not for a backlog
             self._take_published(wall, now)
-            if one.event is not None:
-                self._hear(camera, one.event, request.boot, one.entry.seq, wall, is_delivered=True)
+            if item.event is not None:
+                self._hear(
+                    camera, item.event, request.boot, item.entry.seq, wall, is_delivered=True
+                )
 
     def _take_published(self, wall: float, now: float) -> None:
         """Take publications."""
@@ -278,13 +280,13 @@ class Intake:
         is_delivered: bool = False,
     ) -> None:
         """Pass an event on for predictions, unless it was heard before or is not to be learned."""
-        renamed = self.names.renamed(event)
-        if renamed is None or event.t - wall > self.limits.future_seconds_max:
+        present_event = self.names.renamed(event)
+        if present_event is None or event.t - wall > self.limits.future_seconds_max:
             return
         if boot is not None and seq is not None and not camera.heard.add(boot, seq):
             return
         if camera.heard_seconds.take(event.t):
-            self._hear_event(renamed, is_delivered)
+            self._hear_event(present_event, is_delivered)
 
     def _reject_published(self, name: str, content: bytes, error: codec.Rejected) -> None:
         """Count a publication that is not taken."""
@@ -315,25 +317,25 @@ class Intake:
             return
         self._put(camera, Received(Entry("event", name, boot, seq, content), event), wall)
 
-    def _put(self, camera: CameraState, received: Received, wall: float) -> None:
+    def _put(self, camera: CameraState, item: Received, wall: float) -> None:
         """Put an entry of a camera among those to be stored, under its present name."""
-        event = received.event
+        event = item.event
         if event is not None and not camera.note_time(
             event.t, wall, self.limits.future_seconds_max
         ):
-            received = received.set_aside()
-        for named in self.names.apply(received):
-            self._ready += self._cut_flood(named)
+            item = item.set_aside()
+        for output in self.names.apply(item):
+            self._ready += self._cut_flood(output)
 
-    def _cut_flood(self, received: Received) -> list[Received]:
+    def _cut_flood(self, item: Received) -> list[Received]:
         """Return the entry; if its camera sends too much, one with the number alone, if any."""
-        self.counts["future"] += received.entry.kind == "future"
-        if received.event is None or self.cameras.count(received.event):
-            return [received]
+        self.counts["future"] += item.entry.kind == "future"
+        if item.event is None or self.cameras.count(item.event):
+            return [item]
         self.counts["flood"] += 1
-        if received.entry.seq is None:
+        if item.entry.seq is None:
             return []
-        return [received.only_number()]
+        return [item.only_number()]
 
     def _rewind(self, wall: float) -> None:
         """Take event time back, as this machine's clock was set back to ``wall``."""
@@ -346,14 +348,14 @@ class Intake:
 
     def note_stored(self, ready: Sequence[Received]) -> None:
         """Count the stored events, for status and answers, and pass them to the learner."""
-        for received in ready:
-            late = self.event_clock.note_stored(received)
-            self.counts["stored"] += received.event is not None
+        for item in ready:
+            late = self.event_clock.note_stored(item)
+            self.counts["stored"] += item.event is not None
             self.counts["late"] += late
-            camera = self.cameras.get(received.entry.camera)
+            camera = self.cameras.get(item.entry.camera)
             if camera is not None and (pending := camera.pending) is not None:
                 pending.late += late
-                pending.refused += received.entry.kind in ("refused", "future")
+                pending.refused += item.entry.kind in ("refused", "future")
         if ready:
             self._learn(list(ready))
 

@@ -57,8 +57,8 @@ class NamesState(Struct, frozen=True):
 
 def read_names(journal: Journal) -> NamesState:
     """Return the state as it is stored in the journal, or made again from its commands."""
-    if (stored := journal.meta(NAMES_KEY)) is not None:
-        return codec.read(NamesState, stored.encode())
+    if (content := journal.meta(NAMES_KEY)) is not None:
+        return codec.read(NamesState, content.encode())
     state = NamesState()
     for t, entry in journal.commands():
         try:
@@ -77,19 +77,19 @@ def present_names(state: NamesState) -> dict[str, str]:
 
 
 def missing_names(
-    declared: TopologySettings, state: NamesState, cameras: Iterable[str]
+    declarations: TopologySettings, state: NamesState, cameras: Iterable[str]
 ) -> list[str]:
     """Return a warning of declared names that no camera has, a sentence; else none.
 
     cameras: those that are there, by any of their names. Forgotten names are not warned of.
     """
     names = present_names(state)
-    there = {names.get(name, name) for name in cameras} | {""}
-    pairs = (*declared.neighbours, *declared.not_neighbours)
-    missing = {name for pair in pairs for name in pair if names.get(name, name) not in there}
-    if not missing:
+    camera_names = {names.get(name, name) for name in cameras} | {""}
+    pairs = (*declarations.neighbours, *declarations.not_neighbours)
+    orphans = {name for pair in pairs for name in pair if names.get(name, name) not in camera_names}
+    if not orphans:
         return []
-    return [f"[topology] names cameras that are not there: {listed(missing)}"]
+    return [f"[topology] names cameras that are not there: {listed(orphans)}"]
 
 
 def carried_out(
@@ -103,15 +103,15 @@ def carried_out(
     Raises `CommandRefused`.
     """
     # The names that are in force may be newer.
-    there = {state.aliases.get(name, name) for name in {*cameras, *state.aliases}}
-    there -= state.forgotten.keys()
+    camera_names = {state.aliases.get(name, name) for name in {*cameras, *state.aliases}}
+    camera_names -= state.forgotten.keys()
     match command:
         case Forget(camera, until):
-            return _forget(state, camera, until, there, now)
+            return _forget(state, camera, until, camera_names, now)
         case TakeBack(camera):
             return _take_back(state, camera)
         case Rename(old, new):
-            return _rename(state, old, new, there)
+            return _rename(state, old, new, camera_names)
         case Reset(t):
             return (
                 NamesState(since=t),
@@ -123,9 +123,9 @@ def carried_out(
 
 
 def _forget(
-    state: NamesState, camera: str, until: float | None, there: Set[str], now: float
+    state: NamesState, camera: str, until: float | None, camera_names: Set[str], now: float
 ) -> tuple[NamesState, str]:
-    _require(camera, there | state.aliases.keys())
+    _require(camera, camera_names | state.aliases.keys())
 
     # Forget its old names, too: events under them would count for it.
     names = [camera, *(old for old, new in state.aliases.items() if new == camera)]
@@ -155,13 +155,15 @@ def _take_back(state: NamesState, camera: str) -> tuple[NamesState, str]:
     )
 
 
-def _rename(state: NamesState, old: str, new: str, there: Set[str]) -> tuple[NamesState, str]:
+def _rename(
+    state: NamesState, old: str, new: str, camera_names: Set[str]
+) -> tuple[NamesState, str]:
     if old == new:
         raise CommandRefused(f"{old} has this name already")
-    _require(old, there)
+    _require(old, camera_names)
 
     # The new name must be free; a camera may get back a name that it had.
-    if new in there or state.aliases.get(new, old) != old:
+    if new in camera_names or state.aliases.get(new, old) != old:
         raise CommandRefused(
             f"there is a camera {new} already; if what was learned of it may go, `camtopod forget"
             f" {new}` first, and then rename"
@@ -182,17 +184,17 @@ def _rename(state: NamesState, old: str, new: str, there: Set[str]) -> tuple[Nam
     )
 
 
-def _require(camera: str, there: Set[str]) -> None:
+def _require(camera: str, camera_names: Set[str]) -> None:
     """Raise `CommandRefused` if there is no such camera."""
-    if camera not in there:
-        raise CommandRefused(f"there is no camera {camera}; there are: {listed(there)}")
+    if camera not in camera_names:
+        raise CommandRefused(f"there is no camera {camera}; there are: {listed(camera_names)}")
 
 
 def listed(names: Iterable[str]) -> str:
     """Return the first names, in words."""
-    ordered = sorted(names)
-    more = f" and {len(ordered) - LISTED_MAX} more" * (len(ordered) > LISTED_MAX)
-    return ", ".join(ordered[:LISTED_MAX]) + more or "none"
+    order = sorted(names)
+    remainder = f" and {len(order) - LISTED_MAX} more" * (len(order) > LISTED_MAX)
+    return ", ".join(order[:LISTED_MAX]) + remainder or "none"
 
 
 class Names:
@@ -205,7 +207,7 @@ class Names:
     def __init__(self, state: NamesState, clock: Callable[[], float]) -> None:
         self.state = state
         self._clock = clock
-        self.refused: Counter[str] = Counter()
+        self.refusals: Counter[str] = Counter()
         """Events refused since the start, by forgotten name; "" for those before the reset."""
 
     def prepare(self, command: Command, cameras: Set[str]) -> tuple[NamesState, Received, str]:
@@ -218,25 +220,25 @@ class Names:
         state, effect = carried_out(self.state, command, cameras, self._clock())
         return state, command_received(command, {NAMES_KEY: codec.to_json(state).decode()}), effect
 
-    def apply(self, received: Received) -> list[Received]:
+    def apply(self, item: Received) -> list[Received]:
         """Return the entries to store for one: renamed or refused, if its camera is.
 
         There is none for a refused event without a number. Before the first event under a new name
         comes the entry by which the old name is forgotten.
         """
-        event = received.event
+        event = item.event
         if event is None:  # from the future, or invalid
-            is_erased = received.entry.camera in self.erased
-            return [received.only_number() if is_erased else received]
-        renamed = self.renamed(event)
-        if renamed is None:
-            return self._refuse(received, event)
-        if renamed is not event:
-            entry = replace(received.entry, raw=codec.to_msgpack(renamed))
-            return [replace(received, entry=entry, event=renamed)]
+            is_erased = item.entry.camera in self.erased
+            return [item.only_number() if is_erased else item]
+        present_event = self.renamed(event)
+        if present_event is None:
+            return self._refuse(item, event)
+        if present_event is not event:
+            entry = replace(item.entry, raw=codec.to_msgpack(present_event))
+            return [replace(item, entry=entry, event=present_event)]
         if event.camera in self.state.aliases.values():
-            return [*self._end_aliases(event), received]
-        return [received]
+            return [*self._end_aliases(event), item]
+        return [item]
 
     def renamed(self, event: Event) -> Event | None:
         """Return an event under its camera's present name; None if it is refused."""
@@ -263,34 +265,34 @@ class Names:
 
     def status(self) -> NamesStatus:
         """Return the part of the daemon's status about names. Any thread."""
-        refused = self.refused.copy()
+        refusals = self.refusals.copy()
         return NamesStatus(
-            forgotten={name: refused[name] for name in sorted(self.state.forgotten)},
+            forgotten={name: refusals[name] for name in sorted(self.state.forgotten)},
             renamed=dict(sorted(self.state.aliases.items())),
             reset=self.state.since,
-            before_reset=refused[""],
+            before_reset=refusals[""],
         )
 
     def _is_before_reset(self, event: Event) -> bool:
         """Return True if an event is from before the reset."""
         return self.state.since is not None and event.t < self.state.since
 
-    def _refuse(self, received: Received, event: Event) -> list[Received]:
+    def _refuse(self, item: Received, event: Event) -> list[Received]:
         """Count a refused event, and return its entry."""
         name = "" if self._is_before_reset(event) else event.camera
-        self.refused[name] += 1
-        if self.refused[name] == 1:
-            what = "from before the reset are refused"
+        self.refusals[name] += 1
+        if self.refusals[name] == 1:
+            remark = "from before the reset are refused"
             if name:
-                what = f"of {name} are refused, as this name is forgotten"
-            log.warning("events %s", what)
-        return [] if received.entry.seq is None else [received.only_number()]
+                remark = f"of {name} are refused, as this name is forgotten"
+            log.warning("events %s", remark)
+        return [] if item.entry.seq is None else [item.only_number()]
 
     def _end_aliases(self, first: Event) -> list[Received]:
         """Forget the old names of a camera that sends its ``first`` event under its new name."""
-        made = []
+        items = []
         for old in [alias for alias, name in self.state.aliases.items() if name == first.camera]:
             log.info("%s sends under its new name: %s has ended", first.camera, old)
-            self.state, received, _ = self.prepare(Forget(old, first.t), {old})
-            made.append(received)
-        return made
+            self.state, item, _ = self.prepare(Forget(old, first.t), {old})
+            items.append(item)
+        return items

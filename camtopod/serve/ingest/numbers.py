@@ -21,25 +21,25 @@ class Numbers:
 
     Thread-safe.
 
-    stored: the highest stored number of each stream, in the order of their last entries.
+    numbers: the highest stored number of each stream, in the order of their last entries.
     """
 
-    def __init__(self, stored: Mapping[Stream, int]) -> None:
+    def __init__(self, numbers: Mapping[Stream, int]) -> None:
         self._mutex = threading.Lock()
-        self._stored = dict(stored)
-        self._taken: dict[Stream, int] = {}  # numbers that are not stored yet
-        self.lost = 0
+        self._disk_numbers = dict(numbers)
+        self._memory_numbers: dict[Stream, int] = {}  # numbers that are not stored yet
+        self.loss = 0
         """Number of events that are missing between others, since the start."""
 
     @property
     def cameras(self) -> list[str]:
         """Cameras that have a stored number, those stored last at the end. Any thread."""
         with self._mutex:
-            return list(dict.fromkeys(camera for camera, _ in reversed(self._stored)))[::-1]
+            return list(dict.fromkeys(camera for camera, _ in reversed(self._disk_numbers)))[::-1]
 
     def stored(self, camera: str, boot: str) -> int:
         """Return the highest number that is stored; 0 if none is. Any thread."""
-        return self._stored.get((camera, boot), 0)
+        return self._disk_numbers.get((camera, boot), 0)
 
     def take(self, camera: str, batch: Batch) -> list[tuple[int, bytes]] | None:
         """Return the events of a batch that were not taken before, as (seq, bytes).
@@ -48,14 +48,14 @@ class Numbers:
         """
         with self._mutex:
             stream = (camera, batch.boot)
-            taken = max(self._taken.get(stream, 0), self._stored.get(stream, 0))
-            if batch.after > taken:
+            top = max(self._memory_numbers.get(stream, 0), self._disk_numbers.get(stream, 0))
+            if batch.after > top:
                 return None
-            new = [(seq, raw) for seq, raw in batch.events if seq > taken]
+            new = [(seq, raw) for seq, raw in batch.events if seq > top]
             if new:
-                before = taken or new[0][0] - 1  # a boot may begin with any number
-                self.lost += new[-1][0] - before - len(new)
-                self._taken[stream] = new[-1][0]
+                before = top or new[0][0] - 1  # a boot may begin with any number
+                self.loss += new[-1][0] - before - len(new)
+                self._memory_numbers[stream] = new[-1][0]
             return new
 
     def take_one(self, camera: str, boot: str, seq: int) -> bool:
@@ -63,17 +63,19 @@ class Numbers:
         with self._mutex:
             stream = (camera, boot)
             # Publications may count from 0.
-            is_new = seq > max(self._taken.get(stream, -1), self._stored.get(stream, -1))
+            is_new = seq > max(
+                self._memory_numbers.get(stream, -1), self._disk_numbers.get(stream, -1)
+            )
             if is_new:
-                self._taken[stream] = seq
+                self._memory_numbers[stream] = seq
             return is_new
 
     def note_stored(self, camera: str, boot: str, seq: int) -> None:
         """Note that all events of a stream up to ``seq`` that were taken are stored."""
         with self._mutex:
             stream = (camera, boot)
-            self._stored[stream] = max(seq, self._stored.pop(stream, 0))  # at the end
-            if self._taken.get(stream, 0) <= seq:
-                self._taken.pop(stream, None)
-            if len(self._stored) > STREAMS_KEPT_MAX:
-                del self._stored[next(iter(self._stored))]
+            self._disk_numbers[stream] = max(seq, self._disk_numbers.pop(stream, 0))  # at the end
+            if self._memory_numbers.get(stream, 0) <= seq:
+                self._memory_numbers.pop(stream, None)
+            if len(self._disk_numbers) > STREAMS_KEPT_MAX:
+                del self._disk_numbers[next(iter(self._disk_numbers))]

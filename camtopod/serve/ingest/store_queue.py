@@ -18,44 +18,44 @@ class StoreQueue:
 
     def __init__(self) -> None:
         self._ready: queue.SimpleQueue[Received] = queue.SimpleQueue()
-        self._taken = 0
-        self._ended = False
+        self._batch_size = 0
+        self._is_closed = False
 
     @property
     def waiting(self) -> int:
         """Number of events that are not stored yet."""
-        return self._ready.qsize() + self._taken
+        return self._ready.qsize() + self._batch_size
 
     @property
     def is_finished(self) -> bool:
         """True if nothing is there and nothing will come."""
-        return self._ended and self._ready.empty()
+        return self._is_closed and self._ready.empty()
 
     def put(self, ready: Sequence[Received]) -> None:
         """Append events."""
-        for received in ready:
-            self._ready.put(received)
+        for item in ready:
+            self._ready.put(item)
 
     def close(self) -> None:
         """Close the queue: nothing more will come."""
-        self._ended = True
+        self._is_closed = True
 
-    def take(self, most: int, seconds: float, more_seconds: float) -> list[Received]:
-        """Return up to ``most`` events; they count as waiting until `done`.
+    def take(self, limit: int, seconds: float, more_seconds: float) -> list[Received]:
+        """Return up to ``limit`` events; they count as waiting until `done`.
 
         seconds: longest wait for the first event.
         more_seconds: further wait for others.
         """
-        taken: list[Received] = []
+        batch: list[Received] = []
         with contextlib.suppress(queue.Empty):
-            taken.append(self._ready.get(timeout=seconds))
-            if self._ready.qsize() < most and not self._ended:
+            batch.append(self._ready.get(timeout=seconds))
+            if self._ready.qsize() < limit and not self._is_closed:
                 time.sleep(more_seconds)
-            while len(taken) < most:
-                taken.append(self._ready.get_nowait())
-        self._taken = len(taken)
-        return taken
+            while len(batch) < limit:
+                batch.append(self._ready.get_nowait())
+        self._batch_size = len(batch)
+        return batch
 
     def done(self) -> None:
         """Note that the events taken are stored."""
-        self._taken = 0
+        self._batch_size = 0

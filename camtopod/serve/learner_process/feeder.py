@@ -44,27 +44,27 @@ class LearnerFeeder:
 
     def __init__(
         self,
-        recovered: Recovered,
+        recovery: Recovered,
         process: LearnerProcess,
         journal: Journal,
         on_progress: Callable[[LearnProgress], None],
     ) -> None:
-        self.position = recovered.position
+        self.position = recovery.position
         """Number of the last entry that is learned."""
-        self.progress = recovered.progress
+        self.progress = recovery.progress
         """The learner's progress, as of its last step."""
         self._process = process
         self._journal = journal
         self._on_progress = on_progress
         self._replay_until = len(journal)
         self._up_to_date_at = self.position
-        self._stored = threading.Event()
-        self.damaged = 0
+        self._wakeup = threading.Event()
+        self.damage_count = 0
         """Number of damaged journal entries that were left out."""
 
     def note_stored(self) -> None:
         """Entries have just been stored, to be learned soon. Any thread."""
-        self._stored.set()
+        self._wakeup.set()
 
     @property
     def waiting(self) -> int:
@@ -86,12 +86,12 @@ class LearnerFeeder:
         newest: event time of the newest event stored, Unix seconds.
         """
         watermark = self.progress.statistics.watermark or newest  # none before its first events
-        waiting = self.waiting
-        if not waiting or newest - watermark < CATCHING_UP_SECONDS:
+        backlog = self.waiting
+        if not backlog or newest - watermark < CATCHING_UP_SECONDS:
             self._up_to_date_at = self.position
             return None
-        learned = self.position - self._up_to_date_at
-        return CatchingUp(newest - watermark, learned / (learned + waiting))
+        count = self.position - self._up_to_date_at
+        return CatchingUp(newest - watermark, count / (count + backlog))
 
     def work(self, stopping: threading.Event, beat: Beat = no_beat) -> None:
         """Feed the learner until ``stopping``; entries not learned by then are in the journal.
@@ -101,23 +101,23 @@ class LearnerFeeder:
         try:
             self._learn([], stopping, beat)
             while not stopping.is_set():
-                if self._stored.wait(_TICK_SECONDS):
+                if self._wakeup.wait(_TICK_SECONDS):
                     stopping.wait(GATHER_SECONDS)
-                self._stored.clear()
+                self._wakeup.clear()
                 self._process.check()
                 self._learn_stored(stopping, beat)
                 beat()
-        except LearnerEnded as ended:
+        except LearnerEnded as death:
             if stopping.is_set():
                 return
 
             # Note the entry at which the learner failed, for the next start.
-            note_failure(self._journal, ended.at)
+            note_failure(self._journal, death.at)
             raise
 
     def _learn_stored(self, stopping: threading.Event, beat: Beat) -> None:
         """Learn what the journal has by now, in batches."""
-        damaged = self.damaged
+        before = self.damage_count
         while self.waiting and not stopping.is_set():
             last = len(self._journal)
             entries = list(islice(self._journal.entries(after=self.position), INPUTS_MAX))
@@ -130,12 +130,12 @@ class LearnerFeeder:
                 ("skipped", b"") if entry is None else (entry.kind, entry.raw)
                 for _, entry in entries
             ]
-            learned = self._learn(inputs, stopping, beat)
-            self.damaged += sum(entry is None for _, entry in entries[:learned])
-        if self.damaged > damaged:
+            count = self._learn(inputs, stopping, beat)
+            self.damage_count += sum(entry is None for _, entry in entries[:count])
+        if self.damage_count > before:
             log.error(
                 "%d damaged entries of the journal are not learned; they are still in the file",
-                self.damaged,
+                self.damage_count,
             )
 
     def _learn(self, inputs: list[Input], stopping: threading.Event, beat: Beat) -> int:
@@ -152,7 +152,7 @@ class LearnerFeeder:
 
         # Note the progress, and pass on what has to be stored.
         assert isinstance(progress, LearnProgress)
-        learned = progress.position - self.position
+        count = progress.position - self.position
         self.position = progress.position
         self.progress = replace(progress, versions=[], state=None)  # these are large
         if progress.unreadable:
@@ -162,4 +162,4 @@ class LearnerFeeder:
                 progress.unreadable,
             )
         self._on_progress(progress)
-        return learned
+        return count

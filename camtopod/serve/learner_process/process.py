@@ -28,10 +28,10 @@ class LearnerEnded(RuntimeError):
     """
 
     def __init__(self, status: int, at: int) -> None:
-        where = f"entry {at} of the journal"
+        place = f"entry {at} of the journal"
         if at == STATE:
-            where = "the state that it continues from"
-        super().__init__(f"the learner's process has ended with status {status}, at {where}")
+            place = "the state that it continues from"
+        super().__init__(f"the learner's process has ended with status {status}, at {place}")
         self.status = status
         self.at = at
 
@@ -50,17 +50,17 @@ class LearnerProcess:
     """
 
     def __init__(self, program: str = PROGRAM) -> None:
-        self._pipe, theirs = context.Pipe()
+        self._pipe, far_end = context.Pipe()
         # Shared memory, which can be read even after the process was killed.
         self._entry: c_longlong = context.RawValue(c_longlong, 0)
-        self._seen = 0
+        self._last_entry = 0
         self._process = context.Process(  # type: ignore[attr-defined]
-            target=_run, args=(program, theirs, self._entry), name="learner"
+            target=_run, args=(program, far_end, self._entry), name="learner"
         )
         self._process.start()
         self.pid: int = self._process.pid
         """Process id."""
-        theirs.close()
+        far_end.close()
         atexit.register(self.close)  # before multiprocessing waits for the process
 
     def send(self, question: Question) -> None:
@@ -95,9 +95,9 @@ class LearnerProcess:
 
     def has_progressed(self) -> bool:
         """Return True if the process is at another entry than at the last call."""
-        before = self._seen
-        self._seen = self._entry.value
-        return self._seen != before
+        before = self._last_entry
+        self._last_entry = self._entry.value
+        return self._last_entry != before
 
     def close(self) -> None:
         """Kill the process; a thread that waits for it gets `LearnerEnded`. May be called twice."""

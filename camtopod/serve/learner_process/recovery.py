@@ -70,43 +70,45 @@ def recover(
     # Begin with the newest usable snapshot, else with all entries.
     epoch = journal.meta("epoch") or new_epoch()
     if is_fatal and failure.at == STATE:
-        position = max([journal.first() - 1, 0, *(one.position for one in journal.snapshots())])
-        loaded = Loaded()
+        position = max(
+            [journal.first() - 1, 0, *(snapshot.position for snapshot in journal.snapshots())]
+        )
+        origin = Loaded()
     else:
-        position, loaded = _newest_state(journal, process)
+        position, origin = _newest_state(journal, process)
 
     # Entries that follow may begin further epochs, the last of which is the journal's.
-    begun = [
+    epochs = [
         _epochs(entry) for _, entry in journal.commands(position) if entry.kind == "correction"
     ]
-    if begun and begun[-1][1] == epoch:
-        epoch = begun[0][0]
+    if epochs and epochs[-1][1] == epoch:
+        epoch = epochs[0][0]
 
     # Begin an epoch without what the learner has died of twice: an entry, or the state above. Begin
     # one, too, where versions would be made anew that may have been published.
-    version = loaded.version if loaded.epoch == epoch else 0
+    version = origin.version if origin.epoch == epoch else 0
     if is_fatal:
         epoch = new_epoch()
-        what = f"entry {failure.at} of the journal, which is skipped"
+        place = f"entry {failure.at} of the journal, which is skipped"
         if failure.at == STATE:
-            what = "the state that it continued from: it begins with nothing"
+            place = "the state that it continued from: it begins with nothing"
         else:
             journal.skip(failure.at)
-        log.error("the learner has died twice at %s, in epoch %s; please report this", what, epoch)
+        log.error("the learner has died twice at %s, in epoch %s; please report this", place, epoch)
         journal.set_meta("failure", codec.to_json(Failure(0, 0)).decode())
     elif version < max(journal.versions(epoch), default=0):
         epoch = new_epoch()
         log.warning(
             "no snapshot goes with the newest version of the journal: epoch %s begins", epoch
         )
-    elif loaded.settings is not None and (loaded.settings, loaded.site) != (settings, site):
+    elif origin.settings is not None and (origin.settings, origin.site) != (settings, site):
         epoch = new_epoch()
         log.warning(
             "settings of the learner have changed: epoch %s begins with what has been learned",
             epoch,
         )
 
-    begin = Begin(settings, site, epoch, loaded.settings is not None, names)
+    begin = Begin(settings, site, epoch, origin.settings is not None, names)
     progress = process.ask(begin, LearnProgress)
     return Recovered(position, progress)
 
@@ -119,22 +121,22 @@ def _epochs(entry: Entry) -> tuple[str, str]:
 
 
 def event_time(
-    journal: Journal, recovered: Recovered, learn: LearnSettings, recent: Sequence[Event]
+    journal: Journal, recovery: Recovered, learn: LearnSettings, recent: Sequence[Event]
 ) -> EventTime:
     """Return event time as the learner will have it after the stored entries.
 
     recent: the newest events since the last correction.
     """
     time = EventTime(learn.lateness_seconds, learn.ahead_seconds_max)
-    time.load(recovered.progress.event_time)
-    for _, entry in journal.commands(recovered.position):
+    time.load(recovery.progress.event_time)
+    for _, entry in journal.commands(recovery.position):
         with contextlib.suppress(codec.Rejected):  # by another version
             match read_command(entry.raw):
                 case Reset():
                     time.load(EventTimeState())
                 case Rewind(to):
                     time.rewind(microseconds(to))
-    for _, entry in journal.commands(recovered.position, "('waits')")[-1:]:
+    for _, entry in journal.commands(recovery.position, "('waits')")[-1:]:
         time.wait_for(codec.read(set[str], entry.raw))
     for event in recent:
         time.note(microseconds(event.t), event.camera)
@@ -168,8 +170,8 @@ def recent_events(journal: Journal) -> list[Event]:
 
 def read_failure(journal: Journal) -> Failure:
     """Return the last failure of the learner, if any, which may be past that entry by now."""
-    kept = journal.meta("failure")
-    return Failure(0, 0) if kept is None else codec.read(Failure, kept.encode())
+    content = journal.meta("failure")
+    return Failure(0, 0) if content is None else codec.read(Failure, content.encode())
 
 
 def note_failure(journal: Journal, at: int) -> None:
@@ -193,12 +195,12 @@ def _newest_state(journal: Journal, process: LearnerProcess) -> tuple[int, Loade
     is tried; one of a newer program raises `StateError`.
     """
     for snapshot in journal.snapshots():
-        loaded = process.ask(Load(snapshot.state), Loaded)
-        if not loaded.reason:
-            return snapshot.position, loaded
-        if loaded.newer:
+        origin = process.ask(Load(snapshot.state), Loaded)
+        if not origin.reason:
+            return snapshot.position, origin
+        if origin.newer:
             raise StateError(
-                f"the snapshot was saved by a newer camtopod ({loaded.reason}): use that version"
+                f"the snapshot was saved by a newer camtopod ({origin.reason}): use that version"
             )
-        log.error("the snapshot at entry %d cannot be used: %s", snapshot.position, loaded.reason)
+        log.error("the snapshot at entry %d cannot be used: %s", snapshot.position, origin.reason)
     return max(journal.first() - 1, 0), Loaded()

@@ -66,7 +66,7 @@ class Worker:
     def __init__(self, entry: c_longlong, learner: type[Learner]) -> None:
         self._entry = entry
         self._learner_class = learner
-        self._loaded: LearnerState | None = None
+        self._saved_state: LearnerState | None = None
         self._learner: Learner
         self._newest: Topology | None = None
         self._since_saved = 0
@@ -85,25 +85,25 @@ class Worker:
         self._entry.value = 0
         return answer
 
-    def _load(self, packed: bytes) -> Loaded:
+    def _load(self, content: bytes) -> Loaded:
         """Unpack a state and keep it for `Begin`."""
         try:
-            self._loaded = state = unpack(packed)
+            self._saved_state = state = unpack(content)
         except SnapshotError as error:
             return Loaded(reason=str(error), newer=isinstance(error, NewerSnapshot))
         version = 0 if state.topology is None else state.topology.version
         return Loaded(state.settings, state.site, state.epoch, version)
 
-    def _begin(self, given: Begin) -> None:
+    def _begin(self, begin: Begin) -> None:
         """Make the learner, with the loaded state if the daemon wants it."""
-        self._learner = self._new_learner(given.settings, given.site, given.epoch)
-        if given.load and (state := self._loaded) is not None:
+        self._learner = self._new_learner(begin.settings, begin.site, begin.epoch)
+        if begin.load and (state := self._saved_state) is not None:
             self._learner.load(state)
-            if state.epoch != given.epoch:
-                self._learner.begin_epoch(given.epoch)
+            if state.epoch != begin.epoch:
+                self._learner.begin_epoch(begin.epoch)
         if self._learner.state.names is None:
-            self._learner.state.names = dict(given.names)
-        self._loaded = None
+            self._learner.state.names = dict(begin.names)
+        self._saved_state = None
         self._newest = self._learner.topology
 
         # Fits yield the processor to the daemon; not before, as the start is waited for.
@@ -199,17 +199,17 @@ class Worker:
             self._since_saved = 0
         return self._progress(position, unreadable=unreadable, versions=versions, state=state)
 
-    def _progress(self, position: int, **more: Any) -> LearnProgress:
+    def _progress(self, position: int, **fields: Any) -> LearnProgress:
         """Return the progress."""
         learner = self._learner
         counts = msgspec.convert(learner.statistics(), LearnerCounts)
         return LearnProgress(
-            position, learner.next_deadline(), counts, learner.epoch, learner.is_paused, **more
+            position, learner.next_deadline(), counts, learner.epoch, learner.is_paused, **fields
         )
 
     def _take_versions(self) -> list[NewVersion]:
         """Return the versions of a step."""
-        made = []
+        versions = []
         for topology in self._learner.updates():
             if topology.epoch != self._learner.epoch:
                 continue  # made in the same step as the one that ended its epoch
@@ -217,12 +217,12 @@ class Worker:
             if self._newest is not None and alarms_follow(self._newest, topology):
                 delta = codec.to_msgpack(make_delta(self._newest, topology))
             self._newest = topology
-            stored = StoredVersion(
+            record = StoredVersion(
                 topology.epoch, topology.version, topology.digest, codec.to_json(topology)
             )
             parts = codec.to_msgpack(map_of(topology)), codec.to_msgpack(version_model(topology))
-            made.append(NewVersion(stored, *parts, delta))
-        return made
+            versions.append(NewVersion(record, *parts, delta))
+        return versions
 
 
 def main(pipe: Connection, entry: c_longlong, learner: type[Learner] = Learner) -> None:

@@ -61,7 +61,7 @@ class _Server(ThreadingHTTPServer):
         self.pages = pages
         self._mutex = threading.Lock()
         self._since: dict[Any, float] = {}  # open connections, the oldest first
-        self.asked: set[Any] = set()
+        self.busy_connections: set[Any] = set()
         """Connections whose request is there."""
         if ":" in host:
             self.address_family = socket.AF_INET6
@@ -71,8 +71,12 @@ class _Server(ThreadingHTTPServer):
         """Make room for a new connection, and serve it."""
         with self._mutex:
             if len(self._since) >= CONNECTIONS_MAX:
-                waiting = (one for one in self._since if one not in self.asked)
-                self._end(next(waiting, next(iter(self._since))))
+                candidates = (
+                    connection
+                    for connection in self._since
+                    if connection not in self.busy_connections
+                )
+                self._end(next(candidates, next(iter(self._since))))
             self._since[request] = time.monotonic()
         super().process_request(request, client_address)
 
@@ -80,14 +84,16 @@ class _Server(ThreadingHTTPServer):
         """End connections whose time is over; called several times a second."""
         before = time.monotonic() - REQUEST_SECONDS
         with self._mutex:
-            for one in [one for one, since in self._since.items() if since < before]:
-                self._end(one)
+            for connection in [
+                connection for connection, since in self._since.items() if since < before
+            ]:
+                self._end(connection)
 
     def shutdown_request(self, request: Any) -> None:
         """Close a connection at the end of its thread."""
         with self._mutex:
             self._since.pop(request, None)
-            self.asked.discard(request)
+            self.busy_connections.discard(request)
         super().shutdown_request(request)
 
     def handle_error(self, request: Any, client_address: Any) -> None:
@@ -111,7 +117,7 @@ class _Handler(BaseHTTPRequestHandler):
 
     def do_GET(self) -> None:
         """Answer with the page at the path, or with 404."""
-        self.server.asked.add(self.connection)
+        self.server.busy_connections.add(self.connection)
         make_page = self.server.pages.get(self.path.partition("?")[0])
         if make_page is None:
             self.send_error(HTTPStatus.NOT_FOUND, f"There are {', '.join(self.server.pages)}")
@@ -141,14 +147,14 @@ def _answer(question: Reasons) -> Page:
 
 @contextmanager
 def serving(
-    listen: str, healthy: Reasons, ready: Reasons, others: Pages = MappingProxyType({})
+    listen: str, healthy: Reasons, ready: Reasons, extra_pages: Pages = MappingProxyType({})
 ) -> Iterator[str]:
     """Serve at ``listen`` while the block runs; yield the address.
 
     listen: host:port; port 0 stands for a free one, "" for not serving at all.
     healthy: reasons against /healthz.
     ready: reasons against /readyz.
-    others: further pages.
+    extra_pages: further pages.
 
     Raises `ListenError`.
     """
@@ -157,7 +163,7 @@ def serving(
         return
 
     host, _, port = listen.rpartition(":")
-    pages = {"/healthz": lambda: _answer(healthy), "/readyz": lambda: _answer(ready), **others}
+    pages = {"/healthz": lambda: _answer(healthy), "/readyz": lambda: _answer(ready), **extra_pages}
     try:
         server = _Server(host.strip("[]"), int(port), pages)
     except (OSError, OverflowError) as error:

@@ -82,10 +82,10 @@ class _Scrape:
 
         # The cameras, and their grabbers.
         yield from _metrics(dict(sorted(status.cameras.items())[: self._cameras_max]))
-        some = dict(sorted(grabbers(daemon.bus).items())[: self._cameras_max])
-        running = {camera: float(one.state == "running") for camera, one in some.items()}
-        yield _metric("grabber_running", "1 while the camera delivers frames", running)
-        yield from _metrics(some)
+        statuses = dict(sorted(grabbers(daemon.bus).items())[: self._cameras_max])
+        values = {camera: float(grabber.state == "running") for camera, grabber in statuses.items()}
+        yield _metric("grabber_running", "1 while the camera delivers frames", values)
+        yield from _metrics(statuses)
 
 
 def grabbers(bus: Bus) -> dict[str, GrabberStatus]:
@@ -97,22 +97,22 @@ def grabbers(bus: Bus) -> dict[str, GrabberStatus]:
         answers = bus.query("status/*")
     except QueryError:
         return {}
-    found = {}
+    statuses = {}
     for key, payload in answers:
         camera = key.removeprefix("status/")
         if not re.match(CAMERA_PATTERN, camera):
             continue
         with suppress(codec.Rejected):
-            found[camera] = codec.read(GrabberStatus, payload, pack=True)
-    return found
+            statuses[camera] = codec.read(GrabberStatus, payload, pack=True)
+    return statuses
 
 
 def _metrics(figures: Mapping[str, Struct]) -> Iterator[Metric]:
     """Yield the metrics of structs of one type by camera; "" stands for the site."""
     meanings: dict[str, str] = {}
     values: dict[str, dict[str, float]] = {}
-    for camera, one in figures.items():
-        for name, meaning, value in _samples(one):
+    for camera, record in figures.items():
+        for name, meaning, value in _samples(record):
             meanings[name] = meaning
             values.setdefault(name, {})[camera] = value
     for name, meaning in meanings.items():

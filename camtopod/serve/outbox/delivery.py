@@ -39,7 +39,7 @@ class Delivery:
         self.camera = camera
         self.late = 0
         """Number of this process's events that came too late to be learned."""
-        self.refused = 0
+        self.refusals = 0
         """Number of this process's events that the daemon has refused."""
         self.no_room = ""
         """Why the daemon does not take this camera, which is one too many; "" if it does."""
@@ -50,15 +50,15 @@ class Delivery:
         self._number = ""
         self._sent_at = 0.0
         self._batch_max = 1
-        self._sent: Counter[str] = Counter()  # boot that this process numbers -> highest one sent
+        self._tops: Counter[str] = Counter()  # boot that this process numbers -> highest one sent
         self.on_daemon(-math.inf)
 
     def on_daemon(self, now: float) -> None:
         """A daemon has appeared: end the request under way and the waiting."""
         self._request: Hello | Batch | None = None
         self._empty: tuple[str, int] | None = None  # boot and number of an empty batch to be sent
-        self._greeted = False
-        self.unanswered = 0
+        self._has_greeting = False
+        self.failures = 0
         """Number of requests in a row that ended without an answer."""
         self._retry_at = now
         self._retry_seconds = RETRY_SECONDS
@@ -69,7 +69,7 @@ class Delivery:
             self.on_answer(self._request, None, now)
         if self._request is not None or now < self._retry_at:
             return None
-        if self._greeted:
+        if self._has_greeting:
             self._request = self._next_batch()
         else:
             self._number = self._draw_number()
@@ -84,20 +84,20 @@ class Delivery:
         slow = now - self._sent_at > SLOW_SECONDS
         self._request = None
         if answer is None:
-            self.unanswered += 1
-            self._greeted = False
+            self.failures += 1
+            self._has_greeting = False
             self._wait(now)
             return
-        self.unanswered = 0
+        self.failures = 0
 
         # Apply the answer.
         self._batch_max = answer.batch
         if isinstance(request, Batch) and self._spool.is_own(self.camera, request.boot):
             # Before who waits for the marks looks at it.
             self.late += answer.late
-            self.refused += answer.refused
-        moved = self._note_marks(request, answer)
-        if moved:
+            self.refusals += answer.refused
+        progress = self._note_marks(request, answer)
+        if progress:
             self._retry_seconds = RETRY_SECONDS
         self.reason = answer.detail
         self.no_room = ""
@@ -107,14 +107,14 @@ class Delivery:
         # Choose the next request and its time.
         self._empty = None
         if isinstance(request, Hello):
-            self._greeted = not answer.reason
-            useful = self._greeted
+            self._has_greeting = not answer.reason
+            useful = self._has_greeting
         elif answer.reason == "held":
             self._empty = request.boot, max([request.after, *(seq for seq, _ in request.events)])
             useful = slow
         else:
-            self._greeted = answer.reason not in ("hello", "cameras")
-            useful = not answer.reason and (moved or not request.events)
+            self._has_greeting = answer.reason not in ("hello", "cameras")
+            useful = not answer.reason and (progress or not request.events)
             if useful and slow:
                 self._empty = request.boot, self._spool.mark(self.camera, request.boot)
         if not useful:
@@ -125,7 +125,7 @@ class Delivery:
         """When to call `next_request` though nothing happens; infinite if not at all."""
         if self._request is not None:
             return self._sent_at + ANSWER_SECONDS_MAX
-        if not self._greeted or self._empty or self._spool.waiting(self.camera):
+        if not self._has_greeting or self._empty or self._spool.waiting(self.camera):
             return self._retry_at
         return math.inf
 
@@ -133,22 +133,22 @@ class Delivery:
         """Return the batch to send: the next events, or an empty one; None if none is due."""
         if self._empty is not None:
             return Batch(self._number, *self._empty, [], self._spool.waiting(self.camera))
-        found = self._spool.next_batch(self.camera, self._batch_max)
-        if found is None:
+        batch = self._spool.next_batch(self.camera, self._batch_max)
+        if batch is None:
             return None
-        boot, events = found
+        boot, events = batch
         if boot == self._spool.boot(self.camera):
-            self._sent[boot] = max(events[-1][0], self._sent[boot])
+            self._tops[boot] = max(events[-1][0], self._tops[boot])
         after = min(self._spool.mark(self.camera, boot), events[0][0] - 1)
-        more = self._spool.waiting(self.camera) - len(events)
-        return Batch(self._number, boot, after, events, max(0, more))
+        remainder = self._spool.waiting(self.camera) - len(events)
+        return Batch(self._number, boot, after, events, max(0, remainder))
 
     def _note_marks(self, request: Hello | Batch, answer: Answer) -> bool:
         """Move the marks to where the answer says; return True if that of the request has moved."""
         boot = request.boot if isinstance(request, Batch) else self._spool.boot(self.camera)
         before = self._spool.boot(self.camera), self._spool.mark(self.camera, boot)
         for name, have in answer.have.items():
-            if name == self._spool.boot(self.camera) and have > self._sent[name]:
+            if name == self._spool.boot(self.camera) and have > self._tops[name]:
                 # A machine that was set back has given these numbers before.
                 self._spool.begin_boot(self.camera, self._draw_number())
             self._spool.have(self.camera, name, have)

@@ -49,7 +49,7 @@ class Publisher:
         self._bus: Bus | None = None
         self._pending: list[Event] = []
         self._unwritable = False
-        self._dropped = 0
+        self._drops = 0
         self.published = 0
         """Events stored in the spool since the start; those that were in it already do not count.
         """
@@ -57,7 +57,7 @@ class Publisher:
         """Answers that could not be read."""
 
         # What callbacks leave for the delivering thread.
-        self._changed = threading.Condition()
+        self._change = threading.Condition()
         self._due: set[str] = set()
         self._answers: list[tuple[str, Hello | Batch, bytes | None]] = []
         self._daemon_appeared = False
@@ -88,7 +88,7 @@ class Publisher:
         """
         room = PENDING_EVENTS_MAX - len(self._pending)
         self._pending.extend(events[:room])
-        self._dropped += max(0, len(events) - room)
+        self._drops += max(0, len(events) - room)
         self.retry()
 
     def retry(self) -> None:
@@ -98,7 +98,7 @@ class Publisher:
         while self._pending:
             # Store a batch, or keep it in memory.
             try:
-                numbered = self._spool.append(self._pending[:TRANSACTION_EVENTS_MAX])
+                batch = self._spool.append(self._pending[:TRANSACTION_EVENTS_MAX])
             except sqlite3.Error as error:
                 if not self._unwritable:
                     self._unwritable = True
@@ -108,13 +108,13 @@ class Publisher:
                 self._unwritable = False
                 log.info("the spool can be written again")
             del self._pending[:TRANSACTION_EVENTS_MAX]
-            self.published += len(numbered)
+            self.published += len(batch)
 
             # Have it delivered, and publish it for viewers.
             if self._bus is not None:
-                for camera in {event.camera for event in numbered}:
+                for camera in {event.camera for event in batch}:
                     self._introduce(self._bus, camera)
-                for event in numbered:
+                for event in batch:
                     self._bus.publish_raw(
                         f"event/{event.camera}",
                         codec.to_msgpack(replace(event, spooled=True)),
@@ -122,13 +122,13 @@ class Publisher:
                         droppable=True,
                     )
 
-    def wait_stored(self, seconds: float, most: int = 0, own: bool = False) -> bool:
-        """Wait until at most ``most`` events wait; return False if not within ``seconds``.
+    def wait_stored(self, seconds: float, limit: int = 0, own: bool = False) -> bool:
+        """Wait until at most ``limit`` events wait; return False if not within ``seconds``.
 
         own: count only those of boots of which this process was given events.
         """
-        with self._changed:
-            return self._changed.wait_for(lambda: self.count_waiting(own) <= most, seconds)
+        with self._change:
+            return self._change.wait_for(lambda: self.count_waiting(own) <= limit, seconds)
 
     def count_waiting(self, own: bool = False) -> int:
         """Return the number of events that are not known to be stored by the daemon.
@@ -145,20 +145,26 @@ class Publisher:
     def outcome(self) -> tuple[int, int]:
         """Return how many events of this process came too late to be learned, and were refused."""
         deliveries = list(self._deliveries.copy().values())
-        refused = self._spool.rejects.counts.total() + sum(one.refused for one in deliveries)
-        return sum(one.late for one in deliveries), refused
+        refusals = self._spool.rejects.counts.total() + sum(
+            delivery.refusals for delivery in deliveries
+        )
+        return sum(delivery.late for delivery in deliveries), refusals
 
     def _own(self) -> list[Delivery]:
         """Return the deliveries of cameras of which this process was given events."""
-        return [one for one in self._deliveries.copy().values() if self._spool.is_own(one.camera)]
+        return [
+            delivery
+            for delivery in self._deliveries.copy().values()
+            if self._spool.is_own(delivery.camera)
+        ]
 
     def own_cameras_without_room(self) -> dict[str, str]:
         """Return this process's cameras that are too many for the daemon, each with its reason."""
-        return {one.camera: one.no_room for one in self._own() if one.no_room}
+        return {delivery.camera: delivery.no_room for delivery in self._own() if delivery.no_room}
 
     def own_reason(self) -> str:
         """Return why the daemon takes nothing of this process's cameras; "" if it does."""
-        return next((one.reason for one in self._own() if one.reason), "")
+        return next((delivery.reason for delivery in self._own() if delivery.reason), "")
 
     @property
     def sees_daemon(self) -> bool:
@@ -170,7 +176,9 @@ class Publisher:
 
         Where programs have certificates, this one's is not for these cameras.
         """
-        silent = [one.camera for one in self._own() if one.unanswered >= UNANSWERED_MAX]
+        silent = [
+            delivery.camera for delivery in self._own() if delivery.failures >= UNANSWERED_MAX
+        ]
         return silent if self.sees_daemon else []
 
     def drop(self, camera: str) -> None:
@@ -180,7 +188,7 @@ class Publisher:
     @property
     def dropped(self) -> int:
         """Events lost as the spool was full or could not be written, or by `drop`."""
-        return self._dropped + self._spool.dropped
+        return self._drops + self._spool.dropped
 
     def statistics(self) -> dict[str, int]:
         """Return counters for the status."""
@@ -195,32 +203,32 @@ class Publisher:
 
     def close(self) -> None:
         """End the delivery; may be called twice."""
-        with self._changed:
+        with self._change:
             self._closing = True
-            self._changed.notify_all()
+            self._change.notify_all()
         if self._thread.is_alive():
             self._thread.join()
 
     def _introduce(self, bus: Bus, camera: str) -> None:
         """Deliver the events of a camera from now on, or have its delivery look for new ones."""
-        with self._changed:
-            known = camera in self._deliveries
-            if not known:
+        with self._change:
+            exists = camera in self._deliveries
+            if not exists:
                 self._deliveries[camera] = Delivery(
                     camera, self._spool, lambda: clock.ulid(clock.wall())
                 )
             self._due.add(camera)
-            self._changed.notify_all()
-        if not known:
+            self._change.notify_all()
+        if not exists:
             bus.announce("grabber", camera)
 
     def _on_daemon(self, name: str, alive: bool) -> None:
         """Note that a daemon has appeared or vanished; called on a thread of the bus."""
         if alive:
             self._daemons.add(name)
-            with self._changed:
+            with self._change:
                 self._daemon_appeared = True
-                self._changed.notify_all()
+                self._change.notify_all()
         else:
             self._daemons.discard(name)
 
@@ -228,24 +236,24 @@ class Publisher:
         """Send requests and take answers until the end."""
         while True:
             # Wait for something to do.
-            with self._changed:
+            with self._change:
                 while not self._closing:
                     now = time.monotonic()
                     due = {*self._due, *(c for c, at in self._deadlines.items() if at <= now)}
                     if due or self._answers or self._daemon_appeared:
                         break
                     first = min(self._deadlines.values(), default=math.inf)
-                    self._changed.wait(min(first - now, threading.TIMEOUT_MAX))
+                    self._change.wait(min(first - now, threading.TIMEOUT_MAX))
                 if self._closing:
                     return
                 answers = self._answers
-                appeared = self._daemon_appeared
+                is_new_daemon = self._daemon_appeared
                 self._answers = []
                 self._daemon_appeared = False
                 self._due.clear()
 
             # Pass answers to the deliveries, and send the next requests.
-            if appeared:
+            if is_new_daemon:
                 due.update(self._deliveries)
                 for delivery in self._deliveries.copy().values():
                     delivery.on_daemon(now)
@@ -254,16 +262,16 @@ class Publisher:
                     due.add(camera)
             for camera in due:
                 self._guard(camera, self._send, self._deliveries[camera])
-            with self._changed:
-                self._changed.notify_all()
+            with self._change:
+                self._change.notify_all()
 
-    def _guard(self, camera: str, step: Callable[..., None], *given: object) -> bool:
+    def _guard(self, camera: str, step: Callable[..., None], *arguments: object) -> bool:
         """Carry out a step of a delivery; return False if it is tried again later.
 
         That is so if the spool cannot be used, unless it is damaged.
         """
         try:
-            step(*given)
+            step(*arguments)
             return True
         except sqlite_file.Damaged as damage:
             self._damage = damage
@@ -282,11 +290,11 @@ class Publisher:
                 answer = codec.read(Answer, payload, pack=True)
             except codec.Rejected as error:
                 self.rejects.add(error.reason, f"store/{camera}", str(error), payload)
-        lacking = any(one.no_room for one in self._deliveries.copy().values())
+        was_full = any(peer.no_room for peer in self._deliveries.copy().values())
         delivery.on_answer(request, answer, time.monotonic())
-        if delivery.no_room and not lacking:  # of many cameras the first one
+        if delivery.no_room and not was_full:  # of many cameras the first one
             log.error("%s", delivery.no_room)
-        if delivery.unanswered == UNANSWERED_MAX and self.sees_daemon:
+        if delivery.failures == UNANSWERED_MAX and self.sees_daemon:
             log.error("camera %s: %s", camera, UNANSWERED)
 
     def _send(self, delivery: Delivery) -> None:
@@ -298,8 +306,8 @@ class Publisher:
             return
 
         def on_answer(payload: bytes | None) -> None:
-            with self._changed:
+            with self._change:
                 self._answers.append((camera, request, payload))
-                self._changed.notify_all()
+                self._change.notify_all()
 
         self._bus.ask(f"store/{camera}", codec.to_msgpack(request), ANSWER_SECONDS_MAX, on_answer)

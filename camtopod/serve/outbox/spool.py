@@ -71,7 +71,7 @@ class Spool:
         """Path of the file."""
         self.dropped = 0
         """Events that were deleted before they were stored, since the start."""
-        self.damaged = 0
+        self.damage_count = 0
         """Damaged events that were found, since the start."""
         self.rejects = Rejects()
         """Events that were refused, as the daemon would reject them."""
@@ -85,7 +85,7 @@ class Spool:
         self._unwritten: set[tuple[str, str]] = set()  # (camera, boot) of marks that have moved
         # (camera, boot) of which this process was given events -> the highest number of them.
         self._tops: dict[tuple[str, str], int] = {}
-        self._added = math.inf  # events since the limits were looked at
+        self._additions = math.inf  # events since the limits were looked at
         self._mutex = threading.Lock()
         self._lock = sqlite_file.Lock(path.with_suffix(".lock"))
 
@@ -116,22 +116,22 @@ class Spool:
         After an error the events may be stored or not, and the next call must repeat them first.
         """
         with self._using():
-            numbered, refused = self._number(events)
-            rows = [spool_tables.row(event) for event in numbered]
+            batch, refusals = self._number(events)
+            rows = [spool_tables.row(event) for event in batch]
             with self._writing():
                 self._db.executemany(spool_tables.INSERT, rows)
-                dropped = self._make_room(len(rows))
+                drops = self._make_room(len(rows))
             for camera, boot, seq, *_ in rows:
                 self._marks[camera].setdefault(boot, 0)
                 self._tops[camera, boot] = seq
 
         # Report the events that were left out.
-        for camera, error in refused:
+        for camera, error in refusals:
             self.rejects.add(error.reason, f"event of {camera}", str(error))
-        if dropped and not self.dropped:
+        if drops and not self.dropped:
             log.error("the spool %s is full: its oldest events are dropped", self.path)
-        self.dropped += dropped
-        return numbered
+        self.dropped += drops
+        return batch
 
     def boot(self, camera: str) -> str:
         """Return the boot in which this process numbers the events of ``camera``."""
@@ -175,33 +175,33 @@ class Spool:
                 if not own or (name, boot) in self._tops
             )
 
-    def next_batch(self, camera: str, most: int) -> tuple[str, list[tuple[int, bytes]]] | None:
+    def next_batch(self, camera: str, limit: int) -> tuple[str, list[tuple[int, bytes]]] | None:
         """Return boot and (seq, bytes) of the events of ``camera`` to be sent next, by rising seq.
 
-        They are at most ``most`` and `BATCH_BYTES_MAX`, of the oldest boot of which events wait. A
+        They are at most ``limit`` and `BATCH_BYTES_MAX`, of the oldest boot of which events wait. A
         damaged event is logged and deleted. None if no event waits.
         """
         with self._using():
             for boot, have in self._marks[camera].items():
                 events: list[tuple[int, bytes]] = []
-                damaged = []
+                bad_rows = []
                 size = 0
                 statement = f"SELECT * FROM {_WAITING} ORDER BY seq"
                 for row in self._db.execute(statement, (camera, boot, have)):
                     if not sqlite_file.sound(row[1:]):
-                        damaged.append(row[:1])
+                        bad_rows.append(row[:1])
                         continue
                     _, _, _, seq, raw, _ = row
                     size += len(raw)
-                    if len(events) == most or (events and size > BATCH_BYTES_MAX):
+                    if len(events) == limit or (events and size > BATCH_BYTES_MAX):
                         break
                     events.append((seq, raw))
 
-                if damaged:
+                if bad_rows:
                     with sqlite_file.transaction(self._db):
-                        self._db.executemany("DELETE FROM event WHERE id = ?", damaged)
-                    self.damaged += len(damaged)
-                    log.error("%s: %d events of %s are damaged", self.path, len(damaged), camera)
+                        self._db.executemany("DELETE FROM event WHERE id = ?", bad_rows)
+                    self.damage_count += len(bad_rows)
+                    log.error("%s: %d events of %s are damaged", self.path, len(bad_rows), camera)
                 if events:
                     return boot, events
             return None
@@ -242,18 +242,18 @@ class Spool:
         """Delete the events of ``camera`` that wait, and count them as dropped."""
         with self._using():
             for boot, have in self._marks[camera].items():
-                waiting = (camera, boot, have)
-                self.dropped += self._db.execute(f"DELETE FROM {_WAITING}", waiting).rowcount
+                parameters = (camera, boot, have)
+                self.dropped += self._db.execute(f"DELETE FROM {_WAITING}", parameters).rowcount
 
     def adopt(self, path: Path) -> None:
         """Move the events of another spool, which no process has open, into this one."""
-        other = Spool(path, self._first_boot, self._events_max)
-        with contextlib.closing(other), self._using():
+        source = Spool(path, self._first_boot, self._events_max)
+        with contextlib.closing(source), self._using():
             with self._writing():
                 spool_tables.copy(
                     self._db,
-                    other._db.execute("SELECT * FROM event ORDER BY id"),
-                    other._db.execute("SELECT * FROM mark"),
+                    source._db.execute("SELECT * FROM event ORDER BY id"),
+                    source._db.execute("SELECT * FROM mark"),
                 )
             self._load()
             for suffix in ("", "-wal", "-shm"):  # while no other process can open it
@@ -261,14 +261,14 @@ class Spool:
 
     def statistics(self) -> dict[str, int]:
         """Return counters for the status."""
-        waiting = self.waiting()
+        backlog = self.waiting()
         with self._using():
             return {
-                "waiting": waiting,
-                "kept": self._count("event") - waiting,
+                "waiting": backlog,
+                "kept": self._count("event") - backlog,
                 "dropped": self.dropped,
                 "refused": self.rejects.counts.total(),
-                "damaged_events": self.damaged,
+                "damaged_events": self.damage_count,
                 "damaged_files": len(sqlite_file.damaged_files(self.path)),
             }
 
@@ -307,13 +307,13 @@ class Spool:
     ) -> tuple[list[Event], list[tuple[str, codec.Rejected]]]:
         """Return the new events with boot and seq, and (camera, error) of those refused."""
         tops = self._tops.copy()
-        numbered: dict[tuple[str, str, int], Event] = {}
-        refused = []
+        batch: dict[tuple[str, str, int], Event] = {}
+        refusals = []
         for event in events:
             camera, boot, seq = event.camera, event.boot, event.seq
             if boot and seq is not None:
-                here = self._count(f"{_BOOT} AND seq = ?", camera, boot, seq)
-                if here or (camera, boot, seq) in numbered:
+                count = self._count(f"{_BOOT} AND seq = ?", camera, boot, seq)
+                if count or (camera, boot, seq) in batch:
                     self._tops.setdefault((camera, boot), 0)
                     continue
                 if seq <= tops.get((camera, boot), 0):
@@ -325,23 +325,23 @@ class Spool:
             try:
                 codec.event_from_bytes(codec.to_msgpack(event))  # as the daemon does
             except codec.Rejected as error:
-                refused.append((camera, error))
+                refusals.append((camera, error))
                 continue
             tops[camera, boot] = seq
-            numbered[camera, boot, seq] = event
-        return list(numbered.values()), refused
+            batch[camera, boot, seq] = event
+        return list(batch.values()), refusals
 
     def _count(self, rows: str, *parameters: str | int) -> int:
         """Return the number of these rows."""
         return int(self._db.execute(f"SELECT COUNT(*) FROM {rows}", parameters).fetchone()[0])
 
-    def _make_room(self, added: int) -> int:
+    def _make_room(self, additions: int) -> int:
         """Delete surplus events, within a transaction; return how many of them waited.
 
-        added: number of events just added. The limits are looked at now and then.
+        additions: number of events just added. The limits are looked at now and then.
         """
-        self._added += added
-        if self._added < min(self._events_max, 10 * self._kept_max) // 100:
+        self._additions += additions
+        if self._additions < min(self._events_max, 10 * self._kept_max) // 100:
             return 0
 
         # Stored events of each camera beyond their limit, with some slack so that this is rare.
@@ -356,16 +356,16 @@ class Spool:
             "DELETE FROM mark WHERE NOT EXISTS (SELECT 1 FROM event"
             " WHERE event.camera = mark.camera AND event.boot = mark.boot)"
         )
-        self._added = 0
+        self._additions = 0
 
         # The oldest ones if there are too many events or bytes.
-        held = self._count("event")
-        used = sqlite_file.used_bytes(self._db)
-        too_large = -(-held * (used - self._bytes_max) // used)
-        surplus = min(held, max(held - self._events_max, too_large))
+        count = self._count("event")
+        size = sqlite_file.used_bytes(self._db)
+        too_large = -(-count * (size - self._bytes_max) // size)
+        surplus = min(count, max(count - self._events_max, too_large))
         if surplus <= 0:
             return 0
         delete = "DELETE FROM event WHERE id IN ({} ORDER BY id LIMIT ?)"
-        stored = self._db.execute(delete.format(_STORED), (surplus,)).rowcount
-        rest = (surplus - stored,)
-        return self._db.execute(delete.format("SELECT id FROM event"), rest).rowcount
+        deletions = self._db.execute(delete.format(_STORED), (surplus,)).rowcount
+        parameters = (surplus - deletions,)
+        return self._db.execute(delete.format("SELECT id FROM event"), parameters).rowcount

@@ -56,14 +56,14 @@ def copy(
     database: sqlite3.Connection, events: Iterable[Sequence[Any]], marks: Iterable[Sequence[Any]]
 ) -> int:
     """Insert the undamaged rows of another spool; return the number of new events."""
-    copied = 0
+    count = 0
     for _, *columns in events:
         if len(columns) == 5 and sqlite_file.sound(columns):
-            copied += database.execute(INSERT, columns).rowcount
+            count += database.execute(INSERT, columns).rowcount
     for mark in marks:
         if len(mark) == 4 and sqlite_file.sound(mark):
             database.execute("INSERT OR IGNORE INTO mark VALUES (?, ?, ?, ?)", mark)
-    return copied
+    return count
 
 
 def row(event: Event) -> tuple[str, str, int, bytes, int]:

@@ -26,11 +26,11 @@ class Rejects:
         self._samples: dict[str, deque[str]] = {}
         self._mutex = threading.Lock()
 
-    def add(self, reason: str, where: str, detail: str, raw: bytes = b"") -> None:
+    def add(self, reason: str, source: str, detail: str, raw: bytes = b"") -> None:
         """Count one rejected input.
 
         reason: the name it is counted under, one of a few.
-        where: where it came from.
+        source: where it came from.
         detail: why it was rejected.
         raw: the input itself.
         """
@@ -41,8 +41,8 @@ class Rejects:
             with contextlib.suppress(codec.Rejected, TypeError, ValueError, RecursionError):
                 raw = codec.to_json(codec.read(object, raw, pack=True))
             text = raw[: 4 * QUOTE_CHARACTERS_MAX].decode("utf-8", "backslashreplace")
-            most = QUOTE_CHARACTERS_MAX
-            sample = f"{where[:most]}: {detail[:most]}: {redact(text)[:most]!r}"
+            limit = QUOTE_CHARACTERS_MAX
+            sample = f"{source[:limit]}: {detail[:limit]}: {redact(text)[:limit]!r}"
             self._samples.setdefault(reason, deque(maxlen=SAMPLES_MAX)).append(sample)
             first = self.counts[reason] == 1
         # Log outside the lock.
@@ -53,6 +53,6 @@ class Rejects:
         """Return the newest samples of each reason: where from, why, and the input."""
         with self._mutex:
             return {
-                reason: [redact(sample) for sample in kept]
-                for reason, kept in self._samples.items()
+                reason: [redact(sample) for sample in samples]
+                for reason, samples in self._samples.items()
             }

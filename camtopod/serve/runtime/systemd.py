@@ -52,10 +52,10 @@ def reloading() -> None:
 
 def feed_seconds() -> float:
     """Return how often to feed the watchdog of this process, in seconds."""
-    given = os.environ.get("WATCHDOG_USEC", "")
-    if not given.isdigit() or os.environ.get("WATCHDOG_PID", str(os.getpid())) != str(os.getpid()):
+    value = os.environ.get("WATCHDOG_USEC", "")
+    if not value.isdigit() or os.environ.get("WATCHDOG_PID", str(os.getpid())) != str(os.getpid()):
         return FEED_SECONDS_MAX
-    return min(FEED_SECONDS_MAX, int(given) / 3e6)
+    return min(FEED_SECONDS_MAX, int(value) / 3e6)
 
 
 @contextmanager
@@ -65,11 +65,11 @@ def watchdog(failing: Callable[[], list[str]], starting: Callable[[], bool]) -> 
     The reasons are logged and shown in the status when they begin and when they end. While
     ``starting()`` is true, each feeding also extends the time that the start may take.
     """
-    done = threading.Event()
+    end = threading.Event()
 
     def feed() -> None:
         before: list[str] = []
-        while not done.is_set():
+        while not end.is_set():
             reasons = failing()
 
             # Log a change, and show it in `systemctl status`.
@@ -84,12 +84,12 @@ def watchdog(failing: Callable[[], list[str]], starting: Callable[[], bool]) -> 
             # Feed the watchdog.
             if not reasons:
                 notify("WATCHDOG=1", *["EXTEND_TIMEOUT_USEC=30000000"] * starting())
-            done.wait(feed_seconds())
+            end.wait(feed_seconds())
 
     thread = threading.Thread(target=feed, name="watchdog", daemon=True)
     thread.start()
     try:
         yield
     finally:
-        done.set()
+        end.set()
         thread.join(SEND_SECONDS)

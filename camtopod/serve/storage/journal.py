@@ -146,30 +146,30 @@ class Journal:
         """
         for aside in sqlite_file.damaged_files(self._path)[-1:]:
             with sqlite_file.transaction(self._db):
-                rescued = rescue(self._db, aside)
-            log.error("%d entries were read out of the damaged journal %s", rescued, aside)
+                count = rescue(self._db, aside)
+            log.error("%d entries were read out of the damaged journal %s", count, aside)
 
     def _compare(self) -> None:
         """Log an error and begin a new epoch if the journal is an older copy of itself."""
-        known = self._witness.known
-        found = journal_schema.how_far(self._db)
-        self.missing = max(0, known.entries - found.entries)
+        record = self._witness.extent
+        extent = journal_schema.how_far(self._db)
+        self.missing = max(0, record.entries - extent.entries)
         if (
-            found.entries < known.entries
-            or found.versions < known.versions
-            or found.epoch < known.epoch
+            extent.entries < record.entries
+            or extent.versions < record.versions
+            or extent.epoch < record.epoch
         ):
             log.error(
                 "%s has come back older than it was: it had %d entries and has %d; the others are "
                 "filled in as far as the cameras' spools still have them, and a new epoch begins",
                 self._path,
-                found.entries + self.missing,
-                found.entries,
+                extent.entries + self.missing,
+                extent.entries,
             )
             with sqlite_file.transaction(self._db):
                 # Published versions may be missing; the next epoch sorts after all that are known.
                 self._db.execute("DELETE FROM meta WHERE key = 'epoch'")
-                newest = max(found.epoch, known.epoch)
+                newest = max(extent.epoch, record.epoch)
                 journal_schema.write_meta(self._db, "epoch before", newest)
         self._witness.note(journal_schema.how_far(self._db))
 
@@ -228,7 +228,7 @@ class Journal:
             try:
                 new = write(entries)
             except sqlite3.IntegrityError:
-                new = write([one for one in entries if not self._has(one)])
+                new = write([entry for entry in entries if not self._has(entry)])
 
             self._witness.note(journal_schema.how_far(self._db))
             return new
@@ -253,7 +253,7 @@ class Journal:
 
             # Delete entries, streams and versions.
             with sqlite_file.transaction(self._db):
-                gone = self._db.execute(
+                count = self._db.execute(
                     f"DELETE FROM entry WHERE id < ? AND stored < ? AND kind NOT IN {_COMMANDS}",
                     (until, kept_from),
                 ).rowcount
@@ -268,7 +268,7 @@ class Journal:
                     " AS held FROM version) WHERE held > ?))",
                     (now - keep.history_days * 86_400, HISTORY_BYTES_MAX),
                 )
-            return gone > 0 and until <= oldest
+            return count > 0 and until <= oldest
 
     def forget(self, cameras: Sequence[str]) -> bool:
         """Delete some of what is kept of forgotten cameras; return True if more is left.
@@ -295,7 +295,7 @@ class Journal:
             if not rows:
                 return
             for row in rows:
-                yield from ((missing, None) for missing in range(after + 1, row[0]))
+                yield from ((number, None) for number in range(after + 1, row[0]))
                 after = row[0]
                 yield row[0], Entry(*row[2:7]) if sound(row) else None
 
@@ -311,8 +311,8 @@ class Journal:
         """Mark an entry, if there is one, as skipped. Raises `sqlite3.Error`."""
         with self._access():
             for row in self._db.execute("SELECT * FROM entry WHERE id = ?", (number,)).fetchall():
-                skipped = (*row[:2], "skipped", *row[3:7])
-                insert(self._db, "INSERT OR REPLACE INTO entry", [skipped])
+                new_row = (*row[:2], "skipped", *row[3:7])
+                insert(self._db, "INSERT OR REPLACE INTO entry", [new_row])
 
     def numbers(self) -> dict[Stream, int]:
         """Return the highest stored number of each stream, in the order of their last entries.
@@ -382,16 +382,18 @@ class Journal:
             self._db.close()
             self._lock.close()
 
-    def _rows(self, which: str, *values: object) -> list[tuple[Any, ...]]:
-        """Return the undamaged rows of a table; ``which``: what follows FROM.
+    def _rows(self, selection: str, *values: object) -> list[tuple[Any, ...]]:
+        """Return the undamaged rows of a table; ``selection``: what follows FROM.
 
         Damaged rows are logged and left out; they stay in the file. Raises `sqlite3.Error`.
         """
         with self._access():
-            rows = self._db.execute(f"SELECT * FROM {which}", values).fetchall()
+            rows = self._db.execute(f"SELECT * FROM {selection}", values).fetchall()
         for row in rows:
             if not sound(row):
-                log.error("a row of the journal's %s is damaged, and left out", which.split()[0])
+                log.error(
+                    "a row of the journal's %s is damaged, and left out", selection.split()[0]
+                )
         return list(filter(sound, rows))
 
     def _has(self, entry: Entry) -> bool:
@@ -403,35 +405,33 @@ class Journal:
             ).fetchone()
         )
 
-    def _add_entries(
-        self, entries: Sequence[Entry], highest: Mapping[Stream, int], stored: int
-    ) -> int:
+    def _add_entries(self, entries: Sequence[Entry], highest: Mapping[Stream, int], t: int) -> int:
         """Insert entries, and the highest number of streams; return the number of the last entry.
 
-        stored: Unix seconds.
+        t: Unix seconds.
         """
         first = last_entry(self._db) + 1
         rows = [
-            (number, stored, one.kind, one.camera, one.boot, one.seq, one.raw)
-            for number, one in enumerate(entries, start=first)
+            (number, t, entry.kind, entry.camera, entry.boot, entry.seq, entry.raw)
+            for number, entry in enumerate(entries, start=first)
         ]
         last = first + len(rows) - 1
         insert(self._db, "INSERT INTO entry", rows)
-        streams = [(*one, seq, last) for one, seq in highest.items()]
+        streams = [(*stream, seq, last) for stream, seq in highest.items()]
         insert(self._db, "INSERT OR REPLACE INTO stream", streams)
         return last
 
-    def _add_version(self, version: StoredVersion, stored: int) -> None:
-        """Insert a version; ``stored``: Unix seconds."""
+    def _add_version(self, version: StoredVersion, t: int) -> None:
+        """Insert a version; ``t``: Unix seconds."""
         number = journal_schema.last_version(self._db) + 1
         content = zlib.compress(version.content, level=3)
         key = (number, version.epoch, version.version)
-        row = (*key, stored, version.digest, len(content), content)
+        row = (*key, t, version.digest, len(content), content)
         insert_large(self._db, "INSERT OR IGNORE INTO version", row)
 
-    def _add_snapshot(self, snapshot: Snapshot, stored: int) -> None:
+    def _add_snapshot(self, snapshot: Snapshot, t: int) -> None:
         """Insert a snapshot, and delete those before the newest `SNAPSHOTS_KEPT`."""
-        row = (snapshot.position, snapshot.epoch, stored, snapshot.state)
+        row = (snapshot.position, snapshot.epoch, t, snapshot.state)
         insert_large(self._db, "INSERT OR REPLACE INTO snapshot", row)
         self._db.execute(
             "DELETE FROM snapshot WHERE position NOT IN"
@@ -443,8 +443,8 @@ class Journal:
 def highest_numbers(entries: Iterable[Entry]) -> dict[Stream, int]:
     """Return the highest number of each stream among entries."""
     highest: dict[Stream, int] = {}
-    for one in entries:
-        if one.boot is not None and one.seq is not None:
-            stream = (one.camera, one.boot)
-            highest[stream] = max(one.seq, highest.get(stream, 0))
+    for entry in entries:
+        if entry.boot is not None and entry.seq is not None:
+            stream = (entry.camera, entry.boot)
+            highest[stream] = max(entry.seq, highest.get(stream, 0))
     return highest

@@ -72,10 +72,10 @@ def rescue(database: sqlite3.Connection, aside: Path) -> int:
     """
 
     # Keep the epoch as the one before, and the names that an operator has changed.
-    kept = {"epoch": "epoch before", NAMES_KEY: NAMES_KEY}
+    keys = {"epoch": "epoch before", NAMES_KEY: NAMES_KEY}
     for row in readable(aside, "meta", "key"):
-        if row[0] in kept and row == meta_row(*map(str, row[:2])):
-            insert(database, "INSERT OR IGNORE INTO meta", [(kept[row[0]], str(row[1]))])
+        if row[0] in keys and row == meta_row(*map(str, row[:2])):
+            insert(database, "INSERT OR IGNORE INTO meta", [(keys[row[0]], str(row[1]))])
 
     # Copy rows with the right checksum.
     entries = 0
@@ -108,8 +108,8 @@ def _number_again(database: sqlite3.Connection) -> None:
 def insert(database: sqlite3.Connection, into: str, rows: Sequence[tuple[Any, ...]]) -> None:
     """Insert rows of equal length, each with its checksum; ``into``: what precedes VALUES."""
     for start in range(0, len(rows), _ROWS_AT_ONCE):
-        some = [(*row, crc(*row)) for row in rows[start : start + _ROWS_AT_ONCE]]
-        database.execute(_values(into, len(some[0]), len(some)), [*chain.from_iterable(some)])
+        chunk = [(*row, crc(*row)) for row in rows[start : start + _ROWS_AT_ONCE]]
+        database.execute(_values(into, len(chunk[0]), len(chunk)), [*chain.from_iterable(chunk)])
 
 
 def forget(database: sqlite3.Connection, cameras: Sequence[str]) -> bool:

@@ -37,15 +37,15 @@ class JournalWriter:
     def __init__(self, journal: Journal, clock: Clock) -> None:
         self._journal = journal
         self._clock = clock
-        self._learned: collections.deque[Learned] = collections.deque()
+        self._results: collections.deque[Learned] = collections.deque()
         # True if the journal may hold more than its retention.
         self._too_much = False
         self.reason = ""
         """Reason why nothing is stored at the moment, or ""."""
 
-    def on_learned(self, learned: Learned) -> None:
+    def on_learned(self, result: Learned) -> None:
         """Accept what the learner has made, to be stored and then published. Never blocks."""
-        self._learned.append(learned)
+        self._results.append(result)
 
     def store(
         self,
@@ -62,9 +62,9 @@ class JournalWriter:
         only if the daemon stops before it succeeds: then nothing may be stored after ``entries``.
         Raises `sqlite_file.Damaged`, where retrying would not help.
         """
-        learned = [self._learned.popleft() for _ in range(len(self._learned))]
-        versions = [version for one in learned for version in one.versions]
-        snapshot = learned[-1].snapshot if learned else None
+        results = [self._results.popleft() for _ in range(len(self._results))]
+        versions = [version for result in results for version in result.versions]
+        snapshot = results[-1].snapshot if results else None
 
         # Retry until it succeeds, or until the daemon stops.
         while True:
@@ -83,26 +83,26 @@ class JournalWriter:
             self.reason = ""
 
         # Publish.
-        for one in learned:
-            one.publish()
-        self._too_much = self._too_much or bool(learned)
+        for result in results:
+            result.publish()
+        self._too_much = self._too_much or bool(results)
         return new
 
     def store_command(self, entry: Entry, meta: Mapping[str, str]) -> None:
         """Commit an operator's command at once, or raise `sqlite3.Error`: it is not tried again."""
         self._journal.commit([entry], now=self._clock(), meta=meta)
 
-    def prune(self, forgotten: Collection[str] = ()) -> None:
+    def prune(self, cameras: Collection[str] = ()) -> None:
         """After a snapshot, delete some of what is kept for too long, the rest in later calls.
 
-        forgotten: names of cameras of which nothing is kept.
+        cameras: names of cameras of which nothing is kept.
         """
         if not self._too_much:
             return
         self._too_much = False
         try:
             self._too_much = self._journal.prune(self._clock())
-            if forgotten:
-                self._too_much |= self._journal.forget(sorted(forgotten))
+            if cameras:
+                self._too_much |= self._journal.forget(sorted(cameras))
         except sqlite3.Error as error:
             log.warning("cannot delete old entries of the journal: %s; trying again later", error)

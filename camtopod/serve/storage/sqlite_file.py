@@ -72,13 +72,13 @@ class Lock:
             fcntl.flock(self._fd, fcntl.LOCK_EX | fcntl.LOCK_NB)
         except OSError as error:
             os.close(self._fd)
-            why = f"cannot be locked: {error.strerror}: {_needs_local_disk(path)}"
+            reason = f"cannot be locked: {error.strerror}: {_needs_local_disk(path)}"
             if isinstance(error, BlockingIOError):
-                why = (
+                reason = (
                     "is held by another camtopod process; "
                     "stop that one or use another state directory"
                 )
-            raise StateError(f"{path} {why}") from None
+            raise StateError(f"{path} {reason}") from None
         _locks.add(self)
 
     def read(self, size: int) -> bytes:
@@ -138,8 +138,8 @@ def sound(row: Sequence[Any]) -> bool:
 class Connection(sqlite3.Connection):
     """A connection that knows which file it has opened."""
 
-    def __init__(self, path: Path, *given: Any, **more: Any) -> None:
-        super().__init__(path, *given, **more)
+    def __init__(self, path: Path, *arguments: Any, **options: Any) -> None:
+        super().__init__(path, *arguments, **options)
         self._path = path
         self._inode = os.stat(path).st_ino
 
@@ -149,10 +149,10 @@ class Connection(sqlite3.Connection):
         SQLite would continue to write to a deleted file.
         """
         try:
-            unchanged = os.stat(self._path).st_ino == self._inode
+            is_same = os.stat(self._path).st_ino == self._inode
         except OSError:
-            unchanged = False
-        if not unchanged:
+            is_same = False
+        if not is_same:
             raise Displaced(
                 f"{self._path} was removed or replaced while it is in use: "
                 "move it back, or restart the program, which goes on with the file it finds"
@@ -193,7 +193,7 @@ def connect(
         raise StateError(f"cannot use {path}: {error.strerror}") from None
 
 
-def _open(path: Path, schema: str, number: int, needed: Sequence[str], locks: str) -> Connection:
+def _open(path: Path, schema: str, number: int, tables: Sequence[str], locks: str) -> Connection:
     """Do what `connect` does; with ``locks`` EXCLUSIVE without memory shared through a file."""
     database = sqlite3.connect(
         path, timeout=2.0, isolation_level=None, check_same_thread=False, factory=Connection
@@ -206,9 +206,9 @@ def _open(path: Path, schema: str, number: int, needed: Sequence[str], locks: st
         # Under FULL, power cuts lost newly created tables in half of the cases measured.
         database.execute("PRAGMA synchronous=EXTRA")
         check = "integrity_check" if path.stat().st_size <= THOROUGH_BYTES_MAX else "quick_check"
-        found = database.execute(f"PRAGMA {check}(1)").fetchone()[0]
-        if found != "ok":
-            raise Damaged(f"{path} is damaged: {' '.join(found.split())}")
+        report = database.execute(f"PRAGMA {check}(1)").fetchone()[0]
+        if report != "ok":
+            raise Damaged(f"{path} is damaged: {' '.join(report.split())}")
 
         # Create or check the tables.
         with transaction(database):
@@ -216,17 +216,20 @@ def _open(path: Path, schema: str, number: int, needed: Sequence[str], locks: st
                 _create(database, schema)
                 row = "format", str(number)
                 database.execute("INSERT INTO meta VALUES (?, ?, ?)", (*row, crc(*row)))
-            told = database.execute("SELECT * FROM meta WHERE key = 'format'").fetchone()
-            if told is None or (len(told) > 2 and told[2] != crc(*told[:2])):
+            format_row = database.execute("SELECT * FROM meta WHERE key = 'format'").fetchone()
+            if format_row is None or (
+                len(format_row) > 2 and format_row[2] != crc(*format_row[:2])
+            ):
                 raise Damaged(f"{path} is damaged: it does not say its format")
-            if told[1] != str(number):
+            if format_row[1] != str(number):
                 raise StateError(
-                    f"{path} has format {told[1]} and this version of camtopod writes {number}:"
-                    " move the state directory away to start anew, or use the version that wrote it"
+                    f"{path} has format {format_row[1]} and this version of camtopod writes"
+                    f" {number}: move the state directory away to start anew, or use the version"
+                    " that wrote it"
                 )
         if not _shape_of(schema) <= set(database.execute(_SHAPE)):
             raise Damaged(f"{path} is damaged: its tables are not those of this program")
-        for table in needed:
+        for table in tables:
             if not all(map(sound, database.execute(f"SELECT * FROM {table}"))):
                 raise Damaged(f"{path} is damaged: a row of its table {table}")
 
@@ -251,16 +254,16 @@ def _is_io(error: sqlite3.Error) -> bool:
 
 def _needs_local_disk(path: Path) -> str:
     """Return what a path needs, and the type of its file system, as "ext4" or "fuse.mergerfs"."""
-    found = (Path(), "unknown")
+    best = (Path(), "unknown")
     with contextlib.suppress(OSError):
         for line in Path("/proc/mounts").read_text("utf-8", "replace").splitlines():
             mount, kind = line.split(" ")[1:3]
             place = Path(mount.replace("\\040", " "))
-            if path.resolve().is_relative_to(place) and place >= found[0]:
-                found = (place, kind)
+            if path.resolve().is_relative_to(place) and place >= best[0]:
+                best = (place, kind)
     return (
         "the state needs a local disk that has room and is in order, and this is a file system of"
-        f" type {found[1]}"
+        f" type {best[1]}"
     )
 
 
@@ -307,7 +310,7 @@ def set_aside(path: Path) -> Path:
 def damaged_files(path: Path) -> list[Path]:
     """Return the files that were set aside of ``path`` and still exist, the newest last."""
     start = f"{path.name}.damaged-"
-    names = (one.name.removeprefix(start) for one in path.parent.glob(f"{start}*"))
+    names = (file.name.removeprefix(start) for file in path.parent.glob(f"{start}*"))
     return [
         path.with_name(f"{start}{number}")
         for number in sorted(int(name) for name in names if name.isdecimal())
@@ -320,7 +323,7 @@ def damage_noticed(path: Path) -> Iterator[None]:
     try:
         yield
     except UnicodeDecodeError:  # raised if SQLite's message quotes the damage
-        what = "SQLite's message about it is not UTF-8"
+        detail = "SQLite's message about it is not UTF-8"
     except sqlite3.Error as error:
         # SQLITE_READONLY is its answer to a header that asks for a newer SQLite, too.
         code = getattr(error, "sqlite_errorcode", 0) & 0xFF
@@ -329,10 +332,10 @@ def damage_noticed(path: Path) -> Iterator[None]:
             code == sqlite3.SQLITE_READONLY and writable
         ):
             raise
-        what = str(error)
+        detail = str(error)
     else:
         return
-    raise Damaged(f"{path} is damaged: {what}; a start of the program sets it aside")
+    raise Damaged(f"{path} is damaged: {detail}; a start of the program sets it aside")
 
 
 @contextlib.contextmanager
@@ -427,6 +430,6 @@ def _create(database: sqlite3.Connection, schema: str) -> None:
 @functools.cache
 def _shape_of(schema: str) -> frozenset[tuple[object, ...]]:
     """Return the tables, columns and indices that ``schema`` creates."""
-    with contextlib.closing(sqlite3.connect(":memory:", isolation_level=None)) as wanted:
-        _create(wanted, schema)
-        return frozenset(wanted.execute(_SHAPE))
+    with contextlib.closing(sqlite3.connect(":memory:", isolation_level=None)) as scratch:
+        _create(scratch, schema)
+        return frozenset(scratch.execute(_SHAPE))

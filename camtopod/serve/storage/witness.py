@@ -31,14 +31,14 @@ class Witness:
 
     def __init__(self, lock: Lock) -> None:
         self._lock = lock
-        self.known = JournalExtent()
+        self.extent = JournalExtent()
         """The record as it was read or written last; the default if it could not be read."""
         with contextlib.suppress(OSError, msgspec.MsgspecError):
             line = lock.read(1000).partition(b"\n")[0]
-            self.known = msgspec.json.decode(line, type=JournalExtent)
+            self.extent = msgspec.json.decode(line, type=JournalExtent)
 
-    def note(self, known: JournalExtent) -> None:
+    def note(self, extent: JournalExtent) -> None:
         """Write how far the journal has come. Errors are ignored."""
-        self.known = known
+        self.extent = extent
         with contextlib.suppress(OSError):
-            self._lock.write(msgspec.json.encode(known) + b"\n")
+            self._lock.write(msgspec.json.encode(extent) + b"\n")

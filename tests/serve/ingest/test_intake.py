@@ -40,10 +40,10 @@ def test_a_batch_is_answered_when_it_is_on_disk_and_repetitions_count_once(
 def test_what_is_missing_between_events_is_counted_as_lost(bench: IntakeBench) -> None:
     bench.hello()
     bench.store({1041: -4, 1043: -3})
-    assert bench.intake.numbers.lost == 1
+    assert bench.intake.numbers.loss == 1
 
     assert bench.store({1046: -2, 1049: -1}, after=1043).have == {"b1": 1049}
-    assert bench.intake.numbers.lost == 5
+    assert bench.intake.numbers.loss == 5
 
 
 def test_a_batch_behind_events_that_were_never_taken_is_told_where_to_begin(
