@@ -15,10 +15,8 @@ have changed the answer.
 
 from __future__ import annotations
 
-import itertools
 from bisect import bisect_right
-from collections import deque
-from collections.abc import Collection, Iterable
+from collections.abc import Collection, Sequence
 
 import numpy as np
 
@@ -29,23 +27,14 @@ from camtopod.predict.outlook import Departure, anywhere_rates, outlook, outside
 from camtopod.predict.recent_events import moved_zones
 from camtopod.predict.version import PreparedVersion
 from camtopod.predict.walk_graph import ExitOutlook, WalkEdge, WalkStep, pass_messages
+from camtopod.predict.walk_memory import CANDIDATES_MAX, EVENTS_MAX, REVISE_SECONDS, WalkMemory
 from camtopod.records import Event, Link, Match, MatchedPassage, Topology
 from camtopod.topology import LEAVE_FLOOR, block_of, dwell_bins, masses_on_bins
 
 PROBABILITY_MIN = 0.01
 """Least probability of a passage that competes for an entry, and is listed."""
-CANDIDATES_MAX = 50
-"""Number of the newest exits of a zone, and of the newest open passages of a camera, that an entry
-may continue.
-"""
-REVISE_SECONDS = 10.0
-"""Seconds after an entry at which its match is looked at once more."""
 REVISE_CHANGE = 0.1
 """Least change of a probability for which a match is given once more."""
-MEMORY_SECONDS = 3600.0
-"""Seconds after its last event at which a passage is forgotten."""
-EVENTS_MAX = 200_000
-"""Largest number of events whose passages are remembered."""
 UNSEEN_IN_VIEW = 0.5
 """Prior probability that an object in view has no successor in a given other view by then."""
 
@@ -53,11 +42,20 @@ UNSEEN_IN_VIEW = 0.5
 class Walks:
     """The walks of the last hour, by one version of the topology; events come in order of time."""
 
-    def __init__(self, topology: Topology, prepared_version: PreparedVersion | None = None) -> None:
-        """Begin without passages; ``prepared_version`` is of the same topology."""
+    def __init__(
+        self,
+        topology: Topology,
+        prepared_version: PreparedVersion | None = None,
+        outside: Sequence[float] | None = None,
+    ) -> None:
+        """Begin without passages.
+
+        prepared_version: of the same topology, if it is prepared already.
+        outside (zones, 1/s): its `outside_rates`, if they are known already.
+        """
         self._prepared_version = prepared_version = prepared_version or PreparedVersion(topology)
         self._hazards, self._labels = prepared_version.hazards, prepared_version.labels
-        self._outside = outside_rates(prepared_version)
+        self._outside = outside_rates(prepared_version) if outside is None else outside
         self._nobody_leaves = prepared_version.anywhere.nobody_leaves
         self._dwell_bins = dwell_bins()
         number = {zone.id: k for k, zone in enumerate(topology.zones)}
@@ -71,59 +69,17 @@ class Walks:
 
     def forget(self) -> None:
         """Forget all passages; needed when event time has been taken back."""
-        self._events: deque[tuple[float, WalkStep]] = deque()
-        """Time of each event after which its passage may be continued, and passage, oldest first."""
-        self._past_events: deque[tuple[float, WalkStep]] = deque()
-        """The events before these, as far as walks are named by them."""
-        self._names: set[str] = set()
-        """Their names."""
-        self._open: dict[str, dict[str, WalkStep]] = {}
-        """Passages in view by camera, then by track or name, oldest first."""
-        self._ended_steps: dict[int, deque[WalkStep]] = {}
-        """The newest passages by zone of exit, oldest first."""
-        self._recent_steps: deque[WalkStep] = deque()
-        """Entries whose match has been given once, oldest first."""
+        self._memory = WalkMemory()
 
     def forget_cameras(self, cameras: Collection[str]) -> None:
         """Forget the passages of cameras; what came after one of them begins a walk."""
-        steps = self._steps(itertools.chain(self._events, self._past_events))
-        names = {step.name for step in steps if step.camera in cameras}
-        for step in steps:
-            step.is_forgotten |= step.name in names
-        self._events, self._past_events = (
-            deque(item for item in events if item[1].name not in names)
-            for events in (self._events, self._past_events)
-        )
-        self._recent_steps = deque(step for step in self._recent_steps if step.name not in names)
-        self._names -= names
-        self._open = {name: steps for name, steps in self._open.items() if name not in cameras}
-        for zone_steps in self._ended_steps.values():
-            for step in [step for step in zone_steps if step.name in names]:
-                zone_steps.remove(step)
-
-        # What other passages know of them.
-        for step in steps:
-            step.edges = [edge for edge in step.edges if edge.source.name not in names]
-            for claims in step.claims.values():
-                claims.edges = [edge for edge in claims.edges if edge.entry.name not in names]
-                claims.odds = sum(edge.weight * edge.message for edge in claims.edges)
+        self._memory.forget_cameras(cameras)
 
     def take_over(self, older: Walks) -> None:
         """Take over the passages from walks by an older version; this must be new."""
-        new_zones = moved_zones(older._prepared_version.zones, self._prepared_version.zones)
-        self._events, self._past_events = older._events, older._past_events
-        self._names = older._names
-        self._open = older._open
-        self._recent_steps = older._recent_steps
-        in_view = [step for steps in self._open.values() for step in steps.values()]
-        for step in self._steps(self._events, in_view):
-            step.entry = new_zones.get(-1 if step.entry is None else step.entry)
-        for zone, steps in older._ended_steps.items():
-            if zone in new_zones:
-                self._ended_steps[new_zones[zone]] = steps
-                for step in steps:
-                    step.zone = new_zones[zone]
-                    step.expected = None
+        before = older._prepared_version.zones
+        self._memory = older._memory
+        self._memory.move(moved_zones(before, self._prepared_version.zones), len(before))
 
     def observe(self, event: Event, is_matched: bool = True) -> Match | None:
         """Observe an event; return the match of an entry, None for an exit.
@@ -133,7 +89,7 @@ class Walks:
         Raise ValueError for an event that is neither entry nor exit, or without a time.
         """
         require_event(event)
-        self._forget(event.t)
+        self._memory.forget_old(event.t, self._hazards.lag_max)
         zone = self._prepared_version.zone_of(event)
         t = event.t - self._prepared_version.clock_offset.get(event.camera, 0.0)
         if event.kind == "exit":
@@ -141,17 +97,17 @@ class Walks:
             return None
 
         # Match the entry with earlier passages.
-        step = self._step(event, zone, t)
+        step = self._memory.begin(event, zone, t)
         if not is_matched:
-            self._open.setdefault(event.camera, {})[step.track or step.name] = step
+            self._memory.add_open(step)
             return None
         if zone is not None:
             step.outside = float(self._outside[zone])
             for edge in self._likely(step, self._candidates(step, zone), t):
                 edge.add()
             self._settle(step, t)
-        self._open.setdefault(event.camera, {})[step.track or step.name] = step
-        self._recent_steps.append(step)
+        self._memory.add_open(step)
+        self._memory.recent.append(step)
         return self._match(step)
 
     def revised(self, now: float, entries_max: int = EVENTS_MAX) -> list[Match]:
@@ -160,12 +116,12 @@ class Walks:
         now (seconds): time up to which events have been observed. Each entry is looked at once.
         entries_max: largest number of entries to look at; the others wait for the next call.
         """
-        self._forget(now)
+        self._memory.forget_old(now, self._hazards.lag_max)
         matches = []
         for _ in range(entries_max):
-            if not self._recent_steps or self._recent_steps[0].t + REVISE_SECONDS > now:
+            if not self._memory.recent or self._memory.recent[0].t + REVISE_SECONDS > now:
                 break
-            step = self._recent_steps.popleft()
+            step = self._memory.recent.popleft()
             if step.is_final:
                 continue
             walk = step.walk
@@ -197,39 +153,16 @@ class Walks:
 
     # --- Passages ---
 
-    @staticmethod
-    def _steps(
-        events: Iterable[tuple[float, WalkStep]], others: Iterable[WalkStep] = ()
-    ) -> list[WalkStep]:
-        """Return the passages of some events, and others, each once."""
-        steps = itertools.chain((step for _, step in events), others)
-        return list({id(step): step for step in steps}.values())
-
-    def _step(self, event: Event, entry: int | None, t: float) -> WalkStep:
-        """Return a new passage that begins with an event, under a name of its own."""
-        first = f"{event.camera}@{event.t:.6f}".rstrip("0").rstrip(".")
-        names = itertools.chain([first], (f"{first}/{number}" for number in itertools.count(2)))
-        name = next(name for name in names if name not in self._names)
-        track = None if event.track is None else str(event.track)
-        step = WalkStep(event.camera, track, event.t, name, entry, t)
-        step.label = event.label
-        self._events.append((event.t, step))
-        self._names.add(name)
-        return step
-
     def _end(self, event: Event, zone: int | None, t: float) -> None:
         """End the passage of an exit; if its entry is unknown, the exit is all of it."""
-        in_view = self._open.get(event.camera, {})
+        in_view = self._memory.open.get(event.camera, {})
         key = str(event.track) if event.track is not None else self._through(in_view, zone, t)
-        step = in_view.pop(key, None) or self._step(event, None, t)
-        step.exit_t = event.t
+        step = in_view.pop(key, None) or self._memory.begin(event, None, t)
         step.departure_t = t
         step.label = event.label or step.label
-        self._events.append((event.t, step))
         if zone is not None:
-            step.zone = zone
             step.block = block_of(event.x, event.y)
-            self._ended_steps.setdefault(zone, deque(maxlen=CANDIDATES_MAX)).append(step)
+        self._memory.end(step, zone, event.t)
 
     def _expected(self, step: WalkStep) -> ExitOutlook:
         """Return the outlook after a passage that has ended; computed once a version."""
@@ -270,44 +203,6 @@ class Walks:
         density: Floats = per_second * link.probability / max(link.transitions, 1e-9)
         return density
 
-    def _forget(self, now: float) -> None:
-        """Forget what cannot be continued any more, and the names of walks after an hour."""
-        # Passages that ended longer ago than the longest lag; then they have but their names.
-        longest = self._hazards.lag_max + REVISE_SECONDS
-        while self._events and (
-            now - self._events[0][0] > longest or len(self._events) > EVENTS_MAX
-        ):
-            t, step = event = self._events.popleft()
-            self._past_events.append(event)
-            if t == step.exit_t:
-                self._release(step)
-
-        # Passages that have had no event for an hour, and the oldest of too many.
-        while self._past_events and (
-            now - self._past_events[0][0] > MEMORY_SECONDS
-            or len(self._past_events) + len(self._events) > EVENTS_MAX
-        ):
-            t, step = self._past_events.popleft()
-            if t < (step.t if step.exit_t is None else step.exit_t):
-                continue
-            self._names.discard(step.name)
-            step.is_forgotten = True
-            in_view = self._open.get(step.camera, {})
-            key = step.track or step.name
-            if in_view.get(key) is step:
-                del in_view[key]
-            self._release(step)
-            step.before = None
-        while self._recent_steps and self._recent_steps[0].is_final:
-            self._recent_steps.popleft()
-
-    def _release(self, step: WalkStep) -> None:
-        """Release what matching needs to know of a passage."""
-        step.is_final = True
-        if step in (zone_steps := self._ended_steps.get(step.zone, deque())):
-            zone_steps.remove(step)
-        step.edges, step.claims, step.expected = [], {}, None
-
     # --- Matching ---
 
     def _candidates(self, step: WalkStep, zone: int) -> list[WalkEdge]:
@@ -318,9 +213,9 @@ class Walks:
         ended_steps = [
             source_step
             for source in (
-                self._ended_steps if self._nobody_leaves else self._hazards.sources(zone)
+                self._memory.ended if self._nobody_leaves else self._hazards.sources(zone)
             )
-            for source_step in self._ended_steps.get(source, ())
+            for source_step in self._memory.ended.get(source, ())
             if 0.0 <= t - source_step.departure_t <= longest
         ]
         weights = np.zeros(len(ended_steps))
@@ -350,7 +245,7 @@ class Walks:
         for camera, before_exit in self._hazards.rates_before(zone).items():
             if camera == step.camera:
                 continue
-            for source_step in list(self._open.get(camera, {}).values())[-CANDIDATES_MAX:]:
+            for source_step in list(self._memory.open.get(camera, {}).values())[-CANDIDATES_MAX:]:
                 if source_step.entry is not None:
                     entry_rate = self._hazards.rate_entered(
                         source_step.entry, zone, t - source_step.entry_t
@@ -370,7 +265,7 @@ class Walks:
         gets both rates: the reverse one as it competes with the other causes of the first entry.
         """
         edge_of_source = {id(edge.source): edge for edge in edges if edge.slot}
-        for source_step in reversed(self._recent_steps):
+        for source_step in reversed(self._memory.recent):
             if source_step.entry_t != step.entry_t:
                 break
             if (

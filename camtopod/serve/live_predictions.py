@@ -46,11 +46,14 @@ class Reader:
     """What reads one version for live answers: predictor and walks. Making it takes long.
 
     walks: True to match entries with earlier passages.
+    outside (zones, 1/s): as for `Walks`.
     """
 
-    def __init__(self, topology: Topology, walks: bool) -> None:
+    def __init__(
+        self, topology: Topology, walks: bool, outside: Sequence[float] | None = None
+    ) -> None:
         self.predictor = Predictor(topology)
-        self.walks = Walks(topology, self.predictor.prepared) if walks else None
+        self.walks = Walks(topology, self.predictor.prepared, outside) if walks else None
 
     def published(self, prediction: Prediction) -> Prediction:
         """Return a prediction as it is published: without walks, nothing joins two passages."""

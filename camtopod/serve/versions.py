@@ -91,7 +91,8 @@ class Versions:
         """Return what to store of the learner's progress, and to do once it is stored."""
         # Prepare predictions here, as this takes long; others go on meanwhile.
         made = [(version, _decoded(version)) for version in progress.versions]
-        reader = Reader(made[-1][1], self._walks) if made else None
+        newest = made[-1] if made else None
+        reader = newest and Reader(newest[1], self._walks, newest[0].outside)
 
         def publish() -> None:
             if reader is not None:

@@ -16,12 +16,8 @@ from camtopod.adapt.frigate import Frigate
 from camtopod.learn.learner import Learner
 from camtopod.predict import Walks
 from camtopod.predict.walk_graph import WalkEdge, WalkStep
-from camtopod.predict.walks import (
-    MEMORY_SECONDS,
-    REVISE_CHANGE,
-    REVISE_SECONDS,
-    UNSEEN_IN_VIEW,
-)
+from camtopod.predict.walk_memory import MEMORY_SECONDS, REVISE_SECONDS
+from camtopod.predict.walks import REVISE_CHANGE, UNSEEN_IN_VIEW
 from camtopod.records import (
     Event,
     Match,
@@ -146,7 +142,7 @@ def test_two_walks_of_one_instant_have_two_names(walks: Walks) -> None:
 
 def remembered(walks: Walks) -> list[WalkStep]:
     """Return the passages of the events that are remembered, oldest first."""
-    return [step for _, step in (*walks._past_events, *walks._events)]
+    return [step for _, step in (*walks._memory._past_events, *walks._memory._events)]
 
 
 def test_what_cannot_be_continued_any_more_has_but_its_name(walks: Walks) -> None:
@@ -159,16 +155,16 @@ def test_what_cannot_be_continued_any_more_has_but_its_name(walks: Walks) -> Non
     steps = remembered(walks)[:4]
     assert [step.walk for step in steps] == 2 * [first.walk] + 2 * [second.walk]
     assert not any(step.edges or step.claims or step.expected for step in steps)
-    assert not any(walks._ended_steps.values())
+    assert not any(walks._memory.ended.values())
 
 
 def test_passages_are_forgotten_after_an_hour(walks: Walks) -> None:
     events = [entry("a", T, "1"), exit_("a", T + 4, "1"), entry("a", T + 5, "2")]
     matched(walks, events)
     matched(walks, [entry("b", T + 5 + MEMORY_SECONDS + 1, "3")])
-    assert len(remembered(walks)) == len(walks._recent_steps) == 1
-    assert not walks._open["a"]
-    assert not any(walks._ended_steps.values())
+    assert len(remembered(walks)) == len(walks._memory.recent) == 1
+    assert not walks._memory.open["a"]
+    assert not any(walks._memory.ended.values())
 
 
 def test_a_passage_is_remembered_from_its_last_event_on(walks: Walks) -> None:
@@ -188,7 +184,7 @@ def test_a_walk_is_named_by_its_oldest_passage_of_the_last_hour(walks: Walks) ->
     assert second.walk == first.walk
 
     matched(walks, [entry("c", T + 4 + MEMORY_SECONDS, "4")])
-    step = walks._open["b"]["3"]
+    step = walks._memory.open["b"]["3"]
     assert step.walk == first.walk
     matched(walks, [entry("c", T + 4.5 + MEMORY_SECONDS, "5")])
     assert step.walk == f"b@{T + 13:.0f}"

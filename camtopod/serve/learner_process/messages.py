@@ -81,12 +81,14 @@ class NewVersion(Struct):
     """A new version, not stored yet.
 
     map, model: the two parts of the version, as MessagePack.
+    outside: its `camtopod.predict.outside_rates`, which take long.
     delta: difference from the map of the version before, as MessagePack.
     """
 
     stored: StoredVersion
     map: bytes
     model: bytes
+    outside: list[float]
     delta: bytes | None
 
 

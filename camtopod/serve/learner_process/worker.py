@@ -29,6 +29,7 @@ from camtopod.learn.renaming import rename
 from camtopod.learn.rewinding import rewind
 from camtopod.learn.settings import Settings
 from camtopod.learn.snapshot import LearnerState, NewerSnapshot, SnapshotError, pack, unpack
+from camtopod.predict import PreparedVersion, outside_rates
 from camtopod.records import LearnerCounts, Topology
 from camtopod.serve.learner_process.messages import (
     STATE,
@@ -221,7 +222,8 @@ class Worker:
                 topology.epoch, topology.version, topology.digest, codec.to_json(topology)
             )
             parts = codec.to_msgpack(map_of(topology)), codec.to_msgpack(version_model(topology))
-            versions.append(NewVersion(record, *parts, delta))
+            outside = outside_rates(PreparedVersion(topology)).tolist()
+            versions.append(NewVersion(record, *parts, outside, delta))
         return versions
 
 
