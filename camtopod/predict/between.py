@@ -61,9 +61,11 @@ class _PendingExit:
         self.to = np.array([number(row.camera) for row in rows], np.intp)
         self.probability = np.array([row.probability for row in rows])
         self.window = np.array([(row.q10, row.q50, row.q90) for row in rows]).reshape(-1, 3)
-        later = self.probability @ share_later(self.window, np.zeros(len(rows)))
-        self.absence = 1.0 - float(later)
+        self.absence = 1.0 - float(self.probability.sum())
         """Odds that it is not to come: it leaves, or has been seen already."""
+        if len(early := np.flatnonzero(self.window[:, 0] < 0.0)):
+            seen_share = 1.0 - share_later(self.window[early], np.zeros(len(early)))
+            self.absence += float(self.probability[early] @ seen_share)
         self.claims: dict[ExitKey, float] = {}
         """Odds that it is the object of each of the newest entries."""
 

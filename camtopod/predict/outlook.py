@@ -129,13 +129,12 @@ class Outlook(NamedTuple):
         scale: Floats = self.chance / np.maximum(self.mass.sum(axis=1) + self.early, 1e-300)
         return scale
 
-    def windows(self, rows: Rows) -> list[list[float]]:
-        """Return the time window of each of some rows: quantiles of the published lag, seconds."""
+    def windows(self, rows: Rows) -> Floats:
+        """Return the time windows (n, 3) of some rows: quantiles of the published lag, seconds."""
         assert self.table is not None
         lags = quantiles(self.mass[rows], self.edges)
         lags = windows_at_pace(self.pace, lags, self.table.transitions[rows])
-        shift = self.table.window_shift[rows, None]
-        windows: list[list[float]] = np.round(lags + shift, 3).tolist()
+        windows: Floats = lags + self.table.window_shift[rows, None]
         return windows
 
     def unseen(self, seconds: Floats, links_only: bool = False) -> Floats:

@@ -15,7 +15,7 @@ import numpy as np
 from msgspec import Struct
 from msgspec.structs import replace
 
-from camtopod.arrays import Rows
+from camtopod.arrays import Floats, Rows
 from camtopod.codec import require_event
 from camtopod.predict.hand_over import cameras_to_watch
 from camtopod.predict.open_passages import UNKNOWN, OpenPassages, Passage
@@ -218,43 +218,35 @@ class Predictor:
         return replace(prediction, look=cameras_to_watch(in_view, next_cameras), in_view=in_view)
 
     def _following(self, answer: Outlook) -> list[NextCamera]:
-        """Return the next appearances by an outlook, likeliest first."""
-        rows: list[NextCamera] = []
-        if answer.table is not None:
-            order = np.argsort(-answer.chance, kind="stable")
-            order = order[answer.chance[order] > 0.0]
-            targets = [answer.table.targets[k] for k in order.tolist()]
-            windows = answer.windows(order)
-            guessed = answer.table.transitions[order] < TIMED_TRANSITIONS_MIN
-            rows = [
-                NextCamera(target.camera, target.id, probability, q10, q50, q90, prior)
-                for target, probability, (q10, q50, q90), prior in zip(
-                    targets, answer.chance[order].tolist(), windows, guessed.tolist(), strict=True
-                )
-            ]
+        """Return the next appearances by an outlook, likeliest first.
 
-        # One more row for each camera where it may appear anywhere.
+        There is a row for each that links tell, and one for each camera where it may be anywhere.
+        """
         cameras = np.flatnonzero(answer.elsewhere)
-        if not len(cameras):
-            return rows
         zones = self.prepared.anywhere.busiest[cameras]
+        probability = answer.elsewhere[cameras]
+        windows = self._windows_anywhere(answer, zones)
+        is_guess = np.ones(len(zones), np.bool_)
+        if answer.table is not None:
+            rows = np.flatnonzero(answer.chance)
+            zones = np.append(answer.table.outcomes.targets[rows], zones)
+            probability = np.append(answer.chance[rows], probability)
+            windows = np.concatenate((answer.windows(rows), windows))
+            is_guess = np.append(answer.table.transitions[rows] < TIMED_TRANSITIONS_MIN, is_guess)
+
+        order = np.argsort(-probability, kind="stable")
+        camera, zone_id = (names[zones] for names in self.prepared.zone_names)
+        columns = (camera, zone_id, probability, *np.round(windows, 3).T, is_guess)
+        return list(map(NextCamera, *(column[order].tolist() for column in columns)))
+
+    def _windows_anywhere(self, answer: Outlook, zones: Rows) -> Floats:
+        """Return the time windows (zones, 3, seconds) of appearing after no particular lag."""
         first, last = answer.span
         lags = np.tile(first + np.array(WINDOW) * (last - first), (len(zones), 1))
         if not self.prepared.is_corrected:
             offset = self.prepared.offset_of
             lags += (offset[zones] - offset[answer.departure.zone])[:, None]
-        rows += [
-            NextCamera(
-                self.zones[zone].camera, self.zones[zone].id, probability, q10, q50, q90, True
-            )
-            for zone, probability, (q10, q50, q90) in zip(
-                zones.tolist(),
-                answer.elsewhere[cameras].tolist(),
-                np.round(lags, 3).tolist(),
-                strict=True,
-            )
-        ]
-        return sorted(rows, key=lambda row: -row.probability)
+        return lags
 
     # --- The question ---
 

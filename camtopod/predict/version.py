@@ -37,7 +37,6 @@ class ExitTable:
     def __init__(self, version: PreparedVersion, zone: int, outcomes: Outcomes) -> None:
         self.zone = zone
         self.outcomes = outcomes
-        self.targets = [version.zones[target] for target in outcomes.targets]
         self.target_cameras = version.camera_of[outcomes.targets]
         """(rows,) number of each target's camera."""
         self.transitions = outcomes.share * version.hazards.departures[zone]
@@ -70,6 +69,11 @@ class PreparedVersion:
         self.number = topology.version
         self.as_of = topology.as_of
         self.zones = topology.zones
+        self.zone_names = (
+            np.array([zone.camera for zone in topology.zones], object),
+            np.array([zone.id for zone in topology.zones], object),
+        )
+        """(zones,) camera and id of each zone."""
         self.hazards = Hazards(topology)
         self.labels = Labels(topology)
         self.contexts = ContextMultipliers(topology)
