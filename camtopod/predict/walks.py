@@ -110,6 +110,22 @@ class Walks:
         self._memory.recent.append(step)
         return self._match(step)
 
+    def prepare(self, event: Event, outlooks_max: int) -> bool:
+        """Compute what the match of an event needs; return True if nothing is missing any more.
+
+        That is the outlook of each passage that an entry may continue; a new version has none.
+
+        outlooks_max: largest number of outlooks to compute.
+        """
+        zone = self._prepared_version.zone_of(event)
+        if event.kind == "exit" or zone is None:
+            return True
+        t = event.t - self._prepared_version.clock_offset[event.camera]
+        steps = [step for step in self._ended_before(zone, t) if step.expected is None]
+        for step in steps[:outlooks_max]:
+            self._expected(step)
+        return len(steps) <= outlooks_max
+
     def revised(self, now: float, entries_max: int = EVENTS_MAX) -> list[Match]:
         """Return the matches that have changed since their entries, `REVISE_SECONDS` ago.
 
@@ -205,19 +221,21 @@ class Walks:
 
     # --- Matching ---
 
+    def _ended_before(self, zone: int, t: float) -> list[WalkStep]:
+        """Return the passages that ended where, and when, one may have that goes on at a zone."""
+        sources = self._memory.ended if self._nobody_leaves else self._hazards.sources(zone)
+        return [
+            step
+            for source in sources
+            for step in self._memory.ended.get(source, ())
+            if 0.0 <= t - step.departure_t <= self._hazards.lag_max
+        ]
+
     def _candidates(self, step: WalkStep, zone: int) -> list[WalkEdge]:
         """Return the passages that the entry of a step may continue."""
         # Passages that have ended.
         t = step.entry_t
-        longest = self._hazards.lag_max
-        ended_steps = [
-            source_step
-            for source in (
-                self._memory.ended if self._nobody_leaves else self._hazards.sources(zone)
-            )
-            for source_step in self._memory.ended.get(source, ())
-            if 0.0 <= t - source_step.departure_t <= longest
-        ]
+        ended_steps = self._ended_before(zone, t)
         weights = np.zeros(len(ended_steps))
         sources = np.array([source_step.zone for source_step in ended_steps], np.int32)
         lag = t - np.array([source_step.departure_t for source_step in ended_steps])

@@ -38,6 +38,8 @@ MATCHING_SECONDS_MAX = 0.1
 """Time for matching that adds up while there is none."""
 UNMATCHED_MAX = 1_000
 """Largest number of events that wait to be matched; entries beyond it have no match."""
+OUTLOOKS_AT_ONCE_MAX = 10
+"""Most outlooks that are computed for a match at a time; a prediction waits no longer than that."""
 REVISED_AT_ONCE_MAX = 3
 """Largest number of entries whose matches are looked at once more at a time."""
 
@@ -177,6 +179,8 @@ class Live:
         is_done = not self._unmatched
         if is_done:
             matches = walks.revised(self._clock(), REVISED_AT_ONCE_MAX)
+        elif not walks.prepare(self._unmatched[0], OUTLOOKS_AT_ONCE_MAX):
+            matches = []
         else:
             first = walks.observe(self._unmatched.popleft())
             matches = [] if first is None else [first]
