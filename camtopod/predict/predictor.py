@@ -370,17 +370,13 @@ class Predictor:
     def _add_simultaneous_cause(self, passage: Passage) -> None:
         """Add a passage that begins to the causes of arrivals in other views at the same time."""
         arrivals = self._arrivals
-        hazards = self.prepared.hazards
         for row in range(len(arrivals.t) - 1, -1, -1):
             if arrivals.t[row] != passage.t:
                 break
             target = int(arrivals.zone[row])
             if self.zones[target].camera != passage.camera:
-                before_exit = hazards.rate_before_exit(passage.camera, target)
-                rate = before_exit + hazards.rate_entered(passage.entry, target, 0.0)
-                arrival_label = int(arrivals.label[row])
-                arrivals.rate[row] += rate * self.prepared.labels.of_two(
-                    passage.label, arrival_label, target
+                arrivals.rate[row] += self.prepared.rate_in_view(
+                    passage, target, passage.t, int(arrivals.label[row])
                 )
 
     def _causes(self, zone: int, t: float, label: int) -> dict[str, float]:
@@ -405,12 +401,9 @@ class Predictor:
 
         # Objects in other views that may appear at the zone before they leave.
         here = self.zones[zone].camera
-        for camera, before_exit in hazards.rates_before(zone).items():
-            if camera == here:
-                continue
-            for passage in self._open_passages.in_view(camera):
-                rate = before_exit + hazards.rate_entered(passage.entry, zone, t - passage.t)
-                rate *= self.prepared.labels.of_two(passage.label, label, zone)
+        for camera in hazards.rates_before(zone):
+            for passage in self._open_passages.in_view(camera) if camera != here else ():
+                rate = self.prepared.rate_in_view(passage, zone, t, label)
                 if rate:
                     causes[camera] = causes.get(camera, 0.0) + rate
         return causes

@@ -15,6 +15,7 @@ from camtopod.predict.contexts import ContextMultipliers
 from camtopod.predict.hand_over import HandOver
 from camtopod.predict.hazards import Hazards, model_of
 from camtopod.predict.labels import Labels
+from camtopod.predict.open_passages import Passage
 from camtopod.predict.outcomes import Outcomes
 from camtopod.predict.time_windows import PaceModel
 from camtopod.predict.zone_lookup import ZoneLookup
@@ -129,6 +130,15 @@ class PreparedVersion:
         """Return True if it is known where objects of a zone go, by links or as hardly any do."""
         is_linked = int(self.camera_of[zone]) in self.anywhere.linked
         return is_linked or self.hazards.departures[zone] >= LEARNED_EXITS
+
+    def rate_in_view(self, passage: Passage, zone: int, t: float, label: int) -> float:
+        """Return the rate (1/s) at which the object of an open passage arrives in another view.
+
+        zone, t, label: index of the zone, corrected time (seconds) and label of the arrival.
+        """
+        rate = self.hazards.rate_before_exit(passage.camera, zone)
+        rate += self.hazards.rate_entered(passage.entry, zone, t - passage.t)
+        return rate * self.labels.of_two(passage.label, label, zone)
 
     def table(self, zone: int) -> ExitTable | None:
         """Return the table of a zone, given by its index; None if the zone has no targets."""

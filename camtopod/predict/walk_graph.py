@@ -75,11 +75,13 @@ class ExitOutlook(NamedTuple):
     scale (rows,): factor on the hazards of the zone of exit, by the context.
     no_arrival (bins + 1): probability of not having been seen again by each edge of the lag bins.
     rates (zones, 1/s): rates of appearing after no particular lag; None for 0.
+
+    There are many, and the garbage collector need not look at tuples of numbers.
     """
 
-    scale: list[float]
-    no_arrival: list[float]
-    rates: list[float] | None
+    scale: tuple[float, ...]
+    no_arrival: tuple[float, ...]
+    rates: tuple[float, ...] | None
 
 
 class Claims:

@@ -183,22 +183,18 @@ class Walks:
     def _expected(self, step: WalkStep) -> ExitOutlook:
         """Return the outlook after a passage that has ended; computed once a version."""
         if step.expected is None:
-            passage = None
-            if step.entry is not None and step.departure_t > step.entry_t:
-                passage = Passage(step.entry_t, step.camera, step.entry)
+            passage = self._passage(step) if step.departure_t > step.entry_t else None
             answer = outlook(
                 self._prepared_version, Departure(step.zone, step.departure_t, passage, step.block)
             )
             scale = answer.scale
             if answer.table is not None:
                 scale = scale / np.maximum(answer.table.outcomes.weight, 1e-300)
-            rates = (
-                anywhere_rates(self._prepared_version, answer).tolist()
-                if self._nobody_leaves
-                else None
-            )
+            rates = None
+            if self._nobody_leaves:
+                rates = tuple(anywhere_rates(self._prepared_version, answer).tolist())
             no_arrival = answer.unseen(self._hazards.bins.edges, links_only=not self._nobody_leaves)
-            step.expected = ExitOutlook(scale.tolist(), no_arrival.tolist(), rates)
+            step.expected = ExitOutlook(tuple(scale.tolist()), tuple(no_arrival.tolist()), rates)
         return step.expected
 
     def _through(self, in_view: dict[str, WalkStep], zone: int | None, t: float) -> str:
@@ -260,17 +256,13 @@ class Walks:
         ]
 
         # Passages under way in other views.
-        for camera, before_exit in self._hazards.rates_before(zone).items():
+        for camera in self._hazards.rates_before(zone):
             if camera == step.camera:
                 continue
             for source_step in list(self._memory.open.get(camera, {}).values())[-CANDIDATES_MAX:]:
-                if source_step.entry is not None:
-                    entry_rate = self._hazards.rate_entered(
-                        source_step.entry, zone, t - source_step.entry_t
-                    )
-                    rate = (before_exit + entry_rate) * self._agreement(source_step, step, zone)
-                    if rate > 0.0:
-                        edges.append(WalkEdge(source_step, step, step.camera, rate))
+                rate = self._rate_in_view(source_step, step)
+                if rate > 0.0:
+                    edges.append(WalkEdge(source_step, step, step.camera, rate))
         return self._with_simultaneous(edges, step, zone)
 
     def _with_simultaneous(
@@ -286,15 +278,9 @@ class Walks:
         for source_step in reversed(self._memory.recent):
             if source_step.entry_t != step.entry_t:
                 break
-            if (
-                source_step.entry is None
-                or source_step.camera == step.camera
-                or source_step.exit_t is not None
-            ):
+            if source_step.camera == step.camera or source_step.exit_t is not None:
                 continue
-            rate = self._hazards.rate_before_exit(step.camera, source_step.entry)
-            rate += self._hazards.rate_entered(zone, source_step.entry, 0.0)
-            rate *= self._agreement(step, source_step, source_step.entry)
+            rate = self._rate_in_view(step, source_step)
             causes = source_step.outside / max(
                 1.0 - sum(edge.probability for edge in source_step.edges), 1e-9
             )
@@ -306,10 +292,19 @@ class Walks:
                 edge_of_source[id(source_step)] = edge
         return [edge for edge in edges if not edge.slot] + [*edge_of_source.values()]
 
-    def _agreement(self, source_step: WalkStep, step: WalkStep, zone: int) -> float:
-        """Return how far the labels of a passage and of one that begins in a zone agree."""
-        labels = self._labels
-        return labels.of_two(labels.number(source_step.label), labels.number(step.label), zone)
+    def _rate_in_view(self, source_step: WalkStep, step: WalkStep) -> float:
+        """Return the rate (1/s) at which one passage, while in view, causes another to begin."""
+        passage, arrival = self._passage(source_step), self._passage(step)
+        if passage is None or arrival is None:
+            return 0.0
+        return self._prepared_version.rate_in_view(passage, arrival.entry, arrival.t, arrival.label)
+
+    def _passage(self, step: WalkStep) -> Passage | None:
+        """Return the passage of a step; None if its entry is unknown."""
+        if step.entry is None:
+            return None
+        label = self._labels.number(step.label)
+        return Passage(step.entry_t, step.camera, step.entry, label=label)
 
     def _likely(self, step: WalkStep, edges: list[WalkEdge], t: float) -> list[WalkEdge]:
         """Return the edges that are likely enough, given what other entries claim."""
