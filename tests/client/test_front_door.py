@@ -76,6 +76,6 @@ def test_a_users_program_is_typed(tmp_path: Path) -> None:
     said = subprocess.run(command, capture_output=True, text=True, timeout=110, cwd=tmp_path)
 
     wrong = [line for line in said.stdout.splitlines() if "error:" in line]
-    assert 'Revealed type is "camtopod.records.Prediction"' in said.stdout
+    assert 'Revealed type is "camtopod.records.prediction.Prediction"' in said.stdout
     assert len(wrong) == 1, said.stdout
     assert '"Topologie"' in wrong[0]
