@@ -26,7 +26,7 @@ class Statuses:
     clock: seconds, to notice senders that are silent.
 
     daemon: newest status of the daemon; an empty one until one is received.
-    heard: when it was received; until then, when this began.
+    heard_at: when it was received; until then, when this began.
     """
 
     def __init__(self, clock: Callable[[], float]) -> None:
@@ -35,7 +35,7 @@ class Statuses:
         self._grabbers: dict[str, tuple[Status, float]] = {}
         """Newest status of each camera, and when it was received."""
         self.daemon = DaemonStatus()
-        self.heard = self._reachable_since
+        self.heard_at = self._reachable_since
 
     def on_status(self, key: str, payload: bytes) -> None:
         """Store a status published on ``status/...``; a malformed one is ignored."""
@@ -43,7 +43,7 @@ class Statuses:
         with contextlib.suppress(codec.Rejected):
             if name == "daemon":
                 self.daemon = codec.read(DaemonStatus, payload, pack=True)
-                self.heard = self._clock()
+                self.heard_at = self._clock()
                 return
             status = codec.read(Status, payload, pack=True)
             has_room = name in self._grabbers or len(self._grabbers) < CAMERAS_MAX
@@ -66,6 +66,6 @@ class Statuses:
 
     def daemon_state(self, topology: Topology | None, away: str = "") -> DaemonState:
         """Return the state of the daemon; ``away``: why nothing can be heard of it."""
-        quiet = abs(self._clock() - self.heard)
+        quiet = abs(self._clock() - self.heard_at)
         alarms = alarms_in_words(topology)
         return daemon_state(self.daemon, quiet, self.cameras(topology), alarms, away)

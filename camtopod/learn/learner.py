@@ -365,8 +365,8 @@ class Learner:
         pairs = declared_by(self.settings.topology, state.names or {}, self._window.cameras)
         facts = Known(state.followed, state.learned, self.only_last, state.scorer.waiting, pairs)
         result = refit(scene, self._window, clocks, facts, self.settings, self.on_step)
-        self.state.followed = result.followed
-        self._scorer.mark(result.happened)
+        self.state.followed = result.sources_by_place
+        self._scorer.mark(result.outcomes)
 
         self._publish(self._topology_of(result, tick_us), tick_us)
 
@@ -379,7 +379,7 @@ class Learner:
         repeats = self.state.alarms.repeats
         scene = result.scene
         bins = result.bins
-        between = link_records(cameras, scene, result.published, bins)
+        between = link_records(cameras, scene, result.published_links, bins)
         visible = link_records(cameras, scene, result.visible, dwell_bins(), "visible")
         weak = link_records(cameras, scene, result.weak, bins, histograms=False, lacks=result.lacks)
         topology = assemble(
@@ -439,7 +439,7 @@ class Learner:
                 cameras,
                 result.silences,
                 result.changes,
-                zone_pairs_of(result.published),
+                zone_pairs_of(result.published_links),
                 self.settings.publish_probability_min,
             ),
             *self._alarms.clocks(topology.cameras, self.settings.overlap_tolerance_seconds),

@@ -299,7 +299,7 @@ def _overlaps(place: Rows, overlaps: Sequence[OverlappingViews], bins: LagBins) 
     views = sorted(overlaps, key=lambda view: (place[view.source], place[view.target]))
     same_masses, other_masses = (
         np.array(rows, float).reshape(-1, bins.size)
-        for rows in ([view.same for view in views], [view.others for view in views])
+        for rows in ([view.same_object for view in views], [view.other_objects for view in views])
     )
     return Overlaps(
         packed(place[[view.source for view in views]] if views else [], np.int32),
@@ -330,7 +330,7 @@ def _contexts(place: Rows, cameras: Rows, posterior: Posterior, now: Floats) -> 
 
     # Their transitions, scaled to present shares.
     c = posterior.fit.candidates
-    transitions = vstack([level.moved[rows] for level, rows, _ in levels], format="csr")
+    transitions = vstack([level.transitions[rows] for level, rows, _ in levels], format="csr")
     at = np.repeat(np.arange(len(zone)), np.diff(transitions.indptr))
     pair = np.searchsorted(c.source, zone)[at] + transitions.indices
     number = transitions.data.astype(float) * now[pair]

@@ -116,7 +116,7 @@ class Refit(NamedTuple):
 
     bins: bins of the lags between views, of the range that was found.
     scene: the labelled events; departures of unknown passages have an estimated time of entry.
-    published: links between views that meet the rule for publishing.
+    published_links: links between views that meet the rule for publishing.
     visible: links through one view that meet the rule.
     weak: links between views that are likely but do not meet the rule.
     lacks: passages and time that each weak link lacks until it is published.
@@ -126,14 +126,14 @@ class Refit(NamedTuple):
     silences: intervals without events, one item per camera.
     repeats: how the events of each camera repeat themselves, in words; "" if they do not.
     model: the part of the topology, beside the links, that prediction reads.
-    followed: `Known.sources_by_place` for the next refit.
-    happened: outcomes of the first exits of `Known.exits`, as far as they are known already; None
+    sources_by_place: `Known.sources_by_place` for the next refit.
+    outcomes: outcomes of the first exits of `Known.exits`, as far as they are known already; None
         for an exit that is not in the window.
     """
 
     bins: LagBins
     scene: Scene
-    published: LinkTable
+    published_links: LinkTable
     visible: LinkTable
     weak: LinkTable
     lacks: LinkShortfall
@@ -142,8 +142,8 @@ class Refit(NamedTuple):
     silences: list[CameraSilences]
     repeats: list[str]
     model: Model
-    followed: dict[int, FollowedSources]
-    happened: list[Happened | None]
+    sources_by_place: dict[int, FollowedSources]
+    outcomes: list[Happened | None]
 
 
 class Associated(NamedTuple):
@@ -223,7 +223,7 @@ def refit(
     return Refit(
         bins=bins,
         scene=scene,
-        published=with_monte_carlo_variance(published_links, bins),
+        published_links=with_monte_carlo_variance(published_links, bins),
         visible=with_monte_carlo_variance(visible, lengths),
         weak=weak,
         lacks=rule.shortfall(weak, between, len(published_links.source), zones, duration),
@@ -234,8 +234,8 @@ def refit(
         model=replace(
             model, declared=knowledge.declarations if knowledge.declarations != Declared() else None
         ),
-        followed=association.sources_by_place,
-        happened=outcomes,
+        sources_by_place=association.sources_by_place,
+        outcomes=outcomes,
     )
 
 

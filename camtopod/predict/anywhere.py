@@ -50,7 +50,7 @@ class Anywhere:
     def __init__(self, topology: Topology, hazards: Hazards) -> None:
         cameras = hazards.cameras
         self._camera_of = camera_of = hazards.camera_of
-        rate = hazards.unexplained
+        rate = hazards.unexplained_rate
         self._arrival_rate = np.bincount(camera_of, rate, minlength=len(cameras))
         """(cameras, 1/s) rate of arrivals that no departure explains."""
         self.within_camera = rate / np.maximum(self._arrival_rate[camera_of], 1e-300)
@@ -58,7 +58,7 @@ class Anywhere:
         declarations = model_of(topology).declared
         self.nobody_leaves = declarations is not None and declarations.nobody_leaves
         self._declared_odds = declared_odds(declarations, cameras)
-        self.linked = _linked_cameras(topology, camera_of)
+        self.neighbours = _linked_cameras(topology, camera_of)
         """Cameras to which published links lead from each, by number of camera."""
         by_rate = np.argsort(rate, kind="stable")
         self.busiest = np.zeros(len(cameras), np.intp)
@@ -94,7 +94,7 @@ class Anywhere:
         )
         likely = self._arrival_rate * odds
         if self.nobody_leaves:
-            neighbours = self.linked.get(camera, [])
+            neighbours = self.neighbours.get(camera, [])
             likely[neighbours] = self._arrival_rate[neighbours] * np.maximum(
                 odds[neighbours], LINKED_ODDS
             )
@@ -142,10 +142,10 @@ def missed_shares(absences: Floats, leave: Floats, rate: Floats, lag_max: float)
 
     # The probability that it falls short of what tells a path from all others that are possible;
     # the variance of a log likelihood ratio is about twice its mean.
-    needed = np.log(max(len(rate), 1) * lag_max / spread)
-    short = (needed - evidence) / np.sqrt(2.0 * evidence + 1.0)
-    missed: Floats = _normal_share(short).mean(axis=1)
-    return missed
+    threshold = np.log(max(len(rate), 1) * lag_max / spread)
+    short = (threshold - evidence) / np.sqrt(2.0 * evidence + 1.0)
+    shares: Floats = _normal_share(short).mean(axis=1)
+    return shares
 
 
 def _normal_share(z: Floats) -> Floats:

@@ -45,9 +45,9 @@ class ContextMultipliers:
         self._departures = numbers(columns.departures, np.float32, rows).astype(float)
 
         # Transitions of all contexts one after the other; those of context k begin at `_begin[k]`.
-        followed = numbers(columns.followed, np.int16, rows)
-        self._begin = np.append(0, followed.cumsum(dtype=int))
-        self._to = numbers(columns.to, np.int32, int(followed.sum()))
+        target_counts = numbers(columns.followed, np.int16, rows)
+        self._begin = np.append(0, target_counts.cumsum(dtype=int))
+        self._to = numbers(columns.to, np.int32, int(target_counts.sum()))
         self._transitions = numbers(columns.transitions, np.float32, len(self._to)).astype(float)
 
     def multipliers(
@@ -78,11 +78,11 @@ class ContextMultipliers:
 
         # Contexts that apply, each with the probability that it does. What is unknown makes a key
         # that no context has.
-        none = -1
-        camera = self._camera.get(previous or "", none)
+        blank = -1
+        camera = self._camera.get(previous or "", blank)
         keys: dict[Key, float] = {
-            (none if entry is None else entry, none if block is None else block, none): 1.0,
-            (none, none, camera): min(sure, 1.0),
+            (blank if entry is None else entry, blank if block is None else block, blank): 1.0,
+            (blank, blank, camera): min(sure, 1.0),
         }
 
         # Each context backs off to the one before it; unknown contexts change nothing.
@@ -96,10 +96,10 @@ class ContextMultipliers:
             departures = float(self._departures[number])
             total = departures + BACK_OFF_DEPARTURES
             of_context = slice(self._begin[number], self._begin[number + 1])
-            moved = np.zeros(self._zones)
-            moved[self._to[of_context]] = self._transitions[of_context]
-            not_seen_again = max(departures - float(moved.sum()), 0.0)
-            share_here = (moved[targets] + BACK_OFF_DEPARTURES * share) / total
+            transitions = np.zeros(self._zones)
+            transitions[self._to[of_context]] = self._transitions[of_context]
+            not_seen_again = max(departures - float(transitions.sum()), 0.0)
+            share_here = (transitions[targets] + BACK_OFF_DEPARTURES * share) / total
             leave_here = (not_seen_again + BACK_OFF_DEPARTURES * leave) / total
             share = probability * share_here + (1.0 - probability) * share
             leave = probability * leave_here + (1.0 - probability) * leave
@@ -107,7 +107,7 @@ class ContextMultipliers:
         # Ratio to the share without any context, within limits.
         ratio = share / np.maximum(outcomes.share, 1e-300)
         ratio = np.clip(ratio, 1.0 / MULTIPLIER_MAX, MULTIPLIER_MAX)
-        return np.where(outcomes.by_path | outcomes.missed, 1.0, ratio), max(leave, LEAVE_FLOOR)
+        return np.where(outcomes.by_path | outcomes.is_missed, 1.0, ratio), max(leave, LEAVE_FLOOR)
 
     def _of_zone(self, zone: int) -> dict[Key, int]:
         """Return the numbers of the contexts of a zone."""

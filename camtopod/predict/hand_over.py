@@ -43,15 +43,15 @@ class HandOver:
         self._from: dict[str, list[_Overlap]] = {}
         if model.overlaps is None:
             return
-        same = masses_of(model.overlaps.same, self._bins)
-        others = masses_of(model.overlaps.others, self._bins)
+        same_rates = masses_of(model.overlaps.same, self._bins)
+        other_rates = masses_of(model.overlaps.others, self._bins)
 
         # Smaller rates are stored as 0.
-        resolution = np.maximum(others.max(axis=1, initial=0.0) / STEPS, 1e-9)
-        odds = np.pad(same / np.maximum(others, resolution[:, None]), ((0, 0), (0, 1)))
-        share = np.minimum(numbers(model.overlaps.share, np.float32, len(same)), 0.98)
+        resolution = np.maximum(other_rates.max(axis=1, initial=0.0) / STEPS, 1e-9)
+        odds = np.pad(same_rates / np.maximum(other_rates, resolution[:, None]), ((0, 0), (0, 1)))
+        share = np.minimum(numbers(model.overlaps.share, np.float32, len(same_rates)), 0.98)
         ends = (
-            numbers(raw, np.int32, len(same)).tolist()
+            numbers(raw, np.int32, len(same_rates)).tolist()
             for raw in (model.overlaps.camera, model.overlaps.to)
         )
         for camera, to, *overlap in zip(*ends, share.tolist(), odds.tolist(), strict=True):

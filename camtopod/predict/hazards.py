@@ -52,9 +52,9 @@ class Hazards:
         """(zones, seconds) clock offset of each zone's camera."""
 
         # Zones: arrivals, dwell times and departures.
-        self.unexplained = numbers(model.arrival_rate, np.float32, zones).astype(float)
+        self.unexplained_rate = numbers(model.arrival_rate, np.float32, zones).astype(float)
         """(zones,) rate of arrivals that no departure explains, 1/s."""
-        self.arrival_rate = (self.unexplained + FLOOR).tolist()
+        self.arrival_rate = (self.unexplained_rate + FLOOR).tolist()
         """(zones,) the same, never 0."""
         self.stay = numbers(model.stay, np.float32, zones, STAY_DECILES)
         """(zones, 11) deciles of the dwell times, in seconds, of passages that end in each zone; 0

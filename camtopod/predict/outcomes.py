@@ -49,7 +49,7 @@ class Outcomes(NamedTuple):
     """(rows,) seconds to add to the lags of the bins; above 0 for long paths."""
     by_path: Bools
     """(rows,) True for the rows of the second opinion."""
-    missed: Bools
+    is_missed: Bools
     """(rows,) True for objects that a camera on the way misses."""
     leave_by_paths: float = 0.0
     """As ``leave``, of the second opinion; 0 if there is none."""
@@ -100,7 +100,7 @@ class Table(NamedTuple):
     hazard: Singles
     """(rows, bins + 1); the last is zero, for lags without a bin."""
     by_path: Bools
-    missed: Bools
+    is_missed: Bools
     leave: Floats
     """(zones,) share of the departures after which objects leave, by the first opinion."""
     leave_by_paths: Floats
@@ -125,7 +125,7 @@ class Table(NamedTuple):
             doubt=self.doubt[rows],
             delay=self.delay[rows],
             by_path=self.by_path[rows],
-            missed=self.missed[rows],
+            is_missed=self.is_missed[rows],
             leave_by_paths=float(self.leave_by_paths[zone]),
             paths_weight=float(self.paths_weight[zone]),
         )
@@ -177,13 +177,13 @@ def of_links(topology: Topology, bins: LagBins, exposure: Floats) -> Table:
     if links:
         spread = smooth(np.stack([_counts(link, bins) for link in links]))[0]
     spread /= np.maximum(spread.sum(axis=1, keepdims=True), 1e-300)
-    exposed = np.where(delay[:, None] > 0.0, 1.0, exposure[source])
+    exposed_share = np.where(delay[:, None] > 0.0, 1.0, exposure[source])
     hazard = np.zeros((len(links), bins.size + 1), np.float32)
-    hazard[:, :-1] = share[:, None] * spread / (bins.widths * exposed)
+    hazard[:, :-1] = share[:, None] * spread / (bins.widths * exposed_share)
     seen_again = np.bincount(source, share, minlength=len(index))
     leave = np.maximum(1.0 - seen_again, LEAVE_FLOOR)
-    none = np.zeros(len(links))
-    return _one_opinion(source, target, share, none, delay, hazard, none > 0, leave)
+    zeros = np.zeros(len(links))
+    return _one_opinion(source, target, share, zeros, delay, hazard, zeros > 0, leave)
 
 
 def _one_opinion(
@@ -193,12 +193,14 @@ def _one_opinion(
     doubt: Floats,
     delay: Floats,
     hazard: Singles,
-    missed: Bools,
+    is_missed: Bools,
     leave: Floats,
 ) -> Table:
     """Return a table without a second opinion."""
-    by_path, none = np.zeros(len(source), np.bool_), np.zeros(len(leave))
-    return Table(source, target, share, doubt, delay, hazard, by_path, missed, leave, none, none)
+    by_path, zeros = np.zeros(len(source), np.bool_), np.zeros(len(leave))
+    return Table(
+        source, target, share, doubt, delay, hazard, by_path, is_missed, leave, zeros, zeros
+    )
 
 
 def _counts(link: Link, bins: LagBins) -> Floats:
@@ -219,13 +221,13 @@ def exposures(stay: Singles, bins: LagBins) -> Floats:
     the exit, and where it is unknown, it is 1.
     """
     past = np.flatnonzero(bins.edges[1:] <= 0)
-    known = np.flatnonzero(stay.any(axis=1))
-    deciles = stay[known].astype(float)
-    shorter = np.zeros((len(known), len(past)))
+    rows = np.flatnonzero(stay.any(axis=1))
+    deciles = stay[rows].astype(float)
+    shorter = np.zeros((len(rows), len(past)))
     for low, width in zip(deciles[:, :-1].T, np.diff(deciles, axis=1).T, strict=True):
         reach = (-bins.centres[past] - low[:, None]) / np.maximum(width, 1e-9)[:, None]
         shorter += np.clip(reach, 0.0, 1.0)
     result = np.ones((len(stay), bins.size))
-    begun = 1.0 - shorter / (deciles.shape[1] - 1)
-    result[np.ix_(known, past)] = np.clip(begun, EXPOSURE_MIN, 1.0)
+    begun_share = 1.0 - shorter / (deciles.shape[1] - 1)
+    result[np.ix_(rows, past)] = np.clip(begun_share, EXPOSURE_MIN, 1.0)
     return result

@@ -390,18 +390,20 @@ def outside_rates(version: PreparedVersion) -> Floats:
     entries = np.array([float(zone.entries) for zone in version.zones])
 
     # Arrivals explained by departures, with and without spurious transitions.
-    explained, surely = np.zeros((2, len(rate)))
+    explained_arrivals, sure_arrivals = np.zeros((2, len(rate)))
     for zone, departures in enumerate(version.hazards.departures.tolist()):
         alone = outlook(version, Departure(zone))
         if alone.table is not None:
             outcomes = alone.table.outcomes
-            np.add.at(explained, outcomes.targets, departures * outcomes.weight * outcomes.share)
-            np.add.at(surely, outcomes.targets, departures * alone.chance)
+            np.add.at(
+                explained_arrivals, outcomes.targets, departures * outcomes.weight * outcomes.share
+            )
+            np.add.at(sure_arrivals, outcomes.targets, departures * alone.chance)
 
     # Duration of the window learned from, by zones with enough entries from outside.
-    is_clear = entries - explained > OUTSIDE_SHARE_MIN * entries
+    is_clear = entries - explained_arrivals > OUTSIDE_SHARE_MIN * entries
     if not is_clear.any():
         return rate
-    span = np.median((entries - explained)[is_clear] / rate[is_clear])  # seconds
-    result: Floats = np.maximum(rate, (entries - surely) / span)
+    span = np.median((entries - explained_arrivals)[is_clear] / rate[is_clear])  # seconds
+    result: Floats = np.maximum(rate, (entries - sure_arrivals) / span)
     return result

@@ -400,9 +400,9 @@ class Predictor:
         causes = {self.prepared.cameras[k]: float(total[k]) for k in np.flatnonzero(total)}
 
         # Objects in other views that may appear at the zone before they leave.
-        here = self.zones[zone].camera
+        own_camera = self.zones[zone].camera
         for camera in hazards.rates_before(zone):
-            for passage in self._open_passages.in_view(camera) if camera != here else ():
+            for passage in self._open_passages.in_view(camera) if camera != own_camera else ():
                 rate = self.prepared.rate_in_view(passage, zone, t, label)
                 if rate:
                     causes[camera] = causes.get(camera, 0.0) + rate

@@ -26,12 +26,12 @@ def with_paths(
     """
     zones = topology.zones
     index = {zone.id: k for k, zone in enumerate(zones)}
-    linked = np.zeros(len(zones))
+    link_share = np.zeros(len(zones))
     for link in topology.links:
         if link.relation != "visible":
-            linked[index[link.from_]] += link.probability
-    shared = np.maximum(np.bincount(table.source, table.share, minlength=len(zones)), FLOOR)
-    weight = PATHS_WEIGHT_MAX * np.maximum(1.0 - linked / shared, 0.0)
+            link_share[index[link.from_]] += link.probability
+    table_share = np.maximum(np.bincount(table.source, table.share, minlength=len(zones)), FLOOR)
+    weight = PATHS_WEIGHT_MAX * np.maximum(1.0 - link_share / table_share, 0.0)
 
     # A path leads from all zones of its camera, and to all zones of its camera, as entries do.
     from_, to = (numbers(raw, np.int32, -1) for raw in (paths.from_, paths.to))
@@ -41,7 +41,7 @@ def with_paths(
     )
     end = np.arange(len(zones))
     if not paths.of_zones:
-        camera = {one.id: k for k, one in enumerate(topology.cameras)}
+        camera = {site_camera.id: k for k, site_camera in enumerate(topology.cameras)}
         end = np.array([camera[zone.camera] for zone in zones], np.intp)
     path, source = _zones_at(end, from_)
     weighs = weight[source] > 0.0
@@ -60,29 +60,29 @@ def with_paths(
     hazard[:, :past] /= np.where((delay > 0.0)[path, None], 1.0, exposure[source, :past])
     seen_again = np.bincount(source, share, minlength=len(zones))
     row = np.argsort(np.append(table.source, source), kind="stable")
-    none = np.zeros(len(path))
+    zeros = np.zeros(len(path))
     return Table(
         source=np.append(table.source, source)[row],
         target=np.append(table.target, target)[row],
         share=np.append(table.share, share)[row],
-        doubt=np.append(table.doubt, none)[row],
+        doubt=np.append(table.doubt, zeros)[row],
         delay=np.append(table.delay, delay[path])[row],
         hazard=np.concatenate((table.hazard, hazard))[row],
         by_path=row >= len(table.source),
-        missed=np.append(table.missed, none > 0)[row],
+        is_missed=np.append(table.is_missed, zeros > 0)[row],
         leave=table.leave,
         leave_by_paths=np.where(weight > 0.0, np.maximum(1.0 - seen_again, FLOOR), 0.0),
         paths_weight=weight,
     )
 
 
-def _zones_at(end: Rows, wanted: Indices) -> tuple[Rows, Rows]:
+def _zones_at(end: Rows, ends: Indices) -> tuple[Rows, Rows]:
     """Return which of n ends each of m zones is at, and the zone, by n and then by zone.
 
-    end (zones,): the end that each zone is at. wanted (n,): ends.
+    end (zones,): the end that each zone is at. ends (n,): ends.
     """
     order = np.argsort(end, kind="stable")
-    ordered = end[order]
-    first = ordered.searchsorted(wanted)
-    which, at = ranges(first, ordered.searchsorted(wanted, "right") - first)
-    return which, order[at]
+    sorted_end = end[order]
+    first = sorted_end.searchsorted(ends)
+    number, at = ranges(first, sorted_end.searchsorted(ends, "right") - first)
+    return number, order[at]

@@ -128,7 +128,7 @@ class PreparedVersion:
 
     def is_learned(self, zone: int) -> bool:
         """Return True if it is known where objects of a zone go, by links or as hardly any do."""
-        is_linked = int(self.camera_of[zone]) in self.anywhere.linked
+        is_linked = int(self.camera_of[zone]) in self.anywhere.neighbours
         return is_linked or self.hazards.departures[zone] >= LEARNED_EXITS
 
     def rate_in_view(self, passage: Passage, zone: int, t: float, label: int) -> float:

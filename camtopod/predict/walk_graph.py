@@ -117,7 +117,7 @@ class WalkEdge:
         self.message = 1.0 / entry.outside
         """Sum-product message from the entry, s."""
         self.probability = 0.0
-        self.matched = 0.0
+        self.match_probability = 0.0
         """The probability when the match of the entry was given."""
 
     def add(self) -> None:

@@ -31,7 +31,7 @@ class WalkMemory:
     def __init__(self) -> None:
         self.open: dict[str, dict[str, WalkStep]] = {}
         """Passages in view by camera, then by track or name, oldest first."""
-        self.ended: dict[int, deque[WalkStep]] = {}
+        self.steps_by_exit: dict[int, deque[WalkStep]] = {}
         """The newest passages by zone of exit, oldest first."""
         self.recent: deque[WalkStep] = deque()
         """Entries whose match has been given once, oldest first."""
@@ -76,7 +76,7 @@ class WalkMemory:
         self._events.append((t, step))
         if zone is not None:
             step.zone = zone
-            self.ended.setdefault(zone, deque(maxlen=CANDIDATES_MAX)).append(step)
+            self.steps_by_exit.setdefault(zone, deque(maxlen=CANDIDATES_MAX)).append(step)
 
     def forget_old(self, now: float, lag_max: float) -> None:
         """Forget what cannot be continued any more, and the names of walks after an hour.
@@ -115,7 +115,7 @@ class WalkMemory:
     def _release(self, step: WalkStep) -> None:
         """Release what matching needs to know of a passage."""
         step.is_final = True
-        if step in (zone_steps := self.ended.get(step.zone, deque())):
+        if step in (zone_steps := self.steps_by_exit.get(step.zone, deque())):
             zone_steps.remove(step)
         step.edges, step.claims, step.expected = [], {}, None
 
@@ -132,7 +132,7 @@ class WalkMemory:
         self.recent = deque(step for step in self.recent if step.name not in names)
         self._names -= names
         self.open = {name: steps for name, steps in self.open.items() if name not in cameras}
-        for zone_steps in self.ended.values():
+        for zone_steps in self.steps_by_exit.values():
             for step in [step for step in zone_steps if step.name in names]:
                 zone_steps.remove(step)
 
@@ -152,17 +152,19 @@ class WalkMemory:
             in_view = (step for steps in self.open.values() for step in steps.values())
             for step in _steps(self._events, in_view):
                 step.entry = new_zones.get(-1 if step.entry is None else step.entry)
-        self.ended = {
-            new_zones[zone]: steps for zone, steps in self.ended.items() if zone in new_zones
+        self.steps_by_exit = {
+            new_zones[zone]: steps
+            for zone, steps in self.steps_by_exit.items()
+            if zone in new_zones
         }
-        for zone, steps in self.ended.items():
+        for zone, steps in self.steps_by_exit.items():
             for step in steps:
                 step.zone, step.expected = zone, None
 
 
 def _steps(
-    events: Iterable[tuple[float, WalkStep]], others: Iterable[WalkStep] = ()
+    events: Iterable[tuple[float, WalkStep]], further_steps: Iterable[WalkStep] = ()
 ) -> list[WalkStep]:
-    """Return the passages of some events, and others, each once."""
-    steps = itertools.chain((step for _, step in events), others)
+    """Return the passages of some events, and further steps, each once."""
+    steps = itertools.chain((step for _, step in events), further_steps)
     return list({id(step): step for step in steps}.values())

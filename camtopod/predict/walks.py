@@ -144,7 +144,8 @@ class Walks:
             self._add_late(step)
             self._settle(step, step.entry_t + REVISE_SECONDS)
             has_changed = any(
-                abs(edge.probability - edge.matched) > REVISE_CHANGE for edge in step.edges
+                abs(edge.probability - edge.match_probability) > REVISE_CHANGE
+                for edge in step.edges
             )
             match = self._match(step)
             if has_changed or match.walk != walk:
@@ -219,11 +220,11 @@ class Walks:
 
     def _ended_before(self, zone: int, t: float) -> list[WalkStep]:
         """Return the passages that ended where, and when, one may have that goes on at a zone."""
-        sources = self._memory.ended if self._nobody_leaves else self._hazards.sources(zone)
+        sources = self._memory.steps_by_exit if self._nobody_leaves else self._hazards.sources(zone)
         return [
             step
             for source in sources
-            for step in self._memory.ended.get(source, ())
+            for step in self._memory.steps_by_exit.get(source, ())
             if 0.0 <= t - step.departure_t <= self._hazards.lag_max
         ]
 
@@ -342,7 +343,7 @@ class Walks:
         is_known = bool(edges) and edges[0].probability > 0.5
         step.before = edges[0].source if is_known else None
         for edge in step.edges:
-            edge.matched = edge.probability
+            edge.match_probability = edge.probability
         rows = [_row(edge) for edge in edges]
         new = 1.0 - sum(row.probability for row in rows)
         return Match(

@@ -75,14 +75,14 @@ class Live:
 
     publish: called with each prediction and each match.
     clock: returns the present moment (Unix seconds).
-    used: returns the processor time that this thread has used (seconds).
+    processor_time: returns the processor time that this thread has used (seconds).
     """
 
     def __init__(
         self,
         publish: Callable[[Prediction | Match], None],
         clock: Callable[[], float],
-        used: Callable[[], float] = time.thread_time,
+        processor_time: Callable[[], float] = time.thread_time,
     ) -> None:
         self._publish = publish
         self._clock = clock
@@ -93,10 +93,10 @@ class Live:
         self._hours = HourlyCounts(clock())
         self._between = BetweenCameras(clock())
         """It begins anew when exits are not predicted, or entries not matched."""
-        self._unmatched: deque[Event] = deque()
+        self._match_queue: deque[Event] = deque()
         """Events that wait to be matched, oldest first."""
-        self._used = used
-        self._allowed, self._allowed_at = MATCHING_SECONDS_MAX, time.monotonic()
+        self._processor_time = processor_time
+        self._budget_seconds, self._budget_at = MATCHING_SECONDS_MAX, time.monotonic()
         self.counts = {
             "predictions": 0,
             "matches_skipped": 0,
@@ -130,13 +130,13 @@ class Live:
         """
         is_done = False
         while not (is_done or is_busy() or self._seconds_for_matching() <= 0.0):
-            begun = self._used()
+            start = self._processor_time()
             with self._mutex:
-                found, is_done = self._match_next()
-            for match in found:
+                matches, is_done = self._match_next()
+            for match in matches:
                 if self._clock() - match.t <= FRESH_SECONDS:
                     self._publish(match)
-            self._allowed -= self._used() - begun
+            self._budget_seconds -= self._processor_time() - start
 
     def _predict(self, event: Event) -> Prediction | None:
         """Return the prediction of an exit."""
@@ -161,9 +161,9 @@ class Live:
         """Let an event wait to be matched; the oldest of too many is observed without a match."""
         if self._reader is None or self._reader.walks is None:
             return
-        self._unmatched.append(event)
-        if len(self._unmatched) > UNMATCHED_MAX:
-            oldest = self._unmatched.popleft()
+        self._match_queue.append(event)
+        if len(self._match_queue) > UNMATCHED_MAX:
+            oldest = self._match_queue.popleft()
             self.counts["matches_skipped"] += oldest.kind == "entry"
             self._observe_walk(oldest)
             self._between = BetweenCameras(self._clock())
@@ -176,13 +176,13 @@ class Live:
         walks = None if self._reader is None else self._reader.walks
         if walks is None:
             return [], True
-        is_done = not self._unmatched
+        is_done = not self._match_queue
         if is_done:
             matches = walks.revised(self._clock(), REVISED_AT_ONCE_MAX)
-        elif not walks.prepare(self._unmatched[0], OUTLOOKS_AT_ONCE_MAX):
+        elif not walks.prepare(self._match_queue[0], OUTLOOKS_AT_ONCE_MAX):
             matches = []
         else:
-            first = walks.observe(self._unmatched.popleft())
+            first = walks.observe(self._match_queue.popleft())
             matches = [] if first is None else [first]
         for match in matches:
             self._between.entered(match)
@@ -191,20 +191,20 @@ class Live:
     def _seconds_for_matching(self) -> float:
         """Return the processor time that matching may take at present, seconds."""
         now = time.monotonic()
-        gained = MATCHING_SHARE * (now - self._allowed_at)
-        self._allowed = min(self._allowed + gained, MATCHING_SECONDS_MAX)
-        self._allowed_at = now
-        return self._allowed
+        gain = MATCHING_SHARE * (now - self._budget_at)
+        self._budget_seconds = min(self._budget_seconds + gain, MATCHING_SECONDS_MAX)
+        self._budget_at = now
+        return self._budget_seconds
 
-    def _remember(self, event: Event, received: float) -> None:
+    def _remember(self, event: Event, receipt_time: float) -> None:
         """Remember an event for ``recent``."""
         zone = label = None
         if self._reader is not None:
             predictor = self._reader.predictor
             zone, label = predictor.zone_id_of(event), predictor.prepared.labels.name(event.label)
-        seen = SeenEvent(event.t, event.camera, event.kind, zone, event.x, event.y, label)
-        self._recent.append((received, seen))
-        self._hours.add(seen)
+        seen_event = SeenEvent(event.t, event.camera, event.kind, zone, event.x, event.y, label)
+        self._recent.append((receipt_time, seen_event))
+        self._hours.add(seen_event)
         while event.t - self._recent[0][1].t > RECENT_SECONDS:
             self._recent.popleft()
 
@@ -222,11 +222,13 @@ class Live:
     def forget_cameras(self, cameras: Collection[str]) -> None:
         """Forget cameras' events and passages; the predictor does so with the next version."""
         with self._mutex:
-            kept = [one for one in self._recent if one[1].camera not in cameras]
-            self._recent = deque(kept, maxlen=RECENT_EVENTS_MAX)
+            recent = [(t, event) for t, event in self._recent if event.camera not in cameras]
+            self._recent = deque(recent, maxlen=RECENT_EVENTS_MAX)
             self._hours.forget_cameras(cameras)
             self._between.forget_cameras(cameras)
-            self._unmatched = deque(one for one in self._unmatched if one.camera not in cameras)
+            self._match_queue = deque(
+                event for event in self._match_queue if event.camera not in cameras
+            )
             if self._reader is not None and self._reader.walks is not None:
                 self._reader.walks.forget_cameras(cameras)
 
@@ -234,7 +236,7 @@ class Live:
         """Forget all observed events, as event time has been set back."""
         with self._mutex:
             self._recent.clear()
-            self._unmatched.clear()
+            self._match_queue.clear()
             self._hours = HourlyCounts(self._clock())
             self._between = BetweenCameras(self._clock())
             if self._reader is not None:
@@ -273,7 +275,7 @@ class Live:
             raise QueryError("since is a number, Unix seconds") from None
         with self._mutex:
             now = self._clock()
-            newest = takewhile(lambda one: one[0] > since, reversed(self._recent))
+            newest = takewhile(lambda pair: pair[0] > since, reversed(self._recent))
             events = [event for _, event in newest if event.t > now - RECENT_SECONDS]
             hours = self._hours.told(now) if "hours" in parameters else None
             return Recent(now, events[::-1], hours)
@@ -310,12 +312,12 @@ def asked_exit(camera: str, parameters: dict[str, str], as_of: float) -> tuple[E
 
     as_of: time of the exit if the query does not give one.
     """
-    asked: dict[str, object] = {"camera": camera, "kind": "exit", "t": as_of}
+    fields: dict[str, object] = {"camera": camera, "kind": "exit", "t": as_of}
     try:
-        asked |= {name: float(parameters[name]) for name in ("t", "x", "y") if name in parameters}
-        asked |= {"label": parameters["label"]} if "label" in parameters else {}
+        fields |= {name: float(parameters[name]) for name in ("t", "x", "y") if name in parameters}
+        fields |= {"label": parameters["label"]} if "label" in parameters else {}
         now = float(parameters["now"]) if "now" in parameters else None
-        return codec.event_from_msgpack(codec.to_msgpack(asked)), now
+        return codec.event_from_msgpack(codec.to_msgpack(fields)), now
     except codec.Rejected as error:
         raise QueryError(str(error)) from None
     except ValueError:

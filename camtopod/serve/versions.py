@@ -51,11 +51,11 @@ class Versions:
         self._walks = walks
         self.newest: Topology | None = None
         """Its map."""
-        self.forgotten: Collection[str] = ()
+        self.erased_names: Collection[str] = ()
         """Cameras of which nothing is kept; earlier versions with one of them are not given."""
-        if (stored := newest_topology(journal)) is not None:
-            live.use(Reader(stored, walks))
-            self.newest = map_of(stored)
+        if (version := newest_topology(journal)) is not None:
+            live.use(Reader(version, walks))
+            self.newest = map_of(version)
 
     def answer(self, key: str, parameters: dict[str, str]) -> Topology | VersionModel | None:
         """Return a part of the newest version, or of an older one of the epoch (``version``).
@@ -66,21 +66,21 @@ class Versions:
         """
         if (newest := self.newest) is None:
             raise QueryError("nothing has been learned yet")
-        wanted = parameters.get("version", str(newest.version))
+        number = parameters.get("version", str(newest.version))
         epoch = parameters.get("epoch", newest.epoch)
         try:
-            if re.fullmatch("[0-9]{1,18}", wanted):
-                content = self._journal.version(epoch, int(wanted))
+            if re.fullmatch("[0-9]{1,18}", number):
+                content = self._journal.version(epoch, int(number))
                 version = None if content is None else codec.read_topology(content)
                 if version is not None and self._is_kept(version):
                     return PARTS[key](version)
         except (sqlite3.Error, StateError, codec.Rejected) as error:
-            raise QueryError(f"version {wanted} of epoch {epoch} cannot be read: {error}") from None
-        raise QueryError(f"version {wanted} of epoch {epoch} is not kept")
+            raise QueryError(f"version {number} of epoch {epoch} cannot be read: {error}") from None
+        raise QueryError(f"version {number} of epoch {epoch} is not kept")
 
     def _is_kept(self, version: Topology) -> bool:
         """Return True if no camera of a version has been forgotten."""
-        return not {camera.id for camera in version.cameras} & {*self.forgotten}
+        return not {camera.id for camera in version.cameras} & {*self.erased_names}
 
     def publish_newest(self) -> None:
         """Publish the newest version again."""
@@ -90,14 +90,14 @@ class Versions:
     def learned(self, progress: LearnProgress, state: bytes) -> Learned:
         """Return what to store of the learner's progress, and to do once it is stored."""
         # Prepare predictions here, as this takes long; others go on meanwhile.
-        made = [(version, _decoded(version)) for version in progress.versions]
-        newest = made[-1] if made else None
+        versions = [(version, _decoded(version)) for version in progress.versions]
+        newest = versions[-1] if versions else None
         reader = newest and Reader(newest[1], self._walks, newest[0].outside)
 
         def publish() -> None:
             if reader is not None:
                 self._live.use(reader)
-            for version, topology in made:
+            for version, topology in versions:
                 self._publish(version, topology)
 
         return Learned(
@@ -110,9 +110,9 @@ class Versions:
         """Publish a version that is stored, with its delta, and log its alarms."""
         self.newest = map_of(topology)
         parts = {"topology/model": version.model, "topology": version.map}
-        for key, packed in {**parts, "topology/delta": version.delta}.items():
-            if packed is not None:
-                self._bus.publish_raw(key, packed, schema_of(key))
+        for key, message in {**parts, "topology/delta": version.delta}.items():
+            if message is not None:
+                self._bus.publish_raw(key, message, schema_of(key))
 
         # Log the new alarms and the version.
         for alarm in topology.alarms or []:

@@ -177,7 +177,7 @@ class Feed:
         statuses = self._statuses
         away = "" if self._bus.connected else f"the bus at {self._bus.endpoint} cannot be reached"
         live = msgspec.to_builtins(statuses.daemon_state(self.topology, away))
-        live["since"] = statuses.heard
+        live["since"] = statuses.heard_at
         daemon: dict[str, Any] = {}
         if statuses.daemon.state:
             daemon = msgspec.to_builtins(statuses.daemon)

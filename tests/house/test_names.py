@@ -44,7 +44,7 @@ terms of statistics, and a *split* is a noun.
 """
 PICTURE_SIDES = {"right", "top", "bottom"}
 """In a scope that has one of these, `left` is a side, too."""
-PER_THOUSAND_MAX = 5
+PER_THOUSAND_MAX = 2
 """Variables of `WORDS` in a thousand statements."""
 SCOPES = (ast.Module, ast.ClassDef, ast.FunctionDef, ast.AsyncFunctionDef, ast.Lambda)
 

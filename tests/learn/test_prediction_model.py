@@ -148,7 +148,7 @@ def test_where_every_way_has_closed_no_context_has_fewer_departures_than_none(
     levels = [
         level._replace(
             departures=np.ones(len(level.departures)),
-            moved=csr_array((level.moved > 0) * np.float32(1 + 1e-6)),
+            transitions=csr_array((level.transitions > 0) * np.float32(1 + 1e-6)),
         )
         for level in posterior.levels
     ]

@@ -155,7 +155,7 @@ def test_what_cannot_be_continued_any_more_has_but_its_name(walks: Walks) -> Non
     steps = remembered(walks)[:4]
     assert [step.walk for step in steps] == 2 * [first.walk] + 2 * [second.walk]
     assert not any(step.edges or step.claims or step.expected for step in steps)
-    assert not any(walks._memory.ended.values())
+    assert not any(walks._memory.steps_by_exit.values())
 
 
 def test_passages_are_forgotten_after_an_hour(walks: Walks) -> None:
@@ -164,7 +164,7 @@ def test_passages_are_forgotten_after_an_hour(walks: Walks) -> None:
     matched(walks, [entry("b", T + 5 + MEMORY_SECONDS + 1, "3")])
     assert len(remembered(walks)) == len(walks._memory.recent) == 1
     assert not walks._memory.open["a"]
-    assert not any(walks._memory.ended.values())
+    assert not any(walks._memory.steps_by_exit.values())
 
 
 def test_a_passage_is_remembered_from_its_last_event_on(walks: Walks) -> None:

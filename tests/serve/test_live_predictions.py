@@ -84,7 +84,7 @@ def test_a_new_version_keeps_what_was_observed(learned: Topology) -> None:
 def test_entries_are_matched_and_those_of_a_backlog_are_not_published(learned: Topology) -> None:
     made: list[Prediction | Match] = []
     now = EVENTS[-2].t
-    live = Live(made.append, lambda: now, used=lambda: 0.0)
+    live = Live(made.append, lambda: now, processor_time=lambda: 0.0)
     live.use(Reader(learned, walks=True))
     hear(live, EVENTS[:-1])
     assert not any(isinstance(one, Match) for one in made), "predictions come first"
@@ -107,7 +107,7 @@ def test_entries_beyond_the_limit_have_no_match_and_are_known(
     monkeypatch.setattr(live_predictions, "UNMATCHED_MAX", 1)
     made: list[Prediction | Match] = []
     events = EVENTS[:-1]
-    live = Live(made.append, lambda: events[-1].t, used=lambda: 0.0)
+    live = Live(made.append, lambda: events[-1].t, processor_time=lambda: 0.0)
     live.use(Reader(learned, walks=True))
     hear(live, events)
     live.match(lambda: False)
@@ -133,7 +133,7 @@ def test_entries_beyond_the_limit_have_no_match_and_are_known(
 def test_matching_takes_no_more_than_its_time(learned: Topology) -> None:
     made: list[Prediction | Match] = []
     seconds = itertools.count()
-    live = Live(made.append, lambda: EVENTS[-2].t, used=lambda: float(next(seconds)))
+    live = Live(made.append, lambda: EVENTS[-2].t, processor_time=lambda: float(next(seconds)))
     live.use(Reader(learned, walks=True))
     hear(live, EVENTS[-8:-1])
     live.match(lambda: False)  # one event, which takes a second
@@ -147,7 +147,7 @@ def test_objects_between_cameras_are_counted_from_the_start(
     learned: Topology, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     now = EVENTS[0].t
-    live = Live(lambda answer: None, lambda: now, used=lambda: 0.0)
+    live = Live(lambda answer: None, lambda: now, processor_time=lambda: 0.0)
     assert live.between(None) is None, "no version is in use yet"
     live.use(Reader(learned, walks=False))
     assert live.between(None) is None, "nobody knows who has been seen again"

@@ -40,7 +40,7 @@ class ContextLevel(NamedTuple):
     """
     departures: Floats
     """(C,) certain departures, f n."""
-    moved: csr_array
+    transitions: csr_array
     """(C, columns) certain transitions to each next zone, f N. The columns of a zone of departure
     are its pairs of zones, in their order.
     """
@@ -57,7 +57,7 @@ class ContextCounts(NamedTuple):
     departures: Floats
     """(C,) certain departures."""
     row: Longs
-    """(n,) index of the first column of each departure's context in the flattened ``moved``."""
+    """(n,) index of the first column of each departure's context in ``transitions``, flattened."""
     own_weight: Singles
     """(n,) weight of each departure in its context, which leave-one-out removes."""
     scale: Singles
@@ -66,17 +66,17 @@ class ContextCounts(NamedTuple):
     """
     unsure: Singles
     """(n,) probability that the departure is not in the context."""
-    moved: Singles
+    transitions: Singles
     """(C, columns) as in `ContextLevel`; `Contexts._columns` gives the columns."""
 
     def published(self) -> ContextLevel:
         """Return the counts in the form that is published, which needs little memory."""
-        return ContextLevel(self.keys, self.departures, csr_array(self.moved))
+        return ContextLevel(self.keys, self.departures, csr_array(self.transitions))
 
     def cells_of(
         self, departure: NDArray[np.intp], target: Longs, responsibility: Singles
     ) -> tuple[Longs, Singles]:
-        """Return the cells of ``moved`` that m candidates count in, and what they contribute there.
+        """Return the cells of ``transitions`` that m candidates count in, and their parts of these.
 
         departure (m,): row of each candidate's departure.
         target (m,): column of its pair of zones.
@@ -99,7 +99,7 @@ class ContextCounts(NamedTuple):
         cell, own_weight (m,): results of `cells_of`; ``own_weight`` is what leave-one-out removes.
         share (m,): probability at the level before, to which this level backs off.
         """
-        probability = self.moved.take(cell)
+        probability = self.transitions.take(cell)
         probability -= own_weight
         probability += BACK_OFF_DEPARTURES * share
         np.maximum(probability, 0.0, out=probability)
@@ -178,7 +178,7 @@ class Contexts:
         target = column.take(c.pair)
         for level in levels:
             cell, own_weight = level.cells_of(departure, target, responsibility)
-            np.add.at(level.moved.ravel(), cell, own_weight)
+            np.add.at(level.transitions.ravel(), cell, own_weight)
         return levels, leave
 
     def judged(

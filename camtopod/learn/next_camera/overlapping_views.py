@@ -42,9 +42,9 @@ class OverlappingViews(NamedTuple):
     """Index of the camera whose view the object leaves."""
     target: int
     """Index of the camera that may see the object at that moment."""
-    same: Floats
+    same_object: Floats
     """(bins,) mean number, per exit, of open passages of the same object, by offset."""
-    others: Floats
+    other_objects: Floats
     """(bins,) mean number, per exit, of open passages of other objects, by offset."""
 
 

@@ -64,7 +64,7 @@ class Backlogs:
         self.said_hello = True
         """True if a camera has come back since the last wait for backlogs, perhaps with one."""
         self._unsettled_since = now
-        self.waited = event_clock.waited
+        self.waited_cameras = event_clock.waited
         """Cameras that the learner was last told to wait for."""
 
     def note_request(
@@ -78,7 +78,7 @@ class Backlogs:
             return
         if self.said_hello and oldest is not None and wall - oldest > self._lateness:
             self.said_hello = False
-            if ANY_CAMERA not in self.waited:
+            if ANY_CAMERA not in self.waited_cameras:
                 self._unsettled_since = now
             until = min(now + SETTLE_SECONDS, self._unsettled_since + UNSETTLED_SECONDS_MAX)
             self._deadline = max(self._deadline, until)
@@ -96,9 +96,9 @@ class Backlogs:
             if not self._is_waited_for(camera, trial, wall, now):
                 del self._trials[name]
         cameras = frozenset([*present(self._trials), *[ANY_CAMERA][: now < self._deadline]])
-        if cameras == self.waited:
+        if cameras == self.waited_cameras:
             return []
-        self.waited = cameras
+        self.waited_cameras = cameras
         raw = codec.to_json(sorted(cameras))
         return [Received(Entry("waits", "", None, None, raw), waited=cameras)]
 

@@ -64,7 +64,7 @@ def execute(
             case Reset():
                 cameras.forget_all()
                 intake.event_clock.newest = -math.inf
-                intake.backlogs.waited = frozenset()
+                intake.backlogs.waited_cameras = frozenset()
                 on_epoch(command.epoch)
         intake.note_stored([item])
     log.warning("%s", effect)

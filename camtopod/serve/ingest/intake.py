@@ -343,7 +343,7 @@ class Intake:
             camera.reached = min(camera.reached, wall)
         if self.event_clock.newest > wall:
             self.event_clock.newest = wall
-            self.backlogs.waited = frozenset()
+            self.backlogs.waited_cameras = frozenset()
             self.queue.put([command_received(self._rewind_to(wall), {})])
 
     def note_stored(self, ready: Sequence[Received]) -> None:

@@ -50,7 +50,7 @@ def anything(seed: int, n: int) -> Problem:
 
 def surely(level: ContextLevel, found: Candidates, context: int) -> dict[int, float]:
     """Return sure transitions of a context by zone."""
-    moved = level.moved[[context]].tocoo()
+    moved = level.transitions[[context]].tocoo()
     target = found.target[found.source == level.keys[context, 0]]
     return dict(zip(target[moved.coords[1]].tolist(), moved.data.tolist(), strict=True))
 
@@ -82,7 +82,7 @@ def test_counts_and_back_off_equal_their_slow_twin(seed: int, n: int) -> None:
     assert leaving == pytest.approx(slow[2])
     assert len(levels) == len(LEVELS) == 2
     for level, (n_of, moved_of) in zip(levels, slow[0], strict=True):
-        assert level.moved.nnz == sum(count > 0 for count in moved_of.values()), (
+        assert level.transitions.nnz == sum(count > 0 for count in moved_of.values()), (
             "only what occurs is kept"
         )
         for k in range(len(level.keys)):
@@ -93,7 +93,7 @@ def test_counts_and_back_off_equal_their_slow_twin(seed: int, n: int) -> None:
             for target in range(4):
                 assert to.get(target, 0.0) == pytest.approx(moved_of.get((key, target), 0.0))
         assert sum(level.departures) == pytest.approx(sum(n_of.values()))
-        assert level.moved.sum() == pytest.approx(sum(moved_of.values()))
+        assert level.transitions.sum() == pytest.approx(sum(moved_of.values()))
 
 
 def told(

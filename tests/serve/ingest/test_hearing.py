@@ -72,7 +72,7 @@ class Scene(IntakeBench):
         super().__init__(directory, limits)
         self.made: list[Prediction | Match] = []
         self.version = Noting()
-        self.live = Live(self.made.append, lambda: self.wall, used=lambda: 0.0)
+        self.live = Live(self.made.append, lambda: self.wall, processor_time=lambda: 0.0)
         self.live.use(cast(Reader, self.version))
 
     def hear(self, event: Event, is_delivered: bool) -> None:
