@@ -56,6 +56,9 @@ class NotingWalks:
             return None
         return Match(event.camera, event.t, 1, [], 1.0, "", event.track)
 
+    def prepare(self, event: Event, outlooks_max: int) -> bool:
+        return True
+
     def revised(self, now: float, entries_max: int) -> list[Match]:
         return []
 
