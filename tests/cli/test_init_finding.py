@@ -57,9 +57,11 @@ def test_the_smallest_stream_that_is_big_enough_is_taken(camera: OnvifCamera) ->
 
 
 def test_what_is_wrong_with_a_camera_is_said(camera: OnvifCamera) -> None:
-    for login in ("viewer:wrong@", "other:x@", ""):
+    for login in ("viewer:wrong@", "other:x@"):
         with pytest.raises(onvif.OnvifError, match="refuses the user name or password"):
             onvif.streams(f"onvif://{login}{camera.address}")
+    with pytest.raises(onvif.OnvifError, match="asks for a login: write onvif://USER:PASS"):
+        onvif.streams(f"onvif://{camera.address}")
     with pytest.raises(onvif.OnvifError, match="write it like"):
         onvif.streams("onvif://[:1")
     with onvif_camera([], {}) as blind, pytest.raises(onvif.OnvifError, match="offers no video"):

@@ -1,13 +1,12 @@
 """Ask a camera for its streams by ONVIF (Core and Media Service Specifications, version 10).
 
-The password is sent as the digest of a WS-Security username token, never in the clear, and to the
-host that was given alone.
+The password is sent as the digest of a WS-Security username token, or as an HTTP digest where the
+camera asks for that; never in the clear, and to the host that was given alone.
 """
 
 from __future__ import annotations
 
 import base64
-import calendar
 import contextlib
 import hashlib
 import http.client
@@ -16,12 +15,14 @@ import secrets
 import socket
 import threading
 import time
+from datetime import UTC, datetime
 from urllib.parse import quote, unquote, urlsplit
 from xml.etree.ElementTree import Element
 from xml.sax.saxutils import escape
 
 from msgspec import Struct
 
+from camtopod.cli.cameras.http_digest import Challenge, challenges
 from camtopod.codec import Rejected
 from camtopod.serve.runtime import wall
 from camtopod.untrusted_xml import DOCUMENT_BYTES_MAX, all_of, parse_xml, text_of
@@ -35,6 +36,8 @@ SECONDS = 5.0
 """Longest time for one answer, however slowly it comes."""
 SECONDS_ALL = 30.0
 """Longest time for all answers of a camera."""
+EXCHANGES_MAX = 3
+"""Most requests for one answer: without a digest, with one, and with one for a later nonce."""
 _DEVICE = "http://www.onvif.org/ver10/device/wsdl"
 _MEDIA = "http://www.onvif.org/ver10/media/wsdl"
 _SCHEMA = "http://www.onvif.org/ver10/schema"
@@ -84,6 +87,22 @@ def streams(source: str) -> list[Stream]:
     return result
 
 
+class _Answer(Struct):
+    """Status, content and challenges (``WWW-Authenticate``, the strongest first) of an answer."""
+
+    status: int
+    content: bytes
+    challenges: list[Challenge]
+
+    @property
+    def is_refusal(self) -> bool:
+        """True if the camera wants another login, or one at all."""
+        faults = (b"NotAuthorized", b"FailedAuth")
+        return self.status in (401, 403) or (
+            self.status >= 300 and any(fault in self.content for fault in faults)
+        )
+
+
 class _Camera:
     """A camera that is asked; ``source`` as for `streams`."""
 
@@ -98,7 +117,8 @@ class _Camera:
             raise OnvifError("write it like onvif://USER:PASSWORD@HOST") from None
         self._deadline = time.monotonic() + SECONDS_ALL
         self._device = parts.path.rstrip("/") or DEVICE_PATH
-        self._ahead: float | None = None
+        self._challenges: list[Challenge] = []
+        self._challenge: Challenge | None = None
         self._ahead = self._clock_ahead()
 
     def media_service(self) -> str:
@@ -134,26 +154,64 @@ class _Camera:
 
     def ask(self, path: str, body: str) -> Element:
         """Send a request and return the answer's document. Raises `OnvifError`."""
-        envelope = (
-            '<?xml version="1.0" encoding="UTF-8"?>'
-            '<s:Envelope xmlns:s="http://www.w3.org/2003/05/soap-envelope">'
-            f"<s:Header>{self._token()}</s:Header><s:Body>{body}</s:Body></s:Envelope>"
-        )
         try:
-            status, answer = self._exchange(path, envelope.encode())
-            if status < 300:
-                return parse_xml(answer)
-            reason = f"status {status}"
-            if status in (401, 403) or b"NotAuthorized" in answer or b"FailedAuth" in answer:
-                raise OnvifError("the camera refuses the user name or password")
+            answer = self._send(path, body)
+            if answer.status < 300:
+                return parse_xml(answer.content)
+            reason = f"status {answer.status}"
+            if answer.is_refusal:
+                raise OnvifError(self._refusal())
         except (OSError, ValueError, http.client.HTTPException, Rejected) as error:
             reason = str(error)
         raise OnvifError(f"no answer by ONVIF at http://{self._address}{path}: {reason}")
 
-    def _exchange(self, path: str, body: bytes) -> tuple[int, bytes]:
-        """Return status and content of an answer, as far as it is read.
+    def _send(self, path: str, body: str) -> _Answer:
+        """Return the answer to a request, sent with the login that the camera takes.
 
-        One deadline bounds the whole: each byte renews a socket's own timeout.
+        That is a username token, until it refuses this and has asked for a digest. No login is sent
+        again that was refused: a camera may lock a user out. Raises as `_exchange`.
+        """
+        is_new = False
+        for _ in range(EXCHANGES_MAX):
+            if self._challenge is None:
+                answer = self._exchange(path, _envelope(body, self._token()))
+            else:
+                authorization = self._challenge.authorization(
+                    self._user, self._password, "POST", path
+                )
+                answer = self._exchange(path, _envelope(body), authorization)
+            if not answer.is_refusal or not self._user:
+                break
+            challenge = next(iter(self._challenges), None)
+            if challenge is None or challenge.strength < 0:
+                break
+            if is_new and not (answer.challenges and challenge.is_stale):
+                break
+            self._challenge, is_new = challenge, True
+        return answer
+
+    def _refusal(self) -> str:
+        """Return why the camera refuses to answer, as far as it is known."""
+        if not self._user:
+            return "the camera asks for a login: write onvif://USER:PASSWORD@HOST"
+        if self._challenge is None and self._challenges:
+            names = ", ".join(challenge.name for challenge in self._challenges)
+            return (
+                f"the camera takes no username token and asks for a login by {names}, which this "
+                "program does not offer: give the stream's rtsp:// URL"
+            )
+        if self._challenge is None and self._ahead is None:
+            return (
+                "the camera refuses the login: the user name or password is wrong, or the camera's "
+                "clock, which it does not tell, differs from this machine's"
+            )
+        return "the camera refuses the user name or password"
+
+    def _exchange(self, path: str, envelope: bytes, authorization: str = "") -> _Answer:
+        """Send one request and return its answer, as far as it is read.
+
+        One deadline bounds the whole: each byte renews a socket's own timeout. Raises `OSError`,
+        `ValueError` and `http.client.HTTPException`.
         """
         seconds = min(SECONDS, self._deadline - time.monotonic())
         if seconds <= 0.0:
@@ -165,34 +223,48 @@ class _Camera:
             timer = threading.Timer(seconds, _shut, [connection.sock])
             timer.start()
             try:
-                headers = {"Content-Type": "application/soap+xml; charset=utf-8"}
-                connection.request("POST", path, body, headers)
+                headers = {"Content-Type": b"application/soap+xml; charset=utf-8"}
+                if authorization:
+                    headers["Authorization"] = authorization.encode()
+                connection.request("POST", path, envelope, headers)
                 answer = connection.getresponse()
                 content = answer.read(DOCUMENT_BYTES_MAX + 1)
             finally:
                 timer.cancel()
                 if time.monotonic() >= deadline:
                     raise TimeoutError(f"no whole answer within {seconds:.0f} s")
-        return answer.status, content
+        if answer.status != 401:
+            return _Answer(answer.status, content, [])
+        offers = challenges(answer.headers.get_all("WWW-Authenticate", []))
+        self._challenges = offers or self._challenges
+        return _Answer(answer.status, content, offers)
 
-    def _clock_ahead(self) -> float:
-        """Return by how many seconds the camera's clock is ahead; it refuses other times."""
-        body = self.ask(self._device, f'<GetSystemDateAndTime xmlns="{_DEVICE}"/>')
+    def _clock_ahead(self) -> float | None:
+        """Return by how many seconds the camera's clock is ahead, as it refuses other times.
+
+        None if it is unknown, for whatever reason. No login is sent.
+        """
         names = ("Year", "Month", "Day", "Hour", "Minute", "Second")
-        for utc in all_of(body, "UTCDateTime"):
-            with contextlib.suppress(ValueError):
-                return calendar.timegm(tuple(int(text_of(utc, name)) for name in names)) - wall()
-        return 0.0
+        question = _envelope(f'<GetSystemDateAndTime xmlns="{_DEVICE}"/>')
+        with contextlib.suppress(
+            OSError, ValueError, OverflowError, http.client.HTTPException, Rejected
+        ):
+            body = parse_xml(self._exchange(self._device, question).content)
+            for utc in all_of(body, "UTCDateTime"):
+                year, month, day, hour, minute, second = (int(text_of(utc, name)) for name in names)
+                moment = datetime(year, month, day, hour, minute, second, tzinfo=UTC)
+                return moment.timestamp() - wall()
+        return None
 
     def _token(self) -> str:
         """Return the header with the username token (WS-Security UsernameToken Profile 1.0).
 
-        Empty without a user, and as long as the camera's time is unknown.
+        Empty without a user. Where the camera's time is unknown, it is this machine's.
         """
-        if not self._user or self._ahead is None:
+        if not self._user:
             return ""
         nonce = secrets.token_bytes(16)
-        creation = time.strftime("%Y-%m-%dT%H:%M:%SZ", time.gmtime(wall() + self._ahead))
+        creation = time.strftime("%Y-%m-%dT%H:%M:%SZ", time.gmtime(wall() + (self._ahead or 0.0)))
         digest = hashlib.sha1(nonce + creation.encode() + self._password.encode()).digest()
         return (
             f'<Security s:mustUnderstand="1" xmlns="{_SECURITY}wssecurity-secext-1.0.xsd">'
@@ -204,6 +276,15 @@ class _Camera:
             f'<Created xmlns="{_SECURITY}wssecurity-utility-1.0.xsd">{creation}'
             "</Created></UsernameToken></Security>"
         )
+
+
+def _envelope(body: str, header: str = "") -> bytes:
+    """Return a SOAP message."""
+    return (
+        '<?xml version="1.0" encoding="UTF-8"?>'
+        '<s:Envelope xmlns:s="http://www.w3.org/2003/05/soap-envelope">'
+        f"<s:Header>{header}</s:Header><s:Body>{body}</s:Body></s:Envelope>"
+    ).encode()
 
 
 def _shut(link: socket.socket) -> None:
