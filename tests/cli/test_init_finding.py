@@ -46,12 +46,13 @@ def test_the_smallest_stream_that_is_big_enough_is_taken(camera: OnvifCamera) ->
     source = f"onvif://{LOGIN}@{camera.address}"
     given = {"a": source, "b": "rtsp://192.0.2.1/x", "c": "onvif://127.0.0.1:1"}
 
-    found, missing = streams_by_onvif(given)
+    found = streams_by_onvif(given)
 
-    assert found == {"a": f"rtsp://{LOGIN}@127.0.0.1/3?a=1", "b": "rtsp://192.0.2.1/x"}
-    assert percent_encoded(found["a"]) == found["a"]
-    assert missing.keys() == {"c"}
-    assert "no answer by ONVIF at http://127.0.0.1:1/" in missing["c"]
+    assert found.urls == {"a": f"rtsp://{LOGIN}@127.0.0.1/3?a=1", "b": "rtsp://192.0.2.1/x"}
+    assert percent_encoded(found.urls["a"]) == found.urls["a"]
+    assert found.remarks == {}
+    assert found.reasons.keys() == {"c"}
+    assert "no answer by ONVIF at http://127.0.0.1:1/" in found.reasons["c"]
     assert camera.asked[0] == "/onvif/device_service GetSystemDateAndTime"
     assert camera.asked[2] == "/onvif/media GetProfiles", "at the host that was given"
 
@@ -71,16 +72,54 @@ def test_what_is_wrong_with_a_camera_is_said(camera: OnvifCamera) -> None:
 @pytest.mark.parametrize("url", ["rtsp://192.0.2.66/s", "rtsp://192.0.2.66:554/127.0.0.1", "x", ""])
 def test_a_password_goes_to_the_host_that_was_given_alone(url: str) -> None:
     with onvif_camera([PROFILES[0]], {"main": url}) as camera:
-        found, missing = streams_by_onvif({"a": f"onvif://{LOGIN}@{camera.address}"})
-    assert found == {}
-    assert "names a stream at another host" in missing["a"]
-    assert "give the stream's rtsp:// URL" in missing["a"]
+        found = streams_by_onvif({"a": f"onvif://{LOGIN}@{camera.address}"})
+    assert found.urls == {}
+    assert "names a stream at another host" in found.reasons["a"]
+    assert "give the stream's rtsp:// URL" in found.reasons["a"]
 
 
 def test_a_stream_cannot_hide_another_host_in_its_path() -> None:
     with onvif_camera([PROFILES[0]], {"main": "rtsp://localhost/a@192.0.2.66/b"}) as camera:
-        found, _ = streams_by_onvif({"a": f"onvif://{LOGIN}@{camera.address}"})
-    assert urlsplit(percent_encoded(found["a"])).hostname == "localhost", "this machine's name"
+        found = streams_by_onvif({"a": f"onvif://{LOGIN}@{camera.address}"})
+    assert urlsplit(percent_encoded(found.urls["a"])).hostname == "localhost", "this machine's name"
+
+
+def lens(token: str, crop: str = "whole") -> str:
+    """Describe a video source as a profile does."""
+    text = f"<tt:SourceToken>{token}</tt:SourceToken>" if token else ""
+    return f'<tt:VideoSourceConfiguration token="{crop}">{text}</tt:VideoSourceConfiguration>'
+
+
+def test_each_lens_becomes_a_camera() -> None:
+    profiles = [("wide", 2560, 1440, 25), ("tele", 1920, 1080, 25), ("tele2", 640, 360, 12)]
+    profiles += [("door", 640, 480, 10), ("wide2", 640, 360, 15), ("empty", 640, 360, 15)]
+    sources = {
+        "wide": lens("1", "a"),
+        "wide2": lens("1", "b"),
+        "tele": lens("2"),
+        "tele2": lens("2"),
+    }
+    sources |= {"door": lens("", "c"), "empty": lens("", "d")}
+    streams = {name: f"rtsp://127.0.0.1/{name}" for name, *_ in profiles[:-1]}
+    long = "x" * 64
+    with onvif_camera(profiles, streams, video_sources=sources) as camera:
+        source = f"onvif://{LOGIN}@{camera.address}"
+        given = {"hall": source, "hall-3": "rtsp://192.0.2.1/x", long: source}
+        found = streams_by_onvif(given, ["hall-2"])
+
+    begin = f"rtsp://{LOGIN}@127.0.0.1"
+    assert [*found.urls.items()] == [
+        ("hall", f"{begin}/wide2"),
+        ("hall-4", f"{begin}/tele2"),
+        ("hall-5", f"{begin}/door"),
+        ("hall-3", "rtsp://192.0.2.1/x"),
+        (long, f"{begin}/wide2"),
+        (f"{long[:59]}-2", f"{begin}/tele2"),
+        (f"{long[:59]}-3", f"{begin}/door"),
+    ]
+    assert found.reasons.keys() == {"hall-6", f"{long[:59]}-4"}, "the channel without a stream"
+    assert "status 500" in found.reasons["hall-6"]
+    assert found.remarks["hall-4"] == ["video source 2 of 4 of hall: a lens or a channel"]
 
 
 def drip(client: socket.socket) -> None:
@@ -169,3 +208,22 @@ def test_a_camera_that_refuses_is_left_out(
     assert "bad  left out: the camera refuses the user name" in capsys.readouterr().err
     assert "[cameras.good]" in out.read_text()
     assert "[cameras.bad]" not in out.read_text()
+
+
+def test_both_lenses_are_written_and_said(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr(probes, "_probe", lambda *_: Probe("", "H.264", 640, 360, 10.0))
+    out = tmp_path / "camtopod.toml"
+    out.write_text("[cameras.gate-2]\nsource = '0'\n")
+    sources = {"main": lens("1"), "mid": lens("2")}
+    with onvif_camera(PROFILES[:2], STREAMS, video_sources=sources) as camera:
+        source = f"gate=onvif://{LOGIN}@{camera.address}"
+        assert main(["init", source, "--out", str(out)]) == exits.DONE
+    said = capsys.readouterr().err
+    for camera_id, place, path in (("gate", "1 of 2", "1"), ("gate-3", "2 of 2", "2")):
+        assert f"  {camera_id}  H.264, 640x360, 10 frames a second; video source {place}" in said
+        assert f"[cameras.{camera_id}]\n# H.264" in out.read_text()
+        secret = (tmp_path / "secrets" / camera_id).read_text()
+        assert secret == f"rtsp://{LOGIN}@127.0.0.1/{path}\n"
+    assert "camtopod.toml has gate, gate-3\n" in said

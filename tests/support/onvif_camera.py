@@ -37,7 +37,9 @@ _CAPABILITIES = (
     "</tt:Media></tds:Capabilities></tds:GetCapabilitiesResponse>"
 )
 _PROFILE = (
-    '<trt:Profiles token="{}"><tt:VideoEncoderConfiguration><tt:Resolution><tt:Width>{}</tt:Width>'
+    '<trt:Profiles token="{}"><tt:AudioSourceConfiguration><tt:SourceToken>ear</tt:SourceToken>'
+    "</tt:AudioSourceConfiguration>{}<tt:VideoEncoderConfiguration><tt:Resolution>"
+    "<tt:Width>{}</tt:Width>"
     "<tt:Height>{}</tt:Height></tt:Resolution><tt:RateControl><tt:FrameRateLimit>{}"
     "</tt:FrameRateLimit></tt:RateControl></tt:VideoEncoderConfiguration></trt:Profiles>"
 )
@@ -56,7 +58,8 @@ class OnvifCamera:
     """A camera at a free port of this machine.
 
     profiles: token, width, height and frame rate of each.
-    streams: RTSP URL by token.
+    streams: RTSP URL by token; of others it says that it has none.
+    video_sources: description of the video source by token of a profile.
     challenges: headers WWW-Authenticate, with NONCE for the nonce; none: it takes username tokens.
     nonce_uses: how often a nonce is good.
     clock: status and body of the answer when it is asked for its time.
@@ -69,7 +72,9 @@ class OnvifCamera:
         challenges: tuple[str, ...] = (),
         nonce_uses: int = 1000,
         clock: tuple[int, str] = (200, _TIME),
+        video_sources: dict[str, str] | None = None,
     ) -> None:
+        self.video_sources = video_sources or {}
         self.profiles, self.streams = profiles, streams
         self.challenges, self.nonce_uses, self.clock = challenges, nonce_uses, clock
         self.nonce, self.used = secrets.token_hex(8), 0
@@ -110,9 +115,14 @@ class OnvifCamera:
         if asked == "GetCapabilities":
             return 200, _CAPABILITIES
         if asked == "GetProfiles":
-            rows = "".join(_PROFILE.format(*profile) for profile in self.profiles)
+            rows = "".join(
+                _PROFILE.format(token, self.video_sources.get(token, ""), *figures)
+                for token, *figures in self.profiles
+            )
             return 200, f"<trt:GetProfilesResponse>{_SOUND}{rows}</trt:GetProfilesResponse>"
         [token] = re.findall(r"<ProfileToken>(.*?)</ProfileToken>", body)
+        if token not in self.streams:
+            return 500, "<e:Fault/>"
         return 200, _URI.format(self.streams[token])
 
     def _is_allowed(self, body: str) -> bool:

@@ -56,6 +56,10 @@ class Stream(Struct, frozen=True):
     width: int
     height: int
     fps: float
+    video_source: str = ""
+    """Token of the lens, or of a recorder's channel, that it shows; "" if the camera names none."""
+    problem: str = ""
+    """Why there is no URL; "" if there is one."""
 
 
 def streams(source: str) -> list[Stream]:
@@ -63,28 +67,35 @@ def streams(source: str) -> list[Stream]:
 
     source: ``onvif://[USER[:PASSWORD]@]HOST[:PORT][/PATH]``.
 
-    Raises `OnvifError`.
+    Raises `OnvifError`, also if none has a URL.
     """
     camera = _Camera(source)
     media = camera.media_service()
     result = []
     for profile in all_of(camera.ask(media, f'<GetProfiles xmlns="{_MEDIA}"/>'), "Profiles"):
         for encoder in all_of(profile, "VideoEncoderConfiguration"):  # else sound or metadata only
-            answer = camera.ask(
-                media,
-                f'<GetStreamUri xmlns="{_MEDIA}"><StreamSetup>'
-                f'<Stream xmlns="{_SCHEMA}">RTP-Unicast</Stream>'
-                f'<Transport xmlns="{_SCHEMA}"><Protocol>RTSP</Protocol></Transport></StreamSetup>'
-                f"<ProfileToken>{escape(profile.get('token', ''))}</ProfileToken></GetStreamUri>",
-            )
-            figures = [
+            url = problem = ""
+            try:
+                url = camera.stream_url(media, profile.get("token", ""))
+            except OnvifError as error:
+                problem = str(error)
+            width, height, fps = (
                 int(re.sub(r"\D.*", "", text_of(encoder, name)) or 0)
                 for name in ("Width", "Height", "FrameRateLimit")
-            ]
-            result.append(Stream(camera.with_login(text_of(answer, "Uri")), *figures))
+            )
+            result.append(Stream(url, width, height, fps, _video_source(profile), problem))
     if not result:
         raise OnvifError("the camera offers no video by ONVIF")
+    if all(stream.problem for stream in result):
+        raise OnvifError(result[0].problem)
     return result
+
+
+def _video_source(profile: Element) -> str:
+    """Return the token of a profile's video source; several configurations may crop one source."""
+    for configuration in all_of(profile, "VideoSourceConfiguration"):
+        return text_of(configuration, "SourceToken") or configuration.get("token", "")
+    return ""
 
 
 class _Answer(Struct):
@@ -131,6 +142,21 @@ class _Camera:
             if match := re.fullmatch(r"\w+://[^/]+(/.+)", text_of(media, "XAddr")):
                 return match[1]
         raise OnvifError("the camera names no media service")
+
+    def stream_url(self, media: str, profile: str) -> str:
+        """Return the URL of the stream of a profile, with login. Raises `OnvifError`.
+
+        media: path of the media service.
+        profile: token of the profile.
+        """
+        answer = self.ask(
+            media,
+            f'<GetStreamUri xmlns="{_MEDIA}"><StreamSetup>'
+            f'<Stream xmlns="{_SCHEMA}">RTP-Unicast</Stream>'
+            f'<Transport xmlns="{_SCHEMA}"><Protocol>RTSP</Protocol></Transport></StreamSetup>'
+            f"<ProfileToken>{escape(profile)}</ProfileToken></GetStreamUri>",
+        )
+        return self.with_login(text_of(answer, "Uri"))
 
     def with_login(self, url: str) -> str:
         """Return a URL of a stream with user name and password.

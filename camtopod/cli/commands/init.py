@@ -7,7 +7,7 @@ import json
 import sys
 from collections.abc import Collection, Mapping, Sequence
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from msgspec.structs import replace
 
@@ -20,6 +20,9 @@ from camtopod.config import TABLES, CameraSettings, Config, ConfigError, config_
 from camtopod.redact import redact
 from camtopod.visible import visible
 from camtopod.vision.source import SETTLE_SECONDS_MAX, Probe, file_path, kind_of
+
+if TYPE_CHECKING:
+    from camtopod.cli.cameras.finding import Findings
 
 FOUND = Path("camtopod.toml")
 """The configuration that other commands find without --config."""
@@ -107,9 +110,10 @@ def run(args: argparse.Namespace) -> int:
             f"{args.out} has cameras.{', cameras.'.join(sorted(twice))} already: give another name "
             f"(NAME=SOURCE) or edit {places}; --force writes the whole file anew"
         )
-    cameras, refusals = streams_by_onvif(sources)
-    for name, reason in refusals.items():
+    findings = streams_by_onvif(sources, settings.cameras if is_addition else ())
+    for name, reason in findings.reasons.items():
         say(f"  {name}  left out: {visible(reason)}")
+    cameras = findings.urls
     if not cameras:
         raise InputError("no camera says where its stream is, see above")
     secrets = {
@@ -129,7 +133,7 @@ def run(args: argparse.Namespace) -> int:
         )
 
     # Probe the cameras, then write the configuration and the secrets.
-    cameras, probes = _probed(cameras, settings, pictures)
+    cameras, probes = _probed(findings, settings, pictures)
     tables = camera_tables(cameras, probes, secrets.keys(), args.credentials)
     mode = 0o644  # the services' users have to read it; it contains no password
     if is_addition:
@@ -151,7 +155,7 @@ def run(args: argparse.Namespace) -> int:
     if pictures is not None and pictures != settings.web.pictures_folder and is_addition:
         say(f"for the page to show the pictures, set [web] pictures in {args.out}")
     say(_next(args, settings, cameras))
-    if refusals or any(probe.problem for probe in probes.values()):
+    if findings.reasons or any(probe.problem for probe in probes.values()):
         return exits.INPUT
     return exits.DONE
 
@@ -181,11 +185,11 @@ def _beside(out: Path, folder: Path | None) -> str:
 
 
 def _probed(
-    sources: Mapping[str, str], settings: Config, pictures: Path | None
+    findings: Findings, settings: Config, pictures: Path | None
 ) -> tuple[dict[str, str], dict[str, Probe]]:
     """Return sources and probe results of the cameras, by camera id.
 
-    sources: sources as given; others are returned where a camera's stream is found elsewhere.
+    findings: other sources are returned where a camera's stream is found elsewhere.
     pictures: folder for a picture of each; None for none.
     """
     from camtopod.cli.cameras.finding import streams_by_path
@@ -195,10 +199,11 @@ def _probed(
         return {name: replace(settings.new_camera, source=url) for name, url in urls.items()}
 
     def tell(name: str, probe: Probe) -> None:
+        probe.remarks.extend(findings.remarks.get(name, ()))
         say(f"  {name}  {'; '.join(_words(probe))}")
 
     # Probe the streams as they are given.
-    cameras = dict(sources)
+    cameras = dict(findings.urls)
     say(f"probing {counted(len(cameras), 'camera')} ...")
     if pictures is not None:
         say(f"a picture takes up to {SETTLE_SECONDS_MAX:.0f} s")
