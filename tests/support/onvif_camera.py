@@ -59,6 +59,7 @@ class OnvifCamera:
 
     profiles: token, width, height and frame rate of each.
     streams: RTSP URL by token; of others it says that it has none.
+    is_open: it wants no login.
     video_sources: description of the video source by token of a profile.
     challenges: headers WWW-Authenticate, with NONCE for the nonce; none: it takes username tokens.
     nonce_uses: how often a nonce is good.
@@ -73,7 +74,9 @@ class OnvifCamera:
         nonce_uses: int = 1000,
         clock: tuple[int, str] = (200, _TIME),
         video_sources: dict[str, str] | None = None,
+        is_open: bool = False,
     ) -> None:
+        self.is_open = is_open
         self.video_sources = video_sources or {}
         self.profiles, self.streams = profiles, streams
         self.challenges, self.nonce_uses, self.clock = challenges, nonce_uses, clock
@@ -108,9 +111,9 @@ class OnvifCamera:
             return self.clock
         if authorization or "<Username>" in body:
             self.logins.append(authorization.partition(" ")[0] or "token")
-        if self.challenges and not self._has_digest(path, authorization):
+        if not self.is_open and self.challenges and not self._has_digest(path, authorization):
             return 401, ""
-        if not self.challenges and not self._is_allowed(body):
+        if not self.is_open and not self.challenges and not self._is_allowed(body):
             return 400, _FAULT
         if asked == "GetCapabilities":
             return 200, _CAPABILITIES

@@ -10,6 +10,7 @@ from msgspec import Struct
 
 from camtopod.cli.cameras import onvif
 from camtopod.cli.cameras.naming import free_name
+from camtopod.redact import remember
 from camtopod.vision.source import Probe, streams_by_maker
 
 ENOUGH_HEIGHT = 360
@@ -32,6 +33,8 @@ class Findings(Struct):
     """Why others have none."""
     remarks: dict[str, list[str]] = {}
     """What is to be said of some, beside what a probe says."""
+    other_urls: dict[str, str] = {}
+    """Where the streams of some may be, too."""
 
 
 def streams_by_onvif(cameras: Mapping[str, str], names: Collection[str] = ()) -> Findings:
@@ -44,6 +47,8 @@ def streams_by_onvif(cameras: Mapping[str, str], names: Collection[str] = ()) ->
     """
     result = Findings()
     used_names = {*names, *cameras}
+    for source in cameras.values():
+        remember(source)  # a camera may repeat the password in what it says
     with ThreadPoolExecutor(16) as pool:
         answers = {
             name: pool.submit(onvif.streams, source)
@@ -78,13 +83,31 @@ def _add_views(
             names.add(camera)
         readable = [stream for stream in view if not stream.problem]
         if readable:
-            result.urls[camera] = _big_enough(readable).url
+            stream = _big_enough(readable)
+            result.urls[camera] = stream.url
+            if stream.remark:
+                result.remarks[camera] = [stream.remark]
+            if stream.other_url:
+                result.other_urls[camera] = stream.other_url
         else:
             result.reasons[camera] = view[0].problem
         if len(views) > 1:
             remark = f"video source {number} of {len(views)} of {name}: a lens or a channel"
-            result.remarks[camera] = [remark]
+            result.remarks.setdefault(camera, []).insert(0, remark)
     return names
+
+
+def streams_as_named(
+    other_urls: Mapping[str, str], probes: Mapping[str, Probe], look: Look
+) -> dict[str, tuple[str, Probe]]:
+    """Return (URL, probe) of cameras that can be opened at their other URL alone.
+
+    probes: the results of probing the cameras' own URLs.
+    """
+    trials = {name: url for name, url in other_urls.items() if probes[name].problem}
+    return {
+        name: (trials[name], probe) for name, probe in look(trials).items() if not probe.problem
+    }
 
 
 def streams_by_path(

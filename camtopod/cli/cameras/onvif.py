@@ -10,6 +10,7 @@ import base64
 import contextlib
 import hashlib
 import http.client
+import ipaddress
 import re
 import secrets
 import socket
@@ -24,6 +25,7 @@ from msgspec import Struct
 
 from camtopod.cli.cameras.http_digest import Challenge, challenges
 from camtopod.codec import Rejected
+from camtopod.redact import redact
 from camtopod.serve.runtime import wall
 from camtopod.untrusted_xml import DOCUMENT_BYTES_MAX, all_of, parse_xml, text_of
 from camtopod.vision.source import percent_encoded
@@ -38,6 +40,12 @@ SECONDS_ALL = 30.0
 """Longest time for all answers of a camera."""
 EXCHANGES_MAX = 3
 """Most requests for one answer: without a digest, with one, and with one for a later nonce."""
+_URL = re.compile(
+    r"(\w[\w+.-]*://)"
+    r"([^/?#]*@)?"  # login
+    r"(\[[0-9A-Fa-f:.]+\]|[^/?#@:\[\]]+)(:\d+)?"
+    r"([/?#].*)?"
+)
 _DEVICE = "http://www.onvif.org/ver10/device/wsdl"
 _MEDIA = "http://www.onvif.org/ver10/media/wsdl"
 _SCHEMA = "http://www.onvif.org/ver10/schema"
@@ -60,6 +68,10 @@ class Stream(Struct, frozen=True):
     """Token of the lens, or of a recorder's channel, that it shows; "" if the camera names none."""
     problem: str = ""
     """Why there is no URL; "" if there is one."""
+    remark: str = ""
+    """What is to be said of the URL, without secrets."""
+    other_url: str = ""
+    """URL to try if this one cannot be opened; "" for none."""
 
 
 def streams(source: str) -> list[Stream]:
@@ -74,16 +86,27 @@ def streams(source: str) -> list[Stream]:
     result = []
     for profile in all_of(camera.ask(media, f'<GetProfiles xmlns="{_MEDIA}"/>'), "Profiles"):
         for encoder in all_of(profile, "VideoEncoderConfiguration"):  # else sound or metadata only
-            url = problem = ""
+            place, problem = _Place(), ""
             try:
-                url = camera.stream_url(media, profile.get("token", ""))
+                place = camera.place(media, profile.get("token", ""))
             except OnvifError as error:
                 problem = str(error)
             width, height, fps = (
                 int(re.sub(r"\D.*", "", text_of(encoder, name)) or 0)
                 for name in ("Width", "Height", "FrameRateLimit")
             )
-            result.append(Stream(url, width, height, fps, _video_source(profile), problem))
+            result.append(
+                Stream(
+                    place.url,
+                    width,
+                    height,
+                    fps,
+                    _video_source(profile),
+                    problem,
+                    place.remark,
+                    place.other_url,
+                )
+            )
     if not result:
         raise OnvifError("the camera offers no video by ONVIF")
     if all(stream.problem for stream in result):
@@ -96,6 +119,14 @@ def _video_source(profile: Element) -> str:
     for configuration in all_of(profile, "VideoSourceConfiguration"):
         return text_of(configuration, "SourceToken") or configuration.get("token", "")
     return ""
+
+
+class _Place(Struct):
+    """Where a stream is; fields as those of `Stream`."""
+
+    url: str = ""
+    remark: str = ""
+    other_url: str = ""
 
 
 class _Answer(Struct):
@@ -143,8 +174,8 @@ class _Camera:
                 return match[1]
         raise OnvifError("the camera names no media service")
 
-    def stream_url(self, media: str, profile: str) -> str:
-        """Return the URL of the stream of a profile, with login. Raises `OnvifError`.
+    def place(self, media: str, profile: str) -> _Place:
+        """Return where the stream of a profile is. Raises `OnvifError`.
 
         media: path of the media service.
         profile: token of the profile.
@@ -156,27 +187,40 @@ class _Camera:
             f'<Transport xmlns="{_SCHEMA}"><Protocol>RTSP</Protocol></Transport></StreamSetup>'
             f"<ProfileToken>{escape(profile)}</ProfileToken></GetStreamUri>",
         )
-        return self.with_login(text_of(answer, "Uri"))
+        return self._place_of(text_of(answer, "Uri"))
 
-    def with_login(self, url: str) -> str:
-        """Return a URL of a stream with user name and password.
+    def _place_of(self, url: str) -> _Place:
+        """Return where the stream is that the camera names, with user name and password.
 
-        Raises `OnvifError` if it is at another host, which must not get them.
+        Another host must not get them. It may be the address behind a router, or 0.0.0.0: the host
+        that was given takes its place.
+
+        Raises `OnvifError` if it is no URL of a host.
         """
-        scheme, _, remainder = url.partition("://")
-        if not self._user or "@" in remainder.partition("/")[0]:
-            return url
-        try:
-            host = urlsplit(url).hostname or ""
-        except ValueError:
-            host = ""
-        if not _addresses(host) & _addresses(self._host):
+        match = _URL.fullmatch(url)
+        if match is None:
             raise OnvifError(
-                f"the camera names a stream at another host, {host or 'unreadable'}, which does "
-                "not get the password: give the stream's rtsp:// URL"
+                f"the camera names no URL of a stream, but {redact(url)!r}: give the stream's "
+                "rtsp:// URL"
             )
-        login = f"{quote(self._user, safe='')}:{quote(self._password, safe='')}"
-        return f"{scheme}://{login}@{remainder.replace('@', '%40')}"  # one @, before the host
+        scheme, login, host, port, path = match.groups("")
+        plain_host = host.strip("[]")
+        is_elsewhere = not _addresses(plain_host) & _addresses(self._host)
+        if is_elsewhere:
+            host = f"[{self._host}]" if ":" in self._host else self._host
+        is_ours = bool(self._user and not login)
+        if is_ours:
+            login = f"{quote(self._user, safe='')}:{quote(self._password, safe='')}@"
+            path = path.replace("@", "%40")  # one @, before the host
+        result = _Place(f"{scheme}{login}{host}{port}{path}")
+        if is_elsewhere:
+            result.remark = (
+                f"the camera names a stream at another host, {redact(url)}; the host that answered "
+                "is tried in its place"
+            )
+            if not is_ours and not _is_this_machine(plain_host):
+                result.other_url = url
+        return result
 
     def ask(self, path: str, body: str) -> Element:
         """Send a request and return the answer's document. Raises `OnvifError`."""
@@ -325,3 +369,12 @@ def _addresses(host: str) -> set[str]:
     with contextlib.suppress(OSError, UnicodeError):
         addresses |= {str(entry[4][0]) for entry in socket.getaddrinfo(host, None)}
     return addresses
+
+
+def _is_this_machine(host: str) -> bool:
+    """Return True for an address that means another machine to everybody, such as 0.0.0.0."""
+    try:
+        address = ipaddress.ip_address(host)
+    except ValueError:
+        return host.lower() == "localhost"
+    return address.is_unspecified or address.is_loopback

@@ -192,7 +192,7 @@ def _probed(
     findings: other sources are returned where a camera's stream is found elsewhere.
     pictures: folder for a picture of each; None for none.
     """
-    from camtopod.cli.cameras.finding import streams_by_path
+    from camtopod.cli.cameras.finding import streams_as_named, streams_by_path
     from camtopod.cli.cameras.probe import probe_all
 
     def described(urls: Mapping[str, str]) -> dict[str, CameraSettings]:
@@ -209,12 +209,18 @@ def _probed(
         say(f"a picture takes up to {SETTLE_SECONDS_MAX:.0f} s")
     probes = probe_all(described(cameras), tell, pictures)
 
-    # Where a URL has no path, take the maker's.
-    result = streams_by_path(
-        cameras, probes, lambda urls: probe_all(described(urls), lambda name, probe: None)
-    )
-    for name, (url, maker, probe) in result.items():
-        probe.remarks.append(f"found as by {maker}")
+    def look(urls: Mapping[str, str]) -> Mapping[str, Probe]:
+        return probe_all(described(urls), lambda name, probe: None)
+
+    # Where a URL has no path, take the maker's; where another host was named, that one.
+    result = {
+        name: (url, f"found as by {maker}", probe)
+        for name, (url, maker, probe) in streams_by_path(cameras, probes, look).items()
+    }
+    for name, (url, probe) in streams_as_named(findings.other_urls, probes, look).items():
+        result[name] = (url, "found at the host that it names", probe)
+    for name, (url, remark, probe) in result.items():
+        probe.remarks.append(remark)
         tell(name, probe)
         cameras[name] = url
         probes[name] = probe
