@@ -47,8 +47,6 @@ def streams_by_onvif(cameras: Mapping[str, str], names: Collection[str] = ()) ->
     """
     result = Findings()
     used_names = {*names, *cameras}
-    for source in cameras.values():
-        remember(source)  # a camera may repeat the password in what it says
     with ThreadPoolExecutor(16) as pool:
         answers = {
             name: pool.submit(onvif.streams, source)
@@ -59,6 +57,7 @@ def streams_by_onvif(cameras: Mapping[str, str], names: Collection[str] = ()) ->
             if name not in answers:
                 result.urls[name] = source
                 continue
+            remember(source)  # a camera may repeat the password in what it says
             try:
                 streams = answers[name].result()
             except onvif.OnvifError as error:
