@@ -86,9 +86,9 @@ def streams(source: str) -> list[Stream]:
     result = []
     for profile in all_of(camera.ask(media, f'<GetProfiles xmlns="{_MEDIA}"/>'), "Profiles"):
         for encoder in all_of(profile, "VideoEncoderConfiguration"):  # else sound or metadata only
-            place, problem = _Place(), ""
+            place, problem = _StreamUrl(), ""
             try:
-                place = camera.place(media, profile.get("token", ""))
+                place = camera.stream_url(media, profile.get("token", ""))
             except OnvifError as error:
                 problem = str(error)
             width, height, fps = (
@@ -121,7 +121,7 @@ def _video_source(profile: Element) -> str:
     return ""
 
 
-class _Place(Struct):
+class _StreamUrl(Struct):
     """Where a stream is; fields as those of `Stream`."""
 
     url: str = ""
@@ -174,7 +174,7 @@ class _Camera:
                 return match[1]
         raise OnvifError("the camera names no media service")
 
-    def place(self, media: str, profile: str) -> _Place:
+    def stream_url(self, media: str, profile: str) -> _StreamUrl:
         """Return where the stream of a profile is. Raises `OnvifError`.
 
         media: path of the media service.
@@ -187,9 +187,9 @@ class _Camera:
             f'<Transport xmlns="{_SCHEMA}"><Protocol>RTSP</Protocol></Transport></StreamSetup>'
             f"<ProfileToken>{escape(profile)}</ProfileToken></GetStreamUri>",
         )
-        return self._place_of(text_of(answer, "Uri"))
+        return self._url_to_try(text_of(answer, "Uri"))
 
-    def _place_of(self, url: str) -> _Place:
+    def _url_to_try(self, url: str) -> _StreamUrl:
         """Return where the stream is that the camera names, with user name and password.
 
         Another host must not get them. It may be the address behind a router, or 0.0.0.0: the host
@@ -212,7 +212,7 @@ class _Camera:
         if is_ours:
             login = f"{quote(self._user, safe='')}:{quote(self._password, safe='')}@"
             path = path.replace("@", "%40")  # one @, before the host
-        result = _Place(f"{scheme}{login}{host}{port}{path}")
+        result = _StreamUrl(f"{scheme}{login}{host}{port}{path}")
         if is_elsewhere:
             result.remark = (
                 f"the camera names a stream at another host, {redact(url)}; the host that answered "
