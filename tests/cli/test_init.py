@@ -266,6 +266,29 @@ def test_nothing_is_overwritten_unless_told(
     assert everything_below(opened)["secrets/lobby"] == (0o600, "rtsp://u:second@h/x\n")
 
 
+@pytest.mark.parametrize("options", [[], ["--credentials"]])
+def test_what_is_printed_leaves_nothing_behind(
+    options: list[str],
+    opened: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capfd: pytest.CaptureFixture[str],
+) -> None:
+    for stream in (sys.stdin, sys.stderr):
+        monkeypatch.setattr(stream, "isatty", lambda: True)
+    texts = set()
+    for out in ("-", "-", "/proc/self/fd/1"):
+        url = f"rtsp://u:{PASSWORD}{len(texts)}@h/x"
+        assert main(["init", f"lobby={url}", "--out", out, *options]) == 0
+        text, said = capfd.readouterr()
+        texts.add(text)
+        assert "standard output has lobby\nnot stored: the sources of lobby, which belong" in said
+        assert "next, with it stored as camtopod.toml" in said
+    assert [*opened.iterdir()] == [], "and nobody is asked for pictures"
+    [text] = texts
+    assert config_file.parse(text).cameras.keys() == {"lobby"}
+    assert PASSWORD not in text
+
+
 def test_cameras_are_added_to_a_file_whose_rest_stays(
     opened: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -9,6 +9,7 @@ import base64
 import contextlib
 import hashlib
 import re
+import secrets
 import threading
 from collections.abc import Iterator
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
@@ -36,7 +37,9 @@ _CAPABILITIES = (
     "</tt:Media></tds:Capabilities></tds:GetCapabilitiesResponse>"
 )
 _PROFILE = (
-    '<trt:Profiles token="{}"><tt:VideoEncoderConfiguration><tt:Resolution><tt:Width>{}</tt:Width>'
+    '<trt:Profiles token="{}"><tt:AudioSourceConfiguration><tt:SourceToken>ear</tt:SourceToken>'
+    "</tt:AudioSourceConfiguration>{}<tt:VideoEncoderConfiguration><tt:Resolution>"
+    "<tt:Width>{}</tt:Width>"
     "<tt:Height>{}</tt:Height></tt:Resolution><tt:RateControl><tt:FrameRateLimit>{}"
     "</tt:FrameRateLimit></tt:RateControl></tt:VideoEncoderConfiguration></trt:Profiles>"
 )
@@ -55,19 +58,42 @@ class OnvifCamera:
     """A camera at a free port of this machine.
 
     profiles: token, width, height and frame rate of each.
-    streams: RTSP URL by token.
+    streams: RTSP URL by token; of others it says that it has none.
+    is_open: it wants no login.
+    video_sources: description of the video source by token of a profile.
+    challenges: headers WWW-Authenticate, with NONCE for the nonce; none: it takes username tokens.
+    nonce_uses: how often a nonce is good.
+    clock: status and body of the answer when it is asked for its time.
     """
 
-    def __init__(self, profiles: list[tuple[str, int, int, int]], streams: dict[str, str]) -> None:
+    def __init__(
+        self,
+        profiles: list[tuple[str, int, int, int]],
+        streams: dict[str, str],
+        challenges: tuple[str, ...] = (),
+        nonce_uses: int = 1000,
+        clock: tuple[int, str] = (200, _TIME),
+        video_sources: dict[str, str] | None = None,
+        is_open: bool = False,
+    ) -> None:
+        self.is_open = is_open
+        self.video_sources = video_sources or {}
         self.profiles, self.streams = profiles, streams
+        self.challenges, self.nonce_uses, self.clock = challenges, nonce_uses, clock
+        self.nonce, self.used = secrets.token_hex(8), 0
+        self.time = CLOCK[:-3]
         self.asked: list[str] = []
+        self.logins: list[str] = []
         camera = self
 
         class Handler(BaseHTTPRequestHandler):
             def do_POST(self) -> None:
                 body = self.rfile.read(int(self.headers["content-length"])).decode()
-                status, answer = camera.answer(self.path, body)
+                authorization = self.headers["authorization"] or ""
+                status, answer = camera.answer(self.path, body, authorization)
                 self.send_response(status)
+                for challenge in camera.challenges if status == 401 else ():
+                    self.send_header("WWW-Authenticate", challenge.replace("NONCE", camera.nonce))
                 self.end_headers()
                 self.wfile.write(_ENVELOPE.format(answer).encode())
 
@@ -77,20 +103,29 @@ class OnvifCamera:
         self.server = ThreadingHTTPServer(("127.0.0.1", 0), Handler)
         self.address = f"127.0.0.1:{self.server.server_port}"
 
-    def answer(self, path: str, body: str) -> tuple[int, str]:
+    def answer(self, path: str, body: str, authorization: str) -> tuple[int, str]:
         """Return status and body of the answer to a request."""
         [asked] = re.findall(r"<s:Body><(\w+)", body)
         self.asked.append(f"{path} {asked}")
         if asked == "GetSystemDateAndTime":
-            return 200, _TIME
-        if not self._is_allowed(body):
+            return self.clock
+        if authorization or "<Username>" in body:
+            self.logins.append(authorization.partition(" ")[0] or "token")
+        if not self.is_open and self.challenges and not self._has_digest(path, authorization):
+            return 401, ""
+        if not self.is_open and not self.challenges and not self._is_allowed(body):
             return 400, _FAULT
         if asked == "GetCapabilities":
             return 200, _CAPABILITIES
         if asked == "GetProfiles":
-            rows = "".join(_PROFILE.format(*profile) for profile in self.profiles)
+            rows = "".join(
+                _PROFILE.format(token, self.video_sources.get(token, ""), *figures)
+                for token, *figures in self.profiles
+            )
             return 200, f"<trt:GetProfilesResponse>{_SOUND}{rows}</trt:GetProfilesResponse>"
         [token] = re.findall(r"<ProfileToken>(.*?)</ProfileToken>", body)
+        if token not in self.streams:
+            return 500, "<e:Fault/>"
         return 200, _URI.format(self.streams[token])
 
     def _is_allowed(self, body: str) -> bool:
@@ -105,13 +140,42 @@ class OnvifCamera:
         user, digest, nonce, created = found.groups()
         whole = base64.b64decode(nonce) + created.encode() + PASSWORD.encode()
         right = base64.b64encode(hashlib.sha1(whole).digest()).decode()
-        return user == USER and digest == right and created.startswith(CLOCK[:-3])
+        return user == USER and digest == right and created.startswith(self.time)
+
+    def _has_digest(self, path: str, authorization: str) -> bool:
+        """Return True if the user's digest is right, and its nonce present."""
+        fields = {
+            name: quoted or plain
+            for name, quoted, plain in re.findall(
+                r'(\w+)=(?:"((?:[^"\\]|\\.)*)"|([^ ,]+))', authorization
+            )
+        }
+        if not authorization.startswith("Digest ") or fields["nonce"] != self.nonce:
+            return False
+        self.used += 1
+        if self.used > self.nonce_uses:
+            self.nonce, self.used = secrets.token_hex(8), 0
+            return False
+
+        def digest(text: str) -> str:
+            kind = "sha256" if fields.get("algorithm", "MD5").startswith("SHA-256") else "md5"
+            return hashlib.new(kind, text.encode()).hexdigest()
+
+        secret = digest(f"{USER}:{fields['realm']}:{PASSWORD}")
+        if fields.get("algorithm", "").endswith("-sess"):
+            secret = digest(f"{secret}:{self.nonce}:{fields['cnonce']}")
+        middle = ""
+        if "qop" in fields:
+            assert int(fields["nc"], 16) == self.used, "each number is used once"
+            middle = f"{fields['nc']}:{fields['cnonce']}:{fields['qop']}:"
+        right = digest(f"{secret}:{self.nonce}:{middle}{digest(f'POST:{path}')}")
+        return (fields["username"], fields["uri"], fields["response"]) == (USER, path, right)
 
 
 @contextlib.contextmanager
-def onvif_camera(*arguments: Any) -> Iterator[OnvifCamera]:
+def onvif_camera(*arguments: Any, **options: Any) -> Iterator[OnvifCamera]:
     """Serve an `OnvifCamera` while the block runs."""
-    camera = OnvifCamera(*arguments)
+    camera = OnvifCamera(*arguments, **options)
     thread = threading.Thread(target=camera.server.serve_forever, daemon=True)
     thread.start()
     try:

@@ -3,10 +3,14 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Collection, Mapping
 from concurrent.futures import ThreadPoolExecutor
 
+from msgspec import Struct
+
 from camtopod.cli.cameras import onvif
+from camtopod.cli.cameras.naming import free_name
+from camtopod.redact import remember
 from camtopod.vision.source import Probe, streams_by_maker
 
 ENOUGH_HEIGHT = 360
@@ -20,27 +24,89 @@ Look = Callable[[Mapping[str, str]], Mapping[str, Probe]]
 """Probes sources by name."""
 
 
-def streams_by_onvif(cameras: Mapping[str, str]) -> tuple[dict[str, str], dict[str, str]]:
+class Findings(Struct):
+    """What is known of cameras, by camera id."""
+
+    urls: dict[str, str] = {}
+    """Source of each camera that has one."""
+    reasons: dict[str, str] = {}
+    """Why others have none."""
+    remarks: dict[str, list[str]] = {}
+    """What is to be said of some, beside what a probe says."""
+    other_urls: dict[str, str] = {}
+    """Where the streams of some may be, too."""
+
+
+def streams_by_onvif(cameras: Mapping[str, str], names: Collection[str] = ()) -> Findings:
     """Replace ``onvif://`` sources among the cameras by RTSP URLs of streams that are big enough.
 
-    cameras: source by camera id.
+    Each further lens of a camera, and channel of a recorder, becomes a camera with a number.
 
-    Return the cameras whose source is known, and for the others why it is not.
+    cameras: source by camera id.
+    names: camera ids that the further ones must not have.
     """
-    names = [name for name, source in cameras.items() if source.startswith(f"{onvif.SCHEME}://")]
-    urls = dict(cameras)
-    reasons = {}
+    result = Findings()
+    used_names = {*names, *cameras}
     with ThreadPoolExecutor(16) as pool:
-        answers = {name: pool.submit(onvif.streams, cameras[name]) for name in names}
-        for name, answer in answers.items():
+        answers = {
+            name: pool.submit(onvif.streams, source)
+            for name, source in cameras.items()
+            if source.startswith(f"{onvif.SCHEME}://")
+        }
+        for name, source in cameras.items():
+            if name not in answers:
+                result.urls[name] = source
+                continue
+            remember(source)  # a camera may repeat the password in what it says
             try:
-                offers = answer.result()
+                streams = answers[name].result()
             except onvif.OnvifError as error:
-                reasons[name] = str(error)
-                del urls[name]
+                result.reasons[name] = str(error)
             else:
-                urls[name] = _big_enough(offers).url
-    return urls, reasons
+                used_names |= _add_views(result, name, streams, used_names)
+    return result
+
+
+def _add_views(
+    result: Findings, name: str, streams: list[onvif.Stream], used_names: Collection[str]
+) -> set[str]:
+    """Add a camera for each of the video sources of one; return their names, with its own."""
+    views: dict[str, list[onvif.Stream]] = {}
+    for stream in streams:
+        views.setdefault(stream.video_source, []).append(stream)
+    names = {name}
+    for number, view in enumerate(views.values(), 1):
+        camera = name
+        if number > 1:
+            camera = free_name(name, {*used_names, *names})
+            names.add(camera)
+        readable = [stream for stream in view if not stream.problem]
+        if readable:
+            stream = _big_enough(readable)
+            result.urls[camera] = stream.url
+            if stream.remark:
+                result.remarks[camera] = [stream.remark]
+            if stream.other_url:
+                result.other_urls[camera] = stream.other_url
+        else:
+            result.reasons[camera] = view[0].problem
+        if len(views) > 1:
+            remark = f"video source {number} of {len(views)} of {name}: a lens or a channel"
+            result.remarks.setdefault(camera, []).insert(0, remark)
+    return names
+
+
+def streams_as_named(
+    other_urls: Mapping[str, str], probes: Mapping[str, Probe], look: Look
+) -> dict[str, tuple[str, Probe]]:
+    """Return (URL, probe) of cameras that can be opened at their other URL alone.
+
+    probes: the results of probing the cameras' own URLs.
+    """
+    trials = {name: url for name, url in other_urls.items() if probes[name].problem}
+    return {
+        name: (trials[name], probe) for name, probe in look(trials).items() if not probe.problem
+    }
 
 
 def streams_by_path(

@@ -5,7 +5,7 @@ from __future__ import annotations
 import itertools
 import re
 import sys
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from pathlib import Path
 from urllib.parse import urlsplit
 
@@ -16,6 +16,8 @@ from camtopod.vision.source import device_number, kind_of, percent_encoded
 
 _GIVEN = re.compile(r"(?:([A-Za-z0-9_.-]{1,64})=)?(.+)")
 """Argument of the form [NAME=]SOURCE."""
+_LENGTH_MAX = 59
+"""Longest name to which a number is added; ids have 64 characters at most."""
 
 
 def named_sources(arguments: Sequence[str]) -> dict[str, str]:
@@ -47,16 +49,17 @@ def named_sources(arguments: Sequence[str]) -> dict[str, str]:
     cameras = {}
     for name, source in pairs:
         if not name:
-            camera_id = _id_of(source)
-            numbers = (f"{camera_id}-{number}" for number in itertools.count(2))
-            name = next(
-                candidate
-                for candidate in itertools.chain([camera_id], numbers)
-                if candidate not in used_names
-            )
+            name = free_name(_id_of(source), used_names)
             used_names.add(name)
         cameras[name] = source
     return cameras
+
+
+def free_name(name: str, used_names: Collection[str]) -> str:
+    """Return the name, with a number from 2 on if it is used; a long one is cut for that."""
+    numbers = (f"{name[:_LENGTH_MAX]}-{number}" for number in itertools.count(2))
+    candidates = itertools.chain([name], numbers)
+    return next(candidate for candidate in candidates if candidate not in used_names)
 
 
 def _id_of(source: str) -> str:
@@ -69,4 +72,4 @@ def _id_of(source: str) -> str:
             text = urlsplit(percent_encoded(source)).hostname or ""
         except ValueError:
             text = ""
-    return re.sub(r"[^A-Za-z0-9_]+", "-", text).strip("-")[:59] or "camera"
+    return re.sub(r"[^A-Za-z0-9_]+", "-", text).strip("-")[:_LENGTH_MAX] or "camera"

@@ -7,19 +7,29 @@ import json
 import sys
 from collections.abc import Collection, Mapping, Sequence
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from msgspec.structs import replace
 
 from camtopod.cli import exits
 from camtopod.cli.commands.web import LISTEN
-from camtopod.cli.common import configuration, counted, open_output, say, writing
+from camtopod.cli.common import (
+    configuration,
+    counted,
+    is_standard_output,
+    open_output,
+    say,
+    writing,
+)
 from camtopod.cli.exits import CommandError, InputError
 from camtopod.cli.generated import table
 from camtopod.config import TABLES, CameraSettings, Config, ConfigError, config_file, secret_files
 from camtopod.redact import redact
 from camtopod.visible import visible
 from camtopod.vision.source import SETTLE_SECONDS_MAX, Probe, file_path, kind_of
+
+if TYPE_CHECKING:
+    from camtopod.cli.cameras.finding import Findings
 
 FOUND = Path("camtopod.toml")
 """The configuration that other commands find without --config."""
@@ -61,7 +71,8 @@ def add_parser(add: Any) -> None:
         type=Path,
         default=FOUND,
         metavar="FILE",
-        help="configuration file to write or to add to (default: %(default)s)",
+        help="configuration file to write or to add to (default: %(default)s); '-': print it, "
+        "and store nothing",
     )
     parser.add_argument(
         "--pictures",
@@ -93,23 +104,22 @@ def run(args: argparse.Namespace) -> int:
     from camtopod.cli.cameras.finding import streams_by_onvif
     from camtopod.cli.cameras.naming import named_sources
 
-    # Read the configuration to add to, if there is one, and find the cameras' streams.
-    is_addition = args.out.exists() and not args.force
+    # Read the configuration to add to, if there is one.
+    is_printed = is_standard_output(args.out)
+    is_addition = not is_printed and args.out.exists() and not args.force
     if is_addition:
         args.config = args.out
         args.config_found = False  # it is needed
     settings = configuration(args)
     sources = named_sources(args.sources)
-    if is_addition and (twice := sources.keys() & settings.cameras.keys()):
-        files = [settings.cameras[name].source_file for name in sorted(twice)]
-        places = " and ".join(filter(None, ["that table", *files]))
-        raise CommandError(
-            f"{args.out} has cameras.{', cameras.'.join(sorted(twice))} already: give another name "
-            f"(NAME=SOURCE) or edit {places}; --force writes the whole file anew"
-        )
-    cameras, refusals = streams_by_onvif(sources)
-    for name, reason in refusals.items():
+    if is_addition:
+        _require_new(args.out, sources, settings)
+
+    # Find the cameras' streams.
+    findings = streams_by_onvif(sources, settings.cameras if is_addition else ())
+    for name, reason in findings.reasons.items():
         say(f"  {name}  left out: {visible(reason)}")
+    cameras = findings.urls
     if not cameras:
         raise InputError("no camera says where its stream is, see above")
     secrets = {
@@ -118,7 +128,7 @@ def run(args: argparse.Namespace) -> int:
         if args.credentials or redact(source) != source
     }
     pictures = _pictures_folder(args, settings, is_addition)
-    paths = [*secrets.values()]
+    paths = [] if is_printed else [*secrets.values()]
     if pictures is not None:
         paths += [pictures / f"{name}.jpg" for name in cameras]
     present_paths = [str(path) for path in paths if path.exists()]
@@ -129,7 +139,7 @@ def run(args: argparse.Namespace) -> int:
         )
 
     # Probe the cameras, then write the configuration and the secrets.
-    cameras, probes = _probed(cameras, settings, pictures)
+    cameras, probes = _probed(findings, settings, pictures)
     tables = camera_tables(cameras, probes, secrets.keys(), args.credentials)
     mode = 0o644  # the services' users have to read it; it contains no password
     if is_addition:
@@ -139,21 +149,44 @@ def run(args: argparse.Namespace) -> int:
         text = configuration_text(settings, tables, args.credentials, _beside(args.out, pictures))
     with writing(args.out):
         for name, path in secrets.items():
-            path.parent.mkdir(mode=0o700, exist_ok=True)
-            secret_files.write(path, _located(cameras[name]).encode() + b"\n")
+            if not is_printed:
+                path.parent.mkdir(mode=0o700, exist_ok=True)
+                secret_files.write(path, _located(cameras[name]).encode() + b"\n")
         with open_output(args.out, mode) as file:
             file.write(text.encode())
 
     # Say what comes next.
-    say(f"{args.out} has {', '.join(cameras)}")
+    say(f"{'standard output' if is_printed else args.out} has {', '.join(cameras)}")
     if secrets:
-        say(f"sources with secrets are in {args.out.parent / SECRETS}, readable only by you")
+        say(_place_of_secrets(args.out, secrets))
     if pictures is not None and pictures != settings.web.pictures_folder and is_addition:
         say(f"for the page to show the pictures, set [web] pictures in {args.out}")
     say(_next(args, settings, cameras))
-    if refusals or any(probe.problem for probe in probes.values()):
+    if findings.reasons or any(probe.problem for probe in probes.values()):
         return exits.INPUT
     return exits.DONE
+
+
+def _require_new(out: Path, names: Collection[str], settings: Config) -> None:
+    """Raise `CommandError` if the configuration ``out`` has some of the cameras already."""
+    twice = sorted(settings.cameras.keys() & set(names))
+    if twice:
+        files = [settings.cameras[name].source_file for name in twice]
+        places = " and ".join(filter(None, ["that table", *files]))
+        raise CommandError(
+            f"{out} has cameras.{', cameras.'.join(twice)} already: give another name "
+            f"(NAME=SOURCE) or edit {places}; --force writes the whole file anew"
+        )
+
+
+def _place_of_secrets(out: Path, names: Collection[str]) -> str:
+    """Return a sentence on where the sources of some cameras are; none is printed."""
+    if not is_standard_output(out):
+        return f"sources with secrets are in {out.parent / SECRETS}, readable only by you"
+    return (
+        f"not stored: the sources of {', '.join(names)}, which belong into files of these names in "
+        f"{SECRETS} beside the configuration; --out FILE stores them"
+    )
 
 
 def _pictures_folder(args: argparse.Namespace, settings: Config, is_addition: bool) -> Path | None:
@@ -163,7 +196,9 @@ def _pictures_folder(args: argparse.Namespace, settings: Config, is_addition: bo
     """
     if args.pictures is not None or is_addition:
         return args.pictures or settings.web.pictures_folder
-    if args.credentials or "-" in args.sources or not (sys.stdin.isatty() and sys.stderr.isatty()):
+    if args.credentials or "-" in args.sources or is_standard_output(args.out):
+        return None
+    if not (sys.stdin.isatty() and sys.stderr.isatty()):
         return None
     say(
         "Keep a picture of each camera for the page? It shows the empty scene and stays on this "
@@ -181,35 +216,42 @@ def _beside(out: Path, folder: Path | None) -> str:
 
 
 def _probed(
-    sources: Mapping[str, str], settings: Config, pictures: Path | None
+    findings: Findings, settings: Config, pictures: Path | None
 ) -> tuple[dict[str, str], dict[str, Probe]]:
     """Return sources and probe results of the cameras, by camera id.
 
-    sources: sources as given; others are returned where a camera's stream is found elsewhere.
+    findings: other sources are returned where a camera's stream is found elsewhere.
     pictures: folder for a picture of each; None for none.
     """
-    from camtopod.cli.cameras.finding import streams_by_path
+    from camtopod.cli.cameras.finding import streams_as_named, streams_by_path
     from camtopod.cli.cameras.probe import probe_all
 
     def described(urls: Mapping[str, str]) -> dict[str, CameraSettings]:
         return {name: replace(settings.new_camera, source=url) for name, url in urls.items()}
 
     def tell(name: str, probe: Probe) -> None:
+        probe.remarks.extend(findings.remarks.get(name, ()))
         say(f"  {name}  {'; '.join(_words(probe))}")
 
     # Probe the streams as they are given.
-    cameras = dict(sources)
+    cameras = dict(findings.urls)
     say(f"probing {counted(len(cameras), 'camera')} ...")
     if pictures is not None:
         say(f"a picture takes up to {SETTLE_SECONDS_MAX:.0f} s")
     probes = probe_all(described(cameras), tell, pictures)
 
-    # Where a URL has no path, take the maker's.
-    result = streams_by_path(
-        cameras, probes, lambda urls: probe_all(described(urls), lambda name, probe: None)
-    )
-    for name, (url, maker, probe) in result.items():
-        probe.remarks.append(f"found as by {maker}")
+    def look(urls: Mapping[str, str]) -> Mapping[str, Probe]:
+        return probe_all(described(urls), lambda name, probe: None)
+
+    # Where a URL has no path, take the maker's; where another host was named, that one.
+    result = {
+        name: (url, f"found as by {maker}", probe)
+        for name, (url, maker, probe) in streams_by_path(cameras, probes, look).items()
+    }
+    for name, (url, probe) in streams_as_named(findings.other_urls, probes, look).items():
+        result[name] = (url, "found at the host that it names", probe)
+    for name, (url, remark, probe) in result.items():
+        probe.remarks.append(remark)
         tell(name, probe)
         cameras[name] = url
         probes[name] = probe
@@ -306,16 +348,19 @@ def _located(source: str) -> str:
 def _next(args: argparse.Namespace, settings: Config, cameras: Collection[str]) -> str:
     """Return the next commands; a daemon on another machine runs already."""
     elsewhere = bool(settings.bus.connect)
+    out, step = args.out, "next"
+    if is_standard_output(out):
+        out, step = FOUND, f"next, with it stored as {FOUND}"
     if not args.credentials:
-        command = "camtopod" if args.out == FOUND else f"camtopod --config {args.out}"
+        command = "camtopod" if out == FOUND else f"camtopod --config {out}"
         if elsewhere:
-            return f"next: {command} grab"
-        return f"next: {command} up, then open http://{LISTEN}/"
+            return f"{step}: {command} grab"
+        return f"{step}: {command} up, then open http://{LISTEN}/"
     services = [f"camtopod-grab@{name}" for name in cameras]
     services = ["camtopod", "camtopod-web"] * (not elsewhere) + services
-    folder = (args.out.parent / SECRETS).absolute()
+    folder = (out.parent / SECRETS).absolute()
     return (
-        f"next, with the units of deploy/ installed as described in deploy/README.md:\n"
+        f"{step}, with the units of deploy/ installed as described in deploy/README.md:\n"
         f"    systemctl enable --now {' '.join(services)}\n"
-        f"    {CREDENTIALS[1:]}={folder} camtopod check {args.out} --probe"
+        f"    {CREDENTIALS[1:]}={folder} camtopod check {out} --probe"
     )
