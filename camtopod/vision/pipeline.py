@@ -155,6 +155,7 @@ class ViewPipeline:
             return []
 
         # Blobs, tracks, events.
+        self._tracker.crossings.view = self._motion.view
         blobs = find_blobs(motion, self._tracker.stature.height)
         objects: list[Blob] | None = blobs
         self._tracker.crossings.anywhere = False

@@ -88,6 +88,8 @@ class MotionDetector:
         """One-sigma temporal noise of the working image, grey levels."""
         self.shake = 0.0
         """Running mean of the shift between images and scene, pixels."""
+        self.view: Box = (0.0, 0.0, 0.0, 0.0)
+        """Part of the scene that the latest frame shows."""
         self.relearn_count = 0
 
     def filter_noise(self, frame: Luma) -> Luma:
@@ -148,12 +150,19 @@ class MotionDetector:
         self.shake += _NOISE_RATE * (shift - self.shake)
         expected = self._background.expected(frame, self._settled_mask, self.noise)
         self._expected = expected  # for the next frame
+        difference = cv2.absdiff(frame, expected)
+        self.view = (0.0, 0.0, float(frame.shape[1]), float(frame.shape[0]))
+        if self.shake > SHAKE_PIXELS:
+            # Alignment is accurate to a part of a pixel: edges may be off by one.
+            self.view = shake.view(expected, self._map)
+            above = cv2.subtract(frame, cv2.dilate(expected, _SQUARE))
+            difference = cv2.max(above, cv2.subtract(cv2.erode(expected, _SQUARE), frame))
 
         # Moving pixels; an image that has changed for long ends this scene.
         sensitivity = self._settings.sensitivity
         light = min((cv2.mean(expected, self.watched_mask)[0] + _DARK) / (_DIM + _DARK), 1.0)
         least = DIFFERENCE_MIN * max(light / sensitivity, min(self.noise / NOISE_TO_FILTER, 1.0))
-        differs = cv2.threshold(cv2.absdiff(frame, expected), least, 255, cv2.THRESH_BINARY)[1]
+        differs = cv2.threshold(difference, least, 255, cv2.THRESH_BINARY)[1]
         differs = cv2.bitwise_and(differs, self.watched_mask)
         moving_mask = self._swaying.without(differs, frame, expected, least)
         if self._has_changed(moving_mask):
