@@ -8,7 +8,7 @@ import numpy as np
 from rendered_scenes import FPS, Person, Place, Scene, line
 
 from camtopod.records import Event
-from camtopod.vision.boxes import Box, intersection, union
+from camtopod.vision.boxes import Box, union
 from camtopod.vision.detect import Blob
 from camtopod.vision.pipeline import ViewPipeline
 from camtopod.vision.settings import VisionSettings
@@ -55,23 +55,6 @@ def test_who_enters_where_another_has_just_left_is_another() -> None:
     events = tracked(frames)
     assert sorted(event.kind for event in events) == ["entry", "entry", "exit", "exit"]
     assert len({event.track for event in events}) == 2
-
-
-def test_who_enters_and_merges_with_another_at_once_has_entered() -> None:
-    """Somebody stands near the border; in front of them another enters, in one blob with them."""
-
-    def walk(x: float, speed: float, width: int, bottom: float, frames: int) -> list[Box]:
-        """Return the boxes of somebody whose left side is at ``x`` first."""
-        lefts = [x + speed * k for k in range(frames)]
-        return [(max(0, x), bottom - 70, min(WIDTH, x + width), bottom) for x in lefts]
-
-    stands = [*walk(-10, 8, 24, 160, 37), *walk(278, 0, 24, 160, 20), *walk(278, 5, 24, 160, 10)]
-    enters = walk(308, -11, 28, 170, 31)
-    frames = [[box] for box in stands[:39]]
-    for box, other in zip(stands[39:], enters, strict=False):
-        frames.append([union(box, other)] if intersection(box, other) else [box, other])
-    events = tracked(frames)
-    assert sorted(event.kind for event in events) == ["entry", "entry", "exit", "exit"]
 
 
 def test_who_comes_in_before_another_is_not_the_one_inside() -> None:
