@@ -77,12 +77,12 @@ class Tracker:
         """
         dt = t - self._t
         self._t = t
-        self.crossings.now = max(self.crossings.now, t)
 
-        # A pause in the frames ends all tracks.
+        # A pause in the frames ends all tracks; what was seen before it was known then.
         events = []
         if dt > PATIENCE_SECONDS:
             events = self.finish("interrupted")
+        self.crossings.now = max(self.crossings.now, t)
         if self._start is None:
             self._start = t
 
