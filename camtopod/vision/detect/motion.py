@@ -21,6 +21,7 @@ import numpy as np
 from camtopod.vision.boxes import Box, pixels
 from camtopod.vision.detect import shake
 from camtopod.vision.detect.background import MEDIAN_SAMPLES, Background, Luma
+from camtopod.vision.detect.blank_areas import blank_pixels, shown_part
 from camtopod.vision.detect.swaying import Swaying
 from camtopod.vision.detect.wiener import NOISE_TO_FILTER, temporal_noise, wiener
 from camtopod.vision.settings import Polygon, VisionSettings
@@ -96,7 +97,7 @@ class MotionDetector:
         """Measure the noise of ``frame``; return the frame, filtered if it is noisy."""
         if self._last is None or self._last.shape != frame.shape:
             self.watched_mask = watched_pixels(self._settings.ignore, *frame.shape)
-            """Mask (H, W): 0 where motion does not count."""
+            """Mask (H, W): 0 where motion does not count, in ignored and in blank areas."""
             self.ready = False  # another size: another scene
         else:
             noise = temporal_noise(frame, self._last, self.watched_mask)
@@ -110,6 +111,10 @@ class MotionDetector:
         """Take the median of ``frames`` (some of them) as the settled scene."""
         step = -(-len(frames) // MEDIAN_SAMPLES)
         frames = frames[::step]
+        watched_mask = watched_pixels(self._settings.ignore, *frames[0].shape)
+        blank = blank_pixels(frames)
+        self.watched_mask = cv2.subtract(watched_mask, blank)
+        self._picture_view = shown_part(blank == 0)
         scene = frames[len(frames) // 2]
         shifts = [shake.shift(frame, scene, self.watched_mask) for frame in frames]
         self.shake = sum(shifts) / len(shifts)
@@ -151,7 +156,7 @@ class MotionDetector:
         expected = self._background.expected(frame, self._settled_mask, self.noise)
         self._expected = expected  # for the next frame
         difference = cv2.absdiff(frame, expected)
-        self.view = (0.0, 0.0, float(frame.shape[1]), float(frame.shape[0]))
+        self.view = self._picture_view
         if self.shake > SHAKE_PIXELS:
             # Alignment is accurate to a part of a pixel: edges may be off by one.
             self.view = shake.view(expected, self._map)

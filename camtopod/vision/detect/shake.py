@@ -15,6 +15,7 @@ import numpy.typing as npt
 
 from camtopod.vision.boxes import Box
 from camtopod.vision.detect.background import Luma
+from camtopod.vision.detect.blank_areas import shown_part
 
 Map = npt.NDArray[np.float64]
 """Affine map from places of the scene to those of an image, (3, 3)."""
@@ -90,18 +91,11 @@ def _residual(image: Luma, scene: Luma, weight_mask: Luma) -> float:
 def view(scene: Luma, by: Map) -> Box:
     """Return the part (left, top, right, bottom) of ``scene`` that an image shows, pixels.
 
-    by: the map from the scene to the image. Rows and columns count that are shown by half.
+    by: the map from the scene to the image.
     """
     height, width = scene.shape
     full, nothing = (np.full((height, width), level, np.uint8) for level in (255, 0))
-    shown_mask = warped(full, nothing, by) != 0
-    columns, rows = shown_mask.mean(axis=0) > 0.5, shown_mask.mean(axis=1) > 0.5
-    return (
-        float(columns.argmax()),
-        float(rows.argmax()),
-        float(width - columns[::-1].argmax()),
-        float(height - rows[::-1].argmax()),
-    )
+    return shown_part(warped(full, nothing, by) != 0)
 
 
 def warped(image: Luma, scene: Luma, by: Map) -> Luma:

@@ -78,6 +78,12 @@ class Crossings:
         self.now = -inf
         """Capture time of the newest frame, seconds; `LATENESS_SECONDS_MAX` counts from there."""
 
+    def begin(self, start_t: float, now: float, ignored_areas: IgnoredAreas) -> None:
+        """Begin with a new scene, of which there are frames from ``start_t`` to ``now`` seconds."""
+        self.start_t = start_t
+        self.now = now
+        self._ignored_areas = ignored_areas
+
     def note(
         self,
         reason: Reason,
@@ -266,11 +272,12 @@ class Crossings:
         """
         x, y = at.foot
         dx, dy = track.velocity
+        left, top, right, bottom = self.view
         distance, speed = {
-            "left border": (at.box[2] - track.width / 2, -dx),
-            "right border": (self.size[0] - at.box[0] - track.width / 2, dx),
-            "top border": (y, -dy),
-            "bottom border": (self.size[1] - at.box[1] - track.height / 2, dy),
+            "left border": (at.box[2] - left - track.width / 2, -dx),
+            "right border": (right - at.box[0] - track.width / 2, dx),
+            "top border": (y - top, -dy),
+            "bottom border": (bottom - at.box[1] - track.height / 2, dy),
         }.get(edge or "", (0.0, 0.0))
         seconds = distance / (max(sense * speed, 0.0) or inf)
         if not 0.0 < seconds <= PATIENCE_SECONDS:
