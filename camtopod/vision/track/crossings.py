@@ -241,22 +241,16 @@ class Crossings:
         return []
 
     def _told(self, kind: Kind, track: Track, at: Sighting, edge: Edge | None) -> list[Event]:
-        """Return the event at a sighting; none if it is known too late.
+        """Return the event at a sighting; none if an entry is known too late.
 
-        An event with another time than its own would mislead more than one that is missing.
+        An event with another time than its own would mislead more than one that is missing. Who
+        has left is known once the patience is over.
         """
         entry = kind == "entry"
         at = self._at_border(track, at, edge, -1.0 if entry else 1.0)
         lateness = self.now - at.t
-        if lateness > LATENESS_SECONDS_MAX:
-            self.note(
-                "entered late" if entry else "left late",
-                track,
-                at,
-                edge,
-                lateness,
-                LATENESS_SECONDS_MAX,
-            )
+        if entry and lateness > LATENESS_SECONDS_MAX:
+            self.note("entered late", track, at, edge, lateness, LATENESS_SECONDS_MAX)
             return []
         self.note("entered" if entry else "left", track, at, edge)
         x, y = (round(share, 4) for share in self._place(at))
