@@ -83,9 +83,9 @@ def gap(a: Box, b: Box) -> float:
     return hypot(x, y)
 
 
-def border_distances(box: Box, size: Size) -> Box:
-    """Return the distance to each side of an image (left, top, right, bottom), pixels."""
-    return (box[0], box[1], size[0] - box[2], size[1] - box[3])
+def border_distances(box: Box, view: Box) -> Box:
+    """Return the distance to each side of a view (left, top, right, bottom), pixels."""
+    return (box[0] - view[0], box[1] - view[1], view[2] - box[2], view[3] - box[3])
 
 
 def pixels(box: Box, shape: tuple[int, ...]) -> tuple[slice, slice]:
@@ -95,9 +95,9 @@ def pixels(box: Box, shape: tuple[int, ...]) -> tuple[slice, slice]:
     return slice(top, bottom), slice(left, right)
 
 
-def touches_border(box: Box, size: Size) -> bool:
-    """Return True if the border of an image cuts the box."""
-    return min(border_distances(box, size)) <= TOUCH_PIXELS
+def touches_border(box: Box, view: Box) -> bool:
+    """Return True if the border of a view cuts the box."""
+    return min(border_distances(box, view)) <= TOUCH_PIXELS
 
 
 def to_border(box: Box, other_boxes: Sequence[Box], size: Size, reach: float) -> Box:

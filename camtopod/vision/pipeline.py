@@ -134,8 +134,9 @@ class ViewPipeline:
                 self._take,
             )
             self._tracker = Tracker(self._settings, crossings, self._numbers)
-        self._tracker.crossings.start_t = first_frames[0][0]
-        self._tracker.crossings.now = first_frames[-1][0]
+        self._tracker.crossings.begin(
+            first_frames[0][0], first_frames[-1][0], IgnoredAreas(self._motion.watched_mask)
+        )
         self._t = None
         for t, frame in first_frames:
             if self._motion.ready:
@@ -155,6 +156,7 @@ class ViewPipeline:
             return []
 
         # Blobs, tracks, events.
+        self._tracker.crossings.view = self._motion.view
         blobs = find_blobs(motion, self._tracker.stature.height)
         objects: list[Blob] | None = blobs
         self._tracker.crossings.anywhere = False

@@ -17,6 +17,10 @@ AREA_SHARE_MIN = 0.0004
 """Smallest blob as a share of the image's area."""
 FILL_SHARE_MIN = 0.2
 """Smallest share of its box that a person fills."""
+PART_FILL_SHARE_MIN = 0.3
+"""Smallest share of its box that a person fills who was cut out of something sparse."""
+DENSE_SHARE = 0.5
+"""Smallest share of the fullest column that another column of a person fills."""
 TALLER = 1.2
 """Largest height of a person in heights that are expected there."""
 NEAR = 0.04
@@ -79,11 +83,11 @@ def find_blobs(motion: Motion, expected_height: ExpectedHeight) -> list[Blob]:
 
     # Merge fragments of one person.
     groups = _merge([(int(label), _box(stats[label])) for label in numbers], cache(expected_height))
+    parts = [(group, *_dense_part(group, box, labels, areas)) for group, box in groups]
     groups = [
         (group, box)
-        for group, box in groups
-        if sum(int(areas[label - 1]) for label in group)
-        >= max(area_min, FILL_SHARE_MIN * area(box))
+        for group, box, filled in parts
+        if filled >= max(area_min, FILL_SHARE_MIN * area(box))
     ]
     boxes = [box for _, box in groups]
     return [
@@ -95,6 +99,29 @@ def find_blobs(motion: Motion, expected_height: ExpectedHeight) -> list[Blob]:
         )
         for group, box in groups
     ]
+
+
+def _dense_part(group: list[int], box: Box, labels: Luma, areas: Luma) -> tuple[Box, int]:
+    """Return the part of a group's box that may be a person, and the pixels that it fills.
+
+    A person who hangs together with something thin, as the outline of a hard shadow, is where the
+    columns are fullest; leaves in the wind are full nowhere. What is no more sparse than a person
+    is left whole.
+    """
+    filled = sum(int(areas[label - 1]) for label in group)
+    if filled >= FILL_SHARE_MIN * area(box):
+        return box, filled
+    left, top, right, bottom = map(int, box)
+    mask = np.isin(labels[top:bottom, left:right], group)
+    by_column = mask.sum(axis=0)
+    fullest = int(by_column.argmax())
+    sparse = np.flatnonzero(by_column < DENSE_SHARE * by_column[fullest])
+    begin = int(sparse[sparse < fullest].max(initial=-1)) + 1
+    end = int(sparse[sparse > fullest].min(initial=right - left))
+    rows = np.flatnonzero(mask[:, begin:end].any(axis=1)).tolist()
+    part = (left + begin, top + rows[0], left + end, top + rows[-1] + 1)
+    filled = int(by_column[begin:end].sum())
+    return part, filled if filled >= PART_FILL_SHARE_MIN * area(part) else 0
 
 
 def _fragments(mask: Luma) -> tuple[Luma, Luma]:

@@ -21,6 +21,7 @@ import numpy as np
 from camtopod.vision.boxes import Box, pixels
 from camtopod.vision.detect import shake
 from camtopod.vision.detect.background import MEDIAN_SAMPLES, Background, Luma
+from camtopod.vision.detect.blank_areas import blank_pixels, shown_part
 from camtopod.vision.detect.swaying import Swaying
 from camtopod.vision.detect.wiener import NOISE_TO_FILTER, temporal_noise, wiener
 from camtopod.vision.settings import Polygon, VisionSettings
@@ -88,13 +89,15 @@ class MotionDetector:
         """One-sigma temporal noise of the working image, grey levels."""
         self.shake = 0.0
         """Running mean of the shift between images and scene, pixels."""
+        self.view: Box = (0.0, 0.0, 0.0, 0.0)
+        """Part of the scene that the latest frame shows."""
         self.relearn_count = 0
 
     def filter_noise(self, frame: Luma) -> Luma:
         """Measure the noise of ``frame``; return the frame, filtered if it is noisy."""
         if self._last is None or self._last.shape != frame.shape:
             self.watched_mask = watched_pixels(self._settings.ignore, *frame.shape)
-            """Mask (H, W): 0 where motion does not count."""
+            """Mask (H, W): 0 where motion does not count, in ignored and in blank areas."""
             self.ready = False  # another size: another scene
         else:
             noise = temporal_noise(frame, self._last, self.watched_mask)
@@ -108,6 +111,10 @@ class MotionDetector:
         """Take the median of ``frames`` (some of them) as the settled scene."""
         step = -(-len(frames) // MEDIAN_SAMPLES)
         frames = frames[::step]
+        watched_mask = watched_pixels(self._settings.ignore, *frames[0].shape)
+        blank = blank_pixels(frames)
+        self.watched_mask = cv2.subtract(watched_mask, blank)
+        self._picture_view = shown_part(blank == 0)
         scene = frames[len(frames) // 2]
         shifts = [shake.shift(frame, scene, self.watched_mask) for frame in frames]
         self.shake = sum(shifts) / len(shifts)
@@ -148,12 +155,19 @@ class MotionDetector:
         self.shake += _NOISE_RATE * (shift - self.shake)
         expected = self._background.expected(frame, self._settled_mask, self.noise)
         self._expected = expected  # for the next frame
+        difference = cv2.absdiff(frame, expected)
+        self.view = self._picture_view
+        if self.shake > SHAKE_PIXELS:
+            # Alignment is accurate to a part of a pixel: edges may be off by one.
+            self.view = shake.view(expected, self._map)
+            above = cv2.subtract(frame, cv2.dilate(expected, _SQUARE))
+            difference = cv2.max(above, cv2.subtract(cv2.erode(expected, _SQUARE), frame))
 
         # Moving pixels; an image that has changed for long ends this scene.
         sensitivity = self._settings.sensitivity
         light = min((cv2.mean(expected, self.watched_mask)[0] + _DARK) / (_DIM + _DARK), 1.0)
         least = DIFFERENCE_MIN * max(light / sensitivity, min(self.noise / NOISE_TO_FILTER, 1.0))
-        differs = cv2.threshold(cv2.absdiff(frame, expected), least, 255, cv2.THRESH_BINARY)[1]
+        differs = cv2.threshold(difference, least, 255, cv2.THRESH_BINARY)[1]
         differs = cv2.bitwise_and(differs, self.watched_mask)
         moving_mask = self._swaying.without(differs, frame, expected, least)
         if self._has_changed(moving_mask):

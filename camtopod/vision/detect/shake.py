@@ -13,7 +13,9 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
+from camtopod.vision.boxes import Box
 from camtopod.vision.detect.background import Luma
+from camtopod.vision.detect.blank_areas import shown_part
 
 Map = npt.NDArray[np.float64]
 """Affine map from places of the scene to those of an image, (3, 3)."""
@@ -24,6 +26,12 @@ _STEPS_MAX = 10
 """Steps to align a frame at each size at most; a single one is accurate to about a pixel."""
 _OUTLIER = 40
 """Difference (grey levels) above which a pixel shows an object rather than a shift of the scene."""
+_LINEAR_MAX = 0.1
+"""Largest deviation of a map's linear part from the identity; a camera that sways has less."""
+_SHIFT_MAX = 0.2
+"""Largest shift of a map, in half widths of the image."""
+_RESIDUAL_MAX = 0.9
+"""Largest share of the residual without a map that may be left by one that is used."""
 _DAMPING = 1e-3
 """Changes for which the scene has less than this share of its gradients are hardly made."""
 
@@ -43,8 +51,12 @@ def aligning(image: Luma, scene: Luma, settled_mask: Luma, first: Map) -> Map:
     """Return the map that takes ``scene`` (H, W) to ``image``.
 
     settled_mask (H, W): 0 where the image does not show the scene.
-    first: where to begin; the result if nothing better is found.
+    first: where to begin.
+
+    The identity is the result if no map near it is better by a tenth: a car or a crowd that fills
+    much of the image moves as a whole, too, but farther than a camera that sways.
     """
+    first = first if _is_near(first) else IDENTITY
     for factor in _FACTORS:
         size = [max(3, side // factor) for side in reversed(scene.shape)]
         small, model, weight_mask = (
@@ -55,13 +67,35 @@ def aligning(image: Luma, scene: Luma, settled_mask: Luma, first: Map) -> Map:
         trial, least = first, float("inf")
         for _ in range(_STEPS_MAX):
             aligned_image = warped(small, model, trial)
-            off = cv2.absdiff(aligned_image, model)
-            residual = cv2.mean(np.minimum(off, np.uint8(_OUTLIER)), weight_mask)[0]
-            if residual >= least:
+            residual = _residual(aligned_image, model, weight_mask)
+            if residual >= least or not _is_near(trial):
                 break
             first, least = trial, residual
             trial = trial @ _step(aligned_image, model, *equations, 1)
-    return first
+    is_better = least < _RESIDUAL_MAX * _residual(small, model, weight_mask)
+    return first if is_better else IDENTITY
+
+
+def _is_near(trial: Map) -> bool:
+    """Return True if a camera may sway by so much."""
+    off = np.abs(trial - IDENTITY)
+    return bool(off[:2, :2].max() <= _LINEAR_MAX and off[:2, 2].max() <= _SHIFT_MAX)
+
+
+def _residual(image: Luma, scene: Luma, weight_mask: Luma) -> float:
+    """Return the mean difference, grey levels, of what shows no object."""
+    off = np.minimum(cv2.absdiff(image, scene), np.uint8(_OUTLIER))
+    return float(cv2.mean(off, weight_mask)[0])
+
+
+def view(scene: Luma, by: Map) -> Box:
+    """Return the part (left, top, right, bottom) of ``scene`` that an image shows, pixels.
+
+    by: the map from the scene to the image.
+    """
+    height, width = scene.shape
+    full, nothing = (np.full((height, width), level, np.uint8) for level in (255, 0))
+    return shown_part(warped(full, nothing, by) != 0)
 
 
 def warped(image: Luma, scene: Luma, by: Map) -> Luma:

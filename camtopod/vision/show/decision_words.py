@@ -43,8 +43,6 @@ _TENTATIVE: dict[Reason, str] = {
 """Words by the reason why a track was not an object."""
 _ENDS: dict[Reason, str] = {
     "left": "exit by {edge} at {place}",
-    "left late": "no exit: went out by {edge} at {place}, which was known {value:.1f} s later, at "
-    "most {least:g} s are allowed",
     "lost": "no exit: lost in mid-view at {place}, not at a border or door (if that happens there "
     "again and again, a door is learned)",
     "occluded": "no exit: lost behind others in mid-view at {place}",

@@ -1,14 +1,14 @@
-"""Assignment of the blobs of a frame to the tracks of an object each, or to those of a group."""
+"""Assignment of the blobs of a frame to the tracks of an object each."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from math import hypot
 
 import numpy as np
 from scipy.optimize import linear_sum_assignment
 
-from camtopod.vision.boxes import Box, area, box_height, centre, contains_centre
+from camtopod.vision.boxes import area, box_height, centre
 from camtopod.vision.detect import Blob
 from camtopod.vision.track.crossings import Crossings
 from camtopod.vision.track.kalman import SIGMAS
@@ -18,9 +18,6 @@ GATE_HEIGHTS = 0.35
 """Gate: largest distance (heights, plus two sigma) of head or foot from the expected position."""
 PIECE_HEIGHT_MIN = 0.4
 """Least height of a blob that no border cuts, as a share of a person's."""
-GROUP_FACTOR = 1.3
-"""Least area of a group's blob, as a factor of its largest member's; largest factor between the
-heights of a confirmed member and of a tentative one."""
 LIKE_FACTOR = 2.0
 """Largest factor between the areas, or heights, of one object that no border cuts."""
 NEARER_SHARE = 0.7
@@ -30,53 +27,6 @@ _NEVER = 1e9
 
 Costs = Callable[[Track, Sequence[Blob]], list[float]]
 """Cost of each blob for a track; `_NEVER` where it is not allowed."""
-
-
-def group_in(
-    blob: Blob, predictions: Sequence[tuple[Track, Box]], crossings: Crossings
-) -> list[Track]:
-    """Return the tracks whose people the blob covers, none unless it is larger than each of them.
-
-    One of them at least is confirmed, and the tentative ones are about as tall, unlike fragments.
-
-    predictions: tracks that it may cover, with their expected boxes.
-    """
-    inside = [
-        track
-        for track, box in predictions
-        if contains_centre(blob.box, box) and not crossings.comes_in(track, blob.box)
-    ]
-    tallest = max((track.height for track in inside if track.confirmed), default=np.inf)
-    inside = [
-        track for track in inside if track.confirmed or GROUP_FACTOR * track.height >= tallest
-    ]
-    largest = max((track.width * track.height for track in inside), default=0.0)
-    return inside if len(inside) > 1 and area(blob.box) > GROUP_FACTOR * largest else []
-
-
-def boxes_in_group(blob: Blob, group: Sequence[Track]) -> Iterator[tuple[Track, Box]]:
-    """Yield the box of each track in a group's blob.
-
-    The outermost people touch its outline; the others are taken to be where they were expected.
-    """
-    leftmost = min(group, key=lambda track: track.box[0])
-    rightmost = max(group, key=lambda track: track.box[2])
-    lowest = max(group, key=lambda track: track.box[3])
-    highest = min(group, key=lambda track: track.box[1])
-
-    for track in group:
-        left, _, right, bottom = track.box
-        x = min(max((left + right) / 2, blob.left), blob.right)
-        if track is leftmost:
-            x = blob.left + track.width / 2
-        elif track is rightmost:
-            x = blob.right - track.width / 2
-        bottom = min(max(bottom, blob.top), blob.bottom)
-        if track is lowest:
-            bottom = blob.bottom
-        elif track is highest:
-            bottom = min(blob.top + track.height, blob.bottom)
-        yield track, (x - track.width / 2, bottom - track.height, x + track.width / 2, bottom)
 
 
 def best_pairs(

@@ -12,7 +12,7 @@ from math import hypot, inf
 
 from camtopod.labels import most_frequent
 from camtopod.records import Event, Kind
-from camtopod.vision.boxes import TOUCH_PIXELS, Box, border_distances, touches_border
+from camtopod.vision.boxes import TOUCH_PIXELS, Box, border_distances, box_height, touches_border
 from camtopod.vision.settings import Polygon
 from camtopod.vision.track.decisions import Decision, Edge, Reason
 from camtopod.vision.track.doors import Doors
@@ -28,6 +28,8 @@ REACH_SECONDS = 0.6
 A box that reaches the border within it is at the border; an event is dated back or forward by as
 much at most; what jumps is assigned by its area if it was seen within it.
 """
+REACH_SIZES = 0.5
+"""Distance (sizes) that an object's outline may jump between two frames at least."""
 PATIENCE_SECONDS = 1.5
 """Time an object may go undetected before its track ends.
 
@@ -35,6 +37,8 @@ A sighting is moved to the crossing of the border if it takes no longer.
 """
 LATENESS_SECONDS_MAX = 4.0
 """Longest time after an event at which it is told; the daemon does not learn from later ones."""
+CUT_SHARE_MAX = 0.75
+"""Largest share of its height that is left of an object that the top border cuts as it crosses."""
 WALKED_HEIGHTS_MIN = 1.5
 """Least distance from its origin (heights) that a track must have moved to be evidence of a door.
 
@@ -62,6 +66,8 @@ class Crossings:
         self._camera = camera
         self._take = take
         self.size = (width, height)
+        self.view: Box = (0.0, 0.0, float(width), float(height))
+        """Part of the scene that the frame shows; its sides are the border."""
         self._margin = BORDER_SHARE * (width**2 + height**2) ** 0.5
         self._ignored_areas = ignored_areas
         self.doors = Doors(width, height, self._margin, doors)
@@ -71,6 +77,12 @@ class Crossings:
         """Time of the first frame, seconds: there are no earlier events."""
         self.now = -inf
         """Capture time of the newest frame, seconds; `LATENESS_SECONDS_MAX` counts from there."""
+
+    def begin(self, start_t: float, now: float, ignored_areas: IgnoredAreas) -> None:
+        """Begin with a new scene, of which there are frames from ``start_t`` to ``now`` seconds."""
+        self.start_t = start_t
+        self.now = now
+        self._ignored_areas = ignored_areas
 
     def note(
         self,
@@ -105,7 +117,7 @@ class Crossings:
 
     def touches(self, box: Box) -> bool:
         """Return True if the border of the image or an ignored area cuts the box."""
-        return touches_border(box, self.size) or self._ignored_areas.cut(box)
+        return touches_border(box, self.view) or self._ignored_areas.cut(box)
 
     def at_edge(self, track: Track) -> Edge | None:
         """Return the edge at which the track was last seen, if objects leave there."""
@@ -117,15 +129,17 @@ class Crossings:
         sense: 1.0 for the way that it goes on, -1.0 for the way that it came.
         """
         dx, dy = (sense * REACH_SECONDS * speed for speed in track.velocity)
-        left, _, right, bottom = at.box
+        left, top, right, bottom = border_distances(at.box, self.view)
+        height = box_height(at.box)
 
         # Distance to each border, and the way towards it. At the top the foot decides, because
-        # heads are cut off far inside the view.
+        # heads are cut off far inside the view, unless much of a body that goes there is cut, too.
+        is_cut = top <= TOUCH_PIXELS and height < CUT_SHARE_MAX * track.height and dy < 0
         borders: tuple[tuple[float, float, Edge], ...] = (
             (left, -dx, "left border"),
-            (self.size[0] - right, dx, "right border"),
-            (bottom, -dy, "top border"),
-            (self.size[1] - bottom, dy, "bottom border"),
+            (right, dx, "right border"),
+            (0.0 if is_cut else top + height, -dy, "top border"),
+            (bottom, dy, "bottom border"),
         )
         near_borders = [
             (distance, border)
@@ -151,8 +165,8 @@ class Crossings:
         """
         dx, dy = track.velocity
         speeds = (-dx, -dy, dx, dy)
-        before = border_distances(track.last.box, self.size)
-        after = border_distances(box, self.size)
+        before = border_distances(track.last.box, self.view)
+        after = border_distances(box, self.view)
         whole = min(before) > TOUCH_PIXELS
         return any(
             (
@@ -163,7 +177,8 @@ class Crossings:
             or (
                 whole
                 and after[side] <= TOUCH_PIXELS
-                and before[side] > max(self._margin, REACH_SECONDS * speeds[side])
+                and before[side]
+                > max(self._margin, REACH_SECONDS * speeds[side], REACH_SIZES * track.size)
             )
             for side in range(4)
         )
@@ -226,22 +241,16 @@ class Crossings:
         return []
 
     def _told(self, kind: Kind, track: Track, at: Sighting, edge: Edge | None) -> list[Event]:
-        """Return the event at a sighting; none if it is known too late.
+        """Return the event at a sighting; none if an entry is known too late.
 
-        An event with another time than its own would mislead more than one that is missing.
+        An event with another time than its own would mislead more than one that is missing. Who
+        has left is known once the patience is over.
         """
         entry = kind == "entry"
         at = self._at_border(track, at, edge, -1.0 if entry else 1.0)
         lateness = self.now - at.t
-        if lateness > LATENESS_SECONDS_MAX:
-            self.note(
-                "entered late" if entry else "left late",
-                track,
-                at,
-                edge,
-                lateness,
-                LATENESS_SECONDS_MAX,
-            )
+        if entry and lateness > LATENESS_SECONDS_MAX:
+            self.note("entered late", track, at, edge, lateness, LATENESS_SECONDS_MAX)
             return []
         self.note("entered" if entry else "left", track, at, edge)
         x, y = (round(share, 4) for share in self._place(at))
@@ -257,11 +266,12 @@ class Crossings:
         """
         x, y = at.foot
         dx, dy = track.velocity
+        left, top, right, bottom = self.view
         distance, speed = {
-            "left border": (at.box[2] - track.width / 2, -dx),
-            "right border": (self.size[0] - at.box[0] - track.width / 2, dx),
-            "top border": (y, -dy),
-            "bottom border": (self.size[1] - at.box[1] - track.height / 2, dy),
+            "left border": (at.box[2] - left - track.width / 2, -dx),
+            "right border": (right - at.box[0] - track.width / 2, dx),
+            "top border": (y - top, -dy),
+            "bottom border": (bottom - at.box[1] - track.height / 2, dy),
         }.get(edge or "", (0.0, 0.0))
         seconds = distance / (max(sense * speed, 0.0) or inf)
         if not 0.0 < seconds <= PATIENCE_SECONDS:

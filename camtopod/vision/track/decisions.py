@@ -41,13 +41,10 @@ beside others: began next to another object, so rather half of a group than a ne
 in mid-view: began away from every edge; if that happens again and again, a door is learned.
 """
 
-Ending = Literal[
-    "left", "left late", "lost", "occluded", "interrupted", "ghost", "scene changed", "in view"
-]
+Ending = Literal["left", "lost", "occluded", "interrupted", "ghost", "scene changed", "in view"]
 """Why a track has ended.
 
 left: an exit, by `edge`.
-left late: the same, but known only after `value` seconds, of `least` at most: no exit.
 lost: out of sight in mid-view; if that happens again and again at a place, a door is learned.
 occluded: the same, but last seen occluded by others, which says nothing of a door.
 interrupted: in mid-view when the frames paused.

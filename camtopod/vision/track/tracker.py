@@ -1,10 +1,9 @@
 """Tracker: follow the objects of one view from frame to frame.
 
 A track is *tentative* until it has been followed for half a second and its head or foot has moved;
-then it is *confirmed*. In each frame, blobs that cover several tracks, one of them confirmed,
-update these as a group (people crossing or walking side by side). The other blobs are assigned one
-to one (Kalman prediction, Hungarian method, gate in heights of the person); a second pass assigns
-the remaining ones by area and distance of the middles (`assignment`).
+then it is *confirmed*. In each frame, blobs are assigned one to one (Kalman prediction, Hungarian
+method, gate in heights of the person); a second pass assigns the remaining ones by area and
+distance of the middles (`assignment`).
 
 A confirmed track that is not detected for longer than the patience has *ended*: it has left if it
 was at an edge of the view, and is *lost* in mid-view. What appears there later is another track,
@@ -28,10 +27,8 @@ from camtopod.vision.track.assignment import (
     PIECE_HEIGHT_MIN,
     Costs,
     best_pairs,
-    boxes_in_group,
     costs_by_area,
     costs_by_points,
-    group_in,
 )
 from camtopod.vision.track.crossings import PATIENCE_SECONDS, REACH_SECONDS, Crossings
 from camtopod.vision.track.decisions import Reason
@@ -80,12 +77,12 @@ class Tracker:
         """
         dt = t - self._t
         self._t = t
-        self.crossings.now = max(self.crossings.now, t)
 
-        # A pause in the frames ends all tracks.
+        # A pause in the frames ends all tracks; what was seen before it was known then.
         events = []
         if dt > PATIENCE_SECONDS:
             events = self.finish("interrupted")
+        self.crossings.now = max(self.crossings.now, t)
         if self._start is None:
             self._start = t
 
@@ -94,9 +91,8 @@ class Tracker:
             track.kalman.predict(dt, track.size)
             track.frames += 1
 
-        # Assign blobs: to groups, by head and foot, by area. They occlude others, or start tracks.
-        free = self._update_groups(t, blobs)
-        free = self._assign(t, free, self._waiting(t), self._costs)
+        # Assign blobs: by head and foot, by area. They occlude others, or start tracks.
+        free = self._assign(t, blobs, self._waiting(t), self._costs)
         recent = self._waiting(t, REACH_SECONDS)
         by_area = partial(costs_by_area, dt=dt, crossings=self.crossings)
         free = self._assign(t, free, recent, by_area)
@@ -126,20 +122,6 @@ class Tracker:
             for track in self.active
             if 0.0 < t - track.last.t <= patience and in_image(track.box, self.crossings.size)
         ]
-
-    def _update_groups(self, t: float, blobs: list[Blob]) -> list[Blob]:
-        """Update tracks by blobs that cover several people; return the other blobs."""
-        free = []
-        candidates = [(track, track.box) for track in self.active]
-        for blob in blobs:
-            group = group_in(blob, candidates, self.crossings)
-            if not group:
-                free.append(blob)
-                continue
-            candidates = [(track, box) for track, box in candidates if track not in group]
-            for track, box in boxes_in_group(blob, group):
-                self._seen(track, Sighting(t, ((box[0] + box[2]) / 2, box[3]), box))
-        return free
 
     def _assign(self, t: float, blobs: list[Blob], tracks: list[Track], costs: Costs) -> list[Blob]:
         """Assign one blob to each track at the least total cost; return the others."""
