@@ -2,6 +2,7 @@
 
     python -m bench grab_truth [FOLDER...] [--model FILE] [--variants] [--details]
                                [--json FILE] [--against FILE] [--data FOLDER]
+                               [--leave-out-kinds MODULE:NAME=VALUES]
 
 Each FOLDER holds clips and their truth: NAME.mp4 with NAME.jsonl, a line for each event,
 ``{"kind": "entry", "t": 8.25, "x": 0.31, "y": 0.88}`` (seconds from the beginning of the file, foot
@@ -16,6 +17,9 @@ one to one, the nearest first. As a clip's figures vary with the pictures that h
 each is analysed four times: without the first 0, 1/4, 1/2, 3/4 of the time from one picture to the
 next. The mean over the clips has its standard error; ``--against`` compares with the FILE of an
 earlier ``--json``, clip by clip: a difference below its standard error is none.
+
+If the truth tells kinds of view, the means are also over kinds. ``--leave-out-kinds`` chooses a
+constant of camtopod.vision on all kinds but one, for each of them, and scores it there.
 
 ``--variants`` adds what can be made of the clips: mirrored, backwards in time, cropped where nobody
 enters or leaves, with half the light, shaken, slowed, begun later, with a bush in the wind, and two
@@ -36,6 +40,7 @@ from statistics import mean, stdev
 import msgspec
 from msgspec import Struct
 
+from bench.support import clip_kinds
 from bench.support.clip_variants import with_variants
 from bench.support.truth_clips import Clip, TruthError, clip_of, clips_in
 from bench.support.watched_clips import HERE, VTEST, one_by_one
@@ -91,6 +96,8 @@ class Score(Struct):
     """Length of the clip."""
     true_events: int
     runs: list[Run]
+    kind: str = ""
+    """Kind of view; "" if the truth does not say."""
 
     @property
     def f1(self) -> float:
@@ -123,6 +130,13 @@ def main(argv: list[str]) -> int:
     add("--details", action="store_true", help="list missed and spurious events of the first run")
     add("--json", type=Path, metavar="FILE", help="also write the figures there")
     add("--against", type=Path, metavar="FILE", help="compare with the figures of an earlier run")
+    add(
+        "--leave-out-kinds",
+        type=clip_kinds.choice_of,
+        metavar="MODULE:NAME=VALUES",
+        help="choose a constant of camtopod.vision (detect.blobs:DENSE_SHARE=0.3,0.5) on all kinds"
+        " of clips but one, and score it on that one, for each kind",
+    )
     add("--data", metavar="FOLDER", help="folder with one-by-one/")
     given = parser.parse_args(argv)
     if given.model and given.variants:
@@ -138,6 +152,9 @@ def main(argv: list[str]) -> int:
     except TruthError as error:
         print(f"grab_truth: {error}", file=sys.stderr)
         return 1
+    if given.leave_out_kinds:
+        print("\n".join(chosen(clips, given.leave_out_kinds)))
+        return 0
     scores = []
     print(_HEAD, flush=True)
     for clip in with_variants(clips) if given.variants else clips:
@@ -218,7 +235,8 @@ def scored(
                 for label, some in (("missed", missed), ("spurious", spurious))
                 for event in some
             ]
-    return Score(clip.name, clip.variant, clip.seconds, len(clip.truth), runs), details
+    score = Score(clip.name, clip.variant, clip.seconds, len(clip.truth), runs, clip.kind)
+    return score, details
 
 
 # -- the table ------------------------------
@@ -265,7 +283,28 @@ def summary(scores: Sequence[Score]) -> list[str]:
         latest = max(run.latest_seconds for score in some for run in score.runs)
         line += f"latest event told {latest:.1f} s after its time; "
         lines.append(line + f"{mean(score.load for score in some):.3f} CPU s/s")
+        if len(f1 := f1_by_kind(some)) > 1:
+            lines.append(clip_kinds.by_kind(f1))
     return lines
+
+
+def f1_by_kind(scores: Sequence[Score]) -> dict[str, list[float]]:
+    """Return F1 of the clips with events, by kind of view."""
+    result: dict[str, list[float]] = {}
+    for score in scores:
+        if score.true_events and score.kind:
+            result.setdefault(score.kind, []).append(score.f1)
+    return result
+
+
+def chosen(clips: Sequence[Clip], choice: clip_kinds.Choice) -> list[str]:
+    """Return the lines of a constant that is chosen on all kinds but one, each left out once."""
+    f1 = {}
+    for value in choice.values:
+        choice.set(value)
+        scores = [scored(clip, PHASES)[0] for clip in clips]
+        f1[value] = {kind: mean(values) for kind, values in f1_by_kind(scores).items()}
+    return clip_kinds.leave_out_kinds(f1)
 
 
 def compared(scores: Sequence[Score], earlier: Sequence[Score]) -> list[str]:

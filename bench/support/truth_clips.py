@@ -76,6 +76,8 @@ class Clip:
     """Areas (left, top, right, bottom) in which nothing is spurious."""
     span: tuple[float, float] = (-math.inf, math.inf)
     """First and last second in which something is spurious."""
+    kind: str = ""
+    """Kind of view, such as ``straight down``; "" if the truth does not say."""
 
     def judged(self, events: list[Event]) -> Judgement:
         """Compare a grabber's events with the truth."""
@@ -136,6 +138,7 @@ class _Judged(Struct):
     skip: tuple[tuple[float, float, float, float], ...] = ()
     span: tuple[float, float] = (-math.inf, math.inf)
     height_by_width: float | None = None
+    view: str = ""
 
 
 class _At(Struct):
@@ -182,6 +185,7 @@ def clips_in(folder: Path, *, colour: bool = False) -> list[Clip]:
                     maybe=tuple(maybe),
                     skip=said.skip,
                     span=said.span,
+                    kind=said.view,
                 )
             )
     if not found:
