@@ -42,7 +42,8 @@ CUT_SHARE_MAX = 0.75
 WALKED_HEIGHTS_MIN = 1.5
 """Least distance from its origin (heights) that a track must have moved to be evidence of a door.
 
-What moves in place, such as fragments of a person who stands, begins and ends in mid-view, too.
+What moves in place, such as fragments of a person who stands, or the leaf of a door, begins and
+ends in mid-view, too. So this is also what an object that uses a learned door has moved.
 """
 
 
@@ -192,12 +193,16 @@ class Crossings:
         """
         events = [event for track in new_tracks for event in self._entry(track)]
 
-        # A track that began in mid-view is evidence of a door once it has moved far enough. Cells
-        # that people walk through are evidence against doors.
+        # A track that began in mid-view entered by a learned door, or is evidence of one, once it
+        # has moved far enough. Cells that people walk through are evidence against doors.
         for track in active:
             if track.began_in_view and _has_walked(track):
                 track.began_in_view = False
-                self.doors.unexplained_points.append(track.first.foot)
+                edge = self.doors.door_at(*track.first.foot, track.height)
+                if edge is None:
+                    self.doors.unexplained_points.append(track.first.foot)
+                else:
+                    events += self._told("entry", track, track.first, edge)
             if track.confirmed:
                 track.cells.add(self.doors.cell(*track.last.foot))
         return events
@@ -212,9 +217,9 @@ class Crossings:
         ):
             self.note("from start", track, track.first)
             return []
-        if edge is not None:
+        if edge is not None and edge != "learned door":
             return self._told("entry", track, track.first, edge)
-        track.began_in_view = not track.beside_others
+        track.began_in_view = edge is not None or not track.beside_others
         self.note("in mid-view" if track.began_in_view else "beside others", track, track.first)
         return []
 
@@ -229,6 +234,8 @@ class Crossings:
         self.doors.record_walk(track.cells - ends)
 
         edge = self.at_edge(track)
+        if edge == "learned door" and not _has_walked(track):
+            edge = None
         if edge is None and self.anywhere and not track.is_occluded:
             edge = "mid-view"
         if edge is not None:
