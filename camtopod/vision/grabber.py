@@ -125,8 +125,13 @@ class Grabber:
 
     @property
     def reason(self) -> str:
-        """Readable reason why the state is not ``running``; "" if it is. Contains no password."""
-        return self._source.reason
+        """Readable reason why the state is not ``running``, or what could be better; "" if nothing.
+
+        It contains no password.
+        """
+        if self.state != "running":
+            return self._source.reason
+        return "; ".join(filter(None, (self._pipeline.reason, self._source.reason)))
 
     @property
     def overdue_seconds(self) -> float:

@@ -58,6 +58,15 @@ class Analysis(NamedTuple):
 Observer = Callable[[Analysis], None]
 """Called with every analysed frame."""
 
+BLIND_SECONDS = 10.0
+"""Time over which frames that show no objects count against those that do."""
+BLIND_SHARE_MAX = 0.5
+"""Share of such frames above which the view counts as blind."""
+BLIND_REASON = (
+    "most pictures show nothing, as light changes large parts of them again and again: turn the "
+    "camera away from the lamp, or draw an ignore area where it shines"
+)
+
 
 class ViewPipeline:
     """Turns one view's frames into events. Deterministic: equal frames and times, equal events."""
@@ -88,6 +97,8 @@ class ViewPipeline:
         self._tracker: Tracker | None = None
         self._t: float | None = None
         self.frame_count = 0
+        self._blind_share = 0.0
+        """Share of the latest frames in which light or another scene hid the objects."""
 
     def process(self, t: float, frame: Luma, image: Luma | None = None) -> list[Event]:
         """Process the frame (H, W) captured at ``t`` (seconds) and return the events now certain.
@@ -151,6 +162,8 @@ class ViewPipeline:
 
         # Moving pixels against the background; none in a flash, and when the scene has changed.
         motion = self._motion.detect(frame, dt)
+        weight = min(dt / BLIND_SECONDS, 1.0)
+        self._blind_share += weight * ((motion is None) - self._blind_share)
         if motion is None:
             self._show(t, frame, None, [])
             return []
@@ -221,6 +234,11 @@ class ViewPipeline:
                 self._observer(self._latest._replace(events=last_events, decisions=self._decisions))
             events += last_events
         return events
+
+    @property
+    def reason(self) -> str:
+        """Why hardly anything can be seen at present; "" if it can."""
+        return BLIND_REASON if self._blind_share > BLIND_SHARE_MAX else ""
 
     def statistics(self) -> dict[str, int | float]:
         """Return counters since the start, noise (grey levels) and shake (pixels)."""
