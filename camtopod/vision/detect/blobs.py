@@ -17,6 +17,8 @@ AREA_SHARE_MIN = 0.0004
 """Smallest blob as a share of the image's area."""
 FILL_SHARE_MIN = 0.2
 """Smallest share of its box that a person fills."""
+SPARSE_SHARE_MAX = 0.28
+"""Share of its box that a group fills below which a person may be but a part of it."""
 PART_FILL_SHARE_MIN = 0.3
 """Smallest share of its box that a person fills who was cut out of something sparse."""
 DENSE_SHARE = 0.5
@@ -105,11 +107,10 @@ def _dense_part(group: list[int], box: Box, labels: Luma, areas: Luma) -> tuple[
     """Return the part of a group's box that may be a person, and the pixels that it fills.
 
     A person who hangs together with something thin, as the outline of a hard shadow, is where the
-    columns are fullest; leaves in the wind are full nowhere. What is no more sparse than a person
-    is left whole.
+    columns are fullest; leaves in the wind are full nowhere, and are left whole.
     """
     filled = sum(int(areas[label - 1]) for label in group)
-    if filled >= FILL_SHARE_MIN * area(box):
+    if filled >= SPARSE_SHARE_MAX * area(box):
         return box, filled
     left, top, right, bottom = map(int, box)
     mask = np.isin(labels[top:bottom, left:right], group)
@@ -120,8 +121,8 @@ def _dense_part(group: list[int], box: Box, labels: Luma, areas: Luma) -> tuple[
     end = int(sparse[sparse > fullest].min(initial=right - left))
     rows = np.flatnonzero(mask[:, begin:end].any(axis=1)).tolist()
     part = (left + begin, top + rows[0], left + end, top + rows[-1] + 1)
-    filled = int(by_column[begin:end].sum())
-    return part, filled if filled >= PART_FILL_SHARE_MIN * area(part) else 0
+    part_filled = int(by_column[begin:end].sum())
+    return (part, part_filled) if part_filled >= PART_FILL_SHARE_MIN * area(part) else (box, filled)
 
 
 def _fragments(mask: Luma) -> tuple[Luma, Luma]:

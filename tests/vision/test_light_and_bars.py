@@ -1,0 +1,114 @@
+"""Hard shadows, pictures larger than the view, pauses, beacons, and doors that swing."""
+
+from __future__ import annotations
+
+import cv2
+import numpy as np
+import pytest
+from rendered_scenes import FPS, HEIGHT, WIDTH, Person, Picture, Scene, line
+
+from camtopod.vision.detect.blank_areas import blank_pixels, shown_part
+from camtopod.vision.pipeline import ViewPipeline
+from camtopod.vision.settings import VisionSettings
+
+WALKERS = [
+    Person(line(6.0, (-0.05, 0.8), (1.05, 0.8), 6.0), tall=0.35, seed=1),
+    Person(line(16.0, (1.05, 0.9), (-0.05, 0.9), 6.0), tall=0.35, seed=2),
+]
+SECONDS = 26.0
+
+
+class Shaded(Scene):
+    """Each person throws two thin hard shadows, longer than the person is high."""
+
+    def picture(self, t: float) -> Picture:
+        mask = np.zeros((HEIGHT, WIDTH), np.uint8)
+        for person in self.people:
+            if (place := person.where(t)) is not None:
+                foot = round(place[0] * WIDTH), round(place[1] * HEIGHT) - 1
+                length = 1.3 * person.tall * HEIGHT
+                for side in (-1, 1):
+                    end = round(foot[0] + side * length), round(foot[1] - 0.5 * length)
+                    cv2.line(mask, foot, end, (255,), 5)
+        front, self.front = self.front, lambda picture: None
+        picture = super().picture(t)
+        self.front = front
+        floor = cv2.resize(self._floor, (WIDTH, HEIGHT))
+        is_floor = np.abs(picture.astype(np.float32) - floor) < 6.0
+        picture[(mask > 0) & is_floor] //= 2
+        return picture
+
+
+def kinds(scene: Scene, seconds: float = SECONDS) -> list[str]:
+    return [event.kind for event in scene.events(seconds)]
+
+
+def test_who_throws_hard_shadows_is_seen() -> None:
+    assert kinds(Shaded(WALKERS)) == ["entry", "exit"] * 2
+
+
+def barred(share: float, level: int) -> Scene:
+    """Return a scene with bars at both sides of the picture that show nothing."""
+    width = round(share * WIDTH)
+
+    def bars(picture: Picture) -> None:
+        picture[:, :width] = picture[:, WIDTH - width :] = level
+
+    return Scene(WALKERS, noise=0.0, front=bars)
+
+
+@pytest.mark.parametrize(("share", "level"), [(0.08, 0), (0.15, 16), (0.25, 30)])
+def test_the_edge_of_a_picture_between_bars_is_the_edge_of_the_view(
+    share: float, level: int
+) -> None:
+    events = barred(share, level).events(SECONDS)
+    assert [event.kind for event in events] == ["entry", "exit"] * 2
+    for event, x in zip(events, (share, 1 - share, 1 - share, share), strict=True):
+        assert event.x == pytest.approx(x, abs=0.12)
+
+
+def test_what_shows_nothing_is_blank() -> None:
+    rng = np.random.default_rng(3)
+    frames = [rng.normal(30, 3, (90, 160)).clip(0, 255).astype(np.uint8) for _ in range(9)]
+    assert not blank_pixels(frames).any()  # the dark has noise
+    for frame in frames:
+        frame[:20] = 16
+        frame[:, 150:] = 90
+        cv2.circle(frame, (80, 60), 12, (10,), cv2.FILLED)  # at no border
+    blank = blank_pixels(frames) > 0
+    assert blank[:20, :150].all()
+    assert not blank[20:].any()
+    assert shown_part(~blank) == (0.0, 20.0, 160.0, 90.0)
+    assert not blank_pixels([np.zeros((90, 160), np.uint8)] * 3).any()  # a covered lens
+
+
+@pytest.mark.parametrize("pause", [2.5, 6.0, 100.0])
+def test_who_left_just_before_a_pause_has_left(pause: float) -> None:
+    """They are at the border in the last frame but a few."""
+    scene, pipeline = Scene(WALKERS[:1]), ViewPipeline("cam", VisionSettings())
+    events = []
+    for k in range(round(SECONDS * FPS)):
+        t = k / FPS
+        if t < 12.6 or t > 12.6 + pause:
+            events += pipeline.process(t, scene.picture(t))
+    [entry, leaving] = events + pipeline.finish()
+    assert (entry.kind, leaving.kind) == ("entry", "exit")
+    assert leaving.t == pytest.approx(11.9, abs=0.8)
+
+
+def test_a_lamp_that_goes_round_is_said_to_blind_the_camera() -> None:
+    def lamp(t: float) -> Picture:
+        picture = scene.picture(t).astype(np.float32)
+        x = np.arange(WIDTH) - WIDTH * (0.5 + 0.5 * np.cos(5.0 * t))
+        return np.clip(picture * (1.0 + np.exp(-((x / 40.0) ** 2))), 0, 255).astype(np.uint8)
+
+    scene, pipeline = Scene([]), ViewPipeline("cam", VisionSettings())
+    for k in range(round(8 * FPS)):
+        pipeline.process(k / FPS, scene.picture(k / FPS))
+    assert pipeline.reason == ""
+    for k in range(round(8 * FPS), round(30 * FPS)):
+        pipeline.process(k / FPS, lamp(k / FPS))
+    assert "light changes large parts" in pipeline.reason
+    for k in range(round(30 * FPS), round(50 * FPS)):
+        pipeline.process(k / FPS, scene.picture(k / FPS))
+    assert pipeline.reason == ""
