@@ -217,6 +217,10 @@ def paused(stamp: float, number: int) -> float:
     return stamp + (100e3 if number >= 10 else 0)
 
 
+def unstamped(stamp: float, number: int) -> float:
+    return stamp if number % 9 == 2 else 0.0  # the first picture in each packet of a recorder's
+
+
 @pytest.fixture(scope="module")
 def plain(film: Path) -> list[Event]:
     """Return the events of the film with its own stamps."""
@@ -225,7 +229,7 @@ def plain(film: Path) -> list[Event]:
         return grab(film, film.with_name("plain"))[1]
 
 
-@pytest.mark.parametrize("wrong", [ahead, sticking, begins_anew, paused])
+@pytest.mark.parametrize("wrong", [ahead, sticking, begins_anew, paused, unstamped])
 def test_a_stamp_is_believed_as_far_as_the_rate_bears_it_out(
     wrong: Callable[[float, int], float],
     film: Path,
