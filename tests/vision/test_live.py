@@ -36,6 +36,7 @@ class Camera:
 
     is_open = True
     size = (192, 144)
+    is_jpeg = False
     fps = FPS
     seconds = 0.0
     fault = ""
@@ -43,6 +44,8 @@ class Camera:
     film_seconds = SECONDS
     needs_patience = False
     """True if it gives nothing without patience."""
+    parts = float("inf")
+    """Number of pictures until one whose part is not described as usual."""
     burst = 1
     """Number of pictures that arrive at once."""
 
@@ -61,6 +64,8 @@ class Camera:
         self.fps = fps
         self.left = self.pictures = pictures
         self.patience: list[bool] = []
+        self.readers: list[bool] = []
+        """For each connection, whether JPEG was read without its parts' descriptions."""
         self.t = 0.0
         self.sent = 0
         self.stamp = stamp
@@ -73,7 +78,8 @@ class Camera:
 
     def opened(self, source: str, *others: object) -> Camera:
         self.left = self.pictures
-        self.patience.append(bool(others[-1]))
+        self.patience.append(bool(others[-2]))
+        self.readers.append(bool(others[-1]))
         return self
 
     def grab(self) -> float | None:
@@ -87,6 +93,8 @@ class Camera:
         if self.needs_patience and not self.patience[-1]:
             if self.size != (0, 0):
                 self.now += capture.CALL_SECONDS_MAX
+            return None
+        if not self.readers[-1] and self.pictures - self.left >= self.parts:
             return None
         self.left -= 1
         if self.sent % self.burst == 0:
@@ -285,6 +293,31 @@ def test_a_stream_whose_size_is_unknown_is_opened_with_more_patience(
     camera.pictures = float("inf")
     camera.needs_patience = True
     assert len(seen(camera, grabber_of(camera))) == len(TRUTH)
+
+
+@pytest.mark.parametrize("parts", [0, 9])
+def test_jpeg_pictures_are_read_whatever_their_parts_say(
+    parts: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    camera = Camera(monkeypatch, pictures=10**9)
+    camera.is_jpeg = True
+    camera.parts = parts
+
+    assert len(seen(camera, grabber_of(camera))) == len(TRUTH)
+    assert camera.readers == [False, True]
+    assert camera.patience == [False, False]
+
+
+def test_jpeg_has_no_keyframes_to_wait_for(monkeypatch: pytest.MonkeyPatch) -> None:
+    camera = Camera(monkeypatch, pictures=0)
+    camera.is_jpeg = True
+    camera.size = (0, 0)
+    grabber = grabber_of(camera)
+    assert reason_of(grabber, "no JPEG picture comes: give another URL") == "connecting"
+
+    shown = probe.probe(probe.ProbeRequest("http://192.0.2.1/s", VisionSettings()), FfmpegLog())
+    assert "no JPEG picture comes" in shown.problem
+    assert camera.readers[-2:] == [False, True], "both ways were tried"
 
 
 def test_pictures_that_are_none_or_do_not_change_are_said(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -30,6 +30,11 @@ STREAM_OPTIONS = "rtsp_transport;tcp|allowed_media_types;video"
 """FFmpeg options of streams."""
 QUICK_OPTIONS = "|probesize;32768|analyzeduration;300000"
 """More of them at first: the small probe gives the first frame after 0.6 s instead of 1.9 s."""
+JPEG_OPTIONS = "|input_format;mjpeg"
+"""More of them for JPEG pictures that are found by their own markers, whatever is between them.
+
+FFmpeg's reader of parts wants them to say ``Content-Type: image/jpeg`` exactly.
+"""
 OPTIONS_VARIABLE = "OPENCV_FFMPEG_CAPTURE_OPTIONS"
 """Environment variable from which OpenCV reads FFmpeg options; a user's value replaces ours."""
 _DEVICES_OPTION = "hw_decoders_any"
@@ -112,6 +117,7 @@ class Capture:
         colour: bool = False,
         ffmpeg_log: FfmpegLog = NO_LOG,
         patient: bool = False,
+        bare_jpeg: bool = False,
     ) -> None:
         """Open ``source``; `is_open` tells if that worked. Blocks for at most the timeout.
 
@@ -119,6 +125,7 @@ class Capture:
             rounding.
         ffmpeg_log: tells which frames are damaged or none; without it all are believed.
         patient: a stream needs patience (`call_seconds_max`).
+        bare_jpeg: a stream is JPEG pictures, to be found without what its parts say of them.
         """
         cv2.utils.logging.setLogLevel(0)  # its messages contain URLs with passwords
         # Images are so small that waking more threads costs more than it gains.
@@ -126,7 +133,9 @@ class Capture:
 
         # Open with timeouts (streams) and one decoder thread.
         kind = kind_of(source)
-        options = STREAM_OPTIONS + (THOROUGH_OPTIONS if patient else QUICK_OPTIONS)
+        options = STREAM_OPTIONS
+        options += THOROUGH_OPTIONS if patient and not bare_jpeg else QUICK_OPTIONS
+        options += JPEG_OPTIONS if bare_jpeg else ""
         options = os.environ.get(OPTIONS_VARIABLE, options if kind == "stream" else "")
         self._capture = _opened(source, patient, options)
         if kind == "file" and self.is_open and self.size == (0, 0):
@@ -177,6 +186,11 @@ class Capture:
         """Name of the codec."""
         code = _four_characters(self._capture, cv2.CAP_PROP_FOURCC).strip("\0 ")
         return _CODECS.get(code.lower(), code or "unknown codec")
+
+    @property
+    def is_jpeg(self) -> bool:
+        """True if each picture is coded by itself, as JPEG."""
+        return self.codec == _CODECS["mjpg"]
 
     @property
     def seconds(self) -> float:

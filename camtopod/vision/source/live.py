@@ -79,6 +79,8 @@ class LiveSource(Source):
         self._call_start: float | None = None
         self._patient = False
         """True if the source is known to need patience."""
+        self._bare_jpeg = False
+        """True if its JPEG pictures are to be found without what its parts say of them."""
 
     def frames(self) -> Iterator[Frame | None]:
         """Yield frames with ascending capture times; None if there is none for half a second.
@@ -127,7 +129,7 @@ class LiveSource(Source):
         while not self._stop.is_set():
             self._ffmpeg_log.newest_reason()  # discard those of an earlier connection
 
-            was_patient = self._patient
+            manner = self._patient, self._bare_jpeg
             reason = self._connection()
             if self._stop.is_set():
                 return
@@ -137,7 +139,8 @@ class LiveSource(Source):
             if self.state == "running":
                 wait = HEARTBEAT_SECONDS
             pause = wait * random.uniform(0.5, 1.0)
-            self._lose(f"{reason}{RETRY_SEPARATOR}{pause:.1f} s", was_patient == self._patient)
+            is_lost = (self._patient, self._bare_jpeg) <= manner
+            self._lose(f"{reason}{RETRY_SEPARATOR}{pause:.1f} s", is_lost)
             wait = min(2 * wait, BACKOFF_SECONDS_MAX)
             self._stop.wait(pause)
 
@@ -148,7 +151,12 @@ class LiveSource(Source):
         """
         self._call_start = time.monotonic()
         capture = Capture(
-            self._source, self._settings, self._colour, self._ffmpeg_log, self._patient
+            self._source,
+            self._settings,
+            self._colour,
+            self._ffmpeg_log,
+            self._patient,
+            self._bare_jpeg,
         )
         try:
             if not capture.is_open:
@@ -218,16 +226,20 @@ class LiveSource(Source):
         wait_seconds: float,
         run_seconds: float,
     ) -> str:
-        """Return why a connection gives no frame any more, and note if it needs more patience.
+        """Return why a connection gives no frame any more, and note how to open the next one.
 
         frames: number of its frames.
         wait_seconds: time that the last call took, seconds.
         run_seconds: time from its first frame to the last one that was decoded, seconds.
         """
         timed_out = wait_seconds > call_seconds_max(self._patient) / 2
-        self._patient |= (timed_out and run_seconds < OBSERVED_SECONDS) or (
-            not frames and capture.size == (0, 0)
-        )
+        is_short = run_seconds < OBSERVED_SECONDS
+        if capture.is_jpeg and self._source.lower().startswith("http") and not timed_out:
+            self._bare_jpeg = is_short if not self._bare_jpeg else frames > 0
+            if self._bare_jpeg and not frames:
+                return "its pictures are not marked as JPEG: searching for them"
+        else:
+            self._patient |= (timed_out and is_short) or (not frames and capture.size == (0, 0))
         if not frames:
             return f"it opens, but gives no picture: {no_frame(capture)}"
         if timed_out:

@@ -114,6 +114,8 @@ def no_frame(capture: Capture) -> str:
     """Return why an open source may give no frame."""
     if capture.fault not in ("", DAMAGED):
         return f"{capture.fault} ({capture.codec})"
+    if capture.is_jpeg:
+        return "no JPEG picture comes: give another URL of the camera, such as its RTSP stream"
     has_data = capture.fault or capture.size == (0, 0)
     return "data come, but no keyframe yet" if has_data else "no data come, or no keyframe yet"
 
