@@ -24,10 +24,18 @@ import numpy as np
 from camtopod.vision.detect import Luma, shrunk
 from camtopod.vision.settings import VisionSettings
 from camtopod.vision.source.ffmpeg_log import NO_LOG, FfmpegLog, environment
-from camtopod.vision.source.source_url import device_number, file_path, kind_of, percent_encoded
+from camtopod.vision.source.source_url import (
+    device_number,
+    file_path,
+    is_path,
+    kind_of,
+    percent_encoded,
+)
 
 STREAM_OPTIONS = "rtsp_transport;tcp|allowed_media_types;video"
 """FFmpeg options of streams."""
+SDP_OPTIONS = "protocol_whitelist;file,udp,rtp|allowed_media_types;video"
+"""FFmpeg options of streams that a file describes."""
 QUICK_OPTIONS = "|probesize;32768|analyzeduration;300000"
 """More of them at first: the small probe gives the first frame after 0.6 s instead of 1.9 s."""
 JPEG_OPTIONS = "|input_format;mjpeg"
@@ -133,7 +141,7 @@ class Capture:
 
         # Open with timeouts (streams) and one decoder thread.
         kind = kind_of(source)
-        options = STREAM_OPTIONS
+        options = SDP_OPTIONS if is_path(source) else STREAM_OPTIONS
         options += THOROUGH_OPTIONS if patient and not bare_jpeg else QUICK_OPTIONS
         options += JPEG_OPTIONS if bare_jpeg else ""
         options = os.environ.get(OPTIONS_VARIABLE, options if kind == "stream" else "")
@@ -290,13 +298,13 @@ def _opened(source: str, patient: bool, options: str) -> cv2.VideoCapture:
     if number is not None:
         return cv2.VideoCapture(number)
     parameters = [cv2.CAP_PROP_N_THREADS, 1]
-    if kind_of(source) == "stream":
-        source = percent_encoded(source)
+    is_stream = kind_of(source) == "stream"
+    path = f"file:{file_path(source)}"  # what is before a colon is no protocol
+    source = path if is_path(source) else percent_encoded(source)
+    if is_stream:
         milliseconds = round(1000 * call_seconds_max(patient))
         for timeout in (cv2.CAP_PROP_OPEN_TIMEOUT_MSEC, cv2.CAP_PROP_READ_TIMEOUT_MSEC):
             parameters += [timeout, milliseconds]
-    else:
-        source = f"file:{file_path(source)}"  # what is before a colon is no protocol
     if _DEVICES_OPTION in options:
         parameters += [cv2.CAP_PROP_HW_ACCELERATION, cv2.VIDEO_ACCELERATION_ANY]
     bytes_: Any = os.fsencode(source)  # need not be UTF-8: OpenCV crashes on such a string

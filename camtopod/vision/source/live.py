@@ -26,14 +26,14 @@ from camtopod.vision.source.capture import (
 )
 from camtopod.vision.source.ffmpeg_log import NO_LOG, FfmpegLog
 from camtopod.vision.source.frame_times import PROMPT_SECONDS, StampClock
+from camtopod.vision.source.refusal import why_not_opened
 from camtopod.vision.source.remarks import (
     OBSERVED_SECONDS,
     Observed,
     no_frame,
     no_stream,
-    why_not_opened,
 )
-from camtopod.vision.source.source_url import RETRY_SEPARATOR
+from camtopod.vision.source.source_url import RETRY_SEPARATOR, scheme_of
 
 QUEUE_FRAMES = 8
 """Frames that wait for the caller; further ones are dropped."""
@@ -161,7 +161,7 @@ class LiveSource(Source):
         try:
             if not capture.is_open:
                 reason = why_not_opened(self._source, self._ffmpeg_log)
-                return f"the source cannot be opened{reason and ': '}{reason}"
+                return f"the source cannot be opened: {reason}"
             self.connections += 1
             return no_stream(self._source, capture, 0, StampClock()) or self._read(capture)
         finally:
@@ -234,7 +234,7 @@ class LiveSource(Source):
         """
         timed_out = wait_seconds > call_seconds_max(self._patient) / 2
         is_short = run_seconds < OBSERVED_SECONDS
-        if capture.is_jpeg and self._source.lower().startswith("http") and not timed_out:
+        if capture.is_jpeg and scheme_of(self._source).startswith("http") and not timed_out:
             self._bare_jpeg = is_short if not self._bare_jpeg else frames > 0
             if self._bare_jpeg and not frames:
                 return "its pictures are not marked as JPEG: searching for them"

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import time
 from collections.abc import Iterator
 from pathlib import Path
@@ -156,6 +157,11 @@ def _no_file(source: str) -> str:
         return "a pipe cannot be read: write the video to a file first"
     if path.is_char_device() or path.is_block_device():
         return "not a video device: a camera is /dev/video0 or 0, for example"
+    advice = "make a video of its pictures first: ffmpeg -framerate 25 -i %04d.jpg film.mp4"
+    if path.is_dir():
+        return f"a folder cannot be read: give a file in it, or {advice}"
+    if not path.exists() and re.search(r"%\d*d|[*?]", path.name):
+        return f"a picture sequence cannot be read: {advice}"
     with path.open("rb") as file:
         return "" if file.read(1) else "the file is empty"
 

@@ -2,16 +2,14 @@
 
 from __future__ import annotations
 
-import os
-
 import numpy as np
 
 from camtopod.vision.detect import Luma
 from camtopod.vision.settings import VisionSettings
 from camtopod.vision.source.capture import IMAGE_WIDTH_MAX, Capture
-from camtopod.vision.source.ffmpeg_log import DAMAGED, FfmpegLog
+from camtopod.vision.source.ffmpeg_log import DAMAGED
 from camtopod.vision.source.frame_times import StampClock
-from camtopod.vision.source.source_url import device_number
+from camtopod.vision.source.source_url import scheme_of
 
 FPS_MIN = 4.5
 """Frame rate below which fast walkers are hardly detected."""
@@ -22,13 +20,6 @@ OBSERVED_SECONDS = 10.0
 
 A camera's noise, and each keyframe, changes some pixel meanwhile.
 """
-_SCHEMES = ("rtsp", "rtsps", "rtmp", "rtmps", "http", "https", "tcp", "udp", "rtp", "srt")
-"""Schemes of streams."""
-_OTHERS = {
-    "onvif": "`camtopod init` asks a camera for its streams by ONVIF: give what it finds",
-    "v4l2": "give a device by its number, or as /dev/video0",
-}
-"""Advice on URLs that are no streams, by scheme."""
 
 
 class Observed:
@@ -94,22 +85,6 @@ class Observed:
         self._begin()
 
 
-def why_not_opened(source: str, ffmpeg_log: FfmpegLog) -> str:
-    """Return why a device or stream could not be opened; "" if that is not known."""
-    number = device_number(source)
-    if number is not None:
-        path = f"/dev/video{number}"
-        if not os.path.exists(path):
-            return f"{path} does not exist"
-        if not os.access(path, os.R_OK | os.W_OK):
-            return f"no permission for {path}: add this user to the group video"
-        return f"{path} is in use or is not a camera"
-    scheme = source.lower().partition("://")[0]
-    if scheme not in _SCHEMES:
-        return _OTHERS.get(scheme, f"{scheme}:// is none of {', '.join(_SCHEMES)}")
-    return ffmpeg_log.newest_reason()
-
-
 def no_frame(capture: Capture) -> str:
     """Return why an open source may give no frame."""
     if capture.fault not in ("", DAMAGED):
@@ -122,7 +97,7 @@ def no_frame(capture: Capture) -> str:
 
 def no_stream(source: str, capture: Capture, frames: int, clock: StampClock) -> str:
     """Return what an open URL is if it is no stream, after so many frames; "" if it may be one."""
-    may_be_file = not source.lower().startswith("rtsp")
+    may_be_file = not scheme_of(source).startswith("rtsp")
     if frames == 1 or (may_be_file and 0.0 < capture.seconds * capture.fps < 2.0):
         return "it gives a single picture: give the camera's RTSP or MJPEG stream instead"
     if may_be_file and (capture.seconds or clock.outran):
