@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import socket
 import threading
 from collections.abc import Callable
@@ -62,6 +63,36 @@ def said_of(scheme: str, treat: Callable[[socket.socket], None], log: FfmpegLog 
 )
 def test_the_host_s_own_answer_tells_why(scheme: str, answer: str, said: str) -> None:
     assert said_of(scheme, answering(answer)).startswith(said)
+
+
+@pytest.mark.parametrize(
+    ("challenges", "said"),
+    [
+        (['Digest realm="x", nonce="y", algorithm=SHA-256'], "the camera wants SHA-256 digests"),
+        (['digest nonce="y", algorithm="sha-512-256"'], "the camera wants SHA-512-256 digests"),
+        (['Digest nonce="y"', 'Digest nonce="y", algorithm=SHA-256'], "the camera wants SHA-256"),
+        (['Digest nonce="y", algorithm=SHA-256', "Basic realm=x"], "the camera wants SHA-256"),
+        (["NTLM", "Negotiate"], "the camera wants NTLM or Negotiate as login"),
+        (['Digest nonce="y", algorithm=SHA-256', 'Digest nonce="y", algorithm=MD5'], None),
+        (['Digest realm="x", nonce="y", qop="auth,auth-int"'], None),
+        (["NTLM", 'Basic realm="x"'], None),
+        ([], None),
+    ],
+)
+@pytest.mark.parametrize("scheme", ["rtsp", "http"])
+def test_a_login_that_ffmpeg_does_not_know_is_no_wrong_password(
+    scheme: str, challenges: list[str], said: str | None
+) -> None:
+    answer = rtsp("401 Unauthorized", *(f"WWW-Authenticate: {text}" for text in challenges))
+    answer = answer.replace("RTSP/1.0", f"{scheme.upper()}/1.0")
+    with captured_log() as log:
+        os.write(1, b"[rtsp] method DESCRIBE failed: 401 Unauthorized\n")
+        reason = said_of(scheme, answering(answer), log)
+    if said is None:
+        assert reason == "the camera refuses the user name or password (401)"
+    else:
+        assert reason.startswith(said)
+        assert reason.endswith("set the camera's authentication to MD5 (digest) alone")
 
 
 def test_a_host_that_says_nothing_is_not_waited_for_long(monkeypatch: pytest.MonkeyPatch) -> None:

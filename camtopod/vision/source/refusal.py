@@ -1,7 +1,8 @@
 """Why a device or stream cannot be opened.
 
 FFmpeg's log has most reasons. Where it has none, or only what the host replied, the host is asked
-once without FFmpeg, and without a login: it may speak another protocol, or have no video.
+once without FFmpeg, and without a login: it may speak another protocol, have no video, or want a
+kind of login that FFmpeg does not know, which it never sent.
 """
 
 from __future__ import annotations
@@ -129,6 +130,8 @@ def _why_not_sent(url: SplitResult, port: int) -> str:
     if match is None:
         return ""
     protocol, status = match.groups()
+    if status == "401":
+        return _unknown_login(answer)
     is_page = re.search(r"(?im)^content-type: *text/html", answer) is not None
     if is_rtsp and protocol == "HTTP":
         return "it speaks HTTP at this port: write http://, or give the port of RTSP, usually 554"
@@ -139,6 +142,26 @@ def _why_not_sent(url: SplitResult, port: int) -> str:
     if not is_rtsp and status == "200" and is_page:
         return "it is a web page, no video: give the URL of the stream itself"
     return ""
+
+
+def _unknown_login(answer: str) -> str:
+    """Return which kind of login an answer wants if FFmpeg does not know it; else ""."""
+    # FFmpeg answers the last challenge for a digest, or else one for the plain password (Basic).
+    challenges = re.findall(r"(?im)^www-authenticate: *(\w+) *(.*)$", answer)
+    digests = [fields for kind, fields in challenges if kind.lower() == "digest"]
+    kinds = [kind for kind, _ in challenges]
+    if digests:
+        algorithm = re.search(r'(?i)\balgorithm *= *"?([\w-]+)', digests[-1])
+        name = algorithm[1].upper() if algorithm else "MD5"
+        if name in ("MD5", "MD5-SESS"):
+            return ""
+        kinds = [f"{name} digests"]
+    elif not kinds or "basic" in map(str.lower, kinds):
+        return ""
+    return (
+        f"the camera wants {' or '.join(kinds)} as login (401), which this program's FFmpeg does "
+        "not know: set the camera's authentication to MD5 (digest) alone"
+    )
 
 
 def _answer(url: SplitResult, port: int, is_rtsp: bool) -> str:
