@@ -46,6 +46,8 @@ class Camera:
     """True if it gives nothing without patience."""
     parts = float("inf")
     """Number of pictures until one whose part is not described as usual."""
+    rewinds = False
+    """True if each connection begins at the beginning."""
     burst = 1
     """Number of pictures that arrive at once."""
 
@@ -78,6 +80,7 @@ class Camera:
 
     def opened(self, source: str, *others: object) -> Camera:
         self.left = self.pictures
+        self.t *= not self.rewinds
         self.patience.append(bool(others[-2]))
         self.readers.append(bool(others[-1]))
         return self
@@ -235,6 +238,47 @@ def test_what_is_no_stream_is_said(monkeypatch: pytest.MonkeyPatch) -> None:
 
     film = Camera(monkeypatch, lambda t: 20 * t, pictures=9)  # a server that tells no length
     reason_of(grabber_of(film), "a recording, not a stream: download it")
+
+
+def test_a_recorder_s_playback_is_not_told_as_if_it_happened_now(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    film = Camera(monkeypatch)
+    film.seconds = 26.0
+    said = "a recording, not a stream: make a file of it by ffmpeg"
+    assert reason_of(grabber_of(film, "rtsp://192.0.2.1/tracks/101"), said) == "connecting"
+    assert film.left == film.pictures, "nothing was read"
+
+    film = Camera(monkeypatch)
+    source = "rtsp://192.0.2.1/cam/playback?channel=1&starttime=2026_01_01_10_00_00"
+    assert reason_of(grabber_of(film, source), said) == "connecting"
+    assert film.left == film.pictures
+
+    film = Camera(monkeypatch, pictures=SECONDS * FPS + 2)  # whose length nobody tells
+    film.film_seconds = float("inf")
+    film.rewinds = True
+    grabber = grabber_of(film, "rtsp://192.0.2.1/tracks/101")
+    assert reason_of(grabber, said) == "stalled"
+    assert len(film.patience) == 2
+    assert grabber.statistics()["entries"] <= 2, "each is told once"
+
+
+@pytest.mark.parametrize("seconds", [4.0, 12.0])
+def test_a_camera_whose_sessions_end_is_no_recording(
+    seconds: float, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    camera = Camera(monkeypatch, pictures=seconds * FPS)
+    camera.film_seconds = 40.0
+    for picture, rewinds in ((PICTURE(1.0), False), (None, seconds < 10.0)):
+        camera.t, camera.is_over, camera.rewinds = 0.0, False, rewinds
+        camera.picture = PICTURE if picture is None else lambda t, picture=picture: picture
+        camera.film_seconds = float("inf")
+        grabber = grabber_of(camera, "rtsp://192.0.2.1/s")
+        for _ in grabber.events():
+            assert "recording" not in grabber.reason
+            if grabber.statistics()["connections"] >= 4 and grabber.state == "running":
+                break
+        grabber.close()
 
 
 @pytest.mark.parametrize(

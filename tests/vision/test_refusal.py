@@ -152,7 +152,7 @@ def test_a_stream_that_a_file_describes_is_live(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize(
     ("name", "said"),
-    [(".", "a folder cannot be read"), ("img_%04d.jpg", "a picture sequence cannot be read")],
+    [(".", "a directory cannot be read"), ("img_%04d.jpg", "a picture sequence cannot be read")],
 )
 def test_pictures_are_to_be_made_a_video(name: str, said: str, tmp_path: Path) -> None:
     with captured_log() as log:

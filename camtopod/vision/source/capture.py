@@ -84,6 +84,8 @@ _CODECS = {
     "av01": "AV1",
 }
 """Name of a codec by its four-character code."""
+DURATION_MAX = 1e9
+"""Longest duration that is believed, seconds; what is longer is a date, or was never set."""
 HEARTBEAT_SECONDS = 0.5
 """Longest time until a source yields while it waits, and shortest until it connects again."""
 
@@ -202,9 +204,10 @@ class Capture:
 
     @property
     def seconds(self) -> float:
-        """Duration that a file declares; 0.0 if unknown."""
+        """Duration that a file or recording declares; 0.0 if unknown."""
         frames = self._capture.get(cv2.CAP_PROP_FRAME_COUNT)
-        return max(0.0, frames / self.fps) if self.fps else 0.0
+        seconds = frames / self.fps if self.fps else 0.0
+        return seconds if 0.0 <= seconds < DURATION_MAX else 0.0
 
     def grab(self) -> float | None:
         """Take the next frame without converting it; None if there is none.

@@ -29,7 +29,10 @@ from camtopod.vision.source.frame_times import PROMPT_SECONDS, StampClock
 from camtopod.vision.source.refusal import why_not_opened
 from camtopod.vision.source.remarks import (
     OBSERVED_SECONDS,
+    RTSP_RECORDING,
     Observed,
+    Playback,
+    is_rtsp,
     no_frame,
     no_stream,
 )
@@ -76,6 +79,7 @@ class LiveSource(Source):
         """By how many seconds the wall clock has been set since then."""
         self._latest = float("-inf")
         """Capture time of the latest frame."""
+        self._playback = Playback()
         self._call_start: float | None = None
         self._patient = False
         """True if the source is known to need patience."""
@@ -173,6 +177,7 @@ class LiveSource(Source):
         """Pass frames on until the source dies; return the reason."""
         clock = StampClock()
         selector = FrameSelector(self._settings.analysed_fps)
+        self._playback.begin()
         self.observation = Observed(capture, self._settings)
         held_frames: list[tuple[float, float, Frame]] = []
         start = last_decode = time.monotonic()
@@ -201,6 +206,8 @@ class LiveSource(Source):
                 self.frames_dropped += frame is None
             if frame is not None:
                 last_decode = arrival
+                if self._playback.repeats(arrival, frame.luma) and is_rtsp(self._source):
+                    return RTSP_RECORDING
                 held_frames.append((stamp, arrival, frame))
             if arrival - last_decode > CALL_SECONDS_MAX:
                 self._lose(f"frames come, none can be decoded: {capture.fault}")

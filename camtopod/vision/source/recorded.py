@@ -159,7 +159,7 @@ def _no_file(source: str) -> str:
         return "not a video device: a camera is /dev/video0 or 0, for example"
     advice = "make a video of its pictures first: ffmpeg -framerate 25 -i %04d.jpg film.mp4"
     if path.is_dir():
-        return f"a folder cannot be read: give a file in it, or {advice}"
+        return f"a directory cannot be read: give a file in it, or {advice}"
     if not path.exists() and re.search(r"%\d*d|[*?]", path.name):
         return f"a picture sequence cannot be read: {advice}"
     with path.open("rb") as file:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import re
+
 import numpy as np
 
 from camtopod.vision.detect import Luma
@@ -20,6 +22,43 @@ OBSERVED_SECONDS = 10.0
 
 A camera's noise, and each keyframe, changes some pixel meanwhile.
 """
+RTSP_RECORDING = (
+    "it is a recording, not a stream: make a file of it by ffmpeg -rtsp_transport tcp -i URL "
+    "-c copy film.mkv, and give the file"
+)
+"""What is said of a recorder's playback, which would be played again with each connection."""
+_PLAYBACK = re.compile(r"[?&](start|begin)_?time=", re.IGNORECASE)
+"""Part of URLs by which recorders are asked for the past."""
+
+
+class Playback:
+    """Tells whether connections play the same again, as those to a recording do.
+
+    Two pictures of a camera are never the same, unless it is frozen.
+    """
+
+    def __init__(self) -> None:
+        self._first: Luma | None = None
+        self._start = 0.0
+        self._is_long = False
+        """True if pictures came for `OBSERVED_SECONDS` and differ from the first."""
+        self._begins = True
+
+    def begin(self) -> None:
+        """Begin a connection."""
+        self._begins = True
+
+    def repeats(self, t: float, luma: Luma) -> bool:
+        """Take a picture (H, W) at ``t`` (seconds); True if it begins what was played before."""
+        is_same = self._first is not None and np.array_equal(luma, self._first)
+        if not self._begins:
+            self._is_long |= t - self._start >= OBSERVED_SECONDS and not is_same
+            return False
+        self._begins = False
+        if self._is_long and is_same:
+            return True
+        self._first, self._start, self._is_long = luma, t, False
+        return False
 
 
 class Observed:
@@ -85,6 +124,11 @@ class Observed:
         self._begin()
 
 
+def is_rtsp(source: str) -> bool:
+    """Return True for the URL of a stream by RTSP."""
+    return scheme_of(source).startswith("rtsp")
+
+
 def no_frame(capture: Capture) -> str:
     """Return why an open source may give no frame."""
     if capture.fault not in ("", DAMAGED):
@@ -97,7 +141,9 @@ def no_frame(capture: Capture) -> str:
 
 def no_stream(source: str, capture: Capture, frames: int, clock: StampClock) -> str:
     """Return what an open URL is if it is no stream, after so many frames; "" if it may be one."""
-    may_be_file = not scheme_of(source).startswith("rtsp")
+    may_be_file = not is_rtsp(source)
+    if not may_be_file and (capture.seconds or _PLAYBACK.search(source)):
+        return RTSP_RECORDING
     if frames == 1 or (may_be_file and 0.0 < capture.seconds * capture.fps < 2.0):
         return "it gives a single picture: give the camera's RTSP or MJPEG stream instead"
     if may_be_file and (capture.seconds or clock.outran):
