@@ -71,16 +71,16 @@ def test_what_is_no_stamp_is_not_trusted(stamp: float) -> None:
 
 
 @pytest.mark.parametrize("declared", [12.5, 25.0, 12.4, 0.0])
-@pytest.mark.parametrize("each", [2, 9, 40])
+@pytest.mark.parametrize("spacing", [2, 9, 40])
 @pytest.mark.parametrize("pause", [0.0, 0.5, 90.0, -200.0])
 def test_frames_of_a_file_that_have_no_stamp_are_counted(
-    declared: float, each: int, pause: float
+    declared: float, spacing: int, pause: float
 ) -> None:
     """The frames pause meanwhile; if that is negative, the stamps begin anew."""
     truth = np.arange(4000) / 12.5
     truth[2000:] += max(0.0, pause)
-    stamped = np.random.default_rng(each).random(4000) < 1 / each
-    stamps = np.where(stamped, truth + np.where(truth >= 160.0, min(0.0, pause), 0.0), 0.0)
+    has_stamp = np.random.default_rng(spacing).random(4000) < 1 / spacing
+    stamps = np.where(has_stamp, truth + np.where(truth >= 160.0, min(0.0, pause), 0.0), 0.0)
 
     times = FileTimes(declared)
     positions = np.array([position for stamp in stamps for position in times.place(stamp)])

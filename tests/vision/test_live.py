@@ -7,6 +7,7 @@ import time
 from collections.abc import Callable
 from functools import cache
 from types import SimpleNamespace
+from typing import cast
 
 import pytest
 from rendered_scenes import Person, Scene, line
@@ -16,8 +17,9 @@ from camtopod.vision import pipeline
 from camtopod.vision.grabber import Grabber
 from camtopod.vision.settings import VisionSettings
 from camtopod.vision.source import capture, live, probe
-from camtopod.vision.source.capture import Frame
+from camtopod.vision.source.capture import Capture, Frame
 from camtopod.vision.source.ffmpeg_log import FfmpegLog
+from camtopod.vision.source.remarks import Observed
 
 FPS = 7.0
 SECONDS = 11.0
@@ -37,6 +39,7 @@ class Camera:
     is_open = True
     size = (192, 144)
     is_jpeg = False
+    is_mostly_damaged = False
     fps = FPS
     seconds = 0.0
     fault = ""
@@ -337,6 +340,24 @@ def test_a_stream_whose_size_is_unknown_is_opened_with_more_patience(
     camera.pictures = float("inf")
     camera.needs_patience = True
     assert len(seen(camera, grabber_of(camera))) == len(TRUTH)
+
+
+def test_what_was_not_decoded_is_neither_frozen_nor_without_contrast(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    camera = Camera(monkeypatch)
+    observed = Observed(cast(Capture, camera), VisionSettings())
+    observed.add(0.0, camera.picture(0.0))
+    for k in range(1, 100):
+        observed.add(k / FPS, None)
+    assert observed.remarks == []
+
+    camera.is_mostly_damaged = True
+    observed.judge()
+    assert observed.remarks == [
+        "most frames are damaged, as when packets are lost: use TCP, or set the camera to shorter "
+        "keyframe distances"
+    ]
 
 
 @pytest.mark.parametrize("parts", [0, 9])

@@ -72,6 +72,7 @@ class Observed:
         """Frame rate as measured; 0.0 if not known yet."""
         self.remarks: list[str] = []
         """What could be better, by the latest `OBSERVED_SECONDS`; empty if nothing or not known."""
+        self._capture = capture
         self._width_min = settings.working_width / 2
         """Width (pixels) below which people can hardly be detected."""
         self._latest: float | None = None
@@ -83,8 +84,9 @@ class Observed:
         self.seconds = 0.0
         """Time that has been observed since the remarks, seconds."""
         self._frames = 0
-        self._contrast = 0.0
-        self._has_changed = False
+        self._contrast: float | None = None
+        """Contrast of the picture that has most; None if none was decoded."""
+        self._has_compared = self._has_changed = False
 
     def add(self, t: float, luma: Luma | None) -> None:
         """Take a frame at ``t`` (seconds) into account; ``luma`` (H, W) if it was decoded."""
@@ -93,8 +95,10 @@ class Observed:
             self.seconds += min(t - self._latest, OBSERVED_SECONDS)  # a file may pause
         self._latest = t
         if luma is not None:
-            self._has_changed |= self._luma is not None and not np.array_equal(luma, self._luma)
-            self._contrast = max(self._contrast, float(luma.std()))
+            if self._luma is not None:
+                self._has_compared = True
+                self._has_changed |= not np.array_equal(luma, self._luma)
+            self._contrast = max(self._contrast or 0.0, float(luma.std()))
             self._luma = luma
         if self.seconds >= OBSERVED_SECONDS:
             self.judge()
@@ -105,7 +109,7 @@ class Observed:
         consequence = "fast walkers are missed" if self.fps >= 1.0 else "people cannot be followed"
         remarks = {
             "the picture has hardly any contrast: is the lens covered?": (
-                self._contrast < CONTRAST_MIN
+                self._contrast is not None and self._contrast < CONTRAST_MIN
             ),
             f"the frame rate is so low that {consequence}: set the camera to 5 frames a second or "
             "more, unless this machine is too busy": (0.0 < self.fps < FPS_MIN),
@@ -117,8 +121,10 @@ class Observed:
                 self.size[0] < self._width_min
             ),
             f"the picture has not changed for {self.seconds:.0f} s: is the camera frozen?": (
-                not self._has_changed and self.seconds >= OBSERVED_SECONDS
+                self._has_compared and not self._has_changed and self.seconds >= OBSERVED_SECONDS
             ),
+            "most frames are damaged, as when packets are lost: use TCP, or set the camera to "
+            "shorter keyframe distances": (self._capture.is_mostly_damaged),
         }
         self.remarks = [remark for remark, holds in remarks.items() if holds]
         self._begin()
