@@ -260,6 +260,23 @@ def unstamped(stamp: float, number: int) -> float:
     return stamp if number % 9 == 2 else 0.0  # the first picture in each packet of a recorder's
 
 
+def test_a_file_without_stamps_is_read_at_its_declared_rate(
+    film: Path,
+    plain: list[Event],
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    class Unstamped(Faulty):
+        def get(self, of: int) -> float:
+            return 0.0 if of == cv2.CAP_PROP_POS_MSEC else self._capture.get(of)
+
+    monkeypatch.setattr("cv2.VideoCapture", Unstamped)
+    events = grab(film, tmp_path / "out")[1]
+    assert [event.t for event in events] == pytest.approx([event.t for event in plain], abs=0.1)
+    assert "no time stamps, so 7 frames a second are assumed" in capsys.readouterr().err
+
+
 @pytest.fixture(scope="module")
 def plain(film: Path) -> list[Event]:
     """Return the events of the film with its own stamps."""

@@ -245,8 +245,8 @@ class Capture:
     @property
     def is_mostly_damaged(self) -> bool:
         """True if packets are lost so often that hardly any frame is whole."""
-        many = self._fault_share * SHARE_FRAMES >= SHARE_FAULTS
-        return many and self._damaged_share > DAMAGED_SHARE_MAX
+        is_frequent = self._fault_share * SHARE_FRAMES >= SHARE_FAULTS
+        return is_frequent and self._damaged_share > DAMAGED_SHARE_MAX
 
     def retrieve(self) -> Luma | None:
         """Return the grabbed frame's luma (H, W) at working size.

@@ -51,6 +51,11 @@ class FileTimes:
         """Number of stamps that were not believed."""
 
     @property
+    def is_unstamped(self) -> bool:
+        """True if no frame has a stamp, so that all positions follow from the declared rate."""
+        return self._stamp == 0.0 and self._counted > 0
+
+    @property
     def gap(self) -> float:
         """Longest step of the stamps that is believed at once, seconds."""
         return INTERVALS * self.interval

@@ -132,6 +132,10 @@ class RecordedSource(Source):
                     else "",
                     fault if self.frames_dropped else "",
                     *self.observation.remarks,
+                    f"it has no time stamps, so {1.0 / self._times.interval:.3g} frames a second "
+                    "are assumed: put it into a file that has (MP4, MKV) if that is wrong"
+                    if self._times.is_unstamped
+                    else "",
                     f"{self.untrusted_stamps} time stamps not believed"
                     if self.untrusted_stamps
                     else "",
