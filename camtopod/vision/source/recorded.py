@@ -133,7 +133,7 @@ class RecordedSource(Source):
                     fault if self.frames_dropped else "",
                     *self.observation.remarks,
                     f"it has no time stamps, so {1.0 / self._times.interval:.3g} frames a second "
-                    "are assumed: put it into a file that has (MP4, MKV) if that is wrong"
+                    "are assumed; if that is wrong: ffmpeg -r RATE -i FILE -c copy film.mp4"
                     if self._times.is_unstamped
                     else "",
                     f"{self.untrusted_stamps} time stamps not believed"
