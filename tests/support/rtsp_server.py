@@ -3,7 +3,7 @@
     python3 rtsp_server.py FILE
 
 Prints the port it listens on, then serves until it is killed. Each client gets the file from the
-beginning.
+beginning. What sounds beside it, unheard, is live: so no duration is told, as of a camera.
 """
 
 import sys
@@ -20,7 +20,8 @@ server.set_address("127.0.0.1")
 server.set_service("0")
 factory = GstRtspServer.RTSPMediaFactory()
 factory.set_launch(
-    f'( filesrc location="{sys.argv[1]}" ! qtdemux ! h264parse ! rtph264pay name=pay0 pt=96 config-interval=-1 )'
+    f'( filesrc location="{sys.argv[1]}" ! qtdemux ! h264parse ! rtph264pay name=pay0 pt=96 config-interval=-1 '
+    "audiotestsrc is-live=true ! fakesink )"
 )
 server.get_mount_points().add_factory("/camera", factory)
 server.attach(None)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import re
 import shutil
 import subprocess
 from collections.abc import Callable
@@ -172,6 +173,44 @@ def test_damage_does_not_end_a_file(
     assert f"{52 - lost} pictures analysed, {lost} could not be decoded, 1 entry, 1 exit" in said
 
 
+class Lossy(Faulty):
+    """A picture with an error now and then, and no keyframe after it."""
+
+    spacing = 4
+    grabs = 0
+
+    def grab(self) -> bool:
+        self.grabs += 1
+        if self.grabs % self.spacing == 3:
+            os.write(1, b"[OPENCV:FFMPEG:16] RTP: missed 2 packets\n")
+        return self._capture.grab()
+
+    def get(self, of: int) -> float:
+        return float(ord("P")) if of == cv2.CAP_PROP_FRAME_TYPE else self._capture.get(of)
+
+
+@pytest.mark.parametrize(("spacing", "bounds"), [(4, (15, 30)), (100, (45, 52))])
+def test_where_nearly_all_is_damaged_the_damaged_pictures_alone_are_left_out(
+    spacing: int,
+    bounds: tuple[int, int],
+    film: Path,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    """A single fault is waited for the end of."""
+    monkeypatch.setattr(Lossy, "spacing", spacing)
+    monkeypatch.setattr("cv2.VideoCapture", Lossy)
+    monkeypatch.setattr("camtopod.vision.source.capture.SHARE_FRAMES", 12.0)
+    monkeypatch.setattr("camtopod.vision.source.capture.SHARE_FAULTS", 2.0)
+    assert grab(film, tmp_path / "out")[0] == 0
+    said = capsys.readouterr().err
+    match = re.search(r" (\d+) could not be decoded", said)
+    assert match is not None
+    assert bounds[0] <= int(match[1]) <= bounds[1]
+    assert ("most frames are damaged" in said) == (spacing == 4)
+
+
 def test_a_file_that_was_cut_ends_early(
     film: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -217,6 +256,27 @@ def paused(stamp: float, number: int) -> float:
     return stamp + (100e3 if number >= 10 else 0)
 
 
+def unstamped(stamp: float, number: int) -> float:
+    return stamp if number % 9 == 2 else 0.0  # the first picture in each packet of a recorder's
+
+
+def test_a_file_without_stamps_is_read_at_its_declared_rate(
+    film: Path,
+    plain: list[Event],
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    class Unstamped(Faulty):
+        def get(self, of: int) -> float:
+            return 0.0 if of == cv2.CAP_PROP_POS_MSEC else self._capture.get(of)
+
+    monkeypatch.setattr("cv2.VideoCapture", Unstamped)
+    events = grab(film, tmp_path / "out")[1]
+    assert [event.t for event in events] == pytest.approx([event.t for event in plain], abs=0.1)
+    assert "no time stamps, so 7 frames a second are assumed" in capsys.readouterr().err
+
+
 @pytest.fixture(scope="module")
 def plain(film: Path) -> list[Event]:
     """Return the events of the film with its own stamps."""
@@ -225,7 +285,7 @@ def plain(film: Path) -> list[Event]:
         return grab(film, film.with_name("plain"))[1]
 
 
-@pytest.mark.parametrize("wrong", [ahead, sticking, begins_anew, paused])
+@pytest.mark.parametrize("wrong", [ahead, sticking, begins_anew, paused, unstamped])
 def test_a_stamp_is_believed_as_far_as_the_rate_bears_it_out(
     wrong: Callable[[float, int], float],
     film: Path,

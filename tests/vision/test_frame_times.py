@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from camtopod.vision.source.capture import FrameSelector
+from camtopod.vision.source.file_times import FileTimes
 from camtopod.vision.source.frame_times import StampClock
 from camtopod.vision.source.source_url import percent_encoded
 
@@ -67,6 +68,29 @@ def test_what_is_no_stamp_is_not_trusted(stamp: float) -> None:
     clock = StampClock()
     clock.record(stamp, 50.0)
     assert clock.captured(stamp, 50.0) is None
+
+
+@pytest.mark.parametrize("declared", [12.5, 25.0, 12.4, 0.0])
+@pytest.mark.parametrize("spacing", [2, 9, 40])
+@pytest.mark.parametrize("pause", [0.0, 0.5, 90.0, -200.0])
+def test_frames_of_a_file_that_have_no_stamp_are_counted(
+    declared: float, spacing: int, pause: float
+) -> None:
+    """The frames pause meanwhile; if that is negative, the stamps begin anew."""
+    truth = np.arange(4000) / 12.5
+    truth[2000:] += max(0.0, pause)
+    has_stamp = np.random.default_rng(spacing).random(4000) < 1 / spacing
+    stamps = np.where(has_stamp, truth + np.where(truth >= 160.0, min(0.0, pause), 0.0), 0.0)
+
+    times = FileTimes(declared)
+    positions = np.array([position for stamp in stamps for position in times.place(stamp)])
+    positions = np.append(positions, times.rest())
+
+    error = np.abs(positions - truth)
+    assert (np.diff(positions) > 0.0).all()
+    assert error[300:1900].max() < 0.1
+    assert error[2200:].max() < (0.1 if pause >= 0.0 else 0.5), "when it began anew is not known"
+    assert times.untrusted_count <= 1
 
 
 @pytest.mark.parametrize(

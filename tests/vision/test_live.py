@@ -7,6 +7,7 @@ import time
 from collections.abc import Callable
 from functools import cache
 from types import SimpleNamespace
+from typing import cast
 
 import pytest
 from rendered_scenes import Person, Scene, line
@@ -16,8 +17,9 @@ from camtopod.vision import pipeline
 from camtopod.vision.grabber import Grabber
 from camtopod.vision.settings import VisionSettings
 from camtopod.vision.source import capture, live, probe
-from camtopod.vision.source.capture import Frame
+from camtopod.vision.source.capture import Capture, Frame
 from camtopod.vision.source.ffmpeg_log import FfmpegLog
+from camtopod.vision.source.remarks import Observed
 
 FPS = 7.0
 SECONDS = 11.0
@@ -36,6 +38,8 @@ class Camera:
 
     is_open = True
     size = (192, 144)
+    is_jpeg = False
+    is_mostly_damaged = False
     fps = FPS
     seconds = 0.0
     fault = ""
@@ -43,6 +47,10 @@ class Camera:
     film_seconds = SECONDS
     needs_patience = False
     """True if it gives nothing without patience."""
+    parts = float("inf")
+    """Number of pictures until one whose part is not described as usual."""
+    rewinds = False
+    """True if each connection begins at the beginning."""
     burst = 1
     """Number of pictures that arrive at once."""
 
@@ -61,6 +69,8 @@ class Camera:
         self.fps = fps
         self.left = self.pictures = pictures
         self.patience: list[bool] = []
+        self.readers: list[bool] = []
+        """For each connection, whether JPEG was read without its parts' descriptions."""
         self.t = 0.0
         self.sent = 0
         self.stamp = stamp
@@ -73,7 +83,9 @@ class Camera:
 
     def opened(self, source: str, *others: object) -> Camera:
         self.left = self.pictures
-        self.patience.append(bool(others[-1]))
+        self.t *= not self.rewinds
+        self.patience.append(bool(others[-2]))
+        self.readers.append(bool(others[-1]))
         return self
 
     def grab(self) -> float | None:
@@ -87,6 +99,8 @@ class Camera:
         if self.needs_patience and not self.patience[-1]:
             if self.size != (0, 0):
                 self.now += capture.CALL_SECONDS_MAX
+            return None
+        if not self.readers[-1] and self.pictures - self.left >= self.parts:
             return None
         self.left -= 1
         if self.sent % self.burst == 0:
@@ -229,6 +243,47 @@ def test_what_is_no_stream_is_said(monkeypatch: pytest.MonkeyPatch) -> None:
     reason_of(grabber_of(film), "a recording, not a stream: download it")
 
 
+def test_a_recorder_s_playback_is_not_told_as_if_it_happened_now(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    film = Camera(monkeypatch)
+    film.seconds = 26.0
+    said = "a recording, not a stream: make a file of it by ffmpeg"
+    assert reason_of(grabber_of(film, "rtsp://192.0.2.1/tracks/101"), said) == "connecting"
+    assert film.left == film.pictures, "nothing was read"
+
+    film = Camera(monkeypatch)
+    source = "rtsp://192.0.2.1/cam/playback?channel=1&starttime=2026_01_01_10_00_00"
+    assert reason_of(grabber_of(film, source), said) == "connecting"
+    assert film.left == film.pictures
+
+    film = Camera(monkeypatch, pictures=SECONDS * FPS + 2)  # whose length nobody tells
+    film.film_seconds = float("inf")
+    film.rewinds = True
+    grabber = grabber_of(film, "rtsp://192.0.2.1/tracks/101")
+    assert reason_of(grabber, said) == "stalled"
+    assert len(film.patience) == 2
+    assert grabber.statistics()["entries"] <= 2, "each is told once"
+
+
+@pytest.mark.parametrize("seconds", [4.0, 12.0])
+def test_a_camera_whose_sessions_end_is_no_recording(
+    seconds: float, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    camera = Camera(monkeypatch, pictures=seconds * FPS)
+    camera.film_seconds = 40.0
+    for picture, rewinds in ((PICTURE(1.0), False), (None, seconds < 10.0)):
+        camera.t, camera.is_over, camera.rewinds = 0.0, False, rewinds
+        camera.picture = PICTURE if picture is None else lambda t, picture=picture: picture
+        camera.film_seconds = float("inf")
+        grabber = grabber_of(camera, "rtsp://192.0.2.1/s")
+        for _ in grabber.events():
+            assert "recording" not in grabber.reason
+            if grabber.statistics()["connections"] >= 4 and grabber.state == "running":
+                break
+        grabber.close()
+
+
 @pytest.mark.parametrize(
     ("source", "said"),
     [
@@ -285,6 +340,49 @@ def test_a_stream_whose_size_is_unknown_is_opened_with_more_patience(
     camera.pictures = float("inf")
     camera.needs_patience = True
     assert len(seen(camera, grabber_of(camera))) == len(TRUTH)
+
+
+def test_what_was_not_decoded_is_neither_frozen_nor_without_contrast(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    camera = Camera(monkeypatch)
+    observed = Observed(cast(Capture, camera), VisionSettings())
+    observed.add(0.0, camera.picture(0.0))
+    for k in range(1, 100):
+        observed.add(k / FPS, None)
+    assert observed.remarks == []
+
+    camera.is_mostly_damaged = True
+    observed.judge()
+    assert observed.remarks == [
+        "most frames are damaged, as when packets are lost: use TCP, or set the camera to shorter "
+        "keyframe distances"
+    ]
+
+
+@pytest.mark.parametrize("parts", [0, 9])
+def test_jpeg_pictures_are_read_whatever_their_parts_say(
+    parts: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    camera = Camera(monkeypatch, pictures=10**9)
+    camera.is_jpeg = True
+    camera.parts = parts
+
+    assert len(seen(camera, grabber_of(camera))) == len(TRUTH)
+    assert camera.readers == [False, True]
+    assert camera.patience == [False, False]
+
+
+def test_jpeg_has_no_keyframes_to_wait_for(monkeypatch: pytest.MonkeyPatch) -> None:
+    camera = Camera(monkeypatch, pictures=0)
+    camera.is_jpeg = True
+    camera.size = (0, 0)
+    grabber = grabber_of(camera)
+    assert reason_of(grabber, "no JPEG picture comes: give another URL") == "connecting"
+
+    shown = probe.probe(probe.ProbeRequest("http://192.0.2.1/s", VisionSettings()), FfmpegLog())
+    assert "no JPEG picture comes" in shown.problem
+    assert camera.readers[-2:] == [False, True], "both ways were tried"
 
 
 def test_pictures_that_are_none_or_do_not_change_are_said(monkeypatch: pytest.MonkeyPatch) -> None:

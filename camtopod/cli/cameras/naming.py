@@ -12,7 +12,7 @@ from urllib.parse import urlsplit
 from camtopod.cli import exits
 from camtopod.cli.exits import CommandError, InputError
 from camtopod.records import RESERVED
-from camtopod.vision.source import device_number, kind_of, percent_encoded
+from camtopod.vision.source import device_number, is_path, kind_of, percent_encoded
 
 _GIVEN = re.compile(r"(?:([A-Za-z0-9_.-]{1,64})=)?(.+)")
 """Argument of the form [NAME=]SOURCE."""
@@ -67,7 +67,7 @@ def _id_of(source: str) -> str:
     if kind_of(source) == "device":
         return f"device-{device_number(source)}"
     text = Path(source).stem
-    if kind_of(source) != "file":
+    if not is_path(source):
         try:
             text = urlsplit(percent_encoded(source)).hostname or ""
         except ValueError:

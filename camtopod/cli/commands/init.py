@@ -26,7 +26,7 @@ from camtopod.cli.generated import table
 from camtopod.config import TABLES, CameraSettings, Config, ConfigError, config_file, secret_files
 from camtopod.redact import redact
 from camtopod.visible import visible
-from camtopod.vision.source import SETTLE_SECONDS_MAX, Probe, file_path, kind_of
+from camtopod.vision.source import SETTLE_SECONDS_MAX, Probe, file_path, is_path
 
 if TYPE_CHECKING:
     from camtopod.cli.cameras.finding import Findings
@@ -340,9 +340,7 @@ def with_cameras(out: Path, tables: Sequence[str]) -> str:
 
 def _located(source: str) -> str:
     """Return the source, a file with its absolute path: programs may start in another directory."""
-    if kind_of(source) != "file":
-        return source
-    return str(Path(file_path(source)).absolute())
+    return str(Path(file_path(source)).absolute()) if is_path(source) else source
 
 
 def _next(args: argparse.Namespace, settings: Config, cameras: Collection[str]) -> str:

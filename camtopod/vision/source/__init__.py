@@ -3,8 +3,8 @@
 `source_url` tells the kind of a source, encodes its password, and knows where streams may be;
 `capture` wraps OpenCV. On top of it `recorded` reads a file and `live` a stream or device, which
 reconnects; `file_times` and `frame_times` estimate capture times from presentation stamps.
-`ffmpeg_log` finds out why a stream cannot be opened, `remarks` what could be better about a source;
-`probe` describes it for people, with a picture.
+`ffmpeg_log` and `refusal` find out why a stream cannot be opened, `remarks` what could be better
+about a source; `probe` describes it for people, with a picture.
 """
 
 from camtopod.vision.source.capture import HEARTBEAT_SECONDS as HEARTBEAT_SECONDS, State as State
@@ -26,6 +26,7 @@ from camtopod.vision.source.source_url import (
     RETRY_SEPARATOR as RETRY_SEPARATOR,
     device_number as device_number,
     file_path as file_path,
+    is_path as is_path,
     kind_of as kind_of,
     percent_encoded as percent_encoded,
     streams_by_maker as streams_by_maker,

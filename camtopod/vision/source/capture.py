@@ -24,12 +24,25 @@ import numpy as np
 from camtopod.vision.detect import Luma, shrunk
 from camtopod.vision.settings import VisionSettings
 from camtopod.vision.source.ffmpeg_log import NO_LOG, FfmpegLog, environment
-from camtopod.vision.source.source_url import device_number, file_path, kind_of, percent_encoded
+from camtopod.vision.source.source_url import (
+    device_number,
+    file_path,
+    is_path,
+    kind_of,
+    percent_encoded,
+)
 
 STREAM_OPTIONS = "rtsp_transport;tcp|allowed_media_types;video"
 """FFmpeg options of streams."""
+SDP_OPTIONS = "protocol_whitelist;file,udp,rtp|allowed_media_types;video"
+"""FFmpeg options of streams that a file describes."""
 QUICK_OPTIONS = "|probesize;32768|analyzeduration;300000"
 """More of them at first: the small probe gives the first frame after 0.6 s instead of 1.9 s."""
+JPEG_OPTIONS = "|input_format;mjpeg"
+"""More of them for JPEG pictures that are found by their own markers, whatever is between them.
+
+FFmpeg's reader of parts wants them to say ``Content-Type: image/jpeg`` exactly.
+"""
 OPTIONS_VARIABLE = "OPENCV_FFMPEG_CAPTURE_OPTIONS"
 """Environment variable from which OpenCV reads FFmpeg options; a user's value replaces ours."""
 _DEVICES_OPTION = "hw_decoders_any"
@@ -55,6 +68,12 @@ _VIDEO_RANGE = (16 + np.arange(256) * 219 / 255).round().astype(np.uint8)
 """Luma as video has it, 16 to 235, by the grey level of the image in colour."""
 DAMAGED_FRAMES_MAX = 250
 """Frames after a fault that are damaged if none is coded by itself, which is seldom so late."""
+DAMAGED_SHARE_MAX = 0.5
+"""Share of frames that follow from a damaged one above which those are analysed all the same."""
+SHARE_FRAMES = 100.0
+"""Number of frames over which that share is counted, about."""
+SHARE_FAULTS = 3.0
+"""Number of faults among them at least: a fault alone is waited for the end of."""
 REORDERED_FRAMES = 3
 """Frames by which a frame may come later than the message about it, as B frames do."""
 _CODECS = {
@@ -71,6 +90,8 @@ _CODECS = {
     "av01": "AV1",
 }
 """Name of a codec by its four-character code."""
+DURATION_MAX = 1e9
+"""Longest duration that is believed, seconds; what is longer is a date, or was never set."""
 HEARTBEAT_SECONDS = 0.5
 """Longest time until a source yields while it waits, and shortest until it connects again."""
 
@@ -112,6 +133,7 @@ class Capture:
         colour: bool = False,
         ffmpeg_log: FfmpegLog = NO_LOG,
         patient: bool = False,
+        bare_jpeg: bool = False,
     ) -> None:
         """Open ``source``; `is_open` tells if that worked. Blocks for at most the timeout.
 
@@ -119,6 +141,7 @@ class Capture:
             rounding.
         ffmpeg_log: tells which frames are damaged or none; without it all are believed.
         patient: a stream needs patience (`call_seconds_max`).
+        bare_jpeg: a stream is JPEG pictures, to be found without what its parts say of them.
         """
         cv2.utils.logging.setLogLevel(0)  # its messages contain URLs with passwords
         # Images are so small that waking more threads costs more than it gains.
@@ -126,7 +149,9 @@ class Capture:
 
         # Open with timeouts (streams) and one decoder thread.
         kind = kind_of(source)
-        options = STREAM_OPTIONS + (THOROUGH_OPTIONS if patient else QUICK_OPTIONS)
+        options = SDP_OPTIONS if is_path(source) else STREAM_OPTIONS
+        options += THOROUGH_OPTIONS if patient and not bare_jpeg else QUICK_OPTIONS
+        options += JPEG_OPTIONS if bare_jpeg else ""
         options = os.environ.get(OPTIONS_VARIABLE, options if kind == "stream" else "")
         self._capture = _opened(source, patient, options)
         if kind == "file" and self.is_open and self.size == (0, 0):
@@ -138,6 +163,10 @@ class Capture:
         """Why the latest frame that could not be decoded was none; "" if that is not known."""
         self._after_fault = DAMAGED_FRAMES_MAX
         """Number of frames since the latest fault or, if they are sound, `DAMAGED_FRAMES_MAX`."""
+        self._damaged_share = 0.0
+        """Share of the latest frames that are damaged, or follow from such a one."""
+        self._fault_share = 0.0
+        """Share of the latest frames that have a fault of their own."""
         self._is_joined = kind != "stream"
         """True from the first frame on; a stream begins with messages about what came before."""
 
@@ -179,10 +208,16 @@ class Capture:
         return _CODECS.get(code.lower(), code or "unknown codec")
 
     @property
+    def is_jpeg(self) -> bool:
+        """True if each picture is coded by itself, as JPEG."""
+        return self.codec == _CODECS["mjpg"]
+
+    @property
     def seconds(self) -> float:
-        """Duration that a file declares; 0.0 if unknown."""
+        """Duration that a file or recording declares; 0.0 if unknown."""
         frames = self._capture.get(cv2.CAP_PROP_FRAME_COUNT)
-        return max(0.0, frames / self.fps) if self.fps else 0.0
+        seconds = frames / self.fps if self.fps else 0.0
+        return seconds if 0.0 <= seconds < DURATION_MAX else 0.0
 
     def grab(self) -> float | None:
         """Take the next frame without converting it; None if there is none.
@@ -202,14 +237,25 @@ class Capture:
         late = self._after_fault > REORDERED_FRAMES
         if late and self._capture.get(cv2.CAP_PROP_FRAME_TYPE) == ord("I"):
             self._after_fault = DAMAGED_FRAMES_MAX
+        is_damaged = self._after_fault < DAMAGED_FRAMES_MAX
+        self._damaged_share += (is_damaged - self._damaged_share) / SHARE_FRAMES
+        self._fault_share += ((self._after_fault == 1) - self._fault_share) / SHARE_FRAMES
         return float(self._capture.get(cv2.CAP_PROP_POS_MSEC)) / 1000.0
+
+    @property
+    def is_mostly_damaged(self) -> bool:
+        """True if packets are lost so often that hardly any frame is whole."""
+        is_frequent = self._fault_share * SHARE_FRAMES >= SHARE_FAULTS
+        return is_frequent and self._damaged_share > DAMAGED_SHARE_MAX
 
     def retrieve(self) -> Luma | None:
         """Return the grabbed frame's luma (H, W) at working size.
 
-        None if it is damaged, or could not be decoded or converted; `fault` has the reason.
+        None if it is damaged, or could not be decoded or converted; `fault` has the reason. What
+        follows from a damaged frame is as damaged, unless there is hardly anything else.
         """
-        if self._after_fault < DAMAGED_FRAMES_MAX:
+        damaged_frames = 1 if self.is_mostly_damaged else DAMAGED_FRAMES_MAX - 1
+        if self._after_fault <= damaged_frames:
             return None
         good, image = self._capture.retrieve(self._image)
         fault = self._ffmpeg_log.newest_fault()
@@ -276,13 +322,13 @@ def _opened(source: str, patient: bool, options: str) -> cv2.VideoCapture:
     if number is not None:
         return cv2.VideoCapture(number)
     parameters = [cv2.CAP_PROP_N_THREADS, 1]
-    if kind_of(source) == "stream":
-        source = percent_encoded(source)
+    is_stream = kind_of(source) == "stream"
+    path = f"file:{file_path(source)}"  # what is before a colon is no protocol
+    source = path if is_path(source) else percent_encoded(source)
+    if is_stream:
         milliseconds = round(1000 * call_seconds_max(patient))
         for timeout in (cv2.CAP_PROP_OPEN_TIMEOUT_MSEC, cv2.CAP_PROP_READ_TIMEOUT_MSEC):
             parameters += [timeout, milliseconds]
-    else:
-        source = f"file:{file_path(source)}"  # what is before a colon is no protocol
     if _DEVICES_OPTION in options:
         parameters += [cv2.CAP_PROP_HW_ACCELERATION, cv2.VIDEO_ACCELERATION_ANY]
     bytes_: Any = os.fsencode(source)  # need not be UTF-8: OpenCV crashes on such a string

@@ -47,6 +47,10 @@ _PHRASES = {
     b"moov atom not found": "its recording was never finished, and its index is missing",
 }
 """Reason by phrase in FFmpeg's log."""
+UNREACHED = frozenset(
+    words for words in _PHRASES.values() if not words.startswith("the host closes")
+)
+"""Reasons after which it is of no use to ask the host."""
 DAMAGED = "damaged video"
 _FAULTS = {
     "interlaced video cannot be read: make it progressive": rb"Cannot convert interlaced",

@@ -26,14 +26,17 @@ from camtopod.vision.source.capture import (
 )
 from camtopod.vision.source.ffmpeg_log import NO_LOG, FfmpegLog
 from camtopod.vision.source.frame_times import PROMPT_SECONDS, StampClock
+from camtopod.vision.source.refusal import why_not_opened
 from camtopod.vision.source.remarks import (
     OBSERVED_SECONDS,
+    RTSP_RECORDING,
     Observed,
+    Playback,
+    is_rtsp,
     no_frame,
     no_stream,
-    why_not_opened,
 )
-from camtopod.vision.source.source_url import RETRY_SEPARATOR
+from camtopod.vision.source.source_url import RETRY_SEPARATOR, scheme_of
 
 QUEUE_FRAMES = 8
 """Frames that wait for the caller; further ones are dropped."""
@@ -76,9 +79,12 @@ class LiveSource(Source):
         """By how many seconds the wall clock has been set since then."""
         self._latest = float("-inf")
         """Capture time of the latest frame."""
+        self._playback = Playback()
         self._call_start: float | None = None
         self._patient = False
         """True if the source is known to need patience."""
+        self._bare_jpeg = False
+        """True if its JPEG pictures are to be found without what its parts say of them."""
 
     def frames(self) -> Iterator[Frame | None]:
         """Yield frames with ascending capture times; None if there is none for half a second.
@@ -127,7 +133,7 @@ class LiveSource(Source):
         while not self._stop.is_set():
             self._ffmpeg_log.newest_reason()  # discard those of an earlier connection
 
-            was_patient = self._patient
+            manner = self._patient, self._bare_jpeg
             reason = self._connection()
             if self._stop.is_set():
                 return
@@ -137,7 +143,8 @@ class LiveSource(Source):
             if self.state == "running":
                 wait = HEARTBEAT_SECONDS
             pause = wait * random.uniform(0.5, 1.0)
-            self._lose(f"{reason}{RETRY_SEPARATOR}{pause:.1f} s", was_patient == self._patient)
+            is_lost = (self._patient, self._bare_jpeg) <= manner
+            self._lose(f"{reason}{RETRY_SEPARATOR}{pause:.1f} s", is_lost)
             wait = min(2 * wait, BACKOFF_SECONDS_MAX)
             self._stop.wait(pause)
 
@@ -148,12 +155,17 @@ class LiveSource(Source):
         """
         self._call_start = time.monotonic()
         capture = Capture(
-            self._source, self._settings, self._colour, self._ffmpeg_log, self._patient
+            self._source,
+            self._settings,
+            self._colour,
+            self._ffmpeg_log,
+            self._patient,
+            self._bare_jpeg,
         )
         try:
             if not capture.is_open:
                 reason = why_not_opened(self._source, self._ffmpeg_log)
-                return f"the source cannot be opened{reason and ': '}{reason}"
+                return f"the source cannot be opened: {reason}"
             self.connections += 1
             return no_stream(self._source, capture, 0, StampClock()) or self._read(capture)
         finally:
@@ -165,6 +177,7 @@ class LiveSource(Source):
         """Pass frames on until the source dies; return the reason."""
         clock = StampClock()
         selector = FrameSelector(self._settings.analysed_fps)
+        self._playback.begin()
         self.observation = Observed(capture, self._settings)
         held_frames: list[tuple[float, float, Frame]] = []
         start = last_decode = time.monotonic()
@@ -193,6 +206,8 @@ class LiveSource(Source):
                 self.frames_dropped += frame is None
             if frame is not None:
                 last_decode = arrival
+                if self._playback.repeats(arrival, frame.luma) and is_rtsp(self._source):
+                    return RTSP_RECORDING
                 held_frames.append((stamp, arrival, frame))
             if arrival - last_decode > CALL_SECONDS_MAX:
                 self._lose(f"frames come, none can be decoded: {capture.fault}")
@@ -218,16 +233,20 @@ class LiveSource(Source):
         wait_seconds: float,
         run_seconds: float,
     ) -> str:
-        """Return why a connection gives no frame any more, and note if it needs more patience.
+        """Return why a connection gives no frame any more, and note how to open the next one.
 
         frames: number of its frames.
         wait_seconds: time that the last call took, seconds.
         run_seconds: time from its first frame to the last one that was decoded, seconds.
         """
         timed_out = wait_seconds > call_seconds_max(self._patient) / 2
-        self._patient |= (timed_out and run_seconds < OBSERVED_SECONDS) or (
-            not frames and capture.size == (0, 0)
-        )
+        is_short = run_seconds < OBSERVED_SECONDS
+        if capture.is_jpeg and scheme_of(self._source).startswith("http") and not timed_out:
+            self._bare_jpeg = is_short if not self._bare_jpeg else frames > 0
+            if self._bare_jpeg and not frames:
+                return "its pictures are not marked as JPEG: searching for them"
+        else:
+            self._patient |= (timed_out and is_short) or (not frames and capture.size == (0, 0))
         if not frames:
             return f"it opens, but gives no picture: {no_frame(capture)}"
         if timed_out:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import time
 from collections.abc import Iterator
 from pathlib import Path
@@ -131,6 +132,10 @@ class RecordedSource(Source):
                     else "",
                     fault if self.frames_dropped else "",
                     *self.observation.remarks,
+                    f"it has no time stamps, so {1.0 / self._times.interval:.3g} frames a second "
+                    "are assumed; if that is wrong: ffmpeg -r RATE -i FILE -c copy film.mp4"
+                    if self._times.is_unstamped
+                    else "",
                     f"{self.untrusted_stamps} time stamps not believed"
                     if self.untrusted_stamps
                     else "",
@@ -156,6 +161,11 @@ def _no_file(source: str) -> str:
         return "a pipe cannot be read: write the video to a file first"
     if path.is_char_device() or path.is_block_device():
         return "not a video device: a camera is /dev/video0 or 0, for example"
+    advice = "make a video of its pictures first: ffmpeg -framerate 25 -i %04d.jpg film.mp4"
+    if path.is_dir():
+        return f"a directory cannot be read: give a file in it, or {advice}"
+    if not path.exists() and re.search(r"%\d*d|[*?]", path.name):
+        return f"a picture sequence cannot be read: {advice}"
     with path.open("rb") as file:
         return "" if file.read(1) else "the file is empty"
 

@@ -2,16 +2,16 @@
 
 from __future__ import annotations
 
-import os
+import re
 
 import numpy as np
 
 from camtopod.vision.detect import Luma
 from camtopod.vision.settings import VisionSettings
 from camtopod.vision.source.capture import IMAGE_WIDTH_MAX, Capture
-from camtopod.vision.source.ffmpeg_log import DAMAGED, FfmpegLog
+from camtopod.vision.source.ffmpeg_log import DAMAGED
 from camtopod.vision.source.frame_times import StampClock
-from camtopod.vision.source.source_url import device_number
+from camtopod.vision.source.source_url import scheme_of
 
 FPS_MIN = 4.5
 """Frame rate below which fast walkers are hardly detected."""
@@ -22,13 +22,43 @@ OBSERVED_SECONDS = 10.0
 
 A camera's noise, and each keyframe, changes some pixel meanwhile.
 """
-_SCHEMES = ("rtsp", "rtsps", "rtmp", "rtmps", "http", "https", "tcp", "udp", "rtp", "srt")
-"""Schemes of streams."""
-_OTHERS = {
-    "onvif": "`camtopod init` asks a camera for its streams by ONVIF: give what it finds",
-    "v4l2": "give a device by its number, or as /dev/video0",
-}
-"""Advice on URLs that are no streams, by scheme."""
+RTSP_RECORDING = (
+    "it is a recording, not a stream: make a file of it by ffmpeg -rtsp_transport tcp -i URL "
+    "-c copy film.mkv, and give the file"
+)
+"""What is said of a recorder's playback, which would be played again with each connection."""
+_PLAYBACK = re.compile(r"[?&](start|begin)_?time=", re.IGNORECASE)
+"""Part of URLs by which recorders are asked for the past."""
+
+
+class Playback:
+    """Tells whether connections play the same again, as those to a recording do.
+
+    Two pictures of a camera are never the same, unless it is frozen.
+    """
+
+    def __init__(self) -> None:
+        self._first: Luma | None = None
+        self._start = 0.0
+        self._is_long = False
+        """True if pictures came for `OBSERVED_SECONDS` and differ from the first."""
+        self._begins = True
+
+    def begin(self) -> None:
+        """Begin a connection."""
+        self._begins = True
+
+    def repeats(self, t: float, luma: Luma) -> bool:
+        """Take a picture (H, W) at ``t`` (seconds); True if it begins what was played before."""
+        is_same = self._first is not None and np.array_equal(luma, self._first)
+        if not self._begins:
+            self._is_long |= t - self._start >= OBSERVED_SECONDS and not is_same
+            return False
+        self._begins = False
+        if self._is_long and is_same:
+            return True
+        self._first, self._start, self._is_long = luma, t, False
+        return False
 
 
 class Observed:
@@ -42,6 +72,7 @@ class Observed:
         """Frame rate as measured; 0.0 if not known yet."""
         self.remarks: list[str] = []
         """What could be better, by the latest `OBSERVED_SECONDS`; empty if nothing or not known."""
+        self._capture = capture
         self._width_min = settings.working_width / 2
         """Width (pixels) below which people can hardly be detected."""
         self._latest: float | None = None
@@ -53,8 +84,9 @@ class Observed:
         self.seconds = 0.0
         """Time that has been observed since the remarks, seconds."""
         self._frames = 0
-        self._contrast = 0.0
-        self._has_changed = False
+        self._contrast: float | None = None
+        """Contrast of the picture that has most; None if none was decoded."""
+        self._has_compared = self._has_changed = False
 
     def add(self, t: float, luma: Luma | None) -> None:
         """Take a frame at ``t`` (seconds) into account; ``luma`` (H, W) if it was decoded."""
@@ -63,8 +95,10 @@ class Observed:
             self.seconds += min(t - self._latest, OBSERVED_SECONDS)  # a file may pause
         self._latest = t
         if luma is not None:
-            self._has_changed |= self._luma is not None and not np.array_equal(luma, self._luma)
-            self._contrast = max(self._contrast, float(luma.std()))
+            if self._luma is not None:
+                self._has_compared = True
+                self._has_changed |= not np.array_equal(luma, self._luma)
+            self._contrast = max(self._contrast or 0.0, float(luma.std()))
             self._luma = luma
         if self.seconds >= OBSERVED_SECONDS:
             self.judge()
@@ -75,7 +109,7 @@ class Observed:
         consequence = "fast walkers are missed" if self.fps >= 1.0 else "people cannot be followed"
         remarks = {
             "the picture has hardly any contrast: is the lens covered?": (
-                self._contrast < CONTRAST_MIN
+                self._contrast is not None and self._contrast < CONTRAST_MIN
             ),
             f"the frame rate is so low that {consequence}: set the camera to 5 frames a second or "
             "more, unless this machine is too busy": (0.0 < self.fps < FPS_MIN),
@@ -87,40 +121,35 @@ class Observed:
                 self.size[0] < self._width_min
             ),
             f"the picture has not changed for {self.seconds:.0f} s: is the camera frozen?": (
-                not self._has_changed and self.seconds >= OBSERVED_SECONDS
+                self._has_compared and not self._has_changed and self.seconds >= OBSERVED_SECONDS
             ),
+            "most frames are damaged, as when packets are lost: use TCP, or set the camera to "
+            "shorter keyframe distances": (self._capture.is_mostly_damaged),
         }
         self.remarks = [remark for remark, holds in remarks.items() if holds]
         self._begin()
 
 
-def why_not_opened(source: str, ffmpeg_log: FfmpegLog) -> str:
-    """Return why a device or stream could not be opened; "" if that is not known."""
-    number = device_number(source)
-    if number is not None:
-        path = f"/dev/video{number}"
-        if not os.path.exists(path):
-            return f"{path} does not exist"
-        if not os.access(path, os.R_OK | os.W_OK):
-            return f"no permission for {path}: add this user to the group video"
-        return f"{path} is in use or is not a camera"
-    scheme = source.lower().partition("://")[0]
-    if scheme not in _SCHEMES:
-        return _OTHERS.get(scheme, f"{scheme}:// is none of {', '.join(_SCHEMES)}")
-    return ffmpeg_log.newest_reason()
+def is_rtsp(source: str) -> bool:
+    """Return True for the URL of a stream by RTSP."""
+    return scheme_of(source).startswith("rtsp")
 
 
 def no_frame(capture: Capture) -> str:
     """Return why an open source may give no frame."""
     if capture.fault not in ("", DAMAGED):
         return f"{capture.fault} ({capture.codec})"
+    if capture.is_jpeg:
+        return "no JPEG picture comes: give another URL of the camera, such as its RTSP stream"
     has_data = capture.fault or capture.size == (0, 0)
     return "data come, but no keyframe yet" if has_data else "no data come, or no keyframe yet"
 
 
 def no_stream(source: str, capture: Capture, frames: int, clock: StampClock) -> str:
     """Return what an open URL is if it is no stream, after so many frames; "" if it may be one."""
-    may_be_file = not source.lower().startswith("rtsp")
+    may_be_file = not is_rtsp(source)
+    if not may_be_file and (capture.seconds or _PLAYBACK.search(source)):
+        return RTSP_RECORDING
     if frames == 1 or (may_be_file and 0.0 < capture.seconds * capture.fps < 2.0):
         return "it gives a single picture: give the camera's RTSP or MJPEG stream instead"
     if may_be_file and (capture.seconds or clock.outran):

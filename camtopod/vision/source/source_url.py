@@ -39,12 +39,24 @@ _ENCODED = re.compile(r"(?:[^%]|%[0-9A-Fa-f]{2})*")
 def kind_of(source: str) -> Literal["device", "stream", "file"]:
     """Return the kind of a source: a number is a device, a URL a stream, all else a file path.
 
-    ``file://`` URLs are files; ``/dev/video0``, or a link to it in ``/dev``, is device 0.
+    ``file://`` URLs are files, and an SDP file (``.sdp``) describes a stream;
+    ``/dev/video0``, or a link to it in ``/dev``, is device 0.
     """
     if device_number(source) is not None:
         return "device"
-    match = _SCHEME.match(source)
-    return "file" if match is None or match[1].lower() == "file" else "stream"
+    is_media = is_path(source) and not file_path(source).lower().endswith(".sdp")
+    return "file" if is_media else "stream"
+
+
+def is_path(source: str) -> bool:
+    """Return True if the source is the path of a file, or its ``file://`` URL."""
+    return device_number(source) is None and scheme_of(source) in ("", "file")
+
+
+def scheme_of(source: str) -> str:
+    """Return the scheme of a URL, in small letters; "" if the source is no URL."""
+    match = _SCHEME.match(source.strip())
+    return "" if match is None else match[1].lower()
 
 
 def device_number(source: str) -> int | None:
@@ -56,12 +68,15 @@ def device_number(source: str) -> int | None:
 
 def file_path(source: str) -> str:
     """Return the path of a file, which may be given as a ``file://`` URL of this machine."""
-    match = _FILE_URL.match(source)
+    match = _FILE_URL.match(source.lstrip())
+    source = source if match is None else source.lstrip()
     return source if match is None else unquote(source[match.end() :], errors="surrogateescape")
 
 
 def percent_encoded(url: str) -> str:
-    """Return ``url`` with user name and password percent-encoded.
+    """Return ``url`` with user name and password percent-encoded, and a scheme in small letters.
+
+    White space around it is left out, which no URL has.
 
     Both may contain ``@``, ``:``, ``/`` and ``?`` as they are. The host is the last text after an
     ``@`` that looks most like one: an IP address before a name with a dot or a port, and these
@@ -69,10 +84,11 @@ def percent_encoded(url: str) -> str:
     first ``:`` or ``/`` is the host itself if it is an IP address, or if no such text follows; so
     no piece of a password is looked up as a name. Text that is already encoded stays unchanged.
     """
-    match = _SCHEME.match(url)
+    match = _SCHEME.match(url.strip())
     if match is None:
         return url
-    scheme, remainder = match.groups()
+    scheme, remainder = match[1].lower(), match[2]
+    url = f"{scheme}://{remainder}"
     begins = _HOST.match(remainder)
     if begins is not None and begins["address"]:
         return url
@@ -101,6 +117,6 @@ def _quoted(text: str) -> str:
 
 def streams_by_maker(source: str) -> dict[str, str]:
     """Return the URLs to try, by makers, for an ``rtsp://`` URL without a path; else none."""
-    if not _BARE.fullmatch(source):
+    if not _BARE.fullmatch(source.strip()):
         return {}
-    return {maker: source.rstrip("/") + path for maker, path in PATHS.items()}
+    return {maker: source.strip().rstrip("/") + path for maker, path in PATHS.items()}
