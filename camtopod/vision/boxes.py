@@ -42,11 +42,6 @@ def contains_centre(outer: Box, inner: Box) -> bool:
     return outer[0] <= x <= outer[2] and outer[1] <= y <= outer[3]
 
 
-def in_image(box: Box, size: Size) -> bool:
-    """Return True if the centre of the box is inside of an image."""
-    return contains_centre((0.0, 0.0, *size), box)
-
-
 def union(a: Box, b: Box) -> Box:
     """Return the smallest box around both."""
     return (min(a[0], b[0]), min(a[1], b[1]), max(a[2], b[2]), max(a[3], b[3]))

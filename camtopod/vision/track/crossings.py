@@ -166,13 +166,14 @@ class Crossings:
         """
         dx, dy = track.velocity
         speeds = (-dx, -dy, dx, dy)
+        extent = self.view[2] - self.view[0], self.view[3] - self.view[1]
         before = border_distances(track.last.box, self.view)
         after = border_distances(box, self.view)
         whole = min(before) > TOUCH_PIXELS
         return any(
             (
                 before[side] <= self._margin
-                and self.size[side % 2] - before[side - 2] < PATIENCE_SECONDS * speeds[side]
+                and extent[side % 2] - before[side - 2] < PATIENCE_SECONDS * speeds[side]
                 and before[side - 2] - after[side - 2] > SIGMAS * MEASUREMENT * track.size
             )
             or (

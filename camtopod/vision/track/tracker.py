@@ -19,7 +19,7 @@ from math import dist, inf
 
 from camtopod.labels import count_label
 from camtopod.records import Event
-from camtopod.vision.boxes import OBJECTS_MAX, Box, box_height, contains_centre, gap, in_image
+from camtopod.vision.boxes import OBJECTS_MAX, Box, box_height, contains_centre, gap
 from camtopod.vision.detect import Blob
 from camtopod.vision.settings import VisionSettings
 from camtopod.vision.track.assignment import (
@@ -120,7 +120,8 @@ class Tracker:
         return [
             track
             for track in self.active
-            if 0.0 < t - track.last.t <= patience and in_image(track.box, self.crossings.size)
+            if 0.0 < t - track.last.t <= patience
+            and contains_centre(self.crossings.view, track.box)
         ]
 
     def _assign(self, t: float, blobs: list[Blob], tracks: list[Track], costs: Costs) -> list[Blob]:
