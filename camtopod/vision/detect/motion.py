@@ -49,6 +49,12 @@ ADOPT_SECONDS = 6.0
 """Time after which a difference that belongs to no object becomes part of the scene."""
 SHAKE_PIXELS = 0.2
 """Mean shake (pixels) above which frames are aligned with the scene."""
+AWAY_PIXELS = 1.5
+"""Shift from the scene from which on a camera may stand elsewhere."""
+HELD_PIXELS = 0.3
+"""Largest change of the shift of a camera that stands still."""
+HELD_SECONDS = 8.0
+"""Time for which it has to stand still there."""
 _NOISE_RATE = 0.1
 """Weight of the newest frame in the running means of noise and shake."""
 _CROSS = cv2.getStructuringElement(cv2.MORPH_CROSS, (3, 3))
@@ -120,6 +126,7 @@ class MotionDetector:
         self.shake = sum(shifts) / len(shifts)
         self._map = shake.IDENTITY
         """Where the latest image shows the places of the scene, while the camera shakes."""
+        self._held_map, self._held_seconds = self._map, 0.0
         if self.shake > SHAKE_PIXELS:
             frames = [
                 shake.warped(
@@ -148,6 +155,8 @@ class MotionDetector:
         # If the camera shakes, the frame is aligned with the scene in the light of the last one.
         if self.shake > SHAKE_PIXELS:
             self._map = shake.aligning(frame, self._expected, self._settled_mask, self._map)
+            if self._stands_elsewhere(frame, dt):
+                return None
             frame = shake.warped(frame, self._expected, self._map)
             shift = shake.length(self._map, frame.shape)
         else:
@@ -192,6 +201,20 @@ class MotionDetector:
         # Opening removes lines, such as outlines of furniture.
         solid[part] = cv2.morphologyEx(solid[part], cv2.MORPH_OPEN, _CROSS)
         return Motion(frame, solid, moving_mask, differs, expected)
+
+    def _stands_elsewhere(self, frame: Luma, dt: float) -> bool:
+        """Return True if the camera stands still, but not where the scene is: it is learned anew.
+
+        Otherwise a wrong map would stay: the scene is learned from what was aligned by it.
+        """
+        moved = shake.length(self._map - self._held_map, frame.shape)
+        if moved > HELD_PIXELS or shake.length(self._map, frame.shape) < AWAY_PIXELS:
+            self._held_map, self._held_seconds = self._map, 0.0
+        self._held_seconds += dt
+        if self._held_seconds > HELD_SECONDS:
+            self.ready = False
+            self.relearn_count += 1
+        return not self.ready
 
     def _has_changed(self, moving_mask: Luma) -> bool:
         """Return True if most of the image differs, or a large part of it since the last frame."""
