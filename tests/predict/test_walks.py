@@ -14,7 +14,7 @@ from serving import T0, closing_event, walkers
 
 from camtopod.adapt.frigate import Frigate
 from camtopod.learn.learner import Learner
-from camtopod.predict import Walks
+from camtopod.predict import PreparedVersion, Walks, outside_rates
 from camtopod.predict.walk_graph import WalkEdge, WalkStep
 from camtopod.predict.walk_memory import MEMORY_SECONDS, REVISE_SECONDS
 from camtopod.predict.walks import REVISE_CHANGE, UNSEEN_IN_VIEW
@@ -221,6 +221,37 @@ def test_a_new_version_goes_on_with_the_walks(learned: Topology, walks: Walks) -
     after.take_over(walks)
     second = matched(after, [entry("b", T + 13, "2")])[0]
     assert (second.walk, second.version) == (first.walk, newer.version)
+
+
+def test_a_new_version_s_outlooks_are_computed_a_few_at_a_time(learned: Topology) -> None:
+    """So nothing else waits for long; the match is the one that would have been made at once."""
+    events = [
+        event
+        for k in range(7)
+        for event in (entry("a", T + k, f"{k}"), exit_("a", T + k + 0.5, f"{k}"))
+    ]
+    last = entry("b", T + 13, "last")
+    before, at_once, in_steps = Walks(learned), Walks(learned), Walks(learned)
+    for walks in (before, at_once):
+        matched(walks, events)
+    in_steps.take_over(before)
+
+    def computed() -> int:
+        return sum(step.expected is not None for step in in_steps._memory.steps())
+
+    counts = [computed()]
+    while not in_steps.prepare(last, 3):
+        counts.append(computed())
+    assert [*counts, computed()] == [0, 3, 6, 7]
+    assert in_steps.prepare(exit_("b", T + 14, "last"), 3)
+    assert in_steps.observe(last) == at_once.observe(last)
+
+
+def test_the_rates_from_outside_may_be_given(learned: Topology) -> None:
+    """The learner's process computes them, for the daemon."""
+    given = Walks(learned, outside=outside_rates(PreparedVersion(learned)).tolist())
+    events = [entry("a", T, "1"), exit_("a", T + 4, "1"), entry("b", T + 13, "2")]
+    assert matched(given, events) == matched(Walks(learned), events)
 
 
 def test_marginals_are_exact_where_the_graph_is_a_tree(walks: Walks) -> None:
