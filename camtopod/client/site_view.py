@@ -42,6 +42,8 @@ from camtopod.topology import zone_at
 
 log = logging.getLogger(__name__)
 
+FIRST_SECONDS = 3 * QUERY_SECONDS
+"""Longest wait for the version of a daemon that is there, several queries' time."""
 LOOK_SECONDS = 0.5
 """Longest interval between two checks of the bus, even without a notification."""
 Settings = Config | str | Path | None
@@ -89,7 +91,7 @@ class SiteView:
                 )
             self._view = TopologySubscriber(self._bus, self._wake.set)
             self._wake.wait(QUERY_SECONDS)  # a running daemon is announced at once
-            self._use(self._view.first(QUERY_SECONDS))
+            self._use(self._view.first(FIRST_SECONDS))
             self._thread.start()
             undo.pop_all()
         guard(self)

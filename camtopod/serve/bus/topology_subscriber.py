@@ -115,8 +115,8 @@ class TopologySubscriber:
                     self._take(*part)
                 if (model := self._parts["topology/model"]) is not None:
                     version = {"epoch": model.epoch, "version": model.version}
-        except QueryError:  # nothing learned yet
-            self._is_answered = True
+        except QueryError:  # nothing learned yet, or that version is gone
+            self._is_answered = not version
         if not version:
             self._stale = True
             return
