@@ -113,14 +113,14 @@ class WalkMemory:
             self.recent.popleft()
 
     def _release(self, step: WalkStep) -> None:
-        """Release what matching needs to know of a passage."""
+        """Release the state that matching needs of a passage."""
         step.is_final = True
         if step in (zone_steps := self.steps_by_exit.get(step.zone, deque())):
             zone_steps.remove(step)
         step.edges, step.claims, step.expected = [], {}, None
 
     def forget_cameras(self, cameras: Collection[str]) -> None:
-        """Forget the passages of cameras; what came after one of them begins a walk."""
+        """Forget the passages of cameras; a passage that continued one of them begins a walk."""
         steps = self.steps()
         names = {step.name for step in steps if step.camera in cameras}
         for step in steps:

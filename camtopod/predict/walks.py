@@ -72,7 +72,7 @@ class Walks:
         self._memory = WalkMemory()
 
     def forget_cameras(self, cameras: Collection[str]) -> None:
-        """Forget the passages of cameras; what came after one of them begins a walk."""
+        """Forget the passages of cameras; a passage that continued one of them begins a walk."""
         self._memory.forget_cameras(cameras)
 
     def take_over(self, older: Walks) -> None:

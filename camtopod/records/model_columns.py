@@ -176,7 +176,7 @@ class Declared(Struct, frozen=True, omit_defaults=True):
 
     neighbours: pairs of cameras between which objects go without passing another one; each pair is
         sorted.
-    not_neighbours: pairs between which nobody does.
+    not_neighbours: pairs between which no object does.
     nobody_leaves: all objects appear again in some camera.
     """
 

@@ -34,7 +34,7 @@ PARTS: dict[str, Callable[[Topology], Topology | VersionModel | None]] = {
 
 
 def schema_of(key: str) -> str:
-    """Return the name of the type of what is published on a key."""
+    """Return the name of the type of the messages on a key."""
     return key.replace("/", "-")
 
 

@@ -25,14 +25,14 @@ Look = Callable[[Mapping[str, str]], Mapping[str, Probe]]
 
 
 class Findings(Struct):
-    """What is known of cameras, by camera id."""
+    """Streams of the cameras that were asked, by camera id."""
 
     urls: dict[str, str] = {}
     """Source of each camera that has one."""
     reasons: dict[str, str] = {}
-    """Why others have none."""
+    """Why a camera has no source."""
     remarks: dict[str, list[str]] = {}
-    """What is to be said of some, beside what a probe says."""
+    """Remarks on a camera, in addition to those of a probe."""
     other_urls: dict[str, str] = {}
     """Where the streams of some may be, too."""
 

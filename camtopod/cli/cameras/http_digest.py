@@ -79,7 +79,7 @@ class Challenge(Struct):
         protection = [count, client_nonce, "auth"] if self.qop else []
         response = digest(secret, self.nonce, *protection, digest(method, path))
 
-        # Write it, with what the server has to know.
+        # Write it, with the fields that the server needs.
         quoted_user = re.sub(r'(["\\])', r"\\\1", user)
         fields = [
             f'username="{quoted_user}", realm="{self.realm}", nonce="{self.nonce}", uri="{path}"',

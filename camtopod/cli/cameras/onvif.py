@@ -69,7 +69,7 @@ class Stream(Struct, frozen=True):
     problem: str = ""
     """Why there is no URL; "" if there is one."""
     remark: str = ""
-    """What is to be said of the URL, without secrets."""
+    """Remark on the URL, without secrets."""
     other_url: str = ""
     """URL to try if this one cannot be opened; "" for none."""
 

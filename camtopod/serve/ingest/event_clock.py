@@ -47,7 +47,7 @@ class EventClock:
 
     @property
     def waited(self) -> frozenset[str]:
-        """Cameras that the learner waits for, after what is stored."""
+        """Cameras whose backlog the learner waits for, behind the newest stored entry."""
         return frozenset(self._event_time.state.waited)
 
     @property

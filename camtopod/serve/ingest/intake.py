@@ -245,7 +245,7 @@ class Intake:
         oldest = next((item.event.t for item in events if item.event is not None), None)
         self.backlogs.note_request(camera, oldest, wall, now)
         answers.note_stored(name)
-        for item in events:  # what is published meanwhile waits for one of them, not for a backlog
+        for item in events:  # a publication waits for one of these events, not for all
             self._take_published(wall, now)
             if item.event is not None:
                 self._hear(

@@ -23,8 +23,9 @@ RANGE_MAX = 2
 SHARE_MAX = 0.75
 """Largest share of the picture that is blank beside a view; of more, the picture is dark."""
 WIDTH_MIN = 0.025
-"""Least width of a blank area as a share of the picture's diagonal; what is narrower matters to
-nobody, as objects so near to the border of the picture are at it.
+"""Least width of a blank area as a share of the picture's diagonal.
+
+A narrower one changes nothing: objects that near to the border of the picture are at the border.
 """
 
 

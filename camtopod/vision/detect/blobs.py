@@ -20,7 +20,7 @@ FILL_SHARE_MIN = 0.2
 SPARSE_SHARE_MAX = 0.28
 """Share of its box that a group fills below which a person may be but a part of it."""
 PART_FILL_SHARE_MIN = 0.3
-"""Smallest share of its box that a person fills who was cut out of something sparse."""
+"""Smallest share of its box that a person fills who was cut out of a sparse group."""
 DENSE_SHARE = 0.5
 """Smallest share of the fullest column that another column of a person fills."""
 TALLER = 1.2

@@ -83,7 +83,7 @@ def _is_near(trial: Map) -> bool:
 
 
 def _residual(image: Luma, scene: Luma, weight_mask: Luma) -> float:
-    """Return the mean difference, grey levels, of what shows no object."""
+    """Return the mean difference (grey levels) of the pixels without objects."""
     off = np.minimum(cv2.absdiff(image, scene), np.uint8(_OUTLIER))
     return float(cv2.mean(off, weight_mask)[0])
 

@@ -323,7 +323,7 @@ def _opened(source: str, patient: bool, options: str) -> cv2.VideoCapture:
         return cv2.VideoCapture(number)
     parameters = [cv2.CAP_PROP_N_THREADS, 1]
     is_stream = kind_of(source) == "stream"
-    path = f"file:{file_path(source)}"  # what is before a colon is no protocol
+    path = f"file:{file_path(source)}"  # a colon in a path ends no protocol
     source = path if is_path(source) else percent_encoded(source)
     if is_stream:
         milliseconds = round(1000 * call_seconds_max(patient))

@@ -84,7 +84,7 @@ class LiveSource(Source):
         self._patient = False
         """True if the source is known to need patience."""
         self._bare_jpeg = False
-        """True if its JPEG pictures are to be found without what its parts say of them."""
+        """True if JPEG pictures are found by their markers, as the parts have wrong headers."""
 
     def frames(self) -> Iterator[Frame | None]:
         """Yield frames with ascending capture times; None if there is none for half a second.

@@ -78,7 +78,7 @@ class Tracker:
         dt = t - self._t
         self._t = t
 
-        # A pause in the frames ends all tracks; what was seen before it was known then.
+        # A pause in the frames ends all tracks; their exits were known before it.
         events = []
         if dt > PATIENCE_SECONDS:
             events = self.finish("interrupted")
