@@ -5,14 +5,14 @@ from __future__ import annotations
 import itertools
 from collections import Counter
 from collections.abc import Callable, Sequence
-from math import dist
+from math import dist, inf
 from typing import NamedTuple
 
 from camtopod.records import Event
 from camtopod.vision.detect import Blob, Luma, MotionDetector, find_blobs, shrunk
 from camtopod.vision.detector.detector import Detector, DetectorResult
 from camtopod.vision.settings import VisionSettings
-from camtopod.vision.track import Crossings, Decision, IgnoredAreas, Reason, Track, Tracker
+from camtopod.vision.track import Crossings, Decision, Frame, IgnoredAreas, Reason, Track, Tracker
 
 GHOST_SECONDS = 3.0
 """An object that has not moved for this long is tested for being a ghost.
@@ -96,6 +96,7 @@ class ViewPipeline:
         self._first_frames: list[tuple[float, Luma]] = []
         self._tracker: Tracker | None = None
         self._t: float | None = None
+        self._newest_t = -inf
         self.frame_count = 0
         self._blind_share = 0.0
         """Share of the latest frames in which light or another scene hid the objects."""
@@ -109,6 +110,7 @@ class ViewPipeline:
         image (H, W, 3): the same frame in colour and at full size, for the detector.
         """
         self.frame_count += 1
+        self._newest_t = t
         small = self._motion.filter_noise(shrunk(frame, self._settings.working_width))
         if self._motion.ready:
             return self._step(t, small, image)
@@ -118,7 +120,6 @@ class ViewPipeline:
         if self._first_frames and self._first_frames[0][1].shape != small.shape:
             self._first_frames.clear()
         if not self._first_frames and self._tracker is not None:
-            self._tracker.crossings.now = t
             events = self._tracker.finish("scene changed")
         self._first_frames.append((t, small))
         enough = t - self._first_frames[0][0] >= BOOTSTRAP_SECONDS
@@ -145,9 +146,7 @@ class ViewPipeline:
                 self._take,
             )
             self._tracker = Tracker(self._settings, crossings, self._numbers)
-        self._tracker.crossings.begin(
-            first_frames[0][0], first_frames[-1][0], IgnoredAreas(self._motion.watched_mask)
-        )
+        self._tracker.crossings.begin(first_frames[0][0], IgnoredAreas(self._motion.watched_mask))
         self._t = None
         for t, frame in first_frames:
             if self._motion.ready:
@@ -169,20 +168,20 @@ class ViewPipeline:
             return []
 
         # Blobs, tracks, events.
-        self._tracker.crossings.view = self._motion.view
         blobs = find_blobs(motion, self._tracker.stature.height)
         objects: list[Blob] | None = blobs
-        self._tracker.crossings.anywhere = False
+        trusted = False
         if self._detector is not None and image is not None:
             objects = self._detector.step(
                 t, image, motion.moving_mask, blobs, [track.box for track in self._tracker.active]
             )
-            self._tracker.crossings.anywhere = self._detector.result.is_trusted
-        events = [] if objects is None else self._tracker.step(t, objects)
+            trusted = self._detector.result.is_trusted
+        seen_frame = Frame(t, self._motion.view, self._newest_t, trusted)
+        events = [] if objects is None else self._tracker.step(seen_frame, objects)
 
         # Drop ghosts; a detector that is trusted knows none.
         for track in self._tracker.active:
-            still = not self._tracker.crossings.anywhere and _is_still(track, t)
+            still = not trusted and _is_still(track, t)
             if still and self._motion.is_ghost(motion, track.last.box):
                 self._tracker.drop(track)
 

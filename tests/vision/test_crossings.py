@@ -13,7 +13,7 @@ from camtopod.vision.boxes import Box, union
 from camtopod.vision.detect import Blob
 from camtopod.vision.pipeline import ViewPipeline
 from camtopod.vision.settings import VisionSettings
-from camtopod.vision.track import Crossings, Decision, IgnoredAreas, Tracker
+from camtopod.vision.track import Crossings, Decision, Frame, IgnoredAreas, Tracker
 
 WIDTH, HEIGHT = 320, 240
 WHOLE: Box = (0.0, 0.0, WIDTH, HEIGHT)
@@ -27,8 +27,9 @@ class Watcher:
         ignored = IgnoredAreas(np.full((HEIGHT, WIDTH), 255, np.uint8))
         self.decisions: list[Decision] = []
         self.crossings = Crossings("cam", WIDTH, HEIGHT, (), ignored, self.decisions.append)
-        self.crossings.view = view
-        self.crossings.start_t = 0.0
+        self.crossings.begin(0.0, ignored)
+        self._view = view
+        self.frame = Frame(0.0, view, 0.0)
         self.tracker = Tracker(VisionSettings(), self.crossings, iter(range(1, 1000)))
         self._count = 0
         self.see([[]] * 10)
@@ -38,7 +39,8 @@ class Watcher:
         events = []
         for boxes in images:
             blobs = [Blob(*map(float, box), (box[0] + box[2]) / 2) for box in boxes]
-            events += self.tracker.step(self._count / FPS, blobs)
+            self.frame = Frame(self._count / FPS, self._view, self._count / FPS)
+            events += self.tracker.step(self.frame, blobs)
             self._count += 1
         return events
 
@@ -118,7 +120,7 @@ def test_an_outline_that_jumps_by_less_than_half_a_size_is_the_same_object(
         watcher.see(halting(ahead, width, height))
         (track,) = watcher.tracker.active
         at_border = (WIDTH - width, 200 - height, float(WIDTH), 200.0)
-        assert watcher.crossings.comes_in(track, at_border) == is_other, share
+        assert watcher.crossings.comes_in(watcher.frame, track, at_border) == is_other, share
 
 
 def test_a_car_that_halts_and_starts_fast_is_one_passage() -> None:
@@ -193,7 +195,9 @@ def test_outlines_jump_to_the_border_of_the_view(share: float) -> None:
     rights = [*np.arange(64.0, stop, 16.0), *[stop] * 20]
     watcher.see([[(max(PART[0], end - 40), 100.0, end, 180.0)] for end in rights])
     (track,) = watcher.tracker.active
-    assert watcher.crossings.comes_in(track, (right - 40, 100.0, right, 180.0)) == (share > 0.5)
+    assert watcher.crossings.comes_in(watcher.frame, track, (right - 40, 100.0, right, 180.0)) == (
+        share > 0.5
+    )
 
 
 def test_who_enters_a_view_where_another_has_just_left_is_another() -> None:

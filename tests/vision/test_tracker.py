@@ -12,7 +12,7 @@ from camtopod.vision.boxes import Box, union
 from camtopod.vision.detect import Blob
 from camtopod.vision.pipeline import ViewPipeline
 from camtopod.vision.settings import VisionSettings
-from camtopod.vision.track import Crossings, IgnoredAreas, Tracker
+from camtopod.vision.track import Crossings, Frame, IgnoredAreas, Tracker
 
 WIDTH, HEIGHT = 320, 240
 
@@ -25,14 +25,14 @@ def tracked(frames: list[list[Box]], labels: Sequence[str] = ("",)) -> list[Even
     ignored = IgnoredAreas(np.full((HEIGHT, WIDTH), 255, np.uint8))
     crossings = Crossings("cam", WIDTH, HEIGHT, (), ignored, lambda decision: None)
     tracker = Tracker(VisionSettings(), crossings, iter(range(1, 1000)))
-    crossings.start_t = 0.0
+    crossings.begin(0.0, ignored)
     events: list[Event] = []
     for k, boxes in enumerate([*[[]] * 10, *frames, *[[]] * 20]):
         blobs = [
             Blob(*map(float, box), (box[0] + box[2]) / 2, label=labels[k % len(labels)])
             for box in boxes
         ]
-        events += tracker.step(k / FPS, blobs)
+        events += tracker.step(Frame(k / FPS, (0.0, 0.0, WIDTH, HEIGHT), k / FPS), blobs)
     return events
 
 

@@ -10,7 +10,7 @@ from scipy.optimize import linear_sum_assignment
 
 from camtopod.vision.boxes import area, box_height, centre
 from camtopod.vision.detect import Blob
-from camtopod.vision.track.crossings import Crossings
+from camtopod.vision.track.crossings import Crossings, Frame
 from camtopod.vision.track.kalman import SIGMAS
 from camtopod.vision.track.track import Track
 
@@ -25,26 +25,34 @@ NEARER_SHARE = 0.7
 _NEVER = 1e9
 """Cost of an assignment that is not allowed."""
 
-Costs = Callable[[Track, Sequence[Blob]], list[float]]
-"""Cost of each blob for a track; `_NEVER` where it is not allowed."""
+Costs = Callable[[Frame, Track, Sequence[Blob]], list[float]]
+"""Cost of each blob for a track in a frame; `_NEVER` where it is not allowed."""
 
 
 def best_pairs(
-    tracks: Sequence[Track], blobs: Sequence[Blob], costs: Costs, crossings: Crossings
+    frame: Frame,
+    tracks: Sequence[Track],
+    blobs: Sequence[Blob],
+    costs: Costs,
+    crossings: Crossings,
 ) -> list[tuple[Track, Blob]]:
     """Return the pairs of track and blob with the least total cost (Kuhn 1955)."""
     if not tracks or not blobs:
         return []
-    cost = np.array([costs(track, blobs) for track in tracks])
+    cost = np.array([costs(frame, track, blobs) for track in tracks])
     for i, j in np.argwhere(cost < _NEVER):
-        if crossings.comes_in(tracks[i], blobs[j].box):
+        if crossings.comes_in(frame, tracks[i], blobs[j].box):
             cost[i, j] = _NEVER
     best = zip(*linear_sum_assignment(cost), strict=True)
     return [(tracks[i], blobs[j]) for i, j in best if cost[i, j] < _NEVER]
 
 
 def costs_by_points(
-    track: Track, blobs: Sequence[Blob], expected_height: float, crossings: Crossings
+    frame: Frame,
+    track: Track,
+    blobs: Sequence[Blob],
+    expected_height: float,
+    crossings: Crossings,
 ) -> list[float]:
     """Return for each blob the distance of head and foot in gates.
 
@@ -60,14 +68,14 @@ def costs_by_points(
         head = hypot((blob.left + blob.right) / 2 - head_x, blob.top - head_y)
         foot = hypot(blob.foot_x - foot_x, blob.bottom - foot_y)
         near = min(head, foot)
-        if near <= gate and (blob.height >= height_min or crossings.touches(blob.box)):
+        if near <= gate and (blob.height >= height_min or crossings.touches(frame, blob.box)):
             distance = NEARER_SHARE * near + (1 - NEARER_SHARE) * max(head, foot)
             costs[j] = distance / gate + (not track.confirmed) / 2
     return costs
 
 
 def costs_by_area(
-    track: Track, blobs: Sequence[Blob], dt: float, crossings: Crossings
+    frame: Frame, track: Track, blobs: Sequence[Blob], dt: float, crossings: Crossings
 ) -> list[float]:
     """Return for each blob of like area the distance of its middle, as a share of the reach.
 
@@ -80,7 +88,7 @@ def costs_by_area(
 
     # One step at its speed, or what its outline may jump.
     head_x, head_y, foot_x, foot_y = track.kalman.velocity
-    cut = crossings.touches(box)
+    cut = crossings.touches(frame, box)
     reach = max(
         dt * hypot(head_x + foot_x, head_y + foot_y) / 2,
         box[2] - box[0],
@@ -91,6 +99,7 @@ def costs_by_area(
         x, y = centre(blob.box)
         distance = min(hypot(x - a, y - b) for a, b in middles)
         low, high = sorted((area(blob.box), area(box)))
-        if distance <= reach and (high <= LIKE_FACTOR * low or cut or crossings.touches(blob.box)):
+        cut_box = cut or crossings.touches(frame, blob.box)
+        if distance <= reach and (high <= LIKE_FACTOR * low or cut_box):
             costs[j] = distance / reach
     return costs

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from math import hypot, inf
+from typing import NamedTuple
 
 from camtopod.labels import most_frequent
 from camtopod.records import Event, Kind
@@ -47,6 +48,19 @@ ends in mid-view, too. So this is also what an object that uses a learned door h
 """
 
 
+class Frame(NamedTuple):
+    """An analysed image, as far as it decides where objects may enter and leave."""
+
+    t: float
+    """Capture time, seconds."""
+    view: Box
+    """Part of the scene that it shows, pixels; its sides are the border."""
+    now: float
+    """Capture time of the newest image, seconds: the first images wait for a background."""
+    trusted: bool = False
+    """Its objects are those of a trusted detector, which may enter and leave in mid-view."""
+
+
 class Crossings:
     """Entries and exits of one view."""
 
@@ -67,22 +81,14 @@ class Crossings:
         self._camera = camera
         self._take = take
         self.size = (width, height)
-        self.view: Box = (0.0, 0.0, float(width), float(height))
-        """Part of the scene that the frame shows; its sides are the border."""
         self._margin = BORDER_SHARE * (width**2 + height**2) ** 0.5
         self._ignored_areas = ignored_areas
         self.doors = Doors(width, height, self._margin, doors)
-        self.anywhere = False
-        """Objects may enter and leave in mid-view, where a detector is trusted."""
-        self.start_t = -inf
-        """Time of the first frame, seconds: there are no earlier events."""
-        self.now = -inf
-        """Capture time of the newest frame, seconds; `LATENESS_SECONDS_MAX` counts from there."""
+        self._start_t = -inf
 
-    def begin(self, start_t: float, now: float, ignored_areas: IgnoredAreas) -> None:
-        """Begin with a new scene, of which there are frames from ``start_t`` to ``now`` seconds."""
-        self.start_t = start_t
-        self.now = now
+    def begin(self, start_t: float, ignored_areas: IgnoredAreas) -> None:
+        """Begin with a new scene; there are no events before ``start_t``, seconds."""
+        self._start_t = start_t
         self._ignored_areas = ignored_areas
 
     def note(
@@ -116,21 +122,21 @@ class Crossings:
 
     # -- where ------------------------------
 
-    def touches(self, box: Box) -> bool:
-        """Return True if the border of the image or an ignored area cuts the box."""
-        return touches_border(box, self.view) or self._ignored_areas.cut(box)
+    def touches(self, frame: Frame, box: Box) -> bool:
+        """Return True if the border of the view or an ignored area cuts the box."""
+        return touches_border(box, frame.view) or self._ignored_areas.cut(box)
 
-    def at_edge(self, track: Track) -> Edge | None:
+    def at_edge(self, frame: Frame, track: Track) -> Edge | None:
         """Return the edge at which the track was last seen, if objects leave there."""
-        return self._edge(track, track.last, 1.0)
+        return self._edge(frame, track, track.last, 1.0)
 
-    def _edge(self, track: Track, at: Sighting, sense: float) -> Edge | None:
+    def _edge(self, frame: Frame, track: Track, at: Sighting, sense: float) -> Edge | None:
         """Return the edge near a sighting, on the way of the track.
 
         sense: 1.0 for the way that it goes on, -1.0 for the way that it came.
         """
         dx, dy = (sense * REACH_SECONDS * speed for speed in track.velocity)
-        left, top, right, bottom = border_distances(at.box, self.view)
+        left, top, right, bottom = border_distances(at.box, frame.view)
         height = box_height(at.box)
 
         # Distance to each border, and the way towards it. At the top the foot decides, because
@@ -157,7 +163,7 @@ class Crossings:
             return "ignored area"
         return self.doors.door_at(*at.foot, track.height)
 
-    def comes_in(self, track: Track, box: Box) -> bool:
+    def comes_in(self, frame: Frame, track: Track, box: Box) -> bool:
         """Return True if ``box`` is not the object of ``track``, but another one that comes in.
 
         Either a border cuts it that the object, whole so far, does not reach yet, or it moves away
@@ -166,9 +172,9 @@ class Crossings:
         """
         dx, dy = track.velocity
         speeds = (-dx, -dy, dx, dy)
-        extent = self.view[2] - self.view[0], self.view[3] - self.view[1]
-        before = border_distances(track.last.box, self.view)
-        after = border_distances(box, self.view)
+        extent = frame.view[2] - frame.view[0], frame.view[3] - frame.view[1]
+        before = border_distances(track.last.box, frame.view)
+        after = border_distances(box, frame.view)
         whole = min(before) > TOUCH_PIXELS
         return any(
             (
@@ -187,12 +193,14 @@ class Crossings:
 
     # -- what ------------------------------
 
-    def entries(self, new_tracks: Sequence[Track], active: Sequence[Track]) -> list[Event]:
+    def entries(
+        self, frame: Frame, new_tracks: Sequence[Track], active: Sequence[Track]
+    ) -> list[Event]:
         """Return the entries of tracks that became objects, and learn where people walk.
 
         active: all tracks.
         """
-        events = [event for track in new_tracks for event in self._entry(track)]
+        events = [event for track in new_tracks for event in self._entry(frame, track)]
 
         # A track that began in mid-view entered by a learned door, or is evidence of one, once it
         # has moved far enough. Cells that people walk through are evidence against doors.
@@ -201,30 +209,31 @@ class Crossings:
                 track.began_in_view = False
                 edge = self.doors.door_at(*track.first.foot, track.height)
                 if edge is None:
-                    self.doors.unexplained_points.append(track.first.foot)
+                    self.doors.record_unexplained(track.first.foot)
                 else:
-                    events += self._told("entry", track, track.first, edge)
+                    events += self._told(frame, "entry", track, track.first, edge)
             if track.confirmed:
                 track.cells.add(self.doors.cell(*track.last.foot))
         return events
 
-    def _entry(self, track: Track) -> list[Event]:
+    def _entry(self, frame: Frame, track: Track) -> list[Event]:
         """Return the entry of a track that became an object, if it is one."""
-        edge = self._edge(track, track.first, -1.0)
-        if edge is None and self.anywhere and not track.beside_others:
+        edge = self._edge(frame, track, track.first, -1.0)
+        if edge is None and frame.trusted and not track.beside_others:
             edge = "mid-view"
         if track.from_start or (
-            edge is not None and self._at_border(track, track.first, edge, -1.0).t < self.start_t
+            edge is not None
+            and self._at_border(frame, track, track.first, edge, -1.0).t < self._start_t
         ):
             self.note("from start", track, track.first)
             return []
         if edge is not None and edge != "learned door":
-            return self._told("entry", track, track.first, edge)
+            return self._told(frame, "entry", track, track.first, edge)
         track.began_in_view = edge is not None or not track.beside_others
         self.note("in mid-view" if track.began_in_view else "beside others", track, track.first)
         return []
 
-    def exit_of(self, track: Track) -> list[Event]:
+    def exit_of(self, frame: Frame, track: Track) -> list[Event]:
         """Return the exit of an object whose track ends, if it has left."""
         if track.unmet_condition is not None:
             self.note(track.unmet_condition[0], track, track.last, None, *track.unmet_condition[1:])
@@ -234,29 +243,31 @@ class Crossings:
         ends = {self.doors.cell(*track.first.foot), self.doors.cell(*track.last.foot)}
         self.doors.record_walk(track.cells - ends)
 
-        edge = self.at_edge(track)
+        edge = self.at_edge(frame, track)
         if edge == "learned door" and not _has_walked(track):
             edge = None
-        if edge is None and self.anywhere and not track.is_occluded:
+        if edge is None and frame.trusted and not track.is_occluded:
             edge = "mid-view"
         if edge is not None:
-            return self._told("exit", track, track.last, edge)
+            return self._told(frame, "exit", track, track.last, edge)
 
         # A track that is lost in mid-view may be evidence of a door.
         self.note("occluded" if track.is_occluded else "lost", track, track.last)
         if _has_walked(track) and not track.is_occluded:
-            self.doors.unexplained_points.append(track.last.foot)
+            self.doors.record_unexplained(track.last.foot)
         return []
 
-    def _told(self, kind: Kind, track: Track, at: Sighting, edge: Edge | None) -> list[Event]:
+    def _told(
+        self, frame: Frame, kind: Kind, track: Track, at: Sighting, edge: Edge | None
+    ) -> list[Event]:
         """Return the event at a sighting; none if an entry is known too late.
 
         An event with another time than its own would mislead more than one that is missing. Who
         has left is known once the patience is over.
         """
         entry = kind == "entry"
-        at = self._at_border(track, at, edge, -1.0 if entry else 1.0)
-        lateness = self.now - at.t
+        at = self._at_border(frame, track, at, edge, -1.0 if entry else 1.0)
+        lateness = frame.now - at.t
         if entry and lateness > LATENESS_SECONDS_MAX:
             self.note("entered late", track, at, edge, lateness, LATENESS_SECONDS_MAX)
             return []
@@ -265,7 +276,9 @@ class Crossings:
         label = most_frequent(track.labels)
         return [Event(self._camera, kind, round(at.t, 6), x, y, str(track.number), label=label)]
 
-    def _at_border(self, track: Track, at: Sighting, edge: Edge | None, sense: float) -> Sighting:
+    def _at_border(
+        self, frame: Frame, track: Track, at: Sighting, edge: Edge | None, sense: float
+    ) -> Sighting:
         """Return a sighting moved along the way of the track to where it crosses the border.
 
         Objects are first seen some images after they have entered, above all beside others, and
@@ -274,7 +287,7 @@ class Crossings:
         """
         x, y = at.foot
         dx, dy = track.velocity
-        left, top, right, bottom = self.view
+        left, top, right, bottom = frame.view
         distance, speed = {
             "left border": (at.box[2] - left - track.width / 2, -dx),
             "right border": (right - at.box[0] - track.width / 2, dx),

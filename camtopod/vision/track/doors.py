@@ -49,14 +49,17 @@ class Doors:
             np.array([(x * width, y * height) for x, y in polygon], np.float32)
             for polygon in polygons
         ]
-        self.unexplained_points: deque[tuple[float, float]] = deque(maxlen=SAMPLES_MAX)
-        """Foot points where tracks began or ended in mid-view without explanation."""
+        self._unexplained_points: deque[tuple[float, float]] = deque(maxlen=SAMPLES_MAX)
         self._pass_counts = np.zeros(GRID, np.int32)
 
     def cell(self, x: float, y: float) -> tuple[int, int]:
         """Return the grid cell (row, column) of a foot point."""
         row, column = int(y / self._size[1] * GRID[0]), int(x / self._size[0] * GRID[1])
         return min(max(row, 0), GRID[0] - 1), min(max(column, 0), GRID[1] - 1)
+
+    def record_unexplained(self, foot: tuple[float, float]) -> None:
+        """Record that a track began or ended at a foot point in mid-view, without explanation."""
+        self._unexplained_points.append(foot)
 
     def record_walk(self, feet: set[tuple[int, int]]) -> None:
         """Record that an object crossed these cells without beginning or ending there.
@@ -76,7 +79,7 @@ class Doors:
             return "named door"
 
         radius = max(radius, self._radius_min)
-        near = sum(dist(place, (x, y)) <= radius for place in self.unexplained_points)
+        near = sum(dist(place, (x, y)) <= radius for place in self._unexplained_points)
         if near >= DOOR_EVENTS_MIN and near > int(self._pass_counts[self.cell(x, y)]):
             return "learned door"
         return None
@@ -86,7 +89,7 @@ class Doors:
 
         height: expected height (pixels) of a person whose feet are in a given row, if known.
         """
-        places = {self.cell(x, y): (x, y) for x, y in self.unexplained_points}
+        places = {self.cell(x, y): (x, y) for x, y in self._unexplained_points}
         return [
             (x, y)
             for x, y in places.values()

@@ -30,7 +30,7 @@ from camtopod.vision.track.assignment import (
     costs_by_area,
     costs_by_points,
 )
-from camtopod.vision.track.crossings import PATIENCE_SECONDS, REACH_SECONDS, Crossings
+from camtopod.vision.track.crossings import PATIENCE_SECONDS, REACH_SECONDS, Crossings, Frame
 from camtopod.vision.track.decisions import Reason
 from camtopod.vision.track.kalman import MEASUREMENT, SIGMAS, Kalman
 from camtopod.vision.track.stature import Stature
@@ -65,24 +65,21 @@ class Tracker:
         self.crossings = crossings
         """Tells where objects enter and leave the view."""
         self._numbers = numbers
-        self._t = -inf
+        self._frame = Frame(-inf, (0.0, 0.0, *crossings.size), -inf)
         self._start: float | None = None
         self.stature = Stature()
         self.active: list[Track] = []
 
-    def step(self, t: float, blobs: list[Blob]) -> list[Event]:
-        """Process the blobs of the frame captured at ``t`` seconds, later than the last.
-
-        Returns the events that are certain now.
-        """
-        dt = t - self._t
-        self._t = t
+    def step(self, frame: Frame, blobs: list[Blob]) -> list[Event]:
+        """Process the blobs of ``frame``, later than the last; return the events certain now."""
+        t = frame.t
+        dt = t - self._frame.t
 
         # A pause in the frames ends all tracks; their exits were known before it.
         events = []
         if dt > PATIENCE_SECONDS:
             events = self.finish("interrupted")
-        self.crossings.now = max(self.crossings.now, t)
+        self._frame = frame
         if self._start is None:
             self._start = t
 
@@ -108,7 +105,7 @@ class Tracker:
         # Confirm and end tracks.
         new_tracks = self._confirm(t)
         exits = self._retire(t)
-        return events + self.crossings.entries(new_tracks, self.active) + exits
+        return events + self.crossings.entries(frame, new_tracks, self.active) + exits
 
     # -- sightings ------------------------------
 
@@ -120,28 +117,27 @@ class Tracker:
         return [
             track
             for track in self.active
-            if 0.0 < t - track.last.t <= patience
-            and contains_centre(self.crossings.view, track.box)
+            if 0.0 < t - track.last.t <= patience and contains_centre(self._frame.view, track.box)
         ]
 
     def _assign(self, t: float, blobs: list[Blob], tracks: list[Track], costs: Costs) -> list[Blob]:
         """Assign one blob to each track at the least total cost; return the others."""
-        pairs = best_pairs(tracks, blobs, costs, self.crossings)
+        pairs = best_pairs(self._frame, tracks, blobs, costs, self.crossings)
         for track, blob in pairs:
             self._update_single(t, track, blob)
         return [
             blob for blob in blobs if all(blob is not matched_blob for _, matched_blob in pairs)
         ]
 
-    def _costs(self, track: Track, blobs: Sequence[Blob]) -> list[float]:
+    def _costs(self, frame: Frame, track: Track, blobs: Sequence[Blob]) -> list[float]:
         """Return for each blob the distance of head and foot, at the height expected there."""
         expected = self.stature.height(track.kalman.position[3]) or 0.0
-        return costs_by_points(track, blobs, expected, self.crossings)
+        return costs_by_points(frame, track, blobs, expected, self.crossings)
 
     def _update_single(self, t: float, track: Track, blob: Blob) -> None:
         """Update a track by the blob assigned to it."""
-        cut = self.crossings.touches(blob.box)
-        if cut or self.crossings.touches(track.last.box) or not track.confirmed:
+        cut = self._touches(blob.box)
+        if cut or self._touches(track.last.box) or not track.confirmed:
             # Entering or leaving the view: its size may only grow.
             track.height = max(track.height, blob.height)
             track.width = max(track.width, blob.width)
@@ -229,8 +225,12 @@ class Tracker:
 
     def _fragment_height(self, box: Box) -> float:
         """Return the height (pixels) below which a box that no border cuts is but a fragment."""
-        cut = self.crossings.touches(box)
+        cut = self._touches(box)
         return 0.0 if cut else PIECE_HEIGHT_MIN * (self.stature.height(box[3]) or 0.0)
+
+    def _touches(self, box: Box) -> bool:
+        """Return True if an edge of the latest frame cuts the box."""
+        return self.crossings.touches(self._frame, box)
 
     def _retire(self, t: float) -> list[Event]:
         """End tracks that were not detected for longer than the patience; return their exits."""
@@ -241,7 +241,7 @@ class Tracker:
             if t - track.last.t <= patience:
                 active.append(track)
             else:
-                exits += self.crossings.exit_of(track)
+                exits += self.crossings.exit_of(self._frame, track)
         self.active = active
         return exits
 
@@ -261,10 +261,10 @@ class Tracker:
         self._start = None
         events = []
         for track in self.active:
-            is_recent = self._t - track.last.t <= CONFIRM_SECONDS
-            if track.confirmed and (is_recent or not self.crossings.at_edge(track)):
+            is_recent = self._frame.t - track.last.t <= CONFIRM_SECONDS
+            if track.confirmed and (is_recent or not self.crossings.at_edge(self._frame, track)):
                 self.crossings.note(reason, track, track.last)
             else:
-                events += self.crossings.exit_of(track)
+                events += self.crossings.exit_of(self._frame, track)
         self.active = []
         return events
