@@ -240,7 +240,7 @@ class ViewPipeline:
         """Why hardly anything can be seen at present; "" if it can."""
         return BLIND_REASON if self._blind_share > BLIND_SHARE_MAX else ""
 
-    def statistics(self) -> dict[str, int | float]:
+    def statistics(self) -> dict[str, int | float | str]:
         """Return counters since the start, noise (grey levels) and shake (pixels)."""
         tracker = self._tracker
         return {

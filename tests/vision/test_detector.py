@@ -41,6 +41,7 @@ class Drawn:
     """
 
     size = (160, 160)
+    engine = "none"
 
     def __init__(
         self,

@@ -25,6 +25,10 @@ class InferenceModel(Protocol):
     size: Size
     """Width and height of its input, pixels."""
 
+    @property
+    def engine(self) -> str:
+        """Name of the engine that runs it."""
+
     def infer(self, image: Image, crop: Box) -> list[Detection]:
         """Return the detections in a crop of an image, boxes in pixels of the image."""
 
@@ -83,9 +87,9 @@ class Detector:
             (image.shape[1], image.shape[0]),
             self._model.size,
         )
-        start = time.thread_time()
+        start = time.perf_counter()
         model_detections = self._model.infer(image, crop)
-        self._inference_seconds += time.thread_time() - start
+        self._inference_seconds += time.perf_counter() - start
         self._inferences += 1
         detections = [
             detection._replace(box=scaled(detection.box, 1 / factor))
@@ -98,9 +102,10 @@ class Detector:
         self.result = DetectorResult(detections, self._trust.is_trusted, self._trust.share)
         return boxes if self._trust.is_trusted else blobs
 
-    def statistics(self) -> dict[str, int | float]:
-        """Return the number of inferences, their mean time (milliseconds) and the agreement."""
+    def statistics(self) -> dict[str, int | float | str]:
+        """Return engine, number of inferences, their mean time (milliseconds) and the agreement."""
         return {
+            "detector_engine": self._model.engine,
             "detector_looks": self._inferences,
             "detector_look_ms": round(1e3 * self._inference_seconds / max(1, self._inferences), 1),
             "detector_agreement": round(self._trust.share, 3),
