@@ -30,7 +30,9 @@ BOOTSTRAP_SECONDS = 3.0
 BOOTSTRAP_FRAMES_KEPT = 100
 """Number of frames that may wait for the first background."""
 FIRST_IMAGES_PER_SECOND = 7.0
-"""Images in colour that wait with them, per second: 22 in all, of 3 MB at 1280 x 720 pixels."""
+"""Images in colour that wait with them, per second: 22 in all."""
+FIRST_IMAGES_SIDE_MAX = 960
+"""Longer side (pixels) to which they are scaled down: 1.6 MB each at 960 x 540."""
 
 
 class Analysis(NamedTuple):
@@ -123,14 +125,19 @@ class ViewPipeline:
             self._tracker.crossings.now = t
             events = self._tracker.finish("scene changed")
         waiting_seconds = t - self._first_frames[0][0] if self._first_frames else 0.0
-        image_count = sum(image is not None for _, _, image in self._first_frames)
-        if self._detector is None or image_count - 1 >= FIRST_IMAGES_PER_SECOND * waiting_seconds:
-            image = None
-        self._first_frames.append((t, small, image))
+        self._first_frames.append((t, small, self._first_image(image, waiting_seconds)))
         enough = waiting_seconds >= BOOTSTRAP_SECONDS
         if enough or len(self._first_frames) >= BOOTSTRAP_FRAMES_KEPT:
             events += self._bootstrap()
         return events
+
+    def _first_image(self, image: Luma | None, waiting_seconds: float) -> Luma | None:
+        """Return an image to examine later, scaled down; None if enough of them wait."""
+        waiting_count = sum(waiting is not None for _, _, waiting in self._first_frames)
+        is_enough = waiting_count >= 1 + FIRST_IMAGES_PER_SECOND * waiting_seconds
+        if self._detector is None or image is None or is_enough:
+            return None
+        return shrunk(image, FIRST_IMAGES_SIDE_MAX)
 
     def _bootstrap(self) -> list[Event]:
         """Initialise the background from the waiting frames, then analyse them."""

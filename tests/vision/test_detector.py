@@ -65,9 +65,11 @@ class Drawn:
         self._random = np.random.default_rng(7)
         self.t = 0.0
         self.times: list[float] = []
+        self.widths: set[int] = set()
 
     def infer(self, picture: Picture, crop: Box) -> list[Detection]:
         self.times.append(self.t)
+        self.widths.add(picture.shape[1])
         found = [Detection(box, 0.5, "person") for box in self._wrong]
         image = (0.0, 0.0, float(WIDTH * FACTOR), float(HEIGHT * FACTOR))
         for box in self._scene.boxes(self.t):
@@ -332,9 +334,12 @@ def test_inference_runs_only_when_something_moves_and_not_too_often() -> None:
     assert rarely.statistics()["detector_looks"] == len(rarely.drawn.times)
 
 
-def test_few_of_the_first_pictures_are_kept_in_colour_and_all_of_the_time() -> None:
+def test_few_of_the_first_pictures_are_kept_in_colour_and_all_of_the_time(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
     scene = ColouredScene([Person(line(0.5, (0.1, 0.7), (1.05, 0.7), 8.0))])
     often = trusted(scene, rate=30.0)
+    monkeypatch.setattr("camtopod.vision.pipeline.FIRST_IMAGES_SIDE_MAX", 240)
     view = ViewPipeline("cam", SETTINGS, None, often)
     for k in range(90):
         picture = scene.picture(k / 30)
@@ -343,3 +348,4 @@ def test_few_of_the_first_pictures_are_kept_in_colour_and_all_of_the_time() -> N
     times = often.drawn.times
     assert 0.75 * 2.5 * FIRST_IMAGES_PER_SECOND <= len(times) <= 2.5 * FIRST_IMAGES_PER_SECOND + 1
     assert max(np.diff(times)) < 1.5 / FIRST_IMAGES_PER_SECOND
+    assert often.drawn.widths == {240}
