@@ -172,10 +172,10 @@ def decode_by_ffmpeg(film: Film) -> None:
 def seen(film: Film) -> str:
     """Return a line about the grabber's work: frames analysed, entries and exits."""
     figures = grab(film).statistics()
+    ms = 1e3 * float(figures["analysis_cpu_seconds"]) / float(figures["frames_analysed"])
     return (
         f"  the grabber analysed {figures['frames_analysed']} of {film.frames} frames and saw "
-        f"{figures['entries']} entries and {figures['exits']} exits; analysis "
-        f"{1000 * figures['analysis_cpu_seconds'] / figures['frames_analysed']:.2f} ms a frame"
+        f"{figures['entries']} entries and {figures['exits']} exits; analysis {ms:.2f} ms a frame"
     )
 
 

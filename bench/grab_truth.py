@@ -1,6 +1,6 @@
 """Score the grabber's events on real clips against ground truth.
 
-    python -m bench grab_truth [FOLDER...] [--model FILE] [--variants] [--details]
+    python -m bench grab_truth [FOLDER...] [--model FILE [--warm]] [--variants] [--details]
                                [--json FILE] [--against FILE] [--data FOLDER]
                                [--leave-out-kinds MODULE:NAME=VALUES]
 
@@ -21,6 +21,10 @@ earlier ``--json``, clip by clip: a difference below its standard error is none.
 If the truth tells kinds of view, the means are also over kinds. ``--leave-out-kinds`` chooses a
 constant of camtopod.vision on all kinds but one, for each of them, and scores it there.
 
+A camera's detector is trusted once it has seen most of what moves there. ``--warm`` scores a clip
+with the trust of such a camera that has run for days: learned on a first pass of the clip, whose
+events do not count.
+
 ``--variants`` adds what can be made of the clips: mirrored, backwards in time, cropped where nobody
 enters or leaves, with half the light, shaken, slowed, begun later, with a bush in the wind, and two
 side by side, each with its truth changed accordingly.
@@ -34,6 +38,8 @@ import os
 import sys
 import time
 from collections.abc import Callable, Sequence
+from copy import copy
+from functools import partial
 from pathlib import Path
 from statistics import mean, stdev
 
@@ -126,6 +132,7 @@ def main(argv: list[str]) -> int:
     add = parser.add_argument
     add("folders", nargs="*", type=Path, metavar="FOLDER", help="clips with their truth")
     add("--model", metavar="FILE", help="with this detector, an ONNX file")
+    add("--warm", action="store_true", help="trust the detector as learned on a first pass")
     add("--variants", action="store_true", help="also variants of the clips")
     add("--details", action="store_true", help="list missed and spurious events of the first run")
     add("--json", type=Path, metavar="FILE", help="also write the figures there")
@@ -141,6 +148,8 @@ def main(argv: list[str]) -> int:
     given = parser.parse_args(argv)
     if given.model and given.variants:
         parser.error("variants are without colour, which a model needs")
+    if given.warm and not given.model:
+        parser.error("--warm needs a --model")
     if given.data:
         os.environ["CAMTOPOD_TEST_DATA"] = given.data
 
@@ -152,13 +161,14 @@ def main(argv: list[str]) -> int:
     except TruthError as error:
         print(f"grab_truth: {error}", file=sys.stderr)
         return 1
+    score_of = partial(scored, phases=PHASES, detector=detector, warm=given.warm)
     if given.leave_out_kinds:
-        print("\n".join(chosen(clips, given.leave_out_kinds)))
+        print("\n".join(chosen(clips, given.leave_out_kinds, score_of)))
         return 0
     scores = []
     print(_HEAD, flush=True)
     for clip in with_variants(clips) if given.variants else clips:
-        score, details = scored(clip, PHASES, detector)
+        score, details = score_of(clip)
         scores.append(score)
         print(_line(score), *(details if given.details else ()), sep="\n", flush=True)
 
@@ -216,14 +226,26 @@ def grabbed(
 
 
 def scored(
-    clip: Clip, phases: int, detector: Callable[[], Detector | None] = lambda: None
+    clip: Clip,
+    phases: int,
+    detector: Callable[[], Detector | None] = lambda: None,
+    warm: bool = False,
 ) -> tuple[Score, list[str]]:
-    """Analyse a clip ``phases`` times; return its score and the first run's errors in words."""
+    """Analyse a clip ``phases`` times; return its score and the first run's errors in words.
+
+    warm: each of the detectors begins with the trust that another has learned on the clip.
+    """
     runs: list[Run] = []
     details: list[str] = []
+    warm_detector = detector() if warm else None
+    if warm_detector is not None:
+        grabbed(clip, 0, phases, warm_detector)
     for phase in range(phases):
+        phase_detector = detector()
+        if phase_detector is not None and warm_detector is not None:
+            phase_detector.trust = copy(warm_detector.trust)
         began = time.process_time()
-        events, delays = grabbed(clip, phase, phases, detector())
+        events, delays = grabbed(clip, phase, phases, phase_detector)
         cpu_seconds = time.process_time() - began
         found, missed, _, spurious = clip.judged(events)
         runs.append(
@@ -297,12 +319,16 @@ def f1_by_kind(scores: Sequence[Score]) -> dict[str, list[float]]:
     return result
 
 
-def chosen(clips: Sequence[Clip], choice: clip_kinds.Choice) -> list[str]:
+def chosen(
+    clips: Sequence[Clip],
+    choice: clip_kinds.Choice,
+    score_of: Callable[[Clip], tuple[Score, list[str]]],
+) -> list[str]:
     """Return the lines of a constant that is chosen on all kinds but one, each left out once."""
     f1 = {}
     for value in choice.values:
         choice.set(value)
-        scores = [scored(clip, PHASES)[0] for clip in clips]
+        scores = [score_of(clip)[0] for clip in clips]
         f1[value] = {kind: mean(values) for kind, values in f1_by_kind(scores).items()}
     return clip_kinds.leave_out_kinds(f1)
 

@@ -141,13 +141,13 @@ class Grabber:
         """
         return self._source.overdue_seconds
 
-    def statistics(self) -> dict[str, int | float]:
+    def statistics(self) -> dict[str, int | float | str]:
         """Return counters since the start.
 
         ``last_frame_t`` is the capture time of the latest frame (absent before the first).
         """
         source = self._source
-        figures: dict[str, int | float] = {
+        figures: dict[str, int | float | str] = {
             "frames_grabbed": source.frames_grabbed,
             "frames_dropped": source.frames_dropped,
             "connections": source.connections,

@@ -29,6 +29,10 @@ BOOTSTRAP_SECONDS = 3.0
 """The first background is the median of the frames of this period."""
 BOOTSTRAP_FRAMES_KEPT = 100
 """Number of frames that may wait for the first background."""
+FIRST_IMAGES_PER_SECOND = 7.0
+"""Images in colour that wait with them, per second: 22 in all."""
+FIRST_IMAGES_SIDE_MAX = 960
+"""Longer side (pixels) to which they are scaled down: 1.6 MB each at 960 x 540."""
 
 
 class Analysis(NamedTuple):
@@ -93,7 +97,7 @@ class ViewPipeline:
         self._numbers = itertools.count(1)
         self._latest: Analysis | None = None
         self._motion = MotionDetector(settings)
-        self._first_frames: list[tuple[float, Luma]] = []
+        self._first_frames: list[tuple[float, Luma, Luma | None]] = []
         self._tracker: Tracker | None = None
         self._t: float | None = None
         self._newest_t = -inf
@@ -121,17 +125,26 @@ class ViewPipeline:
             self._first_frames.clear()
         if not self._first_frames and self._tracker is not None:
             events = self._tracker.finish("scene changed")
-        self._first_frames.append((t, small))
-        enough = t - self._first_frames[0][0] >= BOOTSTRAP_SECONDS
+        waiting_seconds = t - self._first_frames[0][0] if self._first_frames else 0.0
+        self._first_frames.append((t, small, self._first_image(image, waiting_seconds)))
+        enough = waiting_seconds >= BOOTSTRAP_SECONDS
         if enough or len(self._first_frames) >= BOOTSTRAP_FRAMES_KEPT:
             events += self._bootstrap()
         return events
+
+    def _first_image(self, image: Luma | None, waiting_seconds: float) -> Luma | None:
+        """Return an image to examine later, scaled down; None if enough of them wait."""
+        waiting_count = sum(waiting is not None for _, _, waiting in self._first_frames)
+        is_enough = waiting_count >= 1 + FIRST_IMAGES_PER_SECOND * waiting_seconds
+        if self._detector is None or image is None or is_enough:
+            return None
+        return shrunk(image, FIRST_IMAGES_SIDE_MAX)
 
     def _bootstrap(self) -> list[Event]:
         """Initialise the background from the waiting frames, then analyse them."""
         first_frames = self._first_frames
         self._first_frames = []
-        self._motion.bootstrap([frame for _, frame in first_frames])
+        self._motion.bootstrap([frame for _, frame, _ in first_frames])
         height, width = first_frames[0][1].shape
 
         # Tracking begins, or goes on with new tracks.
@@ -148,9 +161,9 @@ class ViewPipeline:
             self._tracker = Tracker(self._settings, crossings, self._numbers)
         self._tracker.crossings.begin(first_frames[0][0], IgnoredAreas(self._motion.watched_mask))
         self._t = None
-        for t, frame in first_frames:
+        for t, frame, image in first_frames:
             if self._motion.ready:
-                events += self._step(t, frame)
+                events += self._step(t, frame, image)
         return events
 
     def _step(self, t: float, frame: Luma, image: Luma | None = None) -> list[Event]:
@@ -171,7 +184,7 @@ class ViewPipeline:
         blobs = find_blobs(motion, self._tracker.stature.height)
         objects: list[Blob] | None = blobs
         trusted = False
-        if self._detector is not None and image is not None:
+        if self._detector is not None:
             objects = self._detector.step(
                 t, image, motion.moving_mask, blobs, [track.box for track in self._tracker.active]
             )
@@ -239,7 +252,7 @@ class ViewPipeline:
         """Why hardly anything can be seen at present; "" if it can."""
         return BLIND_REASON if self._blind_share > BLIND_SHARE_MAX else ""
 
-    def statistics(self) -> dict[str, int | float]:
+    def statistics(self) -> dict[str, int | float | str]:
         """Return counters since the start, noise (grey levels) and shake (pixels)."""
         tracker = self._tracker
         return {

@@ -4,14 +4,20 @@ from __future__ import annotations
 
 import json
 import shutil
+from collections.abc import Iterator
 from pathlib import Path
 
+import cv2
 import pytest
+from coloured_scenes import SETTINGS, ColouredScene
+from onnx_models import write_model
+from rendered_scenes import FPS, HEIGHT, WIDTH, Person, line
 
 from bench import demo, grab, grab_truth
 from bench.support import clip_variants, films, ratios
-from bench.support.truth_clips import clips_in
+from bench.support.truth_clips import Clip, Picture, clips_in
 from camtopod.records import Event
+from camtopod.vision.settings import VisionSettings
 
 needs_ffmpeg = pytest.mark.skipif(shutil.which("ffmpeg") is None, reason="no ffmpeg")
 
@@ -75,6 +81,35 @@ def test_a_difference_below_its_standard_error_is_none(now: tuple[int, ...], sai
     [line] = grab_truth.compared(after, before)
 
     assert line.partition("pooled")[2].partition(": ")[2].startswith(said)
+
+
+def test_a_warm_detector_is_trusted_from_the_first_pictures_on(tmp_path: Path) -> None:
+    """Two enter side by side at once, whom motion takes for one."""
+    walks = (line(1.0, (-0.05, 0.7), (1.05, 0.7), 8.0), line(1.0, (-0.11, 0.7), (0.99, 0.7), 8.0))
+    scene = ColouredScene([Person(walk, seed=k) for k, walk in enumerate(walks)])
+
+    def pictures(left_out: float, settings: VisionSettings) -> Iterator[Picture]:
+        for k in range(round(14 * FPS)):
+            image = scene.picture(k / FPS)
+            yield Picture(k / FPS, cv2.cvtColor(image, cv2.COLOR_BGR2GRAY), image)
+
+    truth = (
+        *(Event("pair", "entry", t, 0.0, 0.7) for t in (1.4, 1.9)),
+        *(Event("pair", "exit", t, 1.0, 0.7) for t in (8.6, 9.0)),
+    )
+    clip = Clip("pair", "", truth, WIDTH / HEIGHT, 14.0, SETTINGS, pictures)
+    detector = grab_truth.detector_of(str(write_model(tmp_path / "m.onnx", "yolox")))
+
+    cold, _ = grab_truth.scored(clip, 1, detector)
+    warm, details = grab_truth.scored(clip, 1, detector, warm=True)
+
+    assert cold.f1 < warm.f1 == 1.0, details
+
+
+def test_only_a_detector_can_be_warm(capsys: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(SystemExit):
+        grab_truth.main(["--warm"])
+    assert "--warm needs a --model" in capsys.readouterr().err
 
 
 @needs_ffmpeg

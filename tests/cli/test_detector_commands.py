@@ -115,9 +115,14 @@ def test_a_model_that_cannot_be_read_is_78_with_its_line(
 
 
 def test_a_model_that_opencv_crashes_on_is_78_with_its_line(
-    tmp_path: Path, film: Path, capsys: pytest.CaptureFixture[str]
+    tmp_path: Path,
+    film: Path,
+    capsys: pytest.CaptureFixture[str],
+    monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     """It is tried in a process of its own."""
+    (tmp_path / "onnxruntime.py").write_text("raise ImportError")
+    monkeypatch.syspath_prepend(tmp_path)
     model = write_model(tmp_path / "person.onnx", "yolox")
     content = bytearray(model.read_bytes())
     content[content.index(b"Conv")] ^= 0x80
@@ -126,7 +131,7 @@ def test_a_model_that_opencv_crashes_on_is_78_with_its_line(
     grab = ["grab", "--camera", "a", "--out", str(tmp_path / "out")]
     for command in (["check", str(path)], ["--config", str(path), *grab]):
         assert main(command) == 78
-        assert f"{path}:4: detector.model: OpenCV cannot " in capsys.readouterr().err
+        assert f"{path}:4: detector.model: cannot run {model}: " in capsys.readouterr().err
 
 
 # --- grab -----------------------------------------------------------------------------------------

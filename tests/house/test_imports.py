@@ -83,6 +83,7 @@ HOMES = {
     "starlette": ("web.app", "web.api", "web.guards", "web.login"),
     "uvicorn": ("web.app", "web.connections"),
     "rich": ("cli.commands.watch",),
+    "onnxruntime": ("vision.detector.engines",),
     "cv2": ("vision", "sim", "export"),
     "sqlite3": (
         *("serve.storage", "serve.outbox", "serve.daemon", "serve.versions"),

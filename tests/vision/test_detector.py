@@ -6,6 +6,7 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
+import cv2
 import numpy as np
 import pytest
 from coloured_scenes import FACTOR, SETTINGS, ColouredScene
@@ -18,7 +19,8 @@ from camtopod.vision.boxes import Box, area, box_height, common_area
 from camtopod.vision.detect import Blob
 from camtopod.vision.detector.detector import Detector
 from camtopod.vision.detector.model import Detection, DetectorModel, Image as Picture
-from camtopod.vision.pipeline import ViewPipeline
+from camtopod.vision.detector.trust import Trust
+from camtopod.vision.pipeline import FIRST_IMAGES_PER_SECOND, ViewPipeline
 from camtopod.vision.settings import DetectorSettings
 
 SIDE_BY_SIDE = (
@@ -41,6 +43,7 @@ class Drawn:
     """
 
     size = (160, 160)
+    engine = "none"
 
     def __init__(
         self,
@@ -62,9 +65,11 @@ class Drawn:
         self._random = np.random.default_rng(7)
         self.t = 0.0
         self.times: list[float] = []
+        self.widths: set[int] = set()
 
     def infer(self, picture: Picture, crop: Box) -> list[Detection]:
         self.times.append(self.t)
+        self.widths.add(picture.shape[1])
         found = [Detection(box, 0.5, "person") for box in self._wrong]
         image = (0.0, 0.0, float(WIDTH * FACTOR), float(HEIGHT * FACTOR))
         for box in self._scene.boxes(self.t):
@@ -103,6 +108,15 @@ def drawn(scene: ColouredScene, rate: float = 7.0, **faults: Any) -> Timed:
     return Timed(Drawn(scene, **faults), DetectorSettings("m.onnx", looks_per_second_max=rate))
 
 
+def trusted(scene: ColouredScene, rate: float = 7.0) -> Timed:
+    """Return a detector that has seen the scene before."""
+    earlier, later = drawn(scene), drawn(scene, rate)
+    scene.events(20, earlier)
+    assert earlier.trust.is_trusted
+    later.trust = earlier.trust
+    return later
+
+
 @pytest.fixture
 def detector(tmp_path: Path) -> Callable[..., Detector]:
     def make(blind: bool = False) -> Detector:
@@ -126,7 +140,7 @@ def kinds(events: list[Event]) -> list[str]:
 
 def test_two_who_enter_side_by_side_are_two() -> None:
     scene = ColouredScene(SIDE_BY_SIDE)
-    events = scene.events(20, drawn(scene))
+    events = scene.events(20, trusted(scene))
 
     assert kinds(events) == ["entry", "entry", "exit", "exit"]
     assert len({event.track for event in events}) == 2
@@ -253,6 +267,18 @@ def test_a_low_score_continues_a_track_and_begins_none() -> None:
     assert kinds(faint.events(30, drawn(faint, score=score))) == ["entry", "exit"]
 
 
+def test_the_first_pictures_are_examined_too() -> None:
+    """Two enter side by side before there is a background, whom motion takes for one."""
+    scene = ColouredScene(
+        [
+            Person(line(1.0, (x, 0.7), (x + 1.1, 0.7), 8.0), seed=k)
+            for k, x in enumerate((-0.05, -0.11))
+        ]
+    )
+    assert kinds(scene.events(14, None)) == ["entry", "exit"]
+    assert kinds(scene.events(14, trusted(scene))) == ["entry", "entry", "exit", "exit"]
+
+
 # --- where it is not trusted ---------------------------------------------------------------------
 
 
@@ -263,6 +289,16 @@ def test_a_blind_detector_changes_nothing(detector: Callable[..., Detector]) -> 
         assert lines(events) == lines(ColouredScene(people, others).events(14, None))
         assert not blind.result.is_trusted
         assert blind.statistics()["detector_agreement"] < 0.1
+
+
+@pytest.mark.parametrize(("inside", "is_trusted"), [(0.65, False), (0.75, True)])
+def test_a_detector_is_trusted_that_sees_more_than_most_of_what_moves(
+    inside: float, is_trusted: bool
+) -> None:
+    trust = Trust()
+    for _ in range(500):
+        trust.add(0.01, 0.01 * (1.0 - inside))
+    assert trust.is_trusted == is_trusted
 
 
 def test_where_agreement_falls_motion_alone_counts_again(detector: Callable[..., Detector]) -> None:
@@ -296,3 +332,20 @@ def test_inference_runs_only_when_something_moves_and_not_too_often() -> None:
     assert kinds(scene.events(18, rarely)) == ["entry", "exit"]
     assert len(rarely.drawn.times) <= 24
     assert rarely.statistics()["detector_looks"] == len(rarely.drawn.times)
+
+
+def test_few_of_the_first_pictures_are_kept_in_colour_and_all_of_the_time(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    scene = ColouredScene([Person(line(0.5, (0.1, 0.7), (1.05, 0.7), 8.0))])
+    often = trusted(scene, rate=30.0)
+    monkeypatch.setattr("camtopod.vision.pipeline.FIRST_IMAGES_SIDE_MAX", 240)
+    view = ViewPipeline("cam", SETTINGS, None, often)
+    for k in range(90):
+        picture = scene.picture(k / 30)
+        view.process(k / 30, cv2.cvtColor(picture, cv2.COLOR_BGR2GRAY), picture)
+    view.finish()
+    times = often.drawn.times
+    assert 0.75 * 2.5 * FIRST_IMAGES_PER_SECOND <= len(times) <= 2.5 * FIRST_IMAGES_PER_SECOND + 1
+    assert max(np.diff(times)) < 1.5 / FIRST_IMAGES_PER_SECOND
+    assert often.drawn.widths == {240}

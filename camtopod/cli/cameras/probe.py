@@ -88,14 +88,14 @@ def _probe(settings: CameraSettings, picture: bool) -> Probe:
     # What the library died of: the model, if it dies of that alone, or the source.
     model = settings.detector.model
     if model and not settings.source:
-        return Probe(detector=ModelReport(f"OpenCV cannot run {model}: {reason}"))
+        return Probe(detector=ModelReport(f"cannot run {model}: {reason}"))
     if model and (report := try_detector(settings.detector)).problem:
         return Probe(detector=report)
     return Probe(reason)
 
 
 def try_detector(detector: DetectorSettings) -> ModelReport:
-    """Load and run a model in a process of its own, as OpenCV may crash on it."""
+    """Load and run a model in a process of its own, as its engine may crash on it."""
     return _probe(CameraSettings(detector=detector), picture=False).detector
 
 

@@ -12,11 +12,13 @@ from camtopod.vision.detect.background import Luma
 
 
 def shrunk(image: Luma, side_max: int) -> Luma:
-    """Return ``image`` (H, W) scaled to at most ``side_max`` pixels on its longer side, a copy.
+    """Return a copy of ``image`` scaled to at most ``side_max`` pixels on its longer side.
+
+    image: (H, W), or in colour (H, W, 3).
 
     A portrait image so has as many pixels as the same image turned, and people as many in either.
     """
-    height, width = image.shape
+    height, width = image.shape[:2]
     longer = max(height, width)
     if longer <= side_max:
         return image.copy()

@@ -25,6 +25,10 @@ class InferenceModel(Protocol):
     size: Size
     """Width and height of its input, pixels."""
 
+    @property
+    def engine(self) -> str:
+        """Name of the engine that runs it."""
+
     def infer(self, image: Image, crop: Box) -> list[Detection]:
         """Return the detections in a crop of an image, boxes in pixels of the image."""
 
@@ -45,7 +49,8 @@ class Detector:
     def __init__(self, model: InferenceModel, settings: DetectorSettings) -> None:
         self._model = model
         self._settings = settings
-        self._trust = Trust()
+        self.trust = Trust()
+        """May be replaced before the first step by that of an earlier detector of this camera."""
         self._due = float("-inf")
         """Time from which on the next inference is allowed, seconds."""
         self.result = DetectorResult()
@@ -56,36 +61,37 @@ class Detector:
     def step(
         self,
         t: float,
-        image: Image,
+        image: Image | None,
         moving_mask: Luma,
         blobs: list[Blob],
         track_boxes: Sequence[Box],
     ) -> list[Blob] | None:
         """Return the objects in the frame captured at ``t`` seconds; None if it was not examined.
 
-        image (H, W, 3): blue, green, red; larger than the working image, or as large.
+        image (H, W, 3): blue, green, red; larger than the working image, or as large. None if it
+            was not kept.
         moving_mask (h, w): mask of moving pixels of the working image.
         blobs, track_boxes: motion and tracks, pixels of the working image.
         """
-        is_trusted = self._trust.is_trusted
-        factor = image.shape[1] / moving_mask.shape[1]
+        is_trusted = self.trust.is_trusted
         regions = [*(blob.box for blob in blobs), *track_boxes]
-        self.result = DetectorResult((), is_trusted, self._trust.share)
+        self.result = DetectorResult((), is_trusted, self.trust.share)
         if not regions:
             return blobs
-        if t < self._due:
+        if image is None or t < self._due:
             return None if is_trusted else blobs
 
         # One inference on all that moves or is tracked.
         self._due = max(self._due + 1.0 / self._settings.looks_per_second_max, t)
+        factor = image.shape[1] / moving_mask.shape[1]
         crop = crop_around(
             [scaled(box, factor) for box in regions],
             (image.shape[1], image.shape[0]),
             self._model.size,
         )
-        start = time.thread_time()
+        start = time.perf_counter()
         model_detections = self._model.infer(image, crop)
-        self._inference_seconds += time.thread_time() - start
+        self._inference_seconds += time.perf_counter() - start
         self._inferences += 1
         detections = [
             detection._replace(box=scaled(detection.box, 1 / factor))
@@ -94,14 +100,15 @@ class Detector:
 
         # Is it trusted? Then its boxes are the objects.
         boxes, outside = objects(detections, moving_mask, blobs, track_boxes, self._settings.score)
-        self._trust.add(float((moving_mask != 0).mean()), outside)
-        self.result = DetectorResult(detections, self._trust.is_trusted, self._trust.share)
-        return boxes if self._trust.is_trusted else blobs
+        self.trust.add(float((moving_mask != 0).mean()), outside)
+        self.result = DetectorResult(detections, self.trust.is_trusted, self.trust.share)
+        return boxes if self.trust.is_trusted else blobs
 
-    def statistics(self) -> dict[str, int | float]:
-        """Return the number of inferences, their mean time (milliseconds) and the agreement."""
+    def statistics(self) -> dict[str, int | float | str]:
+        """Return engine, number of inferences, their mean time (milliseconds) and the agreement."""
         return {
+            "detector_engine": self._model.engine,
             "detector_looks": self._inferences,
             "detector_look_ms": round(1e3 * self._inference_seconds / max(1, self._inferences), 1),
-            "detector_agreement": round(self._trust.share, 3),
+            "detector_agreement": round(self.trust.share, 3),
         }

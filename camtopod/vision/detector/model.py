@@ -1,8 +1,7 @@
-"""A detector's model on OpenCV's DNN: crop of an image -> boxes of the wanted labels."""
+"""A detector's model: crop of an image -> boxes of the wanted labels."""
 
 from __future__ import annotations
 
-import re
 import time
 from pathlib import Path
 from typing import NamedTuple, cast
@@ -15,8 +14,8 @@ from camtopod.vision.boxes import Box, Size
 from camtopod.vision.detector import layouts
 from camtopod.vision.detector.coco import class_number, label_name
 from camtopod.vision.detector.crops import whole
+from camtopod.vision.detector.engines import load_engine
 from camtopod.vision.detector.errors import DetectorError as DetectorError
-from camtopod.vision.detector.onnx_header import read_header
 from camtopod.vision.settings import DetectorSettings
 
 Image = cv2.typing.MatLike
@@ -64,20 +63,12 @@ class DetectorModel:
     def __init__(self, settings: DetectorSettings) -> None:
         """Load the model and run it on an empty image. Raises `DetectorError`."""
         self.name = Path(settings.model).name
-        self._header = read_header(settings.model)
-        self.size = self._header.size
+        self._engine = load_engine(settings.model)
+        self.size = self._engine.size
 
         # Run it once: the outputs tell the layout.
         empty = np.full((self.size[1], self.size[0], 3), PADDING, np.uint8)
-        try:
-            if self._header.in_order is None:
-                self._net = cv2.dnn.readNetFromONNX(settings.model)
-            else:
-                self._net = cv2.dnn.readNetFromONNX(np.frombuffer(self._header.in_order, np.uint8))
-            self._outputs = self._net.getUnconnectedOutLayersNames()
-            outputs = self._forward(cv2.dnn.blobFromImage(empty))
-        except cv2.error as error:
-            raise DetectorError("model", f"OpenCV cannot run it: {_reason(error)}") from None
+        outputs = self._engine.run(cv2.dnn.blobFromImage(empty))
         self.form = layouts.recognise(outputs, self.size, settings.layout)
 
         # The classes that are looked for.
@@ -89,7 +80,8 @@ class DetectorModel:
 
         crop: of the shape of the input; what of it is outside of the image is filled with grey.
 
-        Scores are from `KNOWN_SCORE_SHARE` of the setting `score` on.
+        Scores are from `KNOWN_SCORE_SHARE` of the setting `score` on. Raises `DetectorError` if
+        the model can be run no longer.
         """
         canvas = _cropped(image, crop, self.size)
         if self.form.layout == "yolox":
@@ -98,7 +90,7 @@ class DetectorModel:
             blob = cv2.dnn.blobFromImage(canvas, 1.0 / 255.0, swapRB=True)
         if self.form.imagenet:
             blob = (blob - IMAGENET_MEAN) / IMAGENET_DEVIATION
-        outputs = self._forward(blob)
+        outputs = self._engine.run(blob)
         detections = layouts.decode(outputs, self.form, self.size, self._classes, self._score_min)
 
         # From pixels of the input to pixels of the image.
@@ -116,16 +108,10 @@ class DetectorModel:
             if box[2] - box[0] >= 1.0 and box[3] - box[1] >= 1.0
         ]
 
-    def _forward(self, blob: cv2.typing.MatLike) -> layouts.Outputs:
-        """Return the outputs for an image as a blob (1, 3, height, width)."""
-        self._net.setInput(blob, self._header.image)
-        if self._header.target:
-            self._net.setInput(np.array([self.size], np.int64), self._header.target)
-        outputs = self._net.forward(self._outputs)
-        return {
-            name: np.asarray(output, np.float32)
-            for name, output in zip(self._outputs, outputs, strict=True)
-        }
+    @property
+    def engine(self) -> str:
+        """Name of the engine that runs it, with its provider if it has a choice of them."""
+        return self._engine.name
 
 
 def try_model(settings: DetectorSettings, image: Image | None = None) -> ModelReport:
@@ -160,7 +146,8 @@ def try_model(settings: DetectorSettings, image: Image | None = None) -> ModelRe
     place = "an empty image" if image is None else "the whole image"
     return ModelReport(
         text=f"{model.name}: layout {model.form.layout}, {width}x{height}{kinds}, "
-        f"{milliseconds:.0f} ms an inference; in {place}: {', '.join(boxes) or 'nothing'}"
+        f"{milliseconds:.0f} ms an inference on {model.engine}; "
+        f"in {place}: {', '.join(boxes) or 'nothing'}"
     )
 
 
@@ -173,8 +160,3 @@ def _cropped(image: Image, crop: Box, size: Size) -> Image:
     canvas = cv2.copyMakeBorder(inside, *beside, cv2.BORDER_CONSTANT, value=(PADDING,) * 3)
     way = cv2.INTER_AREA if canvas.shape[1] > size[0] else cv2.INTER_LINEAR
     return cv2.resize(canvas, size, interpolation=way)
-
-
-def _reason(error: cv2.error) -> str:
-    """Return the sentence in an error of OpenCV, without its place in the source code."""
-    return re.sub(r".*error: \([^)]*\) | in function .*", "", " ".join(str(error).split()))

@@ -12,11 +12,8 @@ from graphlib import TopologicalSorter
 from pathlib import Path
 from typing import NamedTuple
 
-from camtopod.vision.boxes import Size
 from camtopod.vision.detector.errors import DetectorError
-
-SIZE_UNKNOWN = 640
-"""Width and height (pixels) at which a model is used that leaves its size open."""
+from camtopod.vision.detector.inputs import Inputs, recognise_inputs
 
 Field = IntEnum(
     "Field",
@@ -40,14 +37,9 @@ Field = IntEnum(
 
 
 class Header(NamedTuple):
-    """Inputs of a model."""
+    """What the file of a model says."""
 
-    size: Size
-    """Width and height of the image that it takes, pixels."""
-    image: str
-    """Name of the input for the image."""
-    target: str
-    """Name of the input for the width and height in whose units it gives boxes; "" if none."""
+    inputs: Inputs
     in_order: bytes | None
     """The model with each node after those that it needs; None if the file has that order."""
 
@@ -56,32 +48,15 @@ def read_header(path: str) -> Header:
     """Return what the file of a model says. Raises `DetectorError`."""
     try:
         content = memoryview(Path(path).read_bytes())
-        inputs = _inputs(content)
+        shapes = _shapes(content)
         in_order = _in_order(content)
-    except OSError as error:
-        raise DetectorError("model", f"cannot read {path}: {error.strerror}") from None
     except (ValueError, IndexError) as error:
         fault = "it ends early" if isinstance(error, IndexError) else error
         raise DetectorError("model", f"{path} is not an ONNX model: {fault}") from None
-
-    # One image, and perhaps its size.
-    images = {
-        n: shape
-        for n, shape in inputs.items()
-        if len(shape) == 4 and shape[0] < 2 and shape[1] in (0, 3)
-    }
-    targets = [name for name, shape in inputs.items() if len(shape) == 2 and shape[1] == 2]
-    if len(images) != 1 or len(targets) > 1 or len(images) + len(targets) != len(inputs):
-        shapes = " and ".join(str(tuple(shape)) for shape in inputs.values()) or "none"
-        raise DetectorError(
-            "model", f"{path} does not take one image (1, 3, height, width); its inputs: {shapes}"
-        )
-    ((image, shape),) = images.items()
-    height, width = (length or SIZE_UNKNOWN for length in shape[2:])
-    return Header((width, height), image, "".join(targets), in_order)
+    return Header(recognise_inputs(path, shapes), in_order)
 
 
-def _inputs(content: memoryview) -> dict[str, list[int]]:
+def _shapes(content: memoryview) -> dict[str, list[int]]:
     """Return name and shape of each input of a model; 0 where a length is left open."""
     graph = next(_at(content, Field.MODEL_GRAPH), None)
     if graph is None:

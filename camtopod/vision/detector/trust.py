@@ -13,7 +13,7 @@ from camtopod.vision.boxes import Box, box_height, centre, iou, overlap, pixels,
 from camtopod.vision.detect import FILL_SHARE_MIN, Blob, Luma
 from camtopod.vision.detector.model import Detection
 
-TRUSTED_FROM = 0.6
+TRUSTED_FROM = 0.7
 """Share of the moving area inside of boxes from which a detector is trusted."""
 TRUSTED_DOWN_TO = 0.45
 """The share below which it is trusted no longer."""
@@ -32,8 +32,8 @@ BORDER_HEIGHTS = 0.15
 class Trust:
     """Running share of the moving area that is inside of a detector's boxes.
 
-    It needs no ground truth: a detector sees most of what moves (0.7 to 0.9), or hardly any of it
-    (0.1 and less), as people from above, or cars where it looks for people.
+    It needs no ground truth: a detector sees most of what moves (0.7 to 0.9), people from above
+    less well (0.6 to 0.7), or hardly anything (0.1 and less), as cars where it looks for people.
     """
 
     def __init__(self) -> None:
