@@ -47,6 +47,23 @@ def test_who_throws_hard_shadows_is_seen() -> None:
     assert kinds(Shaded(WALKERS)) == ["entry", "exit"] * 2
 
 
+@pytest.mark.parametrize(("shade", "texture"), [(40, 5), (40, 25), (60, 15)])
+def test_who_walks_at_dusk_is_counted_once(shade: int, texture: int) -> None:
+    """In a third of the light a person is seen in parts, whose heights are no person's."""
+
+    class Dusk(Scene):
+        def picture(self, t: float) -> Picture:
+            return np.asarray(cv2.GaussianBlur(super().picture(t), (5, 5), 0), np.uint8)
+
+    ways = ((-0.05, 0.8), (1.05, 0.8)), ((1.05, 0.9), (-0.05, 0.9))
+    people = [
+        Person(line(6.0 + 10.0 * k, *ways[k % 2], 6.0), 0.4, shade, texture, seed=k)
+        for k in range(6)
+    ]
+    dusk = Dusk(people, noise=0.5, light=lambda t: 0.3)
+    assert kinds(dusk, 70.0) == ["entry", "exit"] * 6
+
+
 def barred(share: float, level: int) -> Scene:
     """Return a scene with bars at both sides of the picture that show nothing."""
     width = round(share * WIDTH)
@@ -80,6 +97,8 @@ def test_what_shows_nothing_is_blank() -> None:
     assert not blank[20:].any()
     assert shown_part(~blank) == (0.0, 20.0, 160.0, 90.0)
     assert not blank_pixels([np.zeros((90, 160), np.uint8)] * 3).any()  # a covered lens
+    ground = Scene([], noise=0.0, light=lambda t: 0.3).picture(0.0)  # a codec drops the noise
+    assert (blank_pixels([ground] * 9) > 0).mean() < 0.01
 
 
 @pytest.mark.parametrize("pause", [2.5, 6.0, 100.0])

@@ -1,7 +1,7 @@
 """Where the picture is larger than the view: black bars, privacy masks, the corners of a fisheye.
 
-These are areas at the border of the picture that are black, and in which nothing changes at all,
-unlike in what a sensor sees in the dark. They count as ignored areas: who walks into one leaves.
+These are areas at the border of the picture that are black, all of one level that never changes,
+unlike the dark parts of a scene. They count as ignored areas: objects that move into one leave.
 """
 
 from __future__ import annotations
@@ -19,7 +19,10 @@ from camtopod.vision.detect.background import Luma
 LEVEL_MAX = 40
 """Brightest grey level of a blank area; video has black at 0 or 16, and masks are dark grey."""
 RANGE_MAX = 2
-"""Largest difference between the grey levels of a pixel of a blank area in several frames."""
+"""Largest difference between the grey levels of a pixel of a blank area in several frames.
+
+The same between a pixel and the level of the blank areas.
+"""
 SHARE_MAX = 0.75
 """Largest share of the picture that is blank beside a view; of more, the picture is dark."""
 WIDTH_MIN = 0.025
@@ -35,18 +38,26 @@ def blank_pixels(frames: Sequence[Luma]) -> Luma:
     frames (H, W): some frames of the view.
     """
     lowest, highest = np.minimum.reduce(frames), np.maximum.reduce(frames)
-    blank = ((highest <= LEVEL_MAX) & (highest - lowest <= RANGE_MAX)).astype(np.uint8)
+    steady = (highest <= LEVEL_MAX) & (highest - lowest <= RANGE_MAX)
+    levels = np.bincount(_border(highest)[_border(steady)], minlength=1)
+    off = np.abs(highest.astype(np.int16) - int(levels.argmax()))
+    blank = (steady & (off <= RANGE_MAX)).astype(np.uint8)
     side = round(WIDTH_MIN * hypot(*blank.shape))
     square = np.ones((side, side), np.uint8)
     framed = cv2.copyMakeBorder(blank, side, side, side, side, cv2.BORDER_CONSTANT)
     framed = cv2.morphologyEx(framed, cv2.MORPH_OPEN, square)
     blank = framed[side:-side, side:-side]
     _, labels = cv2.connectedComponents(blank, connectivity=4)
-    border = np.concatenate((labels[0], labels[-1], labels[:, 0], labels[:, -1]))
-    mask = np.isin(labels, border[border > 0])
+    labels_there = _border(labels)
+    mask = np.isin(labels, labels_there[labels_there > 0])
     if mask.mean() > SHARE_MAX:
         return np.zeros_like(blank)
     return mask.astype(np.uint8) * np.uint8(255)
+
+
+def _border(image: Luma) -> Luma:
+    """Return the pixels at the border of an image (H, W)."""
+    return np.concatenate((image[0], image[-1], image[:, 0], image[:, -1]))
 
 
 def shown_part(mask: Bools) -> Box:

@@ -97,7 +97,8 @@ def find_blobs(motion: Motion, expected_height: ExpectedHeight) -> list[Blob]:
             group,
             box,
             labels,
-            not any(_belong(box, other_box) for other_box in boxes if other_box is not box),
+            not motion.is_dim
+            and not any(_belong(box, other_box) for other_box in boxes if other_box is not box),
         )
         for group, box in groups
     ]

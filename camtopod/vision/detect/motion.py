@@ -81,6 +81,8 @@ class Motion:
     """Pixels that differ from the scene, with it."""
     expected: Luma
     """Image of the scene in the frame's light."""
+    is_dim: bool = False
+    """True if there is so little light that objects are seen in parts."""
 
 
 class MotionDetector:
@@ -173,9 +175,9 @@ class MotionDetector:
             difference = cv2.max(above, cv2.subtract(cv2.erode(expected, _SQUARE), frame))
 
         # Moving pixels; an image that has changed for long ends this scene.
-        sensitivity = self._settings.sensitivity
         light = min((cv2.mean(expected, self.watched_mask)[0] + _DARK) / (_DIM + _DARK), 1.0)
-        least = DIFFERENCE_MIN * max(light / sensitivity, min(self.noise / NOISE_TO_FILTER, 1.0))
+        sensitivity = self._settings.sensitivity / light
+        least = DIFFERENCE_MIN * max(1.0 / sensitivity, min(self.noise / NOISE_TO_FILTER, 1.0))
         differs = cv2.threshold(difference, least, 255, cv2.THRESH_BINARY)[1]
         differs = cv2.bitwise_and(differs, self.watched_mask)
         moving_mask = self._swaying.without(differs, frame, expected, least)
@@ -200,7 +202,7 @@ class MotionDetector:
         solid[part] = cv2.bitwise_and(moving_mask[part], cv2.bitwise_or(near, strong))
         # Opening removes lines, such as outlines of furniture.
         solid[part] = cv2.morphologyEx(solid[part], cv2.MORPH_OPEN, _CROSS)
-        return Motion(frame, solid, moving_mask, differs, expected)
+        return Motion(frame, solid, moving_mask, differs, expected, light < 1.0)
 
     def _stands_elsewhere(self, frame: Luma, dt: float) -> bool:
         """Return True if the camera stands still, but not where the scene is: it is learned anew.
