@@ -23,6 +23,11 @@ RANGE_MAX = 2
 
 The same between a pixel and the level of the blank areas.
 """
+STEP_MIN = 10
+"""Least step (grey levels, median along the edge) from blank areas to the view beside them.
+
+The dark parts of a scene have no such edge.
+"""
 SHARE_MAX = 0.75
 """Largest share of the picture that is blank beside a view; of more, the picture is dark."""
 WIDTH_MIN = 0.025
@@ -30,6 +35,7 @@ WIDTH_MIN = 0.025
 
 A narrower one changes nothing: objects that near to the border of the picture are at the border.
 """
+_NEIGHBOURS = np.ones((3, 3), np.uint8)
 
 
 def blank_pixels(frames: Sequence[Luma]) -> Luma:
@@ -50,9 +56,10 @@ def blank_pixels(frames: Sequence[Luma]) -> Luma:
     _, labels = cv2.connectedComponents(blank, connectivity=4)
     labels_there = _border(labels)
     mask = np.isin(labels, labels_there[labels_there > 0])
-    if mask.mean() > SHARE_MAX:
-        return np.zeros_like(blank)
-    return mask.astype(np.uint8) * np.uint8(255)
+    blank = mask.astype(np.uint8) * np.uint8(255)
+    beside = cv2.subtract(cv2.dilate(blank, square), cv2.dilate(blank, _NEIGHBOURS)) > 0
+    is_edge = beside.any() and np.median(off[beside]) >= STEP_MIN
+    return blank if is_edge and mask.mean() <= SHARE_MAX else np.zeros_like(blank)
 
 
 def _border(image: Luma) -> Luma:
