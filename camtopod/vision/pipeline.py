@@ -12,7 +12,15 @@ from camtopod.records import Event
 from camtopod.vision.detect import Blob, Luma, MotionDetector, find_blobs, shrunk
 from camtopod.vision.detector.detector import Detector, DetectorResult
 from camtopod.vision.settings import VisionSettings
-from camtopod.vision.track import Crossings, Decision, Frame, IgnoredAreas, Reason, Track, Tracker
+from camtopod.vision.track import (
+    Crossings,
+    Decision,
+    FrameView,
+    IgnoredAreas,
+    Reason,
+    Track,
+    Tracker,
+)
 
 GHOST_SECONDS = 3.0
 """An object that has not moved for this long is tested for being a ghost.
@@ -189,8 +197,8 @@ class ViewPipeline:
                 t, image, motion.moving_mask, blobs, [track.box for track in self._tracker.active]
             )
             trusted = self._detector.result.is_trusted
-        seen_frame = Frame(t, self._motion.view, self._newest_t, trusted)
-        events = [] if objects is None else self._tracker.step(seen_frame, objects)
+        frame_view = FrameView(t, self._motion.view, self._newest_t, trusted)
+        events = [] if objects is None else self._tracker.step(frame_view, objects)
 
         # Drop ghosts; a detector that is trusted knows none.
         for track in self._tracker.active:

@@ -12,7 +12,7 @@ from camtopod.vision.boxes import Box, union
 from camtopod.vision.detect import Blob
 from camtopod.vision.pipeline import ViewPipeline
 from camtopod.vision.settings import VisionSettings
-from camtopod.vision.track import Crossings, Frame, IgnoredAreas, Tracker
+from camtopod.vision.track import Crossings, FrameView, IgnoredAreas, Tracker
 
 WIDTH, HEIGHT = 320, 240
 
@@ -32,7 +32,7 @@ def tracked(frames: list[list[Box]], labels: Sequence[str] = ("",)) -> list[Even
             Blob(*map(float, box), (box[0] + box[2]) / 2, label=labels[k % len(labels)])
             for box in boxes
         ]
-        events += tracker.step(Frame(k / FPS, (0.0, 0.0, WIDTH, HEIGHT), k / FPS), blobs)
+        events += tracker.step(FrameView(k / FPS, (0.0, 0.0, WIDTH, HEIGHT), k / FPS), blobs)
     return events
 
 

@@ -7,7 +7,7 @@ for entrances away from the border and `ignored_areas` for objects that walk int
 `decisions` has the reasons why a track became an event or not.
 """
 
-from camtopod.vision.track.crossings import Crossings as Crossings, Frame as Frame
+from camtopod.vision.track.crossings import Crossings as Crossings, FrameView as FrameView
 from camtopod.vision.track.decisions import Decision as Decision, Edge as Edge, Reason as Reason
 from camtopod.vision.track.ignored_areas import IgnoredAreas as IgnoredAreas
 from camtopod.vision.track.track import Track as Track

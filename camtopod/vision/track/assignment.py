@@ -10,7 +10,7 @@ from scipy.optimize import linear_sum_assignment
 
 from camtopod.vision.boxes import area, box_height, centre
 from camtopod.vision.detect import Blob
-from camtopod.vision.track.crossings import Crossings, Frame
+from camtopod.vision.track.crossings import Crossings, FrameView
 from camtopod.vision.track.kalman import SIGMAS
 from camtopod.vision.track.track import Track
 
@@ -25,12 +25,12 @@ NEARER_SHARE = 0.7
 _NEVER = 1e9
 """Cost of an assignment that is not allowed."""
 
-Costs = Callable[[Frame, Track, Sequence[Blob]], list[float]]
+Costs = Callable[[FrameView, Track, Sequence[Blob]], list[float]]
 """Cost of each blob for a track in a frame; `_NEVER` where it is not allowed."""
 
 
 def best_pairs(
-    frame: Frame,
+    frame: FrameView,
     tracks: Sequence[Track],
     blobs: Sequence[Blob],
     costs: Costs,
@@ -48,7 +48,7 @@ def best_pairs(
 
 
 def costs_by_points(
-    frame: Frame,
+    frame: FrameView,
     track: Track,
     blobs: Sequence[Blob],
     expected_height: float,
@@ -75,7 +75,7 @@ def costs_by_points(
 
 
 def costs_by_area(
-    frame: Frame, track: Track, blobs: Sequence[Blob], dt: float, crossings: Crossings
+    frame: FrameView, track: Track, blobs: Sequence[Blob], dt: float, crossings: Crossings
 ) -> list[float]:
     """Return for each blob of like area the distance of its middle, as a share of the reach.
 

@@ -48,7 +48,7 @@ ends in mid-view, too. So this is also what an object that uses a learned door h
 """
 
 
-class Frame(NamedTuple):
+class FrameView(NamedTuple):
     """An analysed image, as far as it decides where objects may enter and leave."""
 
     t: float
@@ -122,15 +122,15 @@ class Crossings:
 
     # -- where ------------------------------
 
-    def touches(self, frame: Frame, box: Box) -> bool:
+    def touches(self, frame: FrameView, box: Box) -> bool:
         """Return True if the border of the view or an ignored area cuts the box."""
         return touches_border(box, frame.view) or self._ignored_areas.cut(box)
 
-    def at_edge(self, frame: Frame, track: Track) -> Edge | None:
+    def at_edge(self, frame: FrameView, track: Track) -> Edge | None:
         """Return the edge at which the track was last seen, if objects leave there."""
         return self._edge(frame, track, track.last, 1.0)
 
-    def _edge(self, frame: Frame, track: Track, at: Sighting, sense: float) -> Edge | None:
+    def _edge(self, frame: FrameView, track: Track, at: Sighting, sense: float) -> Edge | None:
         """Return the edge near a sighting, on the way of the track.
 
         sense: 1.0 for the way that it goes on, -1.0 for the way that it came.
@@ -163,7 +163,7 @@ class Crossings:
             return "ignored area"
         return self.doors.door_at(*at.foot, track.height)
 
-    def comes_in(self, frame: Frame, track: Track, box: Box) -> bool:
+    def comes_in(self, frame: FrameView, track: Track, box: Box) -> bool:
         """Return True if ``box`` is not the object of ``track``, but another one that comes in.
 
         Either a border cuts it that the object, whole so far, does not reach yet, or it moves away
@@ -194,7 +194,7 @@ class Crossings:
     # -- what ------------------------------
 
     def entries(
-        self, frame: Frame, new_tracks: Sequence[Track], active: Sequence[Track]
+        self, frame: FrameView, new_tracks: Sequence[Track], active: Sequence[Track]
     ) -> list[Event]:
         """Return the entries of tracks that became objects, and learn where people walk.
 
@@ -216,7 +216,7 @@ class Crossings:
                 track.cells.add(self.doors.cell(*track.last.foot))
         return events
 
-    def _entry(self, frame: Frame, track: Track) -> list[Event]:
+    def _entry(self, frame: FrameView, track: Track) -> list[Event]:
         """Return the entry of a track that became an object, if it is one."""
         edge = self._edge(frame, track, track.first, -1.0)
         if edge is None and frame.trusted and not track.beside_others:
@@ -233,7 +233,7 @@ class Crossings:
         self.note("in mid-view" if track.began_in_view else "beside others", track, track.first)
         return []
 
-    def exit_of(self, frame: Frame, track: Track) -> list[Event]:
+    def exit_of(self, frame: FrameView, track: Track) -> list[Event]:
         """Return the exit of an object whose track ends, if it has left."""
         if track.unmet_condition is not None:
             self.note(track.unmet_condition[0], track, track.last, None, *track.unmet_condition[1:])
@@ -258,7 +258,7 @@ class Crossings:
         return []
 
     def _told(
-        self, frame: Frame, kind: Kind, track: Track, at: Sighting, edge: Edge | None
+        self, frame: FrameView, kind: Kind, track: Track, at: Sighting, edge: Edge | None
     ) -> list[Event]:
         """Return the event at a sighting; none if an entry is known too late.
 
@@ -277,7 +277,7 @@ class Crossings:
         return [Event(self._camera, kind, round(at.t, 6), x, y, str(track.number), label=label)]
 
     def _at_border(
-        self, frame: Frame, track: Track, at: Sighting, edge: Edge | None, sense: float
+        self, frame: FrameView, track: Track, at: Sighting, edge: Edge | None, sense: float
     ) -> Sighting:
         """Return a sighting moved along the way of the track to where it crosses the border.
 

@@ -30,7 +30,7 @@ from camtopod.vision.track.assignment import (
     costs_by_area,
     costs_by_points,
 )
-from camtopod.vision.track.crossings import PATIENCE_SECONDS, REACH_SECONDS, Crossings, Frame
+from camtopod.vision.track.crossings import PATIENCE_SECONDS, REACH_SECONDS, Crossings, FrameView
 from camtopod.vision.track.decisions import Reason
 from camtopod.vision.track.kalman import MEASUREMENT, SIGMAS, Kalman
 from camtopod.vision.track.stature import Stature
@@ -65,12 +65,12 @@ class Tracker:
         self.crossings = crossings
         """Tells where objects enter and leave the view."""
         self._numbers = numbers
-        self._frame = Frame(-inf, (0.0, 0.0, *crossings.size), -inf)
+        self._frame = FrameView(-inf, (0.0, 0.0, *crossings.size), -inf)
         self._start: float | None = None
         self.stature = Stature()
         self.active: list[Track] = []
 
-    def step(self, frame: Frame, blobs: list[Blob]) -> list[Event]:
+    def step(self, frame: FrameView, blobs: list[Blob]) -> list[Event]:
         """Process the blobs of ``frame``, later than the last; return the events certain now."""
         t = frame.t
         dt = t - self._frame.t
@@ -129,7 +129,7 @@ class Tracker:
             blob for blob in blobs if all(blob is not matched_blob for _, matched_blob in pairs)
         ]
 
-    def _costs(self, frame: Frame, track: Track, blobs: Sequence[Blob]) -> list[float]:
+    def _costs(self, frame: FrameView, track: Track, blobs: Sequence[Blob]) -> list[float]:
         """Return for each blob the distance of head and foot, at the height expected there."""
         expected = self.stature.height(track.kalman.position[3]) or 0.0
         return costs_by_points(frame, track, blobs, expected, self.crossings)
