@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 
+import cv2
 import numpy as np
 
 from camtopod.vision.detect import Luma
@@ -97,8 +98,8 @@ class Observed:
         if luma is not None:
             if self._luma is not None:
                 self._has_compared = True
-                self._has_changed |= not np.array_equal(luma, self._luma)
-            self._contrast = max(self._contrast or 0.0, float(luma.std()))
+                self._has_changed = self._has_changed or not np.array_equal(luma, self._luma)
+            self._contrast = max(self._contrast or 0.0, float(cv2.meanStdDev(luma)[1][0, 0]))
             self._luma = luma
         if self.seconds >= OBSERVED_SECONDS:
             self.judge()
