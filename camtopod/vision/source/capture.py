@@ -10,12 +10,15 @@ Properties of OpenCV's FFmpeg backend that this code respects:
 - To reduce the frame rate, skip `retrieve`, never `grab`, or the stream falls behind.
 - The luma plane must be requested before the first `retrieve`, which fixes the conversion.
 - `retrieve` calls a frame good that FFmpeg could not convert, and returns an older one, or none.
+- Luma of BT.709 is not copied: it is converted to that of BT.601, by way of colours, in three times
+  the time that the colours alone take.
 """
 
 from __future__ import annotations
 
 import math
 import os
+import re
 from typing import Any, Literal, NamedTuple
 
 import cv2
@@ -51,6 +54,11 @@ _DECODER_OPTION = "video_codec"
 """FFmpeg option that names a decoder."""
 LUMA_FORMATS = frozenset({"I420", "YV12", "Y42B", "444P", "NV12", "NV21", "Y800"})
 """FFmpeg's names of pixel formats that begin with a plane of 8-bit luma."""
+_BT_709 = re.compile("1...(?P<full_range>.)10000....000.....00000001")
+"""Bits by which headers of H.264 and H.265 say that the luma is that of BT.709.
+
+A description of the signal: kind, range, colours: primaries, transfer, matrix.
+"""
 PATIENT_OPTIONS = "probesize;1000000000|analyzeduration;1000000000"
 """FFmpeg options of a file whose frames have no known size: its video begins late."""
 CALL_SECONDS_MAX = 4.0
@@ -170,18 +178,23 @@ class Capture:
         self._is_joined = kind != "stream"
         """True from the first frame on; a stream begins with messages about what came before."""
 
-        # Request the luma plane if the pixel format has one.
+        # Request the luma plane if the pixel format has one that is copied as it is.
         self._width_max = settings.working_width
         self._image: Luma | None = None
         """Buffer of the latest frame; allocating a new one costs more than filling it."""
-        self._has_luma = (
+        has_luma = (
             kind != "device"
             and not any(option in options for option in (_DEVICES_OPTION, _DECODER_OPTION))
             and _four_characters(self._capture, cv2.CAP_PROP_CODEC_PIXEL_FORMAT) in LUMA_FORMATS
         )
         self._colour = colour
-        if self._has_luma and not colour:
+        bt_709 = _BT_709.search(_header_bits(self._capture)) if has_luma else None
+        is_plane = has_luma and not colour and bt_709 is None
+        if is_plane:
             self._capture.set(cv2.CAP_PROP_CONVERT_RGB, 0)
+        is_full_range = bt_709 is not None and bt_709["full_range"] == "1"
+        self._is_stretched = has_luma and not is_plane and not is_full_range
+        """True if frames have a larger range of grey levels than the video's luma."""
 
     @property
     def is_open(self) -> bool:
@@ -264,7 +277,7 @@ class Capture:
             return None
         self._image = image
         luma = shrunk(_grey(image), self._width_max)
-        return cv2.LUT(luma, _VIDEO_RANGE) if self._has_luma and self._colour else luma
+        return cv2.LUT(luma, _VIDEO_RANGE) if self._is_stretched else luma
 
     def frame(self) -> Frame | None:
         """Return the grabbed frame with time 0.0, in colour as well if that was asked for.
@@ -339,6 +352,13 @@ def _opened(source: str, patient: bool, options: str) -> cv2.VideoCapture:
 def _four_characters(capture: cv2.VideoCapture, of: int) -> str:
     code = int(capture.get(of))
     return code.to_bytes(4, "little").decode("latin-1") if 0 <= code < 1 << 32 else ""
+
+
+def _header_bits(capture: cv2.VideoCapture) -> str:
+    """Return the bits of the headers that a source has outside of its frames; "" if none."""
+    good, data = capture.retrieve(flag=int(capture.get(cv2.CAP_PROP_CODEC_EXTRADATA_INDEX)))
+    header = data.tobytes().replace(b"\0\0\3", b"\0\0") if good else b""
+    return "".join(f"{byte:08b}" for byte in header)
 
 
 def _grey(image: Luma) -> Luma:
