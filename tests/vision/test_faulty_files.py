@@ -226,6 +226,35 @@ def test_a_file_that_was_cut_ends_early(
     assert " of 4.0 s read (the video ends early" in capsys.readouterr().err
 
 
+def test_a_file_that_is_still_being_written_is_said_to_be(
+    film: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    path = tmp_path / "film.mp4"
+    said = "it is still being written: read it when that has ended"
+    for data, status in ((b"", 66), (b"no video\n", 66), (film.read_bytes(), 0)):
+        with path.open("wb") as file:
+            file.write(data)
+            file.flush()
+            assert grab(path, tmp_path / "out")[0] == status
+            assert said in capsys.readouterr().err
+    assert grab(path, tmp_path / "out")[0] == 0
+    assert said not in capsys.readouterr().err
+
+
+@needs_ffmpeg
+@pytest.mark.parametrize("seconds", [86400, 1764338400])
+def test_a_file_s_stamps_may_begin_anywhere(
+    seconds: int, film: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """A Matroska file declares a duration that counts from the stamp 0 on."""
+    path = tmp_path / "film.mkv"
+    command = f"ffmpeg -nostdin -loglevel error -i {film} -c copy -output_ts_offset {seconds}"
+    subprocess.run([*command.split(), str(path)], check=True)
+    status, events = grab(path, tmp_path / "out")
+    assert (status, [event.kind for event in events]) == (0, ["entry", "exit"])
+    assert "has ended: 7.4 s of 7.4 s read, " in capsys.readouterr().err
+
+
 def test_what_could_be_better_is_said_of_a_file(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

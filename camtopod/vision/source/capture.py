@@ -165,18 +165,6 @@ class Capture:
         if kind == "file" and self.is_open and self.size == (0, 0):
             options = options or PATIENT_OPTIONS
             self._capture = _opened(source, patient, options)
-        self._ffmpeg_log = ffmpeg_log
-        self._ffmpeg_log.newest_fault()  # forgets those of opening, which looks far ahead
-        self.fault = ""
-        """Why the latest frame that could not be decoded was none; "" if that is not known."""
-        self._after_fault = DAMAGED_FRAMES_MAX
-        """Number of frames since the latest fault or, if they are sound, `DAMAGED_FRAMES_MAX`."""
-        self._damaged_share = 0.0
-        """Share of the latest frames that are damaged, or follow from such a one."""
-        self._fault_share = 0.0
-        """Share of the latest frames that have a fault of their own."""
-        self._is_joined = kind != "stream"
-        """True from the first frame on; a stream begins with messages about what came before."""
 
         # Request the luma plane if the pixel format has one that is copied as it is.
         self._width_max = settings.working_width
@@ -195,6 +183,20 @@ class Capture:
         is_full_range = bt_709 is not None and bt_709["full_range"] == "1"
         self._is_stretched = has_luma and not is_plane and not is_full_range
         """True if frames have a larger range of grey levels than the video's luma."""
+
+        # Begin without faults.
+        self._ffmpeg_log = ffmpeg_log
+        self._ffmpeg_log.newest_fault()  # forgets those of opening, which looks far ahead
+        self.fault = ""
+        """Why the latest frame that could not be decoded was none; "" if that is not known."""
+        self._after_fault = DAMAGED_FRAMES_MAX
+        """Number of frames since the latest fault or, if they are sound, `DAMAGED_FRAMES_MAX`."""
+        self._damaged_share = 0.0
+        """Share of the latest frames that are damaged, or follow from such a one."""
+        self._fault_share = 0.0
+        """Share of the latest frames that have a fault of their own."""
+        self._is_joined = kind != "stream"
+        """True from the first frame on; a stream begins with messages about what came before."""
 
     @property
     def is_open(self) -> bool:
@@ -227,9 +229,16 @@ class Capture:
 
     @property
     def seconds(self) -> float:
-        """Duration that a file or recording declares; 0.0 if unknown."""
-        frames = self._capture.get(cv2.CAP_PROP_FRAME_COUNT)
-        seconds = frames / self.fps if self.fps else 0.0
+        """Duration that a file or recording declares; 0.0 if unknown.
+
+        Matroska files count it from the stamp 0 on: ask while the first frame is grabbed.
+        """
+        if not self.fps:
+            return 0.0
+        stamp = self._capture.get(cv2.CAP_PROP_PTS) / self.fps
+        first_stamp = stamp - self._capture.get(cv2.CAP_PROP_POS_MSEC) / 1000.0
+        seconds = float(self._capture.get(cv2.CAP_PROP_FRAME_COUNT)) / self.fps
+        seconds -= first_stamp if 0.0 < first_stamp < seconds else 0.0
         return seconds if 0.0 <= seconds < DURATION_MAX else 0.0
 
     def grab(self) -> float | None:
@@ -356,8 +365,9 @@ def _four_characters(capture: cv2.VideoCapture, of: int) -> str:
 
 def _header_bits(capture: cv2.VideoCapture) -> str:
     """Return the bits of the headers that a source has outside of its frames; "" if none."""
-    good, data = capture.retrieve(flag=int(capture.get(cv2.CAP_PROP_CODEC_EXTRADATA_INDEX)))
-    header = data.tobytes().replace(b"\0\0\3", b"\0\0") if good else b""
+    data: Luma | None = None
+    _, data = capture.retrieve(data, int(capture.get(cv2.CAP_PROP_CODEC_EXTRADATA_INDEX)))
+    header = b"" if data is None else data.tobytes().replace(b"\0\0\3", b"\0\0")
     return "".join(f"{byte:08b}" for byte in header)
 
 
