@@ -74,16 +74,10 @@ IMAGE_WIDTH_MAX = 1920
 """Largest width (pixels) of an image in colour, which a detector examines."""
 _VIDEO_RANGE = (16 + np.arange(256) * 219 / 255).round().astype(np.uint8)
 """Luma as video has it, 16 to 235, by the grey level of the image in colour."""
-DAMAGED_FRAMES_MAX = 250
-"""Frames after a fault that are damaged if none is coded by itself, which is seldom so late."""
-DAMAGED_SHARE_MAX = 0.5
-"""Share of frames that follow from a damaged one above which those are analysed all the same."""
-SHARE_FRAMES = 100.0
-"""Number of frames over which that share is counted, about."""
-SHARE_FAULTS = 3.0
-"""Number of faults among them at least: a fault alone is waited for the end of."""
-REORDERED_FRAMES = 3
-"""Frames by which a frame may come later than the message about it, as B frames do."""
+FAULTS_FRAMES = 100.0
+"""Number of frames over which the share of those with a fault is counted, about."""
+FAULTS_SHARE_MAX = 0.03
+"""Share of frames with a fault above which packets are lost again and again."""
 _CODECS = {
     "avc1": "H.264",
     "h264": "H.264",
@@ -189,12 +183,10 @@ class Capture:
         self._ffmpeg_log.newest_fault()  # forgets those of opening, which looks far ahead
         self.fault = ""
         """Why the latest frame that could not be decoded was none; "" if that is not known."""
-        self._after_fault = DAMAGED_FRAMES_MAX
-        """Number of frames since the latest fault or, if they are sound, `DAMAGED_FRAMES_MAX`."""
-        self._damaged_share = 0.0
-        """Share of the latest frames that are damaged, or follow from such a one."""
+        self._has_fault = False
+        """True if the grabbed frame is damaged, or FFmpeg has told of damage since the last one."""
         self._fault_share = 0.0
-        """Share of the latest frames that have a fault of their own."""
+        """Share of such frames among the latest."""
         self._is_joined = kind != "stream"
         """True from the first frame on; a stream begins with messages about what came before."""
 
@@ -248,36 +240,28 @@ class Capture:
         frame's presentation time in seconds, 0.0 if unknown.
         """
         good = self._capture.grab()
-        if fault := self._ffmpeg_log.newest_fault():
-            self.fault = fault
-            if self._is_joined:
-                self._after_fault = 0
+        fault = self._ffmpeg_log.newest_fault()
+        self.fault = fault or self.fault
+        self._has_fault = self._is_joined and bool(fault)
         if not good:
             return None
         self._is_joined = True
-        self._after_fault += 1
-        late = self._after_fault > REORDERED_FRAMES
-        if late and self._capture.get(cv2.CAP_PROP_FRAME_TYPE) == ord("I"):
-            self._after_fault = DAMAGED_FRAMES_MAX
-        is_damaged = self._after_fault < DAMAGED_FRAMES_MAX
-        self._damaged_share += (is_damaged - self._damaged_share) / SHARE_FRAMES
-        self._fault_share += ((self._after_fault == 1) - self._fault_share) / SHARE_FRAMES
+        self._fault_share += (self._has_fault - self._fault_share) / FAULTS_FRAMES
         return float(self._capture.get(cv2.CAP_PROP_POS_MSEC)) / 1000.0
 
     @property
-    def is_mostly_damaged(self) -> bool:
-        """True if packets are lost so often that hardly any frame is whole."""
-        is_frequent = self._fault_share * SHARE_FRAMES >= SHARE_FAULTS
-        return is_frequent and self._damaged_share > DAMAGED_SHARE_MAX
+    def is_often_damaged(self) -> bool:
+        """True if frames are damaged again and again, as when packets are lost."""
+        return self._fault_share > FAULTS_SHARE_MAX
 
     def retrieve(self) -> Luma | None:
         """Return the grabbed frame's luma (H, W) at working size.
 
-        None if it is damaged, or could not be decoded or converted; `fault` has the reason. What
-        follows from a damaged frame is as damaged, unless there is hardly anything else.
+        None if it is damaged, or could not be decoded or converted; `fault` has the reason. Frames
+        that follow from a damaged one are good enough: most of their pixels are right, and it may
+        be long until the next keyframe.
         """
-        damaged_frames = 1 if self.is_mostly_damaged else DAMAGED_FRAMES_MAX - 1
-        if self._after_fault <= damaged_frames:
+        if self._has_fault:
             return None
         good, image = self._capture.retrieve(self._image)
         fault = self._ffmpeg_log.newest_fault()

@@ -124,8 +124,8 @@ class Observed:
             f"the picture has not changed for {self.seconds:.0f} s: is the camera frozen?": (
                 self._has_compared and not self._has_changed and self.seconds >= OBSERVED_SECONDS
             ),
-            "most frames are damaged, as when packets are lost: use TCP, or set the camera to "
-            "shorter keyframe distances": (self._capture.is_mostly_damaged),
+            "frames are damaged again and again, as when packets are lost: use TCP, or set the "
+            "camera to shorter keyframe distances": (self._capture.is_often_damaged),
         }
         self.remarks = [remark for remark, holds in remarks.items() if holds]
         self._begin()
