@@ -170,7 +170,8 @@ class Capture:
             and _four_characters(self._capture, cv2.CAP_PROP_CODEC_PIXEL_FORMAT) in LUMA_FORMATS
         )
         self._colour = colour
-        bt_709 = _BT_709.search(_header_bits(self._capture)) if has_luma else None
+        has_header = has_luma and self.codec in ("H.264", "H.265")
+        bt_709 = _BT_709.search(_header_bits(self._capture)) if has_header else None
         is_plane = has_luma and not colour and bt_709 is None
         if is_plane:
             self._capture.set(cv2.CAP_PROP_CONVERT_RGB, 0)
