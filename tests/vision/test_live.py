@@ -39,7 +39,7 @@ class Camera:
     is_open = True
     size = (192, 144)
     is_jpeg = False
-    is_mostly_damaged = False
+    is_often_damaged = False
     fps = FPS
     seconds = 0.0
     fault = ""
@@ -352,11 +352,11 @@ def test_what_was_not_decoded_is_neither_frozen_nor_without_contrast(
         observed.add(k / FPS, None)
     assert observed.remarks == []
 
-    camera.is_mostly_damaged = True
+    camera.is_often_damaged = True
     observed.judge()
     assert observed.remarks == [
-        "most frames are damaged, as when packets are lost: use TCP, or set the camera to shorter "
-        "keyframe distances"
+        "frames are damaged again and again, as when packets are lost: use TCP, or set the camera "
+        "to shorter keyframe distances"
     ]
 
 

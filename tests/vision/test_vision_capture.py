@@ -128,15 +128,18 @@ def test_a_file_at_its_own_pace_has_the_same_events(
 
 @pytest.mark.skipif(shutil.which("ffmpeg") is None, reason="no ffmpeg")
 @pytest.mark.parametrize(
-    ("encoder", "pixels", "plane"),
+    ("encoder", "pixels", "plane", "levels"),
     [
-        ("libx264", "yuv420p", True),
-        ("ffv1", "bgr0", False),
+        ("libx264", "yuv420p", True, (16, 235)),
+        ("libx264 -colorspace bt709 -color_primaries bt709", "yuv420p", False, (16, 235)),
+        ("libx264 -colorspace bt709 -color_range pc", "yuvj420p", False, (0, 255)),
+        ("ffv1", "bgr0", False, (0, 255)),
     ],
 )
-def test_the_decoder_s_plane_is_taken_where_there_is_one(
-    film: Path, tmp_path: Path, encoder: str, pixels: str, plane: bool
+def test_the_decoder_s_plane_is_taken_where_it_is_copied(
+    film: Path, tmp_path: Path, encoder: str, pixels: str, plane: bool, levels: tuple[int, int]
 ) -> None:
+    """OpenCV converts luma of BT.709, by way of colours; its levels stay those of the video."""
     path = tmp_path / "film.mkv"
     command = f"ffmpeg -nostdin -loglevel error -i {film} -t 1 -c:v {encoder}".split()
     subprocess.run([*command, "-pix_fmt", pixels, "-q:v", "2", str(path)], check=True)
@@ -152,10 +155,10 @@ def test_the_decoder_s_plane_is_taken_where_there_is_one(
         luma, (_, picture) = capture.retrieve(), twin.read()
         assert luma is not None
         assert luma.shape == (HEIGHT, WIDTH)
-        assert (
-            np.corrcoef(luma.ravel(), cv2.cvtColor(picture, cv2.COLOR_BGR2GRAY).ravel())[0, 1]
-            > 0.99
-        )
+        grey = cv2.cvtColor(picture, cv2.COLOR_BGR2GRAY)
+        assert np.corrcoef(luma.ravel(), grey.ravel())[0, 1] > 0.99
+        wanted = np.interp(grey, (0, 255), levels)
+        assert abs(luma.mean() - wanted.mean()) < 1.5
         seen.append(luma)
     assert not np.shares_memory(seen[0], seen[1])
     capture.release()

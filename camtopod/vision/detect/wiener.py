@@ -19,6 +19,10 @@ NOISE_TO_FILTER = 2.5
 """Noise (one sigma, grey levels) below which filtering costs more detail than it removes noise."""
 _TRIM = 0.75
 """Share of the pixels, the least changed, that the noise is measured by."""
+_CHANGE = NormalDist(0.0, sqrt(2.0))
+"""Change of a pixel between two frames, in units of one sigma of the noise."""
+_TRIMMED_MEAN = 4 * (_CHANGE.pdf(0) - _CHANGE.pdf(_CHANGE.inv_cdf((1 + _TRIM) / 2))) / _TRIM
+"""Mean size of the least changes, in the same units."""
 
 
 def wiener(image: npt.NDArray[Any], size: int, noise: float) -> npt.NDArray[np.floating[Any]]:
@@ -54,11 +58,11 @@ def temporal_noise(
 
     watched_mask (H, W): pixels that are 0 do not count.
     """
-    change = cv2.absdiff(*(np.ascontiguousarray(image[::4, ::4]) for image in (frame, previous)))
-    change = change[watched_mask[::4, ::4] != 0]
-    sample_count = max(1, int(change.size * _TRIM))
-    at_most = np.cumsum(np.bincount(change.ravel()))  # pixels that changed by at most 0, 1, ...
-    total = int(np.maximum(sample_count - at_most, 0).sum())
-    normal = NormalDist(0.0, sqrt(2.0))
-    trimmed_mean = 2 * (normal.pdf(0) - normal.pdf(normal.inv_cdf((1 + _TRIM) / 2))) * 2 / _TRIM
-    return total / sample_count / trimmed_mean
+    now, before, mask = (
+        np.ascontiguousarray(image[::4, ::4]) for image in (frame, previous, watched_mask)
+    )
+    counts = cv2.calcHist([cv2.absdiff(now, before)], [0], mask, [256], [0, 256])
+    at_most = np.cumsum(counts)  # pixels that changed by at most 0, 1, ...
+    sample_count = max(1, int(_TRIM * int(at_most[-1])))
+    total = float(np.maximum(sample_count - at_most, 0).sum())
+    return total / sample_count / _TRIMMED_MEAN

@@ -10,12 +10,15 @@ Properties of OpenCV's FFmpeg backend that this code respects:
 - To reduce the frame rate, skip `retrieve`, never `grab`, or the stream falls behind.
 - The luma plane must be requested before the first `retrieve`, which fixes the conversion.
 - `retrieve` calls a frame good that FFmpeg could not convert, and returns an older one, or none.
+- Luma of BT.709 is not copied: it is converted to that of BT.601, by way of colours, in three times
+  the time that the colours alone take.
 """
 
 from __future__ import annotations
 
 import math
 import os
+import re
 from typing import Any, Literal, NamedTuple
 
 import cv2
@@ -51,6 +54,11 @@ _DECODER_OPTION = "video_codec"
 """FFmpeg option that names a decoder."""
 LUMA_FORMATS = frozenset({"I420", "YV12", "Y42B", "444P", "NV12", "NV21", "Y800"})
 """FFmpeg's names of pixel formats that begin with a plane of 8-bit luma."""
+_BT_709 = re.compile("1...(?P<full_range>.)10000....000.....00000001")
+"""Bits by which headers of H.264 and H.265 say that the luma is that of BT.709.
+
+A description of the signal: kind, range, colours: primaries, transfer, matrix.
+"""
 PATIENT_OPTIONS = "probesize;1000000000|analyzeduration;1000000000"
 """FFmpeg options of a file whose frames have no known size: its video begins late."""
 CALL_SECONDS_MAX = 4.0
@@ -66,16 +74,10 @@ IMAGE_WIDTH_MAX = 1920
 """Largest width (pixels) of an image in colour, which a detector examines."""
 _VIDEO_RANGE = (16 + np.arange(256) * 219 / 255).round().astype(np.uint8)
 """Luma as video has it, 16 to 235, by the grey level of the image in colour."""
-DAMAGED_FRAMES_MAX = 250
-"""Frames after a fault that are damaged if none is coded by itself, which is seldom so late."""
-DAMAGED_SHARE_MAX = 0.5
-"""Share of frames that follow from a damaged one above which those are analysed all the same."""
-SHARE_FRAMES = 100.0
-"""Number of frames over which that share is counted, about."""
-SHARE_FAULTS = 3.0
-"""Number of faults among them at least: a fault alone is waited for the end of."""
-REORDERED_FRAMES = 3
-"""Frames by which a frame may come later than the message about it, as B frames do."""
+FAULTS_FRAMES = 100.0
+"""Number of frames over which the share of those with a fault is counted, about."""
+FAULTS_SHARE_MAX = 0.03
+"""Share of frames with a fault above which packets are lost again and again."""
 _CODECS = {
     "avc1": "H.264",
     "h264": "H.264",
@@ -157,31 +159,37 @@ class Capture:
         if kind == "file" and self.is_open and self.size == (0, 0):
             options = options or PATIENT_OPTIONS
             self._capture = _opened(source, patient, options)
-        self._ffmpeg_log = ffmpeg_log
-        self._ffmpeg_log.newest_fault()  # forgets those of opening, which looks far ahead
-        self.fault = ""
-        """Why the latest frame that could not be decoded was none; "" if that is not known."""
-        self._after_fault = DAMAGED_FRAMES_MAX
-        """Number of frames since the latest fault or, if they are sound, `DAMAGED_FRAMES_MAX`."""
-        self._damaged_share = 0.0
-        """Share of the latest frames that are damaged, or follow from such a one."""
-        self._fault_share = 0.0
-        """Share of the latest frames that have a fault of their own."""
-        self._is_joined = kind != "stream"
-        """True from the first frame on; a stream begins with messages about what came before."""
 
-        # Request the luma plane if the pixel format has one.
+        # Request the luma plane if the pixel format has one that is copied as it is.
         self._width_max = settings.working_width
         self._image: Luma | None = None
         """Buffer of the latest frame; allocating a new one costs more than filling it."""
-        self._has_luma = (
+        has_luma = (
             kind != "device"
             and not any(option in options for option in (_DEVICES_OPTION, _DECODER_OPTION))
             and _four_characters(self._capture, cv2.CAP_PROP_CODEC_PIXEL_FORMAT) in LUMA_FORMATS
         )
         self._colour = colour
-        if self._has_luma and not colour:
+        has_header = has_luma and self.codec in ("H.264", "H.265")
+        bt_709 = _BT_709.search(_header_bits(self._capture)) if has_header else None
+        is_plane = has_luma and not colour and bt_709 is None
+        if is_plane:
             self._capture.set(cv2.CAP_PROP_CONVERT_RGB, 0)
+        is_full_range = bt_709 is not None and bt_709["full_range"] == "1"
+        self._is_stretched = has_luma and not is_plane and not is_full_range
+        """True if frames have a larger range of grey levels than the video's luma."""
+
+        # Begin without faults.
+        self._ffmpeg_log = ffmpeg_log
+        self._ffmpeg_log.newest_fault()  # forgets those of opening, which looks far ahead
+        self.fault = ""
+        """Why the latest frame that could not be decoded was none; "" if that is not known."""
+        self._has_fault = False
+        """True if the grabbed frame is damaged, or FFmpeg has told of damage since the last one."""
+        self._fault_share = 0.0
+        """Share of such frames among the latest."""
+        self._is_joined = kind != "stream"
+        """True from the first frame on; a stream begins with messages about what came before."""
 
     @property
     def is_open(self) -> bool:
@@ -214,9 +222,16 @@ class Capture:
 
     @property
     def seconds(self) -> float:
-        """Duration that a file or recording declares; 0.0 if unknown."""
-        frames = self._capture.get(cv2.CAP_PROP_FRAME_COUNT)
-        seconds = frames / self.fps if self.fps else 0.0
+        """Duration that a file or recording declares; 0.0 if unknown.
+
+        Matroska files count it from the stamp 0 on: ask while the first frame is grabbed.
+        """
+        if not self.fps:
+            return 0.0
+        stamp = self._capture.get(cv2.CAP_PROP_PTS) / self.fps
+        first_stamp = stamp - self._capture.get(cv2.CAP_PROP_POS_MSEC) / 1000.0
+        seconds = float(self._capture.get(cv2.CAP_PROP_FRAME_COUNT)) / self.fps
+        seconds -= first_stamp if 0.0 < first_stamp < seconds else 0.0
         return seconds if 0.0 <= seconds < DURATION_MAX else 0.0
 
     def grab(self) -> float | None:
@@ -226,36 +241,28 @@ class Capture:
         frame's presentation time in seconds, 0.0 if unknown.
         """
         good = self._capture.grab()
-        if fault := self._ffmpeg_log.newest_fault():
-            self.fault = fault
-            if self._is_joined:
-                self._after_fault = 0
+        fault = self._ffmpeg_log.newest_fault()
+        self.fault = fault or self.fault
+        self._has_fault = self._is_joined and bool(fault)
         if not good:
             return None
         self._is_joined = True
-        self._after_fault += 1
-        late = self._after_fault > REORDERED_FRAMES
-        if late and self._capture.get(cv2.CAP_PROP_FRAME_TYPE) == ord("I"):
-            self._after_fault = DAMAGED_FRAMES_MAX
-        is_damaged = self._after_fault < DAMAGED_FRAMES_MAX
-        self._damaged_share += (is_damaged - self._damaged_share) / SHARE_FRAMES
-        self._fault_share += ((self._after_fault == 1) - self._fault_share) / SHARE_FRAMES
+        self._fault_share += (self._has_fault - self._fault_share) / FAULTS_FRAMES
         return float(self._capture.get(cv2.CAP_PROP_POS_MSEC)) / 1000.0
 
     @property
-    def is_mostly_damaged(self) -> bool:
-        """True if packets are lost so often that hardly any frame is whole."""
-        is_frequent = self._fault_share * SHARE_FRAMES >= SHARE_FAULTS
-        return is_frequent and self._damaged_share > DAMAGED_SHARE_MAX
+    def is_often_damaged(self) -> bool:
+        """True if frames are damaged again and again, as when packets are lost."""
+        return self._fault_share > FAULTS_SHARE_MAX
 
     def retrieve(self) -> Luma | None:
         """Return the grabbed frame's luma (H, W) at working size.
 
-        None if it is damaged, or could not be decoded or converted; `fault` has the reason. What
-        follows from a damaged frame is as damaged, unless there is hardly anything else.
+        None if it is damaged, or could not be decoded or converted; `fault` has the reason. Frames
+        that follow from a damaged one are good enough: most of their pixels are right, and it may
+        be long until the next keyframe.
         """
-        damaged_frames = 1 if self.is_mostly_damaged else DAMAGED_FRAMES_MAX - 1
-        if self._after_fault <= damaged_frames:
+        if self._has_fault:
             return None
         good, image = self._capture.retrieve(self._image)
         fault = self._ffmpeg_log.newest_fault()
@@ -264,7 +271,7 @@ class Capture:
             return None
         self._image = image
         luma = shrunk(_grey(image), self._width_max)
-        return cv2.LUT(luma, _VIDEO_RANGE) if self._has_luma and self._colour else luma
+        return cv2.LUT(luma, _VIDEO_RANGE) if self._is_stretched else luma
 
     def frame(self) -> Frame | None:
         """Return the grabbed frame with time 0.0, in colour as well if that was asked for.
@@ -339,6 +346,14 @@ def _opened(source: str, patient: bool, options: str) -> cv2.VideoCapture:
 def _four_characters(capture: cv2.VideoCapture, of: int) -> str:
     code = int(capture.get(of))
     return code.to_bytes(4, "little").decode("latin-1") if 0 <= code < 1 << 32 else ""
+
+
+def _header_bits(capture: cv2.VideoCapture) -> str:
+    """Return the bits of the headers that a source has outside of its frames; "" if none."""
+    data: Luma | None = None
+    _, data = capture.retrieve(data, int(capture.get(cv2.CAP_PROP_CODEC_EXTRADATA_INDEX)))
+    header = b"" if data is None else data.tobytes().replace(b"\0\0\3", b"\0\0")
+    return "".join(f"{byte:08b}" for byte in header)
 
 
 def _grey(image: Luma) -> Luma:

@@ -44,7 +44,7 @@ _PHRASES = {
     b"Immediate exit requested": "the host does not answer",
     b"End of file": "the host closes the connection: is it a camera's port?",
     b"Connection reset": "the host closes the connection: is it a camera's port?",
-    b"moov atom not found": "its recording was never finished, and its index is missing",
+    b"moov atom not found": "its recording was not finished, and its index is missing",
 }
 """Reason by phrase in FFmpeg's log."""
 UNREACHED = frozenset(

@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+import fcntl
 import re
+import signal
 import time
 from collections.abc import Iterator
+from contextlib import suppress
 from pathlib import Path
 
 from camtopod.vision.settings import VisionSettings
@@ -54,11 +57,13 @@ class RecordedSource(Source):
         self._capture = Capture(path, settings, colour, ffmpeg_log)
         if not self._capture.is_open:
             self.close()
-            reason = ffmpeg_log.newest_reason()
+            reason = "; ".join(filter(None, (ffmpeg_log.newest_reason(), _unfinished(path))))
             raise SourceError(
                 f"{path}: not a video this program can decode{reason and ': '}{reason}"
             )
         self._times = FileTimes(self._capture.fps)
+        self._declared_seconds = 0.0
+        """Duration that the file declares, 0.0 if unknown."""
         self.observation = Observed(self._capture, settings)
         self.reason = "not read yet"
         self.connections = 1
@@ -83,6 +88,8 @@ class RecordedSource(Source):
             self.frames_dropped += failures
             failures = 0
             self.frames_grabbed += 1
+            if self.frames_grabbed == 1:
+                self._declared_seconds = self._capture.seconds
 
             # Decode it if it is to be analysed, and yield it when its position is known.
             positions = self._times.place(stamp)
@@ -122,7 +129,7 @@ class RecordedSource(Source):
         read_seconds = self._times.latest + self._times.interval
         if not self.observation.fps:
             self.observation.judge()
-        end = max(read_seconds, self._capture.seconds)
+        end = max(read_seconds, self._declared_seconds)
         faults = "; ".join(
             filter(
                 None,
@@ -139,6 +146,7 @@ class RecordedSource(Source):
                     f"{self.untrusted_stamps} time stamps not believed"
                     if self.untrusted_stamps
                     else "",
+                    _unfinished(self._path),
                 ],
             )
         )
@@ -167,7 +175,23 @@ def _no_file(source: str) -> str:
     if not path.exists() and re.search(r"%\d*d|[*?]", path.name):
         return f"a picture sequence cannot be read: {advice}"
     with path.open("rb") as file:
-        return "" if file.read(1) else "the file is empty"
+        if file.read(1):
+            return ""
+    return "; ".join(filter(None, ("the file is empty", _unfinished(source))))
+
+
+def _unfinished(source: str) -> str:
+    """Return a remark on a file that a program has open for writing: Linux then refuses a lease.
+
+    "" if there is none, or it is not known, as of another user's file or one on a network.
+    """
+    with suppress(OSError), open(file_path(source), "rb") as file:
+        fcntl.fcntl(file, fcntl.F_SETSIG, signal.SIGURG)  # a lease that is broken harms nothing
+        try:
+            fcntl.fcntl(file, fcntl.F_SETLEASE, fcntl.F_RDLCK)
+        except BlockingIOError:
+            return "it is still being written: read it when that has ended"
+    return ""
 
 
 def _until(due: float) -> Iterator[None]:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 
+import cv2
 import numpy as np
 
 from camtopod.vision.detect import Luma
@@ -97,8 +98,8 @@ class Observed:
         if luma is not None:
             if self._luma is not None:
                 self._has_compared = True
-                self._has_changed |= not np.array_equal(luma, self._luma)
-            self._contrast = max(self._contrast or 0.0, float(luma.std()))
+                self._has_changed = self._has_changed or not np.array_equal(luma, self._luma)
+            self._contrast = max(self._contrast or 0.0, float(cv2.meanStdDev(luma)[1][0, 0]))
             self._luma = luma
         if self.seconds >= OBSERVED_SECONDS:
             self.judge()
@@ -123,8 +124,8 @@ class Observed:
             f"the picture has not changed for {self.seconds:.0f} s: is the camera frozen?": (
                 self._has_compared and not self._has_changed and self.seconds >= OBSERVED_SECONDS
             ),
-            "most frames are damaged, as when packets are lost: use TCP, or set the camera to "
-            "shorter keyframe distances": (self._capture.is_mostly_damaged),
+            "frames are damaged again and again, as when packets are lost: use TCP, or set the "
+            "camera to shorter keyframe distances": (self._capture.is_often_damaged),
         }
         self.remarks = [remark for remark, holds in remarks.items() if holds]
         self._begin()
