@@ -44,6 +44,32 @@ def test_what_moves_by_its_own_length_in_each_frame_is_one_passage() -> None:
     assert [event.kind for event in tracked(frames)] == ["entry", "exit"]
 
 
+def test_a_bicycle_crosses_the_view_in_less_than_a_second() -> None:
+    """It moves by more than its height from frame to frame, and is seen five or six times."""
+    for seconds in (0.8, 1.2):
+        ways = [((-0.06, 0.75), (1.06, 0.75)), ((1.06, 0.85), (-0.06, 0.85))]
+        people = [
+            Person(line(4.0 + 4.3 * k, *way, seconds), tall=0.33, seed=k)
+            for k, way in enumerate(ways)
+        ]
+        events = Scene(people).events(15.0)
+        assert [(event.kind, round(event.x or 0.0)) for event in events] == [
+            ("entry", 0),
+            ("exit", 1),
+            ("entry", 1),
+            ("exit", 0),
+        ], seconds
+
+
+def test_what_is_seen_twice_or_turns_back_at_once_has_not_crossed_the_view() -> None:
+    def at(x: float) -> list[Box]:
+        return [(max(0.0, x - 30), 100.0, x, 180.0)]
+
+    assert tracked([at(80), at(155)]) == []
+    assert tracked([at(20), at(95), at(20)]) == []
+    assert len(tracked([at(80), at(155), at(230), at(305)])) == 2
+
+
 def test_who_enters_where_another_has_just_left_is_another() -> None:
     """Two passages of people who meet at the border."""
 

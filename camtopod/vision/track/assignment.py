@@ -22,6 +22,8 @@ LIKE_FACTOR = 2.0
 """Largest factor between the areas, or heights, of one object that no border cuts."""
 NEARER_SHARE = 0.7
 """Weight in the cost of an assignment of the one of head and foot that is nearer."""
+SPEED_MAX = 10.0
+"""Largest speed (heights per second) of an object that was seen once, so that its own is unknown."""
 _NEVER = 1e9
 """Cost of an assignment that is not allowed."""
 
@@ -86,11 +88,14 @@ def costs_by_area(
     costs = [_NEVER] * len(blobs)
     box = track.last.box
 
-    # One step at its speed, or what its outline may jump.
+    # One step at its speed, or the jump of its outline.
     head_x, head_y, foot_x, foot_y = track.kalman.velocity
+    speed = hypot(head_x + foot_x, head_y + foot_y) / 2
+    if track.sightings == 1:
+        speed = SPEED_MAX * track.height
     cut = crossings.touches(frame, box)
     reach = max(
-        dt * hypot(head_x + foot_x, head_y + foot_y) / 2,
+        dt * speed,
         box[2] - box[0],
         box_height(box) / (1 if cut else 2),
     )
