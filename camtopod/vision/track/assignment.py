@@ -23,7 +23,7 @@ LIKE_FACTOR = 2.0
 NEARER_SHARE = 0.7
 """Weight in the cost of an assignment of the one of head and foot that is nearer."""
 SPEED_MAX = 10.0
-"""Largest speed (heights per second) of an object that was seen once, so that its own is unknown."""
+"""Largest speed of an object that was seen but once, heights per second."""
 _NEVER = 1e9
 """Cost of an assignment that is not allowed."""
 
