@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 
 import numpy as np
+import pytest
 from rendered_scenes import FPS, Person, Place, Scene, line
 
 from camtopod.records import Event
@@ -155,6 +156,20 @@ def test_no_event_is_told_more_than_four_seconds_after_its_time() -> None:
             lateness += [known_t - event.t for event in pipeline.process(t, picture)]
     assert 0.0 < max(lateness) <= 4.0
     assert {"entered", "left", "entered late"} <= reasons
+
+
+@pytest.mark.parametrize(("pause", "tracks"), [(2.2, 1), (5.0, 2)])
+def test_who_is_in_view_before_a_short_pause_and_after_it_is_one(pause: float, tracks: int) -> None:
+    """The walk is straight on; what has entered .3 s before the pause is not known until later."""
+    for start in (5.0, 7.4):
+        scene = Scene([Person(line(start, (-0.05, 0.7), (1.05, 0.7), 9.0))])
+        pipeline, events = ViewPipeline("cam", VisionSettings()), []
+        for k in range(round(19 * FPS)):
+            if not 8.0 < k / FPS < 8.0 + pause:
+                events += pipeline.process(k / FPS, scene.picture(k / FPS))
+        if tracks == 1:
+            assert [event.kind for event in events] == ["entry", "exit"], start
+        assert len({event.track for event in events}) == (tracks if start == 5.0 else 1)
 
 
 def test_the_label_of_a_track_is_the_detectors_most_frequent() -> None:

@@ -30,7 +30,13 @@ from camtopod.vision.track.assignment import (
     costs_by_area,
     costs_by_points,
 )
-from camtopod.vision.track.crossings import PATIENCE_SECONDS, REACH_SECONDS, Crossings, Frame
+from camtopod.vision.track.crossings import (
+    LATENESS_SECONDS_MAX,
+    PATIENCE_SECONDS,
+    REACH_SECONDS,
+    Crossings,
+    Frame,
+)
 from camtopod.vision.track.decisions import Reason
 from camtopod.vision.track.kalman import MEASUREMENT, SIGMAS, Kalman
 from camtopod.vision.track.stature import Stature
@@ -75,12 +81,9 @@ class Tracker:
         t = frame.t
         dt = t - self._frame.t
 
-        # A pause in the frames ends all tracks; their exits were known before it.
-        events = []
-        if dt > PATIENCE_SECONDS:
-            events = self.finish("interrupted")
-        self._frame = frame
-        if self._start is None:
+        before, self._frame = self._frame, frame
+        is_paused = dt > PATIENCE_SECONDS
+        if self._start is None or is_paused:
             self._start = t
 
         # Predict.
@@ -88,8 +91,14 @@ class Tracker:
             track.kalman.predict(dt, track.size)
             track.frames += 1
 
-        # Assign blobs: by head and foot, by area. They occlude others, or start tracks.
-        free = self._assign(t, blobs, self._waiting(t), self._costs)
+        # Assign blobs: by head and foot, by area. They occlude others, or start tracks. What a
+        # pause interrupts goes on if it is where it can be by then.
+        patience = dt if is_paused and dt <= LATENESS_SECONDS_MAX else PATIENCE_SECONDS
+        free = self._assign(t, blobs, self._waiting(t, patience), self._costs)
+
+        # A pause in the frames ends the other tracks; their exits were known before it.
+        unseen = [track for track in self.active if is_paused and track.last.t < t]
+        events = self._end(unseen, before, "interrupted")
         recent = self._waiting(t, REACH_SECONDS)
         by_area = partial(costs_by_area, dt=dt, crossings=self.crossings)
         free = self._assign(t, free, recent, by_area)
@@ -109,7 +118,7 @@ class Tracker:
 
     # -- sightings ------------------------------
 
-    def _waiting(self, t: float, patience: float = PATIENCE_SECONDS) -> list[Track]:
+    def _waiting(self, t: float, patience: float) -> list[Track]:
         """Return the tracks without a sighting at ``t``, of those seen within the patience.
 
         An object whose middle is expected beyond the border has left: what is seen there comes in.
@@ -259,12 +268,19 @@ class Tracker:
         reason: what is recorded of the others.
         """
         self._start = None
+        return self._end(self.active, self._frame, reason)
+
+    def _end(self, tracks: Sequence[Track], frame: Frame, reason: Reason) -> list[Event]:
+        """End tracks as of ``frame``; return the exits of objects out of sight at an edge.
+
+        reason: what is recorded of the others.
+        """
         events = []
-        for track in self.active:
-            is_recent = self._frame.t - track.last.t <= CONFIRM_SECONDS
-            if track.confirmed and (is_recent or not self.crossings.at_edge(self._frame, track)):
+        for track in tracks:
+            is_recent = frame.t - track.last.t <= CONFIRM_SECONDS
+            if track.confirmed and (is_recent or not self.crossings.at_edge(frame, track)):
                 self.crossings.note(reason, track, track.last)
             else:
-                events += self.crossings.exit_of(self._frame, track)
-        self.active = []
+                events += self.crossings.exit_of(frame, track)
+        self.active = [track for track in self.active if track not in tracks]
         return events
