@@ -71,6 +71,15 @@ def test_what_is_seen_twice_or_turns_back_at_once_has_not_crossed_the_view() -> 
     assert len(tracked([at(80), at(155), at(230), at(305)])) == 2
 
 
+def test_a_fragment_that_flies_off_beside_a_walker_is_nobody() -> None:
+    def at(k: int) -> list[Box]:
+        walker = (6.0 * k, 100.0, 6.0 * k + 30, 180.0)
+        x = 320.0 - 75 * (k - 45)
+        return [walker, (x - 30, 100.0, x, 180.0)] if 45 <= k < 49 else [walker]
+
+    assert [event.kind for event in tracked([at(k) for k in range(52)])] == ["entry", "exit"]
+
+
 def test_who_enters_where_another_has_just_left_is_another() -> None:
     """Two passages of people who meet at the border."""
 
