@@ -24,7 +24,6 @@ from camtopod.vision.detect import Blob
 from camtopod.vision.settings import VisionSettings
 from camtopod.vision.track.assignment import (
     GATE_HEIGHTS,
-    PIECE_HEIGHT_MIN,
     Costs,
     best_pairs,
     costs_by_area,
@@ -51,6 +50,8 @@ CONFIRM_SIGHTINGS_SHARE = 0.6
 """Least share of the frames in which a track is seen for it to be confirmed."""
 CONFIRM_HEIGHTS = 0.25
 """Distance (heights) that head or foot must move for a track to be confirmed."""
+PIECE_HEIGHT_MIN = 0.4
+"""Least height of a blob that no border cuts, as a share of a person's."""
 TALL_SIGHTINGS_MIN = 3
 """Sightings of the least height (setting `min_height`) that make an object.
 
@@ -141,7 +142,7 @@ class Tracker:
     def _costs(self, frame: Frame, track: Track, blobs: Sequence[Blob]) -> list[float]:
         """Return for each blob the distance of head and foot, at the height expected there."""
         expected = self.stature.height(track.kalman.position[3]) or 0.0
-        return costs_by_points(frame, track, blobs, expected, self.crossings)
+        return costs_by_points(track, blobs, expected)
 
     def _update_single(self, t: float, track: Track, blob: Blob) -> None:
         """Update a track by the blob assigned to it."""
