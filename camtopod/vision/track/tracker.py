@@ -1,7 +1,7 @@
 """Tracker: follow the objects of one view from frame to frame.
 
 A track is *tentative* until it has been followed for half a second and its head or foot has moved;
-then it is *confirmed*. In each frame, blobs are assigned one to one (Kalman prediction, Hungarian
+then it is *confirmed*; only what goes straight from edge to edge may be faster. In each frame, blobs are assigned one to one (Kalman prediction, Hungarian
 method, gate in heights of the person); a second pass assigns the remaining ones by area and
 distance of the middles (`assignment`).
 
