@@ -1,9 +1,9 @@
 """Tracker: follow the objects of one view from frame to frame.
 
 A track is *tentative* until it has been followed for half a second and its head or foot has moved;
-then it is *confirmed*; only what goes straight from edge to edge may be faster. In each frame, blobs are assigned one to one (Kalman prediction, Hungarian
-method, gate in heights of the person); a second pass assigns the remaining ones by area and
-distance of the middles (`assignment`).
+then it is *confirmed*. Only what goes straight from edge to edge may be faster. In each frame,
+blobs are assigned one to one (Kalman prediction, Hungarian method, gate in heights of the person);
+a second pass assigns the remaining ones by area and distance of the middles (`assignment`).
 
 A confirmed track that is not detected for longer than the patience has *ended*: it has left if it
 was at an edge of the view, and is *lost* in mid-view. What appears there later is another track,
