@@ -105,8 +105,9 @@ class Tracker:
         free = self._assign(t, free, recent, by_area)
         for track in self.active:
             near = GATE_HEIGHTS * track.height
-            track.is_occluded = (track.confirmed and track.last.t < t) and (
-                track.is_occluded or any(gap(blob.box, track.last.box) < near for blob in blobs)
+            is_missing = track.confirmed and track.last.t < t
+            track.is_occluded = is_missing and any(
+                gap(blob.box, track.last.box) < near for blob in blobs
             )
         for blob in free:
             if blob.begins:
