@@ -127,6 +127,18 @@ def test_who_is_there_from_the_start_has_an_exit_only_and_leaves_no_ghost() -> N
     assert passages(events) == [("exit", "right"), ("entry", "left"), ("exit", "right")]
 
 
+def test_the_hole_of_who_stood_there_from_the_start_is_followed_no_longer() -> None:
+    """It begins as a part of who goes, so that it moves at first, as an object does."""
+    goes = line(12.0, (0.5, 0.75), (1.06, 0.75), 4.0)
+    walker = Person(lambda t: (0.5, 0.75) if t < 12.0 else goes(t), tall=0.33)
+    pipeline, scene, counts = ViewPipeline("cam", VisionSettings()), Scene([walker]), []
+    for k in range(round(40 * FPS)):
+        pipeline.process(k / FPS, scene.picture(k / FPS))
+        counts.append(pipeline.statistics()["tracks_active"])
+    assert max(counts) == 2
+    assert counts[-1] == 0
+
+
 def test_a_door_in_mid_view_is_admitted_once_it_was_used_again_and_again() -> None:
     def through_door(start: float) -> Person:
         return Person(line(start, (0.5, 0.55), (-0.05, 0.75), 6.0), seed=round(start))

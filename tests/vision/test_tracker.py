@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 
 import numpy as np
+import pytest
 from rendered_scenes import FPS, Person, Place, Scene, line
 
 from camtopod.records import Event
@@ -42,6 +43,41 @@ def test_what_moves_by_its_own_length_in_each_frame_is_one_passage() -> None:
         [(max(0, x - 50), 100, min(WIDTH, x), 125)] for x in range(20, WIDTH + 50, 50)
     ]
     assert [event.kind for event in tracked(frames)] == ["entry", "exit"]
+
+
+def test_a_bicycle_crosses_the_view_in_less_than_a_second() -> None:
+    """It moves by more than its height from frame to frame, and is seen five or six times."""
+    for seconds in (0.8, 1.2):
+        ways = [((-0.06, 0.75), (1.06, 0.75)), ((1.06, 0.85), (-0.06, 0.85))]
+        people = [
+            Person(line(4.0 + 4.3 * k, *way, seconds), tall=0.33, seed=k)
+            for k, way in enumerate(ways)
+        ]
+        events = Scene(people).events(15.0)
+        assert [(event.kind, round(event.x or 0.0)) for event in events] == [
+            ("entry", 0),
+            ("exit", 1),
+            ("entry", 1),
+            ("exit", 0),
+        ], seconds
+
+
+def test_what_is_seen_twice_or_turns_back_at_once_has_not_crossed_the_view() -> None:
+    def at(x: float) -> list[Box]:
+        return [(max(0.0, x - 30), 100.0, x, 180.0)]
+
+    assert tracked([at(80), at(155)]) == []
+    assert tracked([at(20), at(95), at(20)]) == []
+    assert len(tracked([at(80), at(155), at(230), at(305)])) == 2
+
+
+def test_a_fragment_that_flies_off_beside_a_walker_is_nobody() -> None:
+    def at(k: int) -> list[Box]:
+        walker = (6.0 * k, 100.0, 6.0 * k + 30, 180.0)
+        x = 320.0 - 75 * (k - 45)
+        return [walker, (x - 30, 100.0, x, 180.0)] if 45 <= k < 49 else [walker]
+
+    assert [event.kind for event in tracked([at(k) for k in range(52)])] == ["entry", "exit"]
 
 
 def test_who_enters_where_another_has_just_left_is_another() -> None:
@@ -129,6 +165,20 @@ def test_no_event_is_told_more_than_four_seconds_after_its_time() -> None:
             lateness += [known_t - event.t for event in pipeline.process(t, picture)]
     assert 0.0 < max(lateness) <= 4.0
     assert {"entered", "left", "entered late"} <= reasons
+
+
+@pytest.mark.parametrize(("pause", "tracks"), [(2.2, 1), (5.0, 2)])
+def test_who_is_in_view_before_a_short_pause_and_after_it_is_one(pause: float, tracks: int) -> None:
+    """The walk is straight on; what has entered .3 s before the pause is not known until later."""
+    for start in (5.0, 7.4):
+        scene = Scene([Person(line(start, (-0.05, 0.7), (1.05, 0.7), 9.0))])
+        pipeline, events = ViewPipeline("cam", VisionSettings()), []
+        for k in range(round(19 * FPS)):
+            if not 8.0 < k / FPS < 8.0 + pause:
+                events += pipeline.process(k / FPS, scene.picture(k / FPS))
+        if tracks == 1:
+            assert [event.kind for event in events] == ["entry", "exit"], start
+        assert len({event.track for event in events}) == (tracks if start == 5.0 else 1)
 
 
 def test_the_label_of_a_track_is_the_detectors_most_frequent() -> None:

@@ -16,12 +16,12 @@ from camtopod.vision.track.track import Track
 
 GATE_HEIGHTS = 0.35
 """Gate: largest distance (heights, plus two sigma) of head or foot from the expected position."""
-PIECE_HEIGHT_MIN = 0.4
-"""Least height of a blob that no border cuts, as a share of a person's."""
 LIKE_FACTOR = 2.0
 """Largest factor between the areas, or heights, of one object that no border cuts."""
 NEARER_SHARE = 0.7
 """Weight in the cost of an assignment of the one of head and foot that is nearer."""
+SPEED_MAX = 10.0
+"""Largest speed of an object that was seen but once, heights per second."""
 _NEVER = 1e9
 """Cost of an assignment that is not allowed."""
 
@@ -47,13 +47,7 @@ def best_pairs(
     return [(tracks[i], blobs[j]) for i, j in best if cost[i, j] < _NEVER]
 
 
-def costs_by_points(
-    frame: FrameView,
-    track: Track,
-    blobs: Sequence[Blob],
-    expected_height: float,
-    crossings: Crossings,
-) -> list[float]:
+def costs_by_points(track: Track, blobs: Sequence[Blob], expected_height: float) -> list[float]:
     """Return for each blob the distance of head and foot in gates.
 
     Tentative tracks have a higher cost, so that they yield to confirmed ones.
@@ -61,14 +55,13 @@ def costs_by_points(
     """
     head_x, head_y, foot_x, foot_y = track.kalman.position
     gate = GATE_HEIGHTS * max(track.size, expected_height) + SIGMAS * track.kalman.uncertainty
-    height_min = PIECE_HEIGHT_MIN * track.height if track.confirmed else 0.0
 
     costs = [_NEVER] * len(blobs)
     for j, blob in enumerate(blobs):
         head = hypot((blob.left + blob.right) / 2 - head_x, blob.top - head_y)
         foot = hypot(blob.foot_x - foot_x, blob.bottom - foot_y)
         near = min(head, foot)
-        if near <= gate and (blob.height >= height_min or crossings.touches(frame, blob.box)):
+        if near <= gate:
             distance = NEARER_SHARE * near + (1 - NEARER_SHARE) * max(head, foot)
             costs[j] = distance / gate + (not track.confirmed) / 2
     return costs
@@ -86,11 +79,14 @@ def costs_by_area(
     costs = [_NEVER] * len(blobs)
     box = track.last.box
 
-    # One step at its speed, or what its outline may jump.
+    # One step at its speed, or the jump of its outline.
     head_x, head_y, foot_x, foot_y = track.kalman.velocity
+    speed = hypot(head_x + foot_x, head_y + foot_y) / 2
+    if track.sightings == 1:
+        speed = SPEED_MAX * track.height
     cut = crossings.touches(frame, box)
     reach = max(
-        dt * hypot(head_x + foot_x, head_y + foot_y) / 2,
+        dt * speed,
         box[2] - box[0],
         box_height(box) / (1 if cut else 2),
     )

@@ -38,6 +38,8 @@ A sighting is moved to the crossing of the border if it takes no longer.
 """
 LATENESS_SECONDS_MAX = 4.0
 """Longest time after an event at which it is told; the daemon does not learn from later ones."""
+CROSSING_SIGHTINGS_MIN = 3
+"""Least number of sightings, of which two tell the speed, of what crosses the view very fast."""
 CUT_SHARE_MAX = 0.75
 """Largest share of its height that is left of an object that the top border cuts as it crosses."""
 WALKED_HEIGHTS_MIN = 1.5
@@ -233,8 +235,30 @@ class Crossings:
         self.note("in mid-view" if track.began_in_view else "beside others", track, track.first)
         return []
 
+    def _has_crossed(self, frame: FrameView, track: Track, edge: Edge | None) -> bool:
+        """Return True if a brief track that ends at ``edge`` has come straight from another one.
+
+        Beside others it is more likely a fragment of them.
+        """
+        return (
+            edge is not None
+            and not track.beside_others
+            and track.unmet_condition is not None
+            and track.unmet_condition[0] == "brief"
+            and track.sightings >= CROSSING_SIGHTINGS_MIN
+            and _has_walked(track)
+            and self._edge(frame, track, track.first, -1.0) not in (None, edge)
+        )
+
     def exit_of(self, frame: FrameView, track: Track) -> list[Event]:
-        """Return the exit of an object whose track ends, if it has left."""
+        """Return the exit of an object whose track ends, if it has left.
+
+        What has crossed the view too fast for a confirmation has its entry as well.
+        """
+        edge = self.at_edge(frame, track)
+        if self._has_crossed(frame, track, edge):
+            entries = self._entry(frame, track)
+            return [*entries, *self._told(frame, "exit", track, track.last, edge)]
         if track.unmet_condition is not None:
             self.note(track.unmet_condition[0], track, track.last, None, *track.unmet_condition[1:])
             return []
@@ -243,7 +267,6 @@ class Crossings:
         ends = {self.doors.cell(*track.first.foot), self.doors.cell(*track.last.foot)}
         self.doors.record_walk(track.cells - ends)
 
-        edge = self.at_edge(frame, track)
         if edge == "learned door" and not _has_walked(track):
             edge = None
         if edge is None and frame.trusted and not track.is_occluded:

@@ -1,9 +1,9 @@
 """Tracker: follow the objects of one view from frame to frame.
 
 A track is *tentative* until it has been followed for half a second and its head or foot has moved;
-then it is *confirmed*. In each frame, blobs are assigned one to one (Kalman prediction, Hungarian
-method, gate in heights of the person); a second pass assigns the remaining ones by area and
-distance of the middles (`assignment`).
+then it is *confirmed*. Only what goes straight from edge to edge may be faster. In each frame,
+blobs are assigned one to one (Kalman prediction, Hungarian method, gate in heights of the person);
+a second pass assigns the remaining ones by area and distance of the middles (`assignment`).
 
 A confirmed track that is not detected for longer than the patience has *ended*: it has left if it
 was at an edge of the view, and is *lost* in mid-view. What appears there later is another track,
@@ -24,13 +24,18 @@ from camtopod.vision.detect import Blob
 from camtopod.vision.settings import VisionSettings
 from camtopod.vision.track.assignment import (
     GATE_HEIGHTS,
-    PIECE_HEIGHT_MIN,
     Costs,
     best_pairs,
     costs_by_area,
     costs_by_points,
 )
-from camtopod.vision.track.crossings import PATIENCE_SECONDS, REACH_SECONDS, Crossings, FrameView
+from camtopod.vision.track.crossings import (
+    LATENESS_SECONDS_MAX,
+    PATIENCE_SECONDS,
+    REACH_SECONDS,
+    Crossings,
+    FrameView,
+)
 from camtopod.vision.track.decisions import Reason
 from camtopod.vision.track.kalman import MEASUREMENT, SIGMAS, Kalman
 from camtopod.vision.track.stature import Stature
@@ -45,6 +50,8 @@ CONFIRM_SIGHTINGS_SHARE = 0.6
 """Least share of the frames in which a track is seen for it to be confirmed."""
 CONFIRM_HEIGHTS = 0.25
 """Distance (heights) that head or foot must move for a track to be confirmed."""
+PIECE_HEIGHT_MIN = 0.4
+"""Least height of a blob that no border cuts, as a share of a person's."""
 TALL_SIGHTINGS_MIN = 3
 """Sightings of the least height (setting `min_height`) that make an object.
 
@@ -75,12 +82,9 @@ class Tracker:
         t = frame.t
         dt = t - self._frame.t
 
-        # A pause in the frames ends all tracks; their exits were known before it.
-        events = []
-        if dt > PATIENCE_SECONDS:
-            events = self.finish("interrupted")
-        self._frame = frame
-        if self._start is None:
+        before, self._frame = self._frame, frame
+        is_paused = dt > PATIENCE_SECONDS
+        if self._start is None or is_paused:
             self._start = t
 
         # Predict.
@@ -88,15 +92,22 @@ class Tracker:
             track.kalman.predict(dt, track.size)
             track.frames += 1
 
-        # Assign blobs: by head and foot, by area. They occlude others, or start tracks.
-        free = self._assign(t, blobs, self._waiting(t), self._costs)
+        # Assign blobs: by head and foot, by area. They occlude others, or start tracks. What a
+        # pause interrupts goes on if it is where it can be by then.
+        patience = dt if is_paused and dt <= LATENESS_SECONDS_MAX else PATIENCE_SECONDS
+        free = self._assign(t, blobs, self._waiting(t, patience), self._costs)
+
+        # A pause in the frames ends the other tracks; their exits were known before it.
+        unseen = [track for track in self.active if is_paused and track.last.t < t]
+        events = self._end(unseen, before, "interrupted")
         recent = self._waiting(t, REACH_SECONDS)
         by_area = partial(costs_by_area, dt=dt, crossings=self.crossings)
         free = self._assign(t, free, recent, by_area)
         for track in self.active:
             near = GATE_HEIGHTS * track.height
-            track.is_occluded = (track.confirmed and track.last.t < t) and (
-                track.is_occluded or any(gap(blob.box, track.last.box) < near for blob in blobs)
+            is_missing = track.confirmed and track.last.t < t
+            track.is_occluded = is_missing and any(
+                gap(blob.box, track.last.box) < near for blob in blobs
             )
         for blob in free:
             if blob.begins:
@@ -109,7 +120,7 @@ class Tracker:
 
     # -- sightings ------------------------------
 
-    def _waiting(self, t: float, patience: float = PATIENCE_SECONDS) -> list[Track]:
+    def _waiting(self, t: float, patience: float) -> list[Track]:
         """Return the tracks without a sighting at ``t``, of those seen within the patience.
 
         An object whose middle is expected beyond the border has left: what is seen there comes in.
@@ -132,7 +143,7 @@ class Tracker:
     def _costs(self, frame: FrameView, track: Track, blobs: Sequence[Blob]) -> list[float]:
         """Return for each blob the distance of head and foot, at the height expected there."""
         expected = self.stature.height(track.kalman.position[3]) or 0.0
-        return costs_by_points(frame, track, blobs, expected, self.crossings)
+        return costs_by_points(track, blobs, expected)
 
     def _update_single(self, t: float, track: Track, blob: Blob) -> None:
         """Update a track by the blob assigned to it."""
@@ -259,12 +270,19 @@ class Tracker:
         reason: what is recorded of the others.
         """
         self._start = None
+        return self._end(self.active, self._frame, reason)
+
+    def _end(self, tracks: Sequence[Track], frame: FrameView, reason: Reason) -> list[Event]:
+        """End tracks as of ``frame``; return the exits of objects out of sight at an edge.
+
+        reason: what is recorded of the others.
+        """
         events = []
-        for track in self.active:
-            is_recent = self._frame.t - track.last.t <= CONFIRM_SECONDS
-            if track.confirmed and (is_recent or not self.crossings.at_edge(self._frame, track)):
+        for track in tracks:
+            is_recent = frame.t - track.last.t <= CONFIRM_SECONDS
+            if track.confirmed and (is_recent or not self.crossings.at_edge(frame, track)):
                 self.crossings.note(reason, track, track.last)
             else:
-                events += self.crossings.exit_of(self._frame, track)
-        self.active = []
+                events += self.crossings.exit_of(frame, track)
+        self.active = [track for track in self.active if track not in tracks]
         return events
