@@ -26,7 +26,7 @@ _STEPS_MAX = 10
 """Steps to align a frame at each size at most; a single one is accurate to about a pixel."""
 _OUTLIER = 40
 """Difference (grey levels) above which a pixel shows an object rather than a shift of the scene."""
-_LINEAR_MAX = 0.1
+_LINEAR_MAX = 0.065
 """Largest deviation of a map's linear part from the identity; a camera that sways has less."""
 _SHIFT_MAX = 0.2
 """Largest shift of a map, in half widths of the image."""
@@ -53,8 +53,9 @@ def aligning(image: Luma, scene: Luma, settled_mask: Luma, first: Map) -> Map:
     settled_mask (H, W): 0 where the image does not show the scene.
     first: where to begin.
 
-    The identity is the result if no map near it is better by a tenth: a car or a crowd that fills
-    much of the image moves as a whole, too, but farther than a camera that sways.
+    The identity is the result if no map near it is better by a tenth, or if the way to the best one
+    leads away from it: a car or a crowd that fills much of the image moves as a whole, too, but
+    farther than a camera that sways.
     """
     first = first if _is_near(first) else IDENTITY
     for factor in _FACTORS:
@@ -66,9 +67,11 @@ def aligning(image: Luma, scene: Luma, settled_mask: Luma, first: Map) -> Map:
         equations = _least_squares(model, weight_mask, 6, 1)
         trial, least = first, float("inf")
         for _ in range(_STEPS_MAX):
+            if not _is_near(trial):
+                return IDENTITY
             aligned_image = warped(small, model, trial)
             residual = _residual(aligned_image, model, weight_mask)
-            if residual >= least or not _is_near(trial):
+            if residual >= least:
                 break
             first, least = trial, residual
             trial = trial @ _step(aligned_image, model, *equations, 1)
