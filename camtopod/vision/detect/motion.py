@@ -179,7 +179,8 @@ class MotionDetector:
             difference = cv2.max(above, cv2.subtract(cv2.erode(expected, _SQUARE), frame))
 
         # Moving pixels; an image that has changed for long ends this scene.
-        level, contrast = np.ravel(cv2.meanStdDev(expected, mask=self.watched_mask))
+        moments = cv2.meanStdDev(expected, mask=self.watched_mask)
+        level, contrast = (float(moment[0, 0]) for moment in moments)
         light = min((level + _DARK) / (_DIM + _DARK), 1.0)
         sensitivity = self._settings.sensitivity / light
         least = DIFFERENCE_MIN * max(1.0 / sensitivity, min(self.noise / NOISE_TO_FILTER, 1.0))
