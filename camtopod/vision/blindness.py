@@ -32,7 +32,10 @@ REASONS: dict[Cause, str] = {
         "the scene has too little contrast to show anything in front of it: is the lens covered, "
         "the picture too bright, or is there too little light?"
     ),
-    "turning": "the view changes again and again: is the camera one that turns? Let it stand still",
+    "turning": (
+        "the scene changes again and again, as when a camera turns or the shadows of clouds pass: "
+        "let the camera stand still"
+    ),
 }
 """Words for each cause."""
 
