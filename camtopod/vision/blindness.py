@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections import deque
+from math import inf
 from typing import Literal
 
 Cause = Literal["light", "contrast", "turning"]
@@ -33,7 +34,7 @@ REASONS: dict[Cause, str] = {
         "the picture too bright, or is there too little light?"
     ),
     "turning": (
-        "the scene changes again and again, as when a camera turns or the shadows of clouds pass: "
+        "the scene changes again and again, as when a camera turns or strong light comes and goes: "
         "let the camera stand still"
     ),
 }
@@ -45,7 +46,7 @@ class Blindness:
 
     def __init__(self) -> None:
         self._shares = dict.fromkeys(REASONS, 0.0)
-        self._turns: deque[float] = deque(maxlen=TURNS_MIN)
+        self._turns = deque([-inf] * TURNS_MIN, TURNS_MIN)
         self.reason = ""
         """Why nothing can be told; "" if the view is not blind."""
         self.seconds = 0.0
@@ -63,16 +64,11 @@ class Blindness:
         weight = min(dt / BLIND_SECONDS, 1.0)
         for name, share in self._shares.items():
             self._shares[name] += weight * ((name == cause) - share)
-        worst = max(self._shares, key=self._shares.__getitem__)
-        turns = self._turns
-        if (
-            len(turns) == TURNS_MIN
-            and turns[-1] - turns[0] < TURNS_SECONDS
-            and t - turns[-1] < TURNED_SECONDS
-        ):
-            worst = "turning"
-        elif sum(self._shares.values()) <= BLIND_SHARE_MAX:
+        first, last = self._turns[0], self._turns[-1]
+        if sum(self._shares.values()) > BLIND_SHARE_MAX:
+            self.reason = REASONS[max(self._shares, key=self._shares.__getitem__)]
+        elif last - first < TURNS_SECONDS and t - last < TURNED_SECONDS:
+            self.reason = REASONS["turning"]
+        else:
             self.reason = ""
-            return
-        self.reason = REASONS[worst]
-        self.seconds += dt
+        self.seconds += dt if self.reason else 0.0
