@@ -72,6 +72,8 @@ class Run(Struct):
     """Processor time, with decoding."""
     latest_seconds: float
     """Longest time from an event until it is told, in the time of the video."""
+    blind_seconds: float = 0.0
+    """Time for which nothing could be told from the pictures."""
 
     @property
     def precision(self) -> float:
@@ -208,8 +210,10 @@ def detector_of(model: str | None) -> Callable[[], Detector | None]:
 
 def grabbed(
     clip: Clip, phase: int, phases: int = PHASES, detector: Detector | None = None
-) -> tuple[list[Event], list[float]]:
-    """Return the events of a clip, and how long after each it is told, seconds of the video.
+) -> tuple[list[Event], list[float], float]:
+    """Return the events of a clip, how long after each it is told, and the time of blindness.
+
+    Times are in seconds of the video.
 
     phase: part of the time between two pictures that is left out at the beginning, of ``phases``.
     """
@@ -222,7 +226,7 @@ def grabbed(
         delays += [t - event.t for event in events[len(delays) :]]
     events += pipeline.finish()
     delays += [t - event.t for event in events[len(delays) :]]
-    return events, delays
+    return events, delays, float(pipeline.statistics()["blind_seconds"])
 
 
 def scored(
@@ -245,11 +249,18 @@ def scored(
         if phase_detector is not None and warm_detector is not None:
             phase_detector.trust = copy(warm_detector.trust)
         began = time.process_time()
-        events, delays = grabbed(clip, phase, phases, phase_detector)
+        events, delays, blind_seconds = grabbed(clip, phase, phases, phase_detector)
         cpu_seconds = time.process_time() - began
         found, missed, _, spurious = clip.judged(events)
         runs.append(
-            Run(len(found), len(missed), len(spurious), cpu_seconds, max(delays, default=0.0))
+            Run(
+                len(found),
+                len(missed),
+                len(spurious),
+                cpu_seconds,
+                max(delays, default=0.0),
+                blind_seconds,
+            )
         )
         if phase == 0:
             details = [
@@ -304,6 +315,8 @@ def summary(scores: Sequence[Score]) -> list[str]:
             line += f"{sum(score.seconds for score in quiet):.0f} s without events; "
         latest = max(run.latest_seconds for score in some for run in score.runs)
         line += f"latest event told {latest:.1f} s after its time; "
+        blind_seconds = sum(mean(run.blind_seconds for run in score.runs) for score in some)
+        line += f"blind {blind_seconds / sum(score.seconds for score in some):.1%} of the time; "
         lines.append(line + f"{mean(score.load for score in some):.3f} CPU s/s")
         if len(f1 := f1_by_kind(some)) > 1:
             lines.append(clip_kinds.by_kind(f1))

@@ -217,7 +217,7 @@ def revisited(clips: Sequence[Clip], runs: int, model: str | None) -> list[Recor
     for phase in range(PHASES):
         told.append(defaultdict(list))
         for clip in clips:
-            events, delays = grabbed(clip, phase, PHASES, detector())
+            events, delays, _ = grabbed(clip, phase, PHASES, detector())
             in_time = [
                 msgspec.structs.replace(event, camera=clip.name)
                 for event, delay in zip(events, delays, strict=True)

@@ -59,6 +59,7 @@ ALIVE = CameraFigures(5, NOW, alive=True)
         ((SLOW, 51.0), CameraFigures(5, OLD), "gone", "off", False),
         ((Status("ended"), 99.0), None, "ended", "off", True),
         ((Status("stalled"), 0.0), ALIVE, "stalled", "bad", True),
+        ((Status("blind"), 0.0), ALIVE, "blind", "bad", True),
         ((Status("stalled"), 0.0), CameraFigures(5, OLD), "stalled", "bad", False),
         ((Status("connecting"), 0.0), None, "connecting", "bad", True),
         ((Status(), 0.0), ALIVE, ELSEWHERE, "off", True),

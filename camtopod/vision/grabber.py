@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Iterable, Iterator
+from typing import Literal
 
 from msgspec.structs import replace
 
@@ -116,12 +117,14 @@ class Grabber:
             yield replace(event, t=event.t + self._shifts[event.t >= self._set_at])
 
     @property
-    def state(self) -> State:
-        """State of the source: ``connecting``, ``running``, ``stalled`` or ``ended``.
+    def state(self) -> State | Literal["blind"]:
+        """State of the source: ``connecting``, ``running``, ``stalled`` or ``ended``; or ``blind``.
 
-        ``connecting``: no frame has arrived yet; ``stalled``: frames arrived before, reconnecting.
+        ``connecting``: no frame has arrived yet; ``stalled``: frames arrived before, reconnecting;
+        ``blind``: it runs, but nothing can be told from its pictures, so there are no events.
         """
-        return self._source.state
+        state = self._source.state
+        return "blind" if state == "running" and self._pipeline.reason else state
 
     @property
     def reason(self) -> str:
@@ -129,9 +132,8 @@ class Grabber:
 
         It contains no password.
         """
-        if self.state != "running":
-            return self._source.reason
-        return "; ".join(filter(None, (self._pipeline.reason, self._source.reason)))
+        blind_reason = self._pipeline.reason if self.state == "blind" else ""
+        return "; ".join(filter(None, (blind_reason, self._source.reason)))
 
     @property
     def overdue_seconds(self) -> float:

@@ -9,6 +9,7 @@ from math import dist, inf
 from typing import NamedTuple
 
 from camtopod.records import Event
+from camtopod.vision.blindness import Blindness, Cause
 from camtopod.vision.detect import Blob, Luma, MotionDetector, find_blobs, shrunk
 from camtopod.vision.detector.detector import Detector, DetectorResult
 from camtopod.vision.settings import VisionSettings
@@ -70,15 +71,6 @@ class Analysis(NamedTuple):
 Observer = Callable[[Analysis], None]
 """Called with every analysed frame."""
 
-BLIND_SECONDS = 10.0
-"""Time over which frames that show no objects count against those that do."""
-BLIND_SHARE_MAX = 0.5
-"""Share of such frames above which the view counts as blind."""
-BLIND_REASON = (
-    "most pictures show nothing, as light changes large parts of them again and again: turn the "
-    "camera away from the lamp, or draw an ignore area where it shines"
-)
-
 
 class ViewPipeline:
     """Turns one view's frames into events. Deterministic: equal frames and times, equal events."""
@@ -110,8 +102,7 @@ class ViewPipeline:
         self._t: float | None = None
         self._newest_t = -inf
         self.frame_count = 0
-        self._blind_share = 0.0
-        """Share of the latest frames in which light or another scene hid the objects."""
+        self._blindness = Blindness()
 
     def process(self, t: float, frame: Luma, image: Luma | None = None) -> list[Event]:
         """Process the frame (H, W) captured at ``t`` (seconds) and return the events now certain.
@@ -133,6 +124,7 @@ class ViewPipeline:
             self._first_frames.clear()
         if not self._first_frames and self._tracker is not None:
             events = self._tracker.finish("scene changed")
+            self._blindness.turned(t)
         waiting_seconds = t - self._first_frames[0][0] if self._first_frames else 0.0
         self._first_frames.append((t, small, self._first_image(image, waiting_seconds)))
         enough = waiting_seconds >= BOOTSTRAP_SECONDS
@@ -175,18 +167,21 @@ class ViewPipeline:
         return events
 
     def _step(self, t: float, frame: Luma, image: Luma | None = None) -> list[Event]:
-        """Analyse one frame."""
+        """Analyse one frame. While the view is blind, nothing is tracked."""
         assert self._tracker is not None
         dt = 0.0 if self._t is None else min(max(0.0, t - self._t), STEP_SECONDS_MAX)
         self._t = t
 
         # Moving pixels against the background; none in a flash, and when the scene has changed.
         motion = self._motion.detect(frame, dt)
-        weight = min(dt / BLIND_SECONDS, 1.0)
-        self._blind_share += weight * ((motion is None) - self._blind_share)
-        if motion is None:
-            self._show(t, frame, None, [])
-            return []
+        cause: Cause | None = "light" if motion is None else "contrast" if motion.is_plain else None
+        self._blindness.step(t, dt, cause)
+        if self._blindness.reason or motion is None:
+            last_events = self._tracker.finish("blind") if self._blindness.reason else []
+            if motion is not None:
+                self._motion.learn(motion, dt, [])
+            self._show(t, frame, None, last_events)
+            return last_events
 
         # Blobs, tracks, events.
         blobs = find_blobs(motion, self._tracker.stature.height)
@@ -257,8 +252,8 @@ class ViewPipeline:
 
     @property
     def reason(self) -> str:
-        """Why hardly anything can be seen at present; "" if it can."""
-        return BLIND_REASON if self._blind_share > BLIND_SHARE_MAX else ""
+        """Why nothing can be told at present; "" if the view is not blind."""
+        return self._blindness.reason
 
     def statistics(self) -> dict[str, int | float | str]:
         """Return counters since the start, noise (grey levels) and shake (pixels)."""
@@ -270,6 +265,7 @@ class ViewPipeline:
             "frames_analysed": self.frame_count,
             "ghosts": self._counts["ghost"],
             "relearned": self._motion.relearn_count,
+            "blind_seconds": round(self._blindness.seconds, 1),
             "noise_grey_levels": round(self._motion.noise, 2),
             "shake_pixels": round(self._motion.shake, 2),
             **({} if self._detector is None else self._detector.statistics()),

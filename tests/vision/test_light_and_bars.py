@@ -64,6 +64,18 @@ def test_who_walks_at_dusk_is_counted_once(shade: int, texture: int) -> None:
     assert kinds(dusk, 70.0) == ["entry", "exit"] * 6
 
 
+@pytest.mark.parametrize("seconds", [0.15, 1.5])
+@pytest.mark.parametrize("darkness", [0.25, 0.3])
+def test_a_lamp_that_lights_the_scene_four_times_as_much_makes_no_events(
+    darkness: float, seconds: float
+) -> None:
+    """A dark scene has few grey levels, from which those of the bright one are computed."""
+    walking = Scene(
+        WALKERS, light=lambda t: float(np.interp(t, [7.5, 7.5 + seconds], [darkness, 1.0]))
+    )
+    assert kinds(walking) == ["entry", "exit"] * 2
+
+
 def barred(share: float, level: int) -> Scene:
     """Return a scene with bars at both sides of the picture that show nothing."""
     width = round(share * WIDTH)

@@ -192,7 +192,8 @@ class CameraProcess:
             self._give_up(f"{exit_reason(status)}; it is not restarted")
         else:
             cause = self._hang or exit_reason(status)
-            if self.state in ("running", "ended") and kind_of(self.settings.source) == "file":
+            has_begun = self.state in ("running", "blind", "ended")
+            if has_begun and kind_of(self.settings.source) == "file":
                 self._give_up(f"{cause}; not restarted, as the events of a file would count twice")
             else:
                 self._restart_later(now, now - self._started_at, cause)

@@ -266,7 +266,7 @@ def _until_stopped(
         if cause not in causes and state != "ended":
             causes.add(cause)
             words = f"camera {grabber.camera} is {state}: {grabber.reason}"
-            level = logging.WARNING if state == "stalled" else logging.INFO
+            level = logging.WARNING if state in ("stalled", "blind") else logging.INFO
             log.log(level, "%s", words.removesuffix(": "))
 
         if event is not None and not too_many:
@@ -295,6 +295,8 @@ def _log_end(grabber: Grabber) -> None:
     parts = [grabber.reason, f"{counted(picture_count, 'picture')} analysed"]
     if undecoded_count:
         parts.append(f"{undecoded_count} could not be decoded")
+    if figures["blind_seconds"]:
+        parts.append(f"blind for {figures['blind_seconds']:.0f} s")
     parts += ["1 entry" if entries == 1 else f"{entries} entries", counted(exit_count, "exit")]
     level = logging.WARNING if undecoded_count else logging.INFO
     log.log(level, "camera %s has ended: %s", grabber.camera, ", ".join(parts))

@@ -25,6 +25,8 @@ LEARNING_SECONDS = 20.0
 """Time constant with which the background follows changes of the settled scene."""
 CONTRAST_SHARE_MIN = 0.1
 """Share of the scene's contrast that is left in any light; a card of a recorder leaves less."""
+LIGHT_MIN, LIGHT_MAX = 0.5, 2.0
+"""Factors of the light within which grey levels beyond the bins change as the outermost bins do."""
 _LEVELS = np.arange(256, dtype=np.float32)
 
 
@@ -82,6 +84,12 @@ class Background:
         )
         if np.ptp(centres + medians) < CONTRAST_SHARE_MIN * np.ptp(centres):
             return np.zeros(256, np.float32)  # nothing of the scene is in the frame
+
+        # Beyond the bins a great change of light is a factor.
+        if not LIGHT_MIN <= 1.0 + medians.sum() / max(centres.sum(), 1.0) <= LIGHT_MAX:
+            brightest = medians[-1] / max(centres[-1], 1.0) * _LEVELS[-1]
+            medians = np.array([0.0, *medians, brightest])
+            centres = np.array([0.0, *centres, _LEVELS[-1]])
         curve: npt.NDArray[np.float32] = np.interp(_LEVELS, centres, medians).astype(np.float32)
         return curve
 

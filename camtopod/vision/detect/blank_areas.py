@@ -28,8 +28,6 @@ STEP_MIN = 10
 
 The dark parts of a scene have no such edge.
 """
-SHARE_MAX = 0.75
-"""Largest share of the picture that is blank beside a view; of more, the picture is dark."""
 WIDTH_MIN = 0.025
 """Least width of a blank area as a share of the picture's diagonal.
 
@@ -55,11 +53,10 @@ def blank_pixels(frames: Sequence[Luma]) -> Luma:
     blank = framed[side:-side, side:-side]
     _, labels = cv2.connectedComponents(blank, connectivity=4)
     labels_there = _border(labels)
-    mask = np.isin(labels, labels_there[labels_there > 0])
-    blank = mask.astype(np.uint8) * np.uint8(255)
+    blank = np.isin(labels, labels_there[labels_there > 0]).astype(np.uint8) * np.uint8(255)
     beside = cv2.subtract(cv2.dilate(blank, square), cv2.dilate(blank, _NEIGHBOURS)) > 0
     is_edge = beside.any() and np.median(off[beside]) >= STEP_MIN
-    return blank if is_edge and mask.mean() <= SHARE_MAX else np.zeros_like(blank)
+    return blank if is_edge else np.zeros_like(blank)
 
 
 def _border(image: Luma) -> Luma:

@@ -61,6 +61,8 @@ _CROSS = cv2.getStructuringElement(cv2.MORPH_CROSS, (3, 3))
 _SQUARE = np.ones((3, 3), np.uint8)
 _DARK = 24.0
 """Level below which the logarithm flattens, so that noise in the dark makes no edges."""
+_PLAIN_SHARE = 0.2
+"""Standard deviation of a scene that shows nothing, as a share of what counts as motion."""
 _DIM = 85.0
 """Mean level, a third of the range, below which less difference is motion, in proportion."""
 _LOGARITHM = np.clip(100 * np.log((np.arange(256) + _DARK) / _DARK), 0, 255).astype(np.uint8)
@@ -81,8 +83,10 @@ class Motion:
     """Pixels that differ from the scene, with it."""
     expected: Luma
     """Image of the scene in the frame's light."""
-    is_dim: bool = False
+    is_dim: bool
     """True if there is so little light that objects are seen in parts."""
+    is_plain: bool
+    """True if the scene has so little contrast that the picture shows nothing."""
 
 
 class MotionDetector:
@@ -175,7 +179,9 @@ class MotionDetector:
             difference = cv2.max(above, cv2.subtract(cv2.erode(expected, _SQUARE), frame))
 
         # Moving pixels; an image that has changed for long ends this scene.
-        light = min((cv2.mean(expected, self.watched_mask)[0] + _DARK) / (_DIM + _DARK), 1.0)
+        moments = cv2.meanStdDev(expected, mask=self.watched_mask)
+        level, contrast = (float(moment[0, 0]) for moment in moments)
+        light = min((level + _DARK) / (_DIM + _DARK), 1.0)
         sensitivity = self._settings.sensitivity / light
         least = DIFFERENCE_MIN * max(1.0 / sensitivity, min(self.noise / NOISE_TO_FILTER, 1.0))
         differs = cv2.threshold(difference, least, 255, cv2.THRESH_BINARY)[1]
@@ -202,7 +208,8 @@ class MotionDetector:
         solid[part] = cv2.bitwise_and(moving_mask[part], cv2.bitwise_or(near, strong))
         # Opening removes lines, such as outlines of furniture.
         solid[part] = cv2.morphologyEx(solid[part], cv2.MORPH_OPEN, _CROSS)
-        return Motion(frame, solid, moving_mask, differs, expected, light < 1.0)
+        is_plain = contrast < _PLAIN_SHARE * least
+        return Motion(frame, solid, moving_mask, differs, expected, light < 1.0, is_plain)
 
     def _stands_elsewhere(self, frame: Luma, dt: float) -> bool:
         """Return True if the camera stands still, but not where the scene is: it is learned anew.

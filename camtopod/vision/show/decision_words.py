@@ -50,6 +50,7 @@ _ENDS: dict[Reason, str] = {
     "ghost": "no exit: not an object, but the hole in the background where one stood at {place}; "
     "the background is corrected",
     "scene changed": "no exit: the whole image changed, and all tracks are forgotten",
+    "blind": "no exit: the pictures showed nothing any more",
     "in view": "no exit: still in view at the end of the recording",
 }
 """Words by the reason of the end of an object."""

@@ -41,7 +41,9 @@ beside others: began next to another object, so rather half of a group than a ne
 in mid-view: began away from every edge; if that happens again and again, a door is learned.
 """
 
-Ending = Literal["left", "lost", "occluded", "interrupted", "ghost", "scene changed", "in view"]
+Ending = Literal[
+    "left", "lost", "occluded", "interrupted", "ghost", "scene changed", "blind", "in view"
+]
 """Why a track has ended.
 
 left: an exit, by `edge`.
@@ -50,6 +52,7 @@ occluded: the same, but last seen occluded by others, which says nothing of a do
 interrupted: in mid-view when the frames paused.
 ghost: not an object, but the hole that one has left in the background model.
 scene changed: the whole image has changed, and all tracks are forgotten.
+blind: nothing could be told from the pictures any more.
 in view: still there at the end of the recording.
 """
 
