@@ -20,7 +20,7 @@ and learned in the order of their numbers, so everything below is on disk, too. 
 another.
 Every request is answered: at once if nothing is taken, with the reason or with where to begin; with
 ``held`` if its events are not stored after a minute. The events in memory are bounded by
-`EVENTS_MAX`, and requests by one a camera (`camtopod.keys.rules` bounds their size).
+`EVENTS_MAX`, and requests by one a camera (`inbox`; `camtopod.keys.rules` bounds their size).
 """
 
 from __future__ import annotations
