@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import argparse
 import os
+import pty
 import signal
+import subprocess
 import sys
 import urllib.request
 from collections.abc import Iterator
@@ -12,6 +14,7 @@ from pathlib import Path
 
 import pytest
 from mosquitto import PROGRAM, mosquitto
+from paths import ROOT
 from serving import WAIT_SECONDS, camtopod, free_endpoint, wait_for
 
 from bench.support.site import children
@@ -159,6 +162,39 @@ def test_a_part_that_hangs_is_started_again(caplog: pytest.LogCaptureFixture) ->
     assert part.start_at is not None
     assert part.start_at > hung
     assert "daemon: hung for 61 s while connecting; restarting in" in caplog.text
+
+
+def test_a_terminal_may_stop_background_jobs_that_write(tmp_path: Path) -> None:
+    config = tmp_path / "camtopod.toml"
+    config.write_text(f'[bus]\nlisten = ["{free_endpoint()}"]\n[state]\ndirectory = "{tmp_path}"\n')
+    terminal, far_end = pty.openpty()
+    # The first terminal that the leader of a session opens is the session's.
+    start = f'exec < {os.ttyname(far_end)} > {os.ttyname(far_end)} 2>&1; stty tostop; exec "$@"'
+    command = [
+        sys.executable,
+        "-m",
+        "camtopod",
+        "--config",
+        config,
+        "up",
+        "--listen",
+        "127.0.0.1:0",
+    ]
+    process = subprocess.Popen(
+        ["sh", "-c", start, "sh", *command], cwd=ROOT, start_new_session=True
+    )
+    try:
+        said = b""
+        while b"daemon: site site" not in said or b"the page is at" not in said:
+            said += os.read(terminal, 4096)
+        process.terminate()
+        while not said.rstrip().endswith(b"daemon: ended cleanly"):
+            said += os.read(terminal, 4096)
+        assert process.wait(WAIT_SECONDS) == exits.DONE
+    finally:
+        process.kill()
+    os.close(terminal)
+    os.close(far_end)
 
 
 def test_when_it_is_killed_nothing_stays(tmp_path: Path, started: list[Up]) -> None:
