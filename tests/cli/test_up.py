@@ -185,7 +185,10 @@ def test_a_terminal_may_stop_background_jobs_that_write(tmp_path: Path) -> None:
     )
     try:
         said = b""
-        while b"daemon: site site" not in said or b"the page is at" not in said:
+        while not all(word in said for word in (b"daemon: site site", b"the page is at")):
+            said += os.read(terminal, 4096)
+        process.send_signal(signal.SIGHUP)
+        while b"no camera runs here: a change needs a restart" not in said:
             said += os.read(terminal, 4096)
         process.terminate()
         while not said.rstrip().endswith(b"daemon: ended cleanly"):

@@ -84,7 +84,10 @@ def run(args: argparse.Namespace) -> None:
                 log.info("%s; daemon and page go on", words)
                 systemd.notify("READY=1")
                 with systemd.watchdog(lambda: [], lambda: False):
-                    requests.stop.wait()
+                    while not requests.stop.wait(LOOK_SECONDS):
+                        if requests.reload.is_set():
+                            requests.reload.clear()
+                            log.warning("no camera runs here: a change needs a restart")
         finally:
             parts.end()
         if parts.failure is not None:
