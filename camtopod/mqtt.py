@@ -266,7 +266,8 @@ class RetainedMessages(_BrokerConnection):
         with self._mutex:
             for topic, text in messages.items():
                 if self._client.is_connected() and self._texts.get(topic) != text:
-                    self._client.publish(topic, text, retain=True)
+                    # The broker answers to the first one, which never changes.
+                    self._client.publish(topic, text, qos=0 if self._texts else 1, retain=True)
                     self._texts[topic] = text
 
     def tell(self, messages: Mapping[str, str]) -> None:
@@ -284,6 +285,18 @@ class RetainedMessages(_BrokerConnection):
 
     def _prepare(self, client: Client) -> None:
         client.will_set(self._availability, OFFLINE, qos=1, retain=True)
+        client.on_publish = self._on_publish
+
+    def _on_publish(self, _: Client, __: Any, ___: int, code: ReasonCode, ____: Any) -> None:
+        if code.is_failure:
+            log.warning(
+                "%s:%d refuses messages (%s): the user must be allowed to write below %s, and "
+                "below the discovery prefix",
+                self._at.host,
+                self._at.port,
+                code,
+                self._at.prefix,
+            )
 
     def _joined(self) -> None:
         """Appear as online, and have the next `show` publish everything again."""

@@ -119,8 +119,10 @@ def main(argv: Sequence[str] | None = None) -> int:
         os.environ.setdefault(name, "1")
     form = "text"
     if _command_in(arguments) in ("up", "run", "grab"):
-        # SIGHUP ends neither; it is ignored until they have a handler.
+        # SIGHUP ends neither; it is ignored until they have a handler. SIGTTOU would stop the parts
+        # at their first message, in a terminal with `stty tostop`.
         signal.signal(signal.SIGHUP, signal.SIG_IGN)
+        signal.signal(signal.SIGTTOU, signal.SIG_IGN)
 
     try:
         try:
@@ -155,6 +157,7 @@ def console() -> NoReturn:
     rethrown") if a thread of zenoh or OpenCV re-enters it meanwhile. By then everything that
     matters is closed or on disk.
     """
+    _open_missing()
     faulthandler.enable(file=2)  # a watchdog ends a hung process with SIGABRT
     _, files = resource.getrlimit(resource.RLIMIT_NOFILE)
     resource.setrlimit(resource.RLIMIT_NOFILE, (min(files, FILES_MAX), files))
@@ -165,6 +168,15 @@ def console() -> NoReturn:
     except SystemExit as error:  # argparse: --help, --version, usage
         status = error.code if isinstance(error.code, int) else exits.FAILED
     _end(status)
+
+
+def _open_missing() -> None:
+    """Open /dev/null for each standard stream that is closed, before a file takes its place."""
+    for number, (name, mode) in enumerate({"stdin": "r", "stdout": "w", "stderr": "w"}.items()):
+        if getattr(sys, name) is None:
+            os.dup2(os.open(os.devnull, os.O_RDWR), number)
+            os.set_inheritable(number, True)
+            setattr(sys, name, os.fdopen(number, mode, closefd=False))
 
 
 def _end(status: int) -> NoReturn:

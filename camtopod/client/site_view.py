@@ -5,6 +5,7 @@ A thread keeps the version up to date by a `camtopod.serve.bus.TopologySubscribe
 
 from __future__ import annotations
 
+import atexit
 import contextlib
 import logging
 import math
@@ -80,7 +81,7 @@ class SiteView:
         self._closing = threading.Event()
         self._thread = threading.Thread(target=self._follow, name="topology", daemon=True)
 
-        # Close the session on failure: a program with an open session does not terminate.
+        # Close the session on failure.
         with contextlib.ExitStack() as undo:
             undo.callback(self._bus.close)
             other_sites = sites_instead(self._bus, settings)
@@ -95,6 +96,7 @@ class SiteView:
             self._thread.start()
             undo.pop_all()
         guard(self)
+        atexit.register(self.close)  # a thread inside zenoh must not see the interpreter end
 
     @property
     def site(self) -> str:
@@ -213,8 +215,9 @@ class SiteView:
     def close(self) -> None:
         """Leave the bus and release all waiters; the version held stays usable.
 
-        May be called repeatedly. A program with an open session does not terminate.
+        May be called repeatedly. At the end of the program it is called by itself.
         """
+        atexit.unregister(self.close)
         with self._mutex:
             if self._closing.is_set():
                 return

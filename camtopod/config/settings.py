@@ -265,11 +265,11 @@ class Config(Struct, frozen=True, forbid_unknown_fields=True):
     def state_directory(self) -> Path:
         """Directory of the journal and the spools."""
         if self.state.directory:
-            return Path(self.state.directory).expanduser()
+            return _expanded(self.state.directory)
         if systemd := os.environ.get("STATE_DIRECTORY"):
             return Path(systemd.split(":")[0])
         home = os.environ.get("XDG_STATE_HOME") or "~/.local/state"
-        return Path(home).expanduser() / "camtopod"
+        return _expanded(home) / "camtopod"
 
     @property
     def listens(self) -> tuple[str, ...]:
@@ -352,6 +352,14 @@ class Config(Struct, frozen=True, forbid_unknown_fields=True):
         """Return the configuration with the certificate of ``camera``, for its publisher."""
         tls = self.bus.tls.with_paths(lambda path: path.replace("{camera}", camera))
         return replace(self, bus=replace(self.bus, tls=tls))
+
+
+def _expanded(path: str) -> Path:
+    """Return a path with the home directory as its "~"; a user without one cannot write there."""
+    try:
+        return Path(path).expanduser()
+    except RuntimeError:  # no HOME, and no entry among the users
+        return Path("/nonexistent", path.lstrip("~/"))
 
 
 TABLES: dict[str, type[Struct]] = {

@@ -272,10 +272,10 @@ class Daemon:
 
     def _warnings(self) -> list[str]:
         """Return what somebody should look at, a sentence each."""
-        if self._steady() - self._started_at < NAMES_SECONDS:
-            return []
-        cameras = self.topology.cameras if self.topology else []
-        return self._intake.missing(self._config.topology, {camera.id for camera in cameras})
+        ids = {camera.id for camera in self.topology.cameras} if self.topology else set()
+        early = self._steady() - self._started_at < NAMES_SECONDS
+        missing = [] if early else self._intake.missing(self._config.topology, ids)
+        return [*self._intake.too_old.values(), *missing]
 
     def _figures(self) -> dict[str, CameraFigures]:
         """Return the status by camera: of all that are known, once it is known who is there."""

@@ -7,9 +7,10 @@ events.
 from __future__ import annotations
 
 import contextlib
-from collections.abc import AsyncIterator, Mapping
+from collections.abc import AsyncIterator, Awaitable, Callable, Mapping
 from typing import Any
 
+import anyio.to_thread
 import msgspec
 from starlette.requests import Request
 from starlette.responses import JSONResponse, Response, StreamingResponse
@@ -28,10 +29,40 @@ LOOPBACK_ONLY = (
     "this API answers programs on its own machine only: set [web] password_file and token_file, "
     "or let camtopod web listen on 127.0.0.1"
 )
+ASKING_MAX = 32
+"""Requests that wait for the daemon at a time; further ones are refused."""
 _STREAMED: dict[str, type[Prediction | Match]] = {"prediction": Prediction, "match": Match}
 """Records of the streams, by the first part of their keys on the bus."""
 _EVERY_CAMERA = "*"
 """Stands for all cameras; no camera has this id."""
+
+
+Handler = Callable[[Request], Response]
+
+
+class Asking:
+    """Threads of their own for handlers that wait for the daemon, and so delay no other.
+
+    count: how many may wait at a time; further requests are refused.
+    """
+
+    def __init__(self, count: int) -> None:
+        self._limiter = anyio.CapacityLimiter(count)
+        self._free = count
+
+    def __call__(self, handler: Handler) -> Callable[[Request], Awaitable[Response]]:
+        """Return the handler as one that waits in these threads."""
+
+        async def handle(request: Request) -> Response:
+            if not self._free:
+                return error(503, "too many requests wait for the daemon: try again later")
+            self._free -= 1
+            try:
+                return await anyio.to_thread.run_sync(handler, request, limiter=self._limiter)
+            finally:
+                self._free += 1
+
+        return handle
 
 
 class Api:
@@ -45,6 +76,8 @@ class Api:
         self._bus = bus
         self._feed = feed
         self._is_open = is_open
+        self.asking = Asking(ASKING_MAX)
+        """Of the handlers that ask the daemon."""
         self._readers = {kind: PageQueues() for kind in _STREAMED}
         for kind in _STREAMED:
             bus.subscribe(f"{kind}/*", self._on_answer)
@@ -54,10 +87,10 @@ class Api:
         if not self._is_open:
             return [Route("/api/{any}", lambda request: error(403, LOOPBACK_ONLY))]
         return [
-            Route("/api/topology", self.topology),
+            Route("/api/topology", self.asking(self.topology)),
             Route("/api/versions", self.versions),
             Route("/api/status", self.status),
-            Route("/api/predict", self.predict),
+            Route("/api/predict", self.asking(self.predict)),
             Route("/api/predictions", self.predictions),
             Route("/api/walks", self.walks),
             Route("/api/matches", self.matches),
@@ -154,7 +187,7 @@ class Api:
             answer = codec.read(_STREAMED[kind], payload, pack=True)
             line = codec.to_json(answer)
             for camera in (answer.camera, _EVERY_CAMERA):
-                self._readers[kind].send(kind, line, camera, is_optional=True)
+                self._readers[kind].send("", line, camera, is_optional=True)
 
 
 def streamed(messages: AsyncIterator[bytes]) -> Response:

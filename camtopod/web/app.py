@@ -25,7 +25,7 @@ from starlette.staticfiles import StaticFiles
 from camtopod.config import CameraSettings, Config
 from camtopod.serve.bus import Bus
 from camtopod.serve.runtime import STALL_SECONDS, Beat, Clock, Progress
-from camtopod.web.api import Api, content, error, streamed
+from camtopod.web.api import Api, Asking, content, error, streamed
 from camtopod.web.connections import Connection
 from camtopod.web.explanations import Explanations
 from camtopod.web.feed import MATCHES_SHOWN, Feed, shown_match
@@ -37,6 +37,8 @@ from camtopod.web.pictures import picture_of
 from camtopod.web.report import gather, placed
 from camtopod.web.single_file import STATIC, page
 
+GATHERING_MAX = 2
+"""Requests at a time for what is gathered from many versions."""
 CLOSE_SECONDS = 2
 """Time that open responses have to end when the server stops."""
 
@@ -59,7 +61,6 @@ class Routes:
         self._config = config
         self._has_login = has_login
         self._bus = bus
-        self._gathering = threading.Lock()
 
     def map(self, request: Request) -> Response:
         """Return the newest version's map; null if nothing has been learned."""
@@ -109,22 +110,20 @@ class Routes:
     def growth(self, request: Request) -> Response:
         """Return what the maps of earlier versions had, oldest first."""
         newest = self._feed.topology
-        with self._gathering:
-            return content([] if newest is None else steps(self._bus, newest))
+        return content([] if newest is None else steps(self._bus, newest))
 
     def report(self, request: Request) -> Response:
         """Return the page as one file, with the events of the last hour and without walks."""
         newest = self._feed.topology
         if newest is None:
             return error(404, "nothing has been learned yet")
-        with self._gathering:
-            data = {
-                **gather(newest, [], self._pictures, self._config),
-                "versions": self._feed.versions,
-                "growth": steps(self._bus, newest),
-                "recent": self._feed.recent(),
-            }
-            return HTMLResponse(page(data), headers={"Content-Disposition": "attachment"})
+        data = {
+            **gather(newest, [], self._pictures, self._config),
+            "versions": self._feed.versions,
+            "growth": steps(self._bus, newest),
+            "recent": self._feed.recent(),
+        }
+        return HTMLResponse(page(data), headers={"Content-Disposition": "attachment"})
 
     def placement(self, request: Request) -> Response:
         """Return the cameras' places on the floor plan; null without a plan."""
@@ -184,6 +183,7 @@ def application(
         finally:
             task.cancel()
 
+    gathering = Asking(GATHERING_MAX)
     routes = [
         Route("/", lambda request: FileResponse(str(STATIC / "index.html"))),
         Route("/data/map", site.map),
@@ -193,13 +193,13 @@ def application(
         Route("/data/link", site.link),
         Route("/data/versions", api.versions),
         Route("/data/walks", site.walks),
-        Route("/data/recent", api.recent),
-        Route("/data/hours", api.hours),
-        Route("/data/growth", site.growth),
+        Route("/data/recent", api.asking(api.recent)),
+        Route("/data/hours", api.asking(api.hours)),
+        Route("/data/growth", gathering(site.growth)),
         Route("/data/pictures", site.pictures),
         Route("/data/placement", site.placement),
         Route("/plan", site.plan),
-        Route("/report.html", site.report),
+        Route("/report.html", gathering(site.report)),
         Route("/picture/{camera}", site.picture),
         Route("/live", site.live),
         *api.routes(),

@@ -42,15 +42,15 @@ def thinned(versions: Sequence[_T]) -> list[_T]:
 def steps(bus: Bus, newest: Topology) -> list[Step]:
     """Return the steps to the newest version; those that the daemon has not kept are missing.
 
-    It takes as long as the daemon needs to read up to `STEPS_MAX` versions.
+    It takes as long as the daemon needs to read up to `STEPS_MAX` versions. If it does not answer,
+    no further version is asked for.
     """
-    before = [_asked(bus, newest.epoch, version) for version in thinned(range(1, newest.version))]
-    return [*(entry for entry in before if entry is not None), step(newest)]
-
-
-def _asked(bus: Bus, epoch: str, version: int) -> Step | None:
-    """Ask for one version; None if it is not kept, or the daemon does not answer."""
-    with contextlib.suppress(QueryError, codec.Rejected):
-        for _, payload in bus.query("topology", {"epoch": epoch, "version": version}, one=True):
-            return step(codec.decode_topology(payload, pack=True))
-    return None
+    result = []
+    for version in thinned(range(1, newest.version)):
+        parameters = {"epoch": newest.epoch, "version": version}
+        with contextlib.suppress(QueryError, codec.Rejected):
+            answers = bus.query("topology", parameters, one=True)
+            if not answers:
+                break
+            result.append(step(codec.decode_topology(answers[0][1], pack=True)))
+    return [*result, step(newest)]

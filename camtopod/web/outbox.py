@@ -14,8 +14,12 @@ PAGES_MAX = 64
 
 
 def message(name: str, content: bytes) -> bytes:
-    """Return a server-sent event; ``content`` is one line of JSON."""
-    return b"event: " + name.encode() + b"\ndata: " + content + b"\n\n"
+    """Return a server-sent event; ``content`` is one line of JSON.
+
+    name: "" for an event without one, which browsers give to ``onmessage``.
+    """
+    head = f"event: {name}\n" if name else ""
+    return head.encode() + b"data: " + content + b"\n\n"
 
 
 class PageQueue:

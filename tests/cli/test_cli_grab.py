@@ -14,7 +14,7 @@ import serving
 from serving import T0, free_endpoint, small_config, wait_for
 
 from camtopod import files
-from camtopod.cli.cameras.heartbeat import HeartbeatReceiver
+from camtopod.cli.cameras.heartbeat import HeartbeatReceiver, state_of
 from camtopod.cli.main import main
 from camtopod.codec import event_from_json
 from camtopod.records import Event
@@ -240,7 +240,7 @@ def test_heartbeats_show_progress_unless_opencv_is_overdue(
     monkeypatch.setenv("NOTIFY_SOCKET", receiver.address)
 
     def hear() -> None:
-        heard.extend(state for state, _ in [receiver.newest() or ("", "")] if state)
+        heard.extend(state for state, _ in [state_of(receiver.lines()) or ("", "")] if state)
 
     monkeypatch.setattr(FakeGrabber, "between", staticmethod(hear))
     with Daemon(small_config(tmp_path / "daemon")) as daemon:
@@ -262,7 +262,7 @@ def test_a_supervised_file_waits_for_the_daemon_at_its_end(
     really_wait_stored = Publisher.wait_stored
 
     def wait_stored(publisher: Publisher, seconds: float, most: int = 0) -> bool:
-        said.append(receiver.newest())
+        said.append(state_of(receiver.lines()))
         if len(said) == 4:
             daemon.start()
         if len(said) >= 4:

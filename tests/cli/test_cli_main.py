@@ -290,6 +290,9 @@ def test_where_the_state_is(monkeypatch: pytest.MonkeyPatch) -> None:
     assert config_file.parse('[state]\ndirectory = "~/x"').state_directory == Path(
         "/home/someone/x"
     )
+    monkeypatch.delenv("HOME")
+    monkeypatch.setattr("pwd.getpwuid", {}.__getitem__)
+    assert config_file.parse('[state]\ndirectory = "~/x"').state_directory == Path("/nonexistent/x")
 
 
 # --- logs -----------------------------------------------------------------------------------------
@@ -388,3 +391,15 @@ def test_a_crash_shows_no_password_and_ends_with_a_status() -> None:
     assert done.stderr.count("ValueError: rtsp://***@h/x is broken") == 2
     assert "hunter2" not in done.stderr
     assert "\x1b" not in done.stderr
+
+
+@pytest.mark.parametrize("closed", ["<&-", ">&-", "2>&-", "<&- >&- 2>&-"])
+@pytest.mark.parametrize(
+    ("command", "status"), [("schema event", exits.DONE), ("nonsense", exits.USAGE)]
+)
+def test_any_standard_stream_may_be_closed(command: str, closed: str, status: int) -> None:
+    line = f'exec "{sys.executable}" -m camtopod {command} {closed}'
+    done = subprocess.run(["sh", "-c", line], capture_output=True, text=True, cwd=ROOT)
+    assert done.returncode == status
+    assert "Traceback" not in done.stderr
+    assert bool(done.stdout) == (command == "schema event" and ">&-" not in closed.split())

@@ -14,12 +14,13 @@ import pytest
 from serving import T0, small_config, wait_for
 
 from camtopod import codec
+from camtopod.cli import exits
 from camtopod.cli.commands import ingest as ingest_command
 from camtopod.cli.main import main
 from camtopod.config import Limits
 from camtopod.config.settings import SiteSettings
 from camtopod.records import Event
-from camtopod.serve.bus import Bus
+from camtopod.serve.bus import Bus, open_daemon_session
 from camtopod.serve.daemon import Daemon
 from camtopod.serve.outbox import Publisher
 from camtopod.serve.outbox.spool_files import open_ingest_spool
@@ -175,3 +176,19 @@ def test_no_line_that_fits_is_an_input_that_cannot_be_read(tmp_path: Path) -> No
     rubbish.write_bytes(b"nothing\n" * 3)
     with site(tmp_path, "a") as daemon:
         assert ingest(daemon, tmp_path, rubbish) == 66
+
+
+def test_an_older_daemon_is_said_to_be_older(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr("camtopod.serve.outbox.delivery.RETRY_SECONDS", 0.1)
+    file = tmp_path / "events"
+    file.write_bytes(codec.to_json(Event("a", "entry", T0)))
+    with open_daemon_session(small_config(tmp_path)) as bus:  # nobody answers on store/*
+        bus.announce("daemon", "old")
+        where = ["--connect", bus.endpoint, "--state", str(tmp_path / "here")]
+        assert main(["ingest", "jsonl", str(file), *where]) == exits.BUS
+
+    said = capsys.readouterr().err
+    assert "does not answer: it is older than this program, upgrade it" in said
+    assert "certificate" not in said

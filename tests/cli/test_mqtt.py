@@ -1,10 +1,11 @@
-"""Frigate's messages from a real broker (mosquitto): with passwords, with TLS, with outages."""
+"""A real broker (mosquitto), with passwords, TLS and outages: Frigate's messages, and our own."""
 
 from __future__ import annotations
 
 import contextlib
 import datetime
 import ipaddress
+import logging
 import os
 import shutil
 import signal
@@ -219,3 +220,20 @@ def test_without_the_extra_it_says_so(
     monkeypatch.setitem(sys.modules, "paho", None)
     assert main(["ingest", "frigate", "mqtt://127.0.0.1:1/frigate", "--out", "-"]) == exits.FAILED
     assert "pip install 'camtopod[mqtt]'" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("may_write", [(), ("camtopod/#",), ("camtopod/#", "homeassistant/#")])
+def test_a_bridge_that_may_not_write_says_so(
+    may_write: tuple[str, ...], tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    rights = tmp_path / "acl"
+    rights.write_text("".join(f"topic write {topic}\n" for topic in may_write))
+    caplog.set_level(logging.INFO)
+    with mosquitto(tmp_path, f"acl_file {rights}") as broker:
+        at = mqtt.broker(f"mqtt://127.0.0.1:{broker.port}/camtopod")
+        with contextlib.closing(mqtt.RetainedMessages(at, "camtopod/bridge")) as messages:
+            messages.show({"homeassistant/a": "1", "camtopod/a": "2"})
+        # The end waits for the answer to the last message, so those before it are there.
+    refusals = [line for line in caplog.messages if "refuses messages (Not authorized)" in line]
+    assert len(refusals) == (3, 1, 0)[len(may_write)]
+    assert all("must be allowed to write below camtopod" in line for line in refusals)

@@ -7,6 +7,7 @@ import json
 import re
 import threading
 import tomllib
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -49,6 +50,32 @@ def test_it_is_a_schema_and_is_printed(name: str, capsys: pytest.CaptureFixture[
     out = capsys.readouterr().out
     assert out == schema_text(name)
     assert r"\Z" not in out, "JavaScript does not know it"
+
+
+def subschemas(schema: Any) -> Iterator[dict[str, Any]]:
+    """Yield a schema, and all within it."""
+    if isinstance(schema, dict):
+        yield schema
+        for key in ("properties", "patternProperties", "$defs"):
+            for part in schema.get(key, {}).values():
+                yield from subschemas(part)
+        for key in ("items", "additionalProperties", "propertyNames", "not", "if", "else"):
+            yield from subschemas(schema.get(key))
+        for key in ("anyOf", "prefixItems"):
+            for part in schema.get(key, []):
+                yield from subschemas(part)
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_strict_validators_take_it(name: str) -> None:
+    """As ajv with `strict: true`: known keywords of one draft, one type, required properties."""
+    kind = jsonschema.Draft202012Validator
+    remarks = {"$schema", "$defs", "title", "description", "default", "examples"}
+    assert type(validator(name)) is kind
+    for schema in subschemas(validator(name).schema):
+        assert set(schema) <= {*kind.VALIDATORS, *remarks, "else", "contentEncoding"}
+        assert not isinstance(schema.get("type"), list)
+        assert set(schema.get("required", [])) <= set(schema.get("properties", {}))
 
 
 def test_what_is_on_the_bus_is_valid(tmp_path: Path) -> None:

@@ -239,6 +239,30 @@ def test_a_wrong_configuration_changes_nothing(box: Box, caplog: pytest.LogCaptu
         supervisor.supervise(box.args, config_file.load(box.file), box.requests)
 
 
+def test_under_up_a_change_of_all_needs_a_restart(
+    box: Box, caplog: pytest.LogCaptureFixture
+) -> None:
+    box.args = options(box.file, command="up")
+    box.configure("good")
+    box.start()
+    box.wait_for_beats("good")
+
+    for table, end in (
+        ("[site]", '[site]\nname = "other"\n'),
+        ("[state]", '[state]\ndirectory = "/nowhere"\n'),
+    ):
+        box.configure("good", "good-new", end=end)
+        box.reload()
+        words = f"the old configuration stays in use: a change of {table} needs a restart"
+        wait_for(lambda words=words: words in caplog.text, words)  # type: ignore[misc]
+    assert box.starts("good-new") == 0
+    box.configure("good", "good-new", end='[health]\nlisten = "h:1"\n')
+    box.reload()
+    box.wait_for_beats("good-new")
+    assert "a change of [health] needs a restart of `camtopod up`; the cameras go on" in caplog.text
+    assert box.starts("good") == 1
+
+
 def test_an_operator_sees_how_often_and_why(box: Box, tmp_path: Path) -> None:
     """The status is published for a camera whose own process cannot do so."""
     meeting = buses.open_daemon_session(small_config(tmp_path))

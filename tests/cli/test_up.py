@@ -1,19 +1,25 @@
-"""`up`: daemon, grabbers and page of one machine, which end together."""
+"""`up`: daemon, grabbers and page of one machine, started again when they end."""
 
 from __future__ import annotations
 
 import argparse
 import os
+import pty
 import signal
-import time
+import subprocess
+import sys
 import urllib.request
 from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
+from mosquitto import PROGRAM, mosquitto
+from paths import ROOT
 from serving import WAIT_SECONDS, camtopod, free_endpoint, wait_for
 
+from bench.support.site import children
 from camtopod.cli import exits
+from camtopod.cli.cameras import camera_process
 from camtopod.cli.commands import up as up_command
 from camtopod.cli.main import main
 
@@ -96,27 +102,102 @@ def test_all_runs_until_it_is_stopped(tmp_path: Path, started: list[Up]) -> None
     assert up.log.count(str(up.config)) == 0, "each part would name it"
 
 
-def test_when_the_daemon_dies_all_ends(tmp_path: Path, started: list[Up]) -> None:
-    up = Up(tmp_path, PAGE_NEEDS="nothing_of_this_name")
+def test_what_dies_is_started_again_and_ends_nothing_else(
+    tmp_path: Path, started: list[Up]
+) -> None:
+    up = Up(tmp_path)
     started.append(up)
-    up.says("there is no page: pip install 'camtopod[web]'", "camera lobby is")
-    assert len(up.children()) == 2, "daemon and camera"
-    os.kill(up.child("run"), signal.SIGKILL)
+    up.says("info: page: the page is at http://", "info: daemon: site site", "camera lobby is")
+    grabber, page, daemon = up.child("grab"), up.child("web"), up.child("run")
 
-    assert up.process.wait(WAIT_SECONDS) == exits.FAILED
+    os.kill(page, signal.SIGKILL)
+    up.says("warning: page: killed by signal 9 (Killed); restarting in ")
+    [learner] = [
+        child
+        for child in children(daemon)
+        if b"spawn_main" in Path(f"/proc/{child}/cmdline").read_bytes()
+    ]
+    os.kill(learner, signal.SIGKILL)
+    up.says("warning: daemon: ended with status 1; restarting in ")
+    wait_for(lambda: up.log.count("info: page: the page is at http://") == 2, "the page")
+    wait_for(lambda: up.log.count("info: daemon: site site") == 2, "the daemon", START_SECONDS)
+    os.kill(up.child("run"), signal.SIGTERM)
+    wait_for(lambda: up.log.count("info: daemon: site site") == 3, "the daemon", START_SECONDS)
+
+    assert up.child("grab") == grabber
+    assert up.process.poll() is None
+    up.process.send_signal(signal.SIGINT)
+    assert up.process.wait(WAIT_SECONDS) == exits.DONE
     assert up.children() == []
-    said = "camtopod: daemon: killed by signal 9 (Killed), see above; all has been stopped"
-    assert up.log.splitlines()[-1] == said
 
 
-def test_a_part_that_hangs_is_ended(monkeypatch: pytest.MonkeyPatch) -> None:
-    silent = ["--connect", "tcp/127.0.0.1:1", "watch"]
-    monkeypatch.setattr(up_command, "common_options", lambda _: silent)
-    monkeypatch.setattr(up_command, "HUNG_SECONDS", 0.0)
-    part = up_command._Part(argparse.Namespace(), "run")
-    assert part.look() == ("hung for 0 s", exits.FAILED)
-    part.end(time.monotonic() + WAIT_SECONDS)
-    assert part.process.returncode == -signal.SIGABRT
+@pytest.mark.skipif(PROGRAM is None, reason="needs the broker mosquitto (Debian: mosquitto)")
+def test_a_broker_may_come_later(tmp_path: Path, started: list[Up]) -> None:
+    from paho.mqtt import subscribe
+
+    with mosquitto(tmp_path) as broker:
+        broker.stop()
+        address = f"mqtt://127.0.0.1:{broker.port}"
+        up = Up(tmp_path, "--bridge", address, PAGE_NEEDS="nothing_of_this_name")
+        started.append(up)
+        up.says("there is no page: pip install 'camtopod[web]'", "camera lobby is")
+        up.says("warning: bridge: ended with status 1; restarting in ")
+
+        assert broker.start()
+        subscribe.simple("camtopod/#", hostname="127.0.0.1", port=broker.port)
+        assert up.process.poll() is None
+
+
+def test_a_part_that_hangs_is_started_again(caplog: pytest.LogCaptureFixture) -> None:
+    none = {"config": None, "log_format": "text", "site": None, "connect": []}
+    part = up_command._Part(argparse.Namespace(**none), "run")
+    command = [sys.executable, "-c", "import signal; signal.pause()"]
+    part.look_after(0.0, command)
+    hung = up_command.HUNG_SECONDS + camera_process.START_SECONDS + 1.0
+    part.look_after(hung, command)
+    assert part.process is not None
+    assert part.process.wait(WAIT_SECONDS) == -signal.SIGABRT
+    part.look_after(hung, command)
+
+    assert part.start_at is not None
+    assert part.start_at > hung
+    assert "daemon: hung for 61 s while connecting; restarting in" in caplog.text
+
+
+def test_a_terminal_may_stop_background_jobs_that_write(tmp_path: Path) -> None:
+    config = tmp_path / "camtopod.toml"
+    config.write_text(f'[bus]\nlisten = ["{free_endpoint()}"]\n[state]\ndirectory = "{tmp_path}"\n')
+    terminal, far_end = pty.openpty()
+    # The first terminal that the leader of a session opens is the session's.
+    start = f'exec < {os.ttyname(far_end)} > {os.ttyname(far_end)} 2>&1; stty tostop; exec "$@"'
+    command = [
+        sys.executable,
+        "-m",
+        "camtopod",
+        "--config",
+        config,
+        "up",
+        "--listen",
+        "127.0.0.1:0",
+    ]
+    process = subprocess.Popen(
+        ["sh", "-c", start, "sh", *command], cwd=ROOT, start_new_session=True
+    )
+    try:
+        said = b""
+        while not all(word in said for word in (b"daemon: site site", b"the page is at")):
+            said += os.read(terminal, 4096)
+        process.send_signal(signal.SIGHUP)
+        while b"no camera runs here: a change needs a restart" not in said:
+            said += os.read(terminal, 4096)
+        process.terminate()
+        while not said.rstrip().endswith(b"daemon: ended cleanly"):
+            said += os.read(terminal, 4096)
+        assert process.wait(WAIT_SECONDS) == exits.DONE
+    finally:
+        process.kill()
+    os.close(terminal)
+    os.close(far_end)
 
 
 def test_when_it_is_killed_nothing_stays(tmp_path: Path, started: list[Up]) -> None:

@@ -15,6 +15,7 @@ from fake_bus_daemon import LEFT, NOW, LearnedDaemon, later, learned, put, runni
 from serving import (
     SPAN_SECONDS,
     T0,
+    WAIT_SECONDS,
     closing_event,
     free_endpoint,
     numbered,
@@ -263,6 +264,28 @@ def test_who_does_not_read_loses_the_oldest_and_is_told(
         wait_for(lambda: predictions.dropped == 7, "the oldest to be dropped")
 
         assert [getattr(predictions.get(0.0), "t", None) for _ in range(4)] == [*times[-3:], None]
+
+
+# --- the end of a program --------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("last_line", "status"),
+    [
+        ("site.current", 0),
+        ("raise SystemError", 1),
+        ("queues = site.predictions(), site.walks()", 0),
+        ("threading.Thread(target=list, args=[site.versions()], daemon=True).start()", 0),
+        ("threading.Thread(target=site.between).start()", 0),
+    ],
+)
+def test_a_program_ends_after_its_last_line(
+    learned_daemon: LearnedDaemon, last_line: str, status: int
+) -> None:
+    program = "import sys, threading, camtopod\nsite = camtopod.connect(connect=sys.argv[1])\n"
+    command = [sys.executable, "-c", program + last_line, learned_daemon.daemon.endpoint]
+
+    assert subprocess.run(command, timeout=WAIT_SECONDS).returncode == status
 
 
 # --- as a package ---------------------------------------------------------------------------------

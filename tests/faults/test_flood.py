@@ -15,7 +15,7 @@ from typing import Any
 import msgspec
 import pytest
 from grabber import publisher_on
-from intake_bench import IntakeBench
+from intake_bench import IntakeBench, Request, answer_of
 from real_daemon import OPEN, RealDaemon, script, status_over
 from serving import AT_ONCE, SPAN_SECONDS, T0, free_endpoint, wait_for, walkers
 from sizes import size
@@ -25,8 +25,9 @@ from camtopod.codec import to_msgpack
 from camtopod.config import Limits
 from camtopod.records import Event
 from camtopod.serve.ingest.cameras import EVENTS_PER_SECOND_MAX
-from camtopod.serve.ingest.inbox import PUBLISHED_MAX
+from camtopod.serve.ingest.inbox import PUBLISHED_MAX, UNKNOWN_REQUESTS_MAX
 from camtopod.serve.ingest.intake import EVENTS_MAX
+from camtopod.serve.requests import Hello
 
 QUIET = [f"quiet{number}" for number in range(19)]
 PER_SECOND = 10_000
@@ -43,6 +44,8 @@ ANY_SETTING = {"camtopod.config.toml_tables:GONE": ()}
 ADDRESS_SPACE_BYTES = 2_400_000 * 1024
 """As `ulimit -v 2400000`; the libraries alone take most of one gigabyte of it."""
 LEARNER_BYTES_MAX = 1024 * MEGABYTE
+
+REQUESTS_BYTES_MAX = 300 * MEGABYTE
 
 
 class Flooded:
@@ -174,6 +177,35 @@ def test_a_flood_hurts_only_its_camera_and_invented_names_keep_no_camera_out(
         flooded.quiet()
 
 
+@pytest.mark.campaign
+@pytest.mark.timeout(600)
+def test_requests_of_one_camera_fill_no_memory_and_delay_no_camera(tmp_path: Path) -> None:
+    seconds = size("REQUESTS_SECONDS", 20)
+    with contextlib.ExitStack() as stack:
+        flooded = stack.enter_context(contextlib.closing(Flooded(tmp_path)))
+        publisher = stack.enter_context(publisher_on(flooded.bus, tmp_path, ["lobby"]))
+        publisher.publish(Event("lobby", "entry", time.time(), 0.5, 0.5))
+        assert publisher.wait_stored(30.0)
+        wild = [
+            stack.enter_context(
+                script("traffic.py", "ask", flooded.daemon.endpoint, "wild", seconds)
+            )
+            for _ in range(4)
+        ]
+        sizes, waits = [], []
+        while any(process.poll() is None for process in wild):
+            began = time.monotonic()
+            publisher.publish(Event("lobby", "entry", time.time(), 0.5, 0.5))
+            assert publisher.wait_stored(30.0)
+            waits.append(time.monotonic() - began)
+            sizes.append(resident(flooded.daemon.process.pid))
+            time.sleep(0.5)
+
+        print(f"memory at most {max(sizes) / MEGABYTE:.0f} MB, stored within {max(waits):.2f} s")
+        assert max(sizes) < REQUESTS_BYTES_MAX
+        assert max(waits) < 1.0
+
+
 # --- just below the limit -------------------------------------------------------------------------
 
 
@@ -255,6 +287,36 @@ def test_each_camera_has_its_own_room(tmp_path: Path) -> None:
         bench.publish(camera)
 
     assert quiet_events_lost(bench) == 0
+    bench.stop()
+
+
+def test_of_a_cameras_requests_the_newest_waits(tmp_path: Path) -> None:
+    bench = IntakeBench(tmp_path)
+    bench.publish("wild")
+    inbox = bench.intake.inbox
+    sent = [Request() for _ in range(1_000)]
+    for number, request in enumerate(sent):
+        inbox.on_request("store/wild", to_msgpack(Hello(str(number), [])), request.reply)
+    lobby = Request()
+    inbox.on_request("store/lobby", to_msgpack(Hello("1", [])), lobby.reply)
+
+    assert {answer_of(request).reason for request in sent[:-1]} == {"busy"}
+    bench.work()
+    assert answer_of(sent[-1]).reason == answer_of(lobby).reason == ""
+    bench.stop()
+
+
+def test_requests_of_invented_cameras_wait_while_there_are_few(tmp_path: Path) -> None:
+    bench = IntakeBench(tmp_path)
+    bench.publish("lobby")
+    sent = {f"name{number}": Request() for number in range(1_000)} | {"lobby": Request()}
+    for name, request in sent.items():
+        bench.intake.inbox.on_request(f"store/{name}", to_msgpack(Hello("1", [])), request.reply)
+    bench.work()
+
+    busy = [name for name, request in sent.items() if answer_of(request).reason == "busy"]
+    assert len(busy) == 1_000 - UNKNOWN_REQUESTS_MAX
+    assert "lobby" not in busy
     bench.stop()
 
 

@@ -4,6 +4,8 @@ traffic.py router ENDPOINT
     prints "ready" and runs until killed
 traffic.py flood ENDPOINT CAMERA PER_SECOND SECONDS
     publishes so many valid events a second, and prints their number
+traffic.py ask ENDPOINT CAMERA SECONDS
+    sends requests of 300 KB, and waits for no answer
 traffic.py publish ENDPOINT FOLDER CAMERA COUNT SPAN SPEED BEGAN
     publishes a camera's part of the events of COUNT walkers within SPAN seconds, SPEED times
     faster than they happened, as if the first had happened at BEGAN (Unix seconds); continues after
@@ -15,6 +17,7 @@ from __future__ import annotations
 
 import contextlib
 import itertools
+import os
 import signal
 import sqlite3
 import sys
@@ -50,6 +53,14 @@ def flood(endpoint: str, camera: str, per_second: str, seconds: str) -> None:
                 bus.publish_raw(f"event/{camera}", to_msgpack(event), "event")
             time.sleep(_STEP_SECONDS)
     print(count, flush=True)
+
+
+def ask(endpoint: str, camera: str, seconds: str) -> None:
+    until, request = time.monotonic() + float(seconds), os.urandom(300_000)
+    bus = dial(Config(bus=BusSettings(connect=(endpoint,))))
+    while time.monotonic() < until:
+        bus.ask(f"store/{camera}", request, float(seconds), lambda answer: None)
+    os._exit(0)
 
 
 def publish(
@@ -94,4 +105,4 @@ def as_they_fall_due(events: list[Event], speed: float, began: float) -> Iterato
 
 
 if __name__ == "__main__":
-    {"router": router, "flood": flood, "publish": publish}[sys.argv[1]](*sys.argv[2:])
+    {"router": router, "flood": flood, "ask": ask, "publish": publish}[sys.argv[1]](*sys.argv[2:])

@@ -44,6 +44,7 @@ from camtopod.serve import bus as buses, daemon as daemons
 from camtopod.serve.bus import Bus, BusError, QueryError
 from camtopod.serve.bus.topology_subscriber import TopologySubscriber
 from camtopod.serve.daemon import Daemon
+from camtopod.serve.ingest.intake import SILENT_SECONDS
 from camtopod.serve.outbox.publisher import Publisher
 from camtopod.serve.outbox.spool import Spool
 from camtopod.serve.runtime.clock import ulid
@@ -582,6 +583,22 @@ def test_a_view_goes_on_with_the_version_before_until_map_and_model_are_there() 
     assert view.update() == third
     assert digest_of(third) == third.digest
     assert view.fetch_count == 1
+
+
+def test_a_grabber_of_an_older_version_is_in_the_status(site: Site) -> None:
+    daemon = Daemon(small_config(site.directory / "state"), clock=lambda: site.now)
+    site._open.append(daemon.stop)
+    daemon.start()
+    client = site.client(daemon)
+    client.announce("grabber", "lobby")
+    wait_for(lambda: "lobby" in daemon._intake.alive, "its token")
+    put(client, Event("lobby", "entry", NOW, boot="b1", seq=1))
+    wait_for(lambda: daemon.status().events.stored == 1, "its event")
+
+    assert daemon.status().warnings == []
+    site.now += SILENT_SECONDS
+    words = "camera lobby: its grabber is too old for this daemon: upgrade it"
+    wait_for(lambda: daemon.status().warnings == [words], "the warning")
 
 
 def test_names_that_no_camera_has_are_said_after_ten_minutes(site: Site) -> None:

@@ -165,6 +165,24 @@ def test_a_witness_that_cannot_be_read_says_nothing(
     assert caplog.text.count("has come back older than it was: it had 4 entries and has 0") == 1
 
 
+def test_a_damaged_witness_says_nothing(journal: Journal, tmp_path: Path) -> None:
+    """Not even an epoch that no clock has ever given, or a number that no journal reaches."""
+    journal.close()
+    path = tmp_path / "journal.lock"
+    line = path.read_bytes()
+    for place in range(len(line)):
+        path.write_bytes(line[:place] + b"~" + line[place + 1 :])
+        with closing(Journal(tmp_path)) as again:
+            assert (again.missing, again.meta("epoch"), again.meta("epoch before")) == (
+                0,
+                "E",
+                None,
+            )
+    path.write_bytes(line.replace(b"3", b"3" * 30, 1))
+    with closing(Journal(tmp_path)) as again:
+        assert (again.missing, again.meta("epoch")) == (0, "E")
+
+
 def test_damage_that_sqlite_quotes_is_noticed_though_it_is_no_text(tmp_path: Path) -> None:
     with closing(Journal(tmp_path)) as journal:
         journal.commit([Entry("event", "lobby", "b1", 1, b"raw")])

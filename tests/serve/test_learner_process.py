@@ -122,6 +122,19 @@ def test_what_cannot_be_read_teaches_nothing_and_is_counted(process: LearnerProc
     assert answer.statistics.accepted == 2
 
 
+def test_it_needs_no_shared_memory_of_the_system() -> None:
+    """Where containers have none."""
+    program = (
+        "import os\n"
+        "access, statvfs = os.access, os.statvfs\n"
+        "os.access = lambda path, mode: path != '/dev/shm' and access(path, mode)\n"
+        "os.statvfs = lambda path: statvfs('/none' if path == '/dev/shm' else path)\n"
+        "from camtopod.serve.learner_process.process import LearnerProcess\n"
+        "if __name__ == '__main__': LearnerProcess('os').close()\n"
+    )
+    subprocess.run([sys.executable, "-c", program], check=True, cwd=ROOT)
+
+
 def test_it_gives_way(process: LearnerProcess) -> None:
     assert os.getpriority(os.PRIO_PROCESS, process.pid) > os.getpriority(os.PRIO_PROCESS, 0)
 

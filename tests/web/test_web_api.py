@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import itertools
 import json
 import urllib.error
 import urllib.request
@@ -136,6 +137,7 @@ def test_predictions_are_streamed(api: str, learned_daemon: LearnedDaemon) -> No
         there(site)
         put(learned_daemon.bus, *events)
         lines = (line.decode().rstrip("\n") for line in stream)
+        lines = itertools.takewhile(lambda line: not line.startswith("event:"), lines)
         data = (line.removeprefix("data: ") for line in lines if line.startswith("data: "))
         got = [json.loads(next(data)) for _ in range(5)]
 

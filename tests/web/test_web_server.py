@@ -7,21 +7,23 @@ import json
 import socket
 import subprocess
 import sys
+import threading
 import urllib.request
 from collections.abc import Iterator
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 import msgspec
 import pytest
 import serving
 from page_fixture import Shown
-from serving import free_endpoint, small_config, wait_for
+from serving import WAIT_SECONDS, free_endpoint, small_config, wait_for
 from synthetic_topology import synthetic_topology
 
 from camtopod.cli import exits, main
 from camtopod.config.settings import BusSettings
 from camtopod.serve import bus as buses
-from camtopod.web import connections, outbox
+from camtopod.web import api, app, connections, outbox
 from camtopod.web.login import Login
 
 SITE = synthetic_topology(12)
@@ -115,6 +117,41 @@ def test_idle_and_slow_clients_keep_nobody_out(server: Shown) -> None:
 
         assert server.ask("/data/map").status == 200
         assert stream.readline() == b"retry: 1000\n"
+
+
+def test_requests_that_wait_for_the_daemon_delay_no_other(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """60 of each kind, while the daemon hangs."""
+    shown = Shown(synthetic_topology(4, version=50))
+    released = threading.Event()
+    asked: list[str] = []
+
+    def hang(key: str, parameters: object = None, one: bool = False) -> list[tuple[str, bytes]]:
+        asked.append(key)
+        assert released.wait(WAIT_SECONDS)
+        return []
+
+    paths = ("/data/growth", "/report.html", "/data/recent", "/api/predict?camera=cam0001")
+    with shown.serving(), ThreadPoolExecutor(60 * len(paths)) as pool:
+        wait_for(lambda: shown.ask("/data/map").content != b"null", "the map")
+        monkeypatch.setattr(shown.bus, "query", hang)
+        answers = [pool.submit(shown.ask, path) for path in paths for _ in range(60)]
+        try:
+            wait_for(lambda: sum(one.done() for one in answers) >= 200, "the refusals")
+            for path in ("/", "/data/health", "/data/map", "/static/main.js"):
+                assert shown.ask(path).status == 200
+            refused = [one.result() for one in answers if one.done()]
+            waiting = len(asked)
+        finally:
+            released.set()
+        statuses = [one.result().status for one in answers]
+
+    assert {one.status for one in refused} == {503}
+    assert "too many requests wait for the daemon" in refused[0].text
+    assert waiting <= app.GATHERING_MAX + api.ASKING_MAX
+    assert statuses.count(200) == app.GATHERING_MAX, "what there is"
+    assert asked.count("topology") == app.GATHERING_MAX, "no further version is asked for"
 
 
 def asking(stack: contextlib.ExitStack, port: int, text: str) -> socket.socket:

@@ -1,4 +1,4 @@
-"""Process of one camera: started, watched by heartbeats, killed if it hangs, and restarted later.
+"""Process of a camera or a part: started, watched by heartbeats, killed if it hangs, restarted.
 
 A hung process is killed as a whole, as releasing a capture from another thread crashes anyway. No
 function here waits, so no camera delays another; the time is an argument (monotonic, seconds).
@@ -15,7 +15,7 @@ from collections.abc import Sequence
 from typing import Any
 
 from camtopod.cli import exits
-from camtopod.cli.cameras.heartbeat import HeartbeatReceiver
+from camtopod.cli.cameras.heartbeat import HeartbeatReceiver, state_of
 from camtopod.cli.common import counted
 from camtopod.config import CameraSettings
 from camtopod.serve.runtime import SOCKET_VARIABLE, clock
@@ -62,12 +62,26 @@ def camera_status(
     }
 
 
-class CameraProcess:
-    """Process of one camera, running or waiting to be started."""
+class ChildProcess:
+    """A process of `grab` or `up`, running or waiting to be started.
 
-    def __init__(self, camera: str, settings: CameraSettings) -> None:
-        self.camera = camera
-        self.settings = settings
+    name: what it is called in the log.
+    hung_seconds: time without a heartbeat after which it is killed and restarted.
+    stop_seconds: time after which it is killed when it was asked to end, or to log where it hangs.
+    process_group: as of `subprocess.Popen`.
+    """
+
+    given_up = frozenset({exits.USAGE})
+    """Exit statuses after which it is not restarted."""
+
+    def __init__(
+        self,
+        name: str,
+        hung_seconds: float,
+        stop_seconds: float,
+        process_group: int | None = None,
+    ) -> None:
+        self.name = name
         self.process: subprocess.Popen[bytes] | None = None
         self.state = "connecting"
         self.reason = ""
@@ -81,6 +95,9 @@ class CameraProcess:
 
         None if the process is running, has ended, or must not be restarted.
         """
+        self._hung_seconds = hung_seconds
+        self._stop_seconds = stop_seconds
+        self._process_group = process_group
         self._backoff = RESTART_SECONDS_MIN
         self._receiver: HeartbeatReceiver | None = None
         self._started_at = 0.0
@@ -96,11 +113,6 @@ class CameraProcess:
         """Return True if there is no process and none is to be started."""
         return self.process is None and self.start_at is None
 
-    @property
-    def silent(self) -> bool:
-        """Return True if no process has said anything since its start."""
-        return self.process is None or not self._has_reported
-
     def look_after(self, now: float, command: Sequence[str]) -> None:
         """Start the process, read its heartbeats, or kill it, as needed; never waits.
 
@@ -111,24 +123,25 @@ class CameraProcess:
                 self._start(now, command)
             return
 
-        # Read the last heartbeat.
+        # Read the last heartbeats.
         assert self._receiver is not None
         status = self.process.poll()  # before reading, so that its last heartbeat counts
-        if (heartbeat := self._receiver.newest()) is not None:
-            self.state, self.reason = heartbeat
-            self._has_reported = True
+        if lines := self._receiver.lines():
+            self._hear(lines)
             self._heard_at = now
 
         # Handle its end, or kill it when its time is over.
         silence = now - self._heard_at
         if status is not None:
+            self._receiver.close()
+            self.process = None
             self._ended(status, now)
         elif self._kill_at is not None:
             if now >= self._kill_at:
                 self.process.kill()  # if it survives, wait for it: it holds the spool
-        elif silence > HUNG_SECONDS:
+        elif silence > self._hung_seconds:
             self._hang = f"hung for {silence:.0f} s while {self.state}"
-            log.error("camera %s: the process %s; killing it", self.camera, self._hang)
+            log.error("%s: the process %s; killing it", self.name, self._hang)
             self._signal(signal.SIGABRT, now)  # it logs where it hangs
 
     def request_end(self, now: float, start_at: float | None = None) -> None:
@@ -138,22 +151,18 @@ class CameraProcess:
             self._asked_to_end = True
             self._signal(signal.SIGTERM, now)
 
-    def restart(self, settings: CameraSettings, now: float) -> None:
-        """Restart the process with other settings."""
-        self.settings = settings
-        self._backoff = RESTART_SECONDS_MIN
-        self.request_end(now, start_at=now)
-
-    def summary(self) -> dict[str, Any]:
-        """Return the status for ``status/{camera}`` while no process publishes it."""
-        return camera_status(self.camera, self.state, self.reason, self.restarts, self.last_end)
+    def _hear(self, lines: Sequence[str]) -> None:
+        """Take the lines of its notifications since the last call."""
+        self._has_reported = True
+        if "READY=1" in lines:
+            self.state = "running"
 
     def _signal(self, number: signal.Signals, now: float) -> None:
         """Send a signal that should end the process; it is killed if it does not."""
         assert self.process is not None
         self.process.send_signal(number)
         if self._kill_at is None:
-            self._kill_at = now + STOP_SECONDS
+            self._kill_at = now + self._stop_seconds
 
     def _start(self, now: float, command: Sequence[str]) -> None:
         """Start the process, which sends its heartbeats to this one instead of systemd."""
@@ -161,7 +170,12 @@ class CameraProcess:
         environment = {**os.environ, SOCKET_VARIABLE: self._receiver.address}
         environment.pop("WATCHDOG_USEC", None)
         try:
-            self.process = subprocess.Popen(command, stdin=subprocess.DEVNULL, env=environment)
+            self.process = subprocess.Popen(
+                command,
+                stdin=subprocess.DEVNULL,
+                env=environment,
+                process_group=self._process_group,
+            )
         except OSError as error:  # no memory or too many processes: try again later
             self._receiver.close()
             self._restart_later(now, 0.0, f"cannot be started: {error.strerror}")
@@ -177,32 +191,22 @@ class CameraProcess:
         self._asked_to_end = False
 
     def _ended(self, status: int, now: float) -> None:
-        """Handle the end of the process: finished, failed for good, or to be restarted."""
-        assert self._receiver is not None
-        self._receiver.close()
-        self.process = None
+        """Handle the end of the process: asked for, failed for good, or to be restarted."""
         self.status = status if status >= 0 else exits.FAILED
         if self._asked_to_end:
             self.status = exits.DONE
             self.state = "ended"
             self.reason = ""
-        elif status == exits.DONE and self.state == "ended":  # a file; a stream never ends
-            log.info("camera %s has ended", self.camera)
-        elif status == exits.USAGE:
+        elif status in self.given_up:
             self._give_up(f"{exit_reason(status)}; it is not restarted")
         else:
-            cause = self._hang or exit_reason(status)
-            has_begun = self.state in ("running", "blind", "ended")
-            if has_begun and kind_of(self.settings.source) == "file":
-                self._give_up(f"{cause}; not restarted, as the events of a file would count twice")
-            else:
-                self._restart_later(now, now - self._started_at, cause)
+            self._restart_later(now, now - self._started_at, self._hang or exit_reason(status))
 
     def _give_up(self, reason: str) -> None:
         """Note and log why the process is not started again."""
         self.state = "failed"
         self.reason = reason
-        log.error("camera %s: %s", self.camera, reason)
+        log.error("%s: %s", self.name, reason)
 
     def _restart_later(self, now: float, run_seconds: float, cause: str) -> None:
         """Schedule a restart; the wait doubles unless the process ran for a while."""
@@ -215,4 +219,45 @@ class CameraProcess:
         self.last_end = cause
         self.state = "restarting"
         self.reason = cause
-        log.warning("camera %s: %s; restarting in %.1f s", self.camera, cause, wait)
+        log.warning("%s: %s; restarting in %.1f s", self.name, cause, wait)
+
+
+class CameraProcess(ChildProcess):
+    """Process of one camera."""
+
+    def __init__(self, camera: str, settings: CameraSettings) -> None:
+        super().__init__(f"camera {camera}", HUNG_SECONDS, STOP_SECONDS)
+        self.camera = camera
+        self.settings = settings
+
+    @property
+    def silent(self) -> bool:
+        """Return True if no process has said anything since its start."""
+        return self.process is None or not self._has_reported
+
+    def restart(self, settings: CameraSettings, now: float) -> None:
+        """Restart the process with other settings."""
+        self.settings = settings
+        self._backoff = RESTART_SECONDS_MIN
+        self.request_end(now, start_at=now)
+
+    def summary(self) -> dict[str, Any]:
+        """Return the status for ``status/{camera}`` while no process publishes it."""
+        return camera_status(self.camera, self.state, self.reason, self.restarts, self.last_end)
+
+    def _hear(self, lines: Sequence[str]) -> None:
+        if (heartbeat := state_of(lines)) is not None:
+            self._has_reported = True
+            self.state, self.reason = heartbeat
+
+    def _ended(self, status: int, now: float) -> None:
+        if self._asked_to_end or status == exits.USAGE:
+            super()._ended(status, now)
+        elif status == exits.DONE and self.state == "ended":  # a file; a stream never ends
+            log.info("%s has ended", self.name)
+        elif self.state in ("running", "blind", "ended") and kind_of(self.settings.source) == "file":
+            self.status = status if status >= 0 else exits.FAILED
+            cause = self._hang or exit_reason(status)
+            self._give_up(f"{cause}; not restarted, as the events of a file would count twice")
+        else:
+            super()._ended(status, now)

@@ -8,6 +8,7 @@ from __future__ import annotations
 import contextlib
 import socket
 import time
+from collections.abc import Sequence
 
 from camtopod.redact import redact
 from camtopod.serve.runtime import systemd
@@ -44,19 +45,6 @@ class HeartbeatReceiver:
         self.address = f"@{self._socket.getsockname()[1:].decode()}"
         """Value of the process's `NOTIFY_SOCKET`."""
 
-    def newest(self) -> tuple[str, str] | None:
-        """Return state and reason of the newest heartbeat since the last call; None without one.
-
-        Never blocks.
-        """
-        statuses = [
-            line.removeprefix("STATUS=") for line in self.lines() if line.startswith("STATUS=")
-        ]
-        if not statuses:
-            return None
-        state, _, reason = statuses[-1].partition(": ")
-        return state, reason
-
     def lines(self) -> list[str]:
         """Return the lines of all notifications since the last call. Never blocks."""
         lines: list[str] = []
@@ -68,3 +56,12 @@ class HeartbeatReceiver:
     def close(self) -> None:
         """Close the socket once the process has ended."""
         self._socket.close()
+
+
+def state_of(lines: Sequence[str]) -> tuple[str, str] | None:
+    """Return state and reason of the newest heartbeat in notifications; None without one."""
+    statuses = [line.removeprefix("STATUS=") for line in lines if line.startswith("STATUS=")]
+    if not statuses:
+        return None
+    state, _, reason = statuses[-1].partition(": ")
+    return state, reason

@@ -30,6 +30,9 @@ _OF_ALL = ("site", "bus", "state", "limits")
 A change of ``[vision]`` restarts those whose own table does not override it.
 """
 
+_OF_CAMERAS = ("cameras", "vision", "detector")
+"""Tables that no process of `up` reads but the cameras'."""
+
 
 def supervise(args: argparse.Namespace, config: Config, requests: SignalRequests) -> int:
     """Run `camtopod grab` for every camera until all have ended or a signal arrives.
@@ -96,6 +99,7 @@ class _Supervisor:
             config = configuration(self._args)
             if self._args.command == "up":
                 config = config.grabbed
+                self._require_same_place(config)
             _require_sources(config, self._args)
         except CommandError as error:
             log.error("the old configuration stays in use: %s", " ".join(str(error).splitlines()))
@@ -116,6 +120,19 @@ class _Supervisor:
         for name in self.processes.keys() - config.cameras.keys():
             self.processes[name].request_end(now)
         log.info("the configuration is reloaded, of %d cameras", len(config.cameras))
+
+    def _require_same_place(self, config: Config) -> None:
+        """Log changes that daemon and page miss; raise `CommandError` for one of all at once."""
+        tables = [
+            f"[{table}]"
+            for table in config.__struct_fields__
+            if table not in _OF_CAMERAS and getattr(self._config, table) != getattr(config, table)
+        ]
+        reason = f"a change of {', '.join(tables)} needs a restart of `camtopod up`"
+        if not {"[site]", "[bus]", "[state]"}.isdisjoint(tables):
+            raise CommandError(reason)
+        if tables:
+            log.warning("%s; the cameras go on with it", reason)
 
     def end(self) -> None:
         """End all processes, killing those that do not end in time."""

@@ -32,7 +32,6 @@ from camtopod.records import Event
 from camtopod.serve.bus import Bus, dial
 from camtopod.serve.outbox import (
     TRANSACTION_EVENTS_MAX,
-    UNANSWERED,
     Publisher,
     Spool,
     open_ingest_spool,
@@ -277,7 +276,8 @@ def _wait(
                 f"{counted(len(reasons), 'camera')} are dropped"
             )
         if silent_cameras := publisher.own_cameras_unanswered():
-            raise CommandError(f"camera {', '.join(silent_cameras)}: {UNANSWERED}", exits.BUS)
+            reason = f"camera {', '.join(silent_cameras)}: {publisher.unanswered_reason}"
+            raise CommandError(reason, exits.BUS)
         publisher.retry()
         now = publisher.count_waiting(own=True)
         patience -= _TICK_SECONDS

@@ -1,7 +1,7 @@
 """`camtopod up`: the daemon, the grabbers and the page of one machine, in one terminal.
 
-Daemon, page and bridge are processes beside those of the cameras, which this one supervises as
-`grab` does. A camera's process is started again; when another one ends, all end.
+Daemon, page and bridge are processes beside those of the cameras. This one supervises all of them:
+one that ends or hangs is started again, and hurts no other.
 """
 
 from __future__ import annotations
@@ -9,23 +9,19 @@ from __future__ import annotations
 import argparse
 import importlib.util
 import logging
-import os
-import signal
-import subprocess
 import sys
 import threading
 import time
 from typing import Any
 
 from camtopod.cli import exits
-from camtopod.cli.cameras.camera_process import exit_reason
-from camtopod.cli.cameras.heartbeat import HeartbeatReceiver
+from camtopod.cli.cameras.camera_process import ChildProcess, exit_reason
 from camtopod.cli.cameras.supervisor import common_options, supervise
 from camtopod.cli.commands import web
 from camtopod.cli.common import PARTS, configuration, signals, start_logging
 from camtopod.cli.events import broker_options
 from camtopod.cli.exits import CommandError
-from camtopod.serve.runtime import SOCKET_VARIABLE, systemd
+from camtopod.serve.runtime import systemd
 
 log = logging.getLogger(__name__)
 
@@ -34,7 +30,7 @@ PAGE_NEEDS = "starlette"
 START_SECONDS = 10.0
 """Longest time that the cameras wait for the daemon, which otherwise each of them would miss."""
 HUNG_SECONDS = 60.0
-"""A part without a notification for this long is ended, as by WatchdogSec= of the services."""
+"""A part without a notification for this long is restarted, as by WatchdogSec= of the services."""
 STOP_SECONDS = 9.0
 """Time after which a part that was asked to end is killed; it ends by itself within 8 s."""
 LOOK_SECONDS = 0.1
@@ -45,9 +41,9 @@ def add_parser(add: Any) -> None:
     """Add `up`."""
     parser = add(
         description="Runs the daemon, the grabbers of all configured cameras and the page on this "
-        "machine until Ctrl-C or until one of them cannot go on: `run`, `grab` and `web` in one. A "
-        "camera that fails is tried again. Cameras without a source get their events from other "
-        "programs. SIGHUP reloads the cameras' settings.",
+        "machine until Ctrl-C: `run`, `grab` and `web` in one. What fails is tried again, unless "
+        "its options, the configuration or the state directory are at fault. Cameras without a "
+        "source get their events from other programs. SIGHUP reloads the cameras' settings.",
         epilog="example: camtopod init lobby=rtsp://192.0.2.10/stream1 && camtopod up",
     )
     web.add_address(parser)
@@ -66,7 +62,7 @@ def add_parser(add: Any) -> None:
 
 
 def run(args: argparse.Namespace) -> None:
-    """Run all parts until SIGTERM or SIGINT. Raises `CommandError` when one cannot go on."""
+    """Run all parts until SIGTERM or SIGINT. Raises `CommandError` if one can never go on."""
     start_logging(args)
     with signals() as requests:
         config = configuration(args)
@@ -88,53 +84,27 @@ def run(args: argparse.Namespace) -> None:
                 log.info("%s; daemon and page go on", words)
                 systemd.notify("READY=1")
                 with systemd.watchdog(lambda: [], lambda: False):
-                    requests.stop.wait()
+                    while not requests.stop.wait(LOOK_SECONDS):
+                        if requests.reload.is_set():
+                            requests.reload.clear()
+                            log.warning("no camera runs here: a change needs a restart")
         finally:
             parts.end()
         if parts.failure is not None:
             raise parts.failure
 
 
-class _Part:
-    """Process of the daemon, the page or the bridge, with what it tells of itself."""
+class _Part(ChildProcess):
+    """Process of the daemon, the page or the bridge, as a service of which this one is the manager.
+
+    Ctrl-C is not for it, but for this process, which ends the cameras first.
+    """
+
+    given_up = frozenset({exits.USAGE, exits.STATE, exits.CONFIG})
 
     def __init__(self, args: argparse.Namespace, command: str, *options: str) -> None:
-        """Start it, as a service of which this process is the manager."""
-        line = [sys.executable, "-m", "camtopod", *common_options(args), command, *options]
-        self.name = PARTS[command]
-        self.ready = False
-        self._heard_at = time.monotonic()
-        self._receiver = HeartbeatReceiver()
-        environment = {**os.environ, SOCKET_VARIABLE: self._receiver.address}
-        environment.pop("WATCHDOG_USEC", None)
-        self.process = subprocess.Popen(
-            line,
-            stdin=subprocess.DEVNULL,
-            env=environment,
-            process_group=0,  # Ctrl-C is for this process, which ends the cameras first
-        )
-
-    def look(self) -> tuple[str, int]:
-        """Read its notifications; return why it cannot go on, or "", and the exit status then."""
-        if lines := self._receiver.lines():
-            self._heard_at = time.monotonic()
-            self.ready |= "READY=1" in lines
-        status = self.process.poll()
-        if status is not None:  # ended by somebody else, it has failed as well
-            return exit_reason(status), max(status, exits.FAILED)
-        if time.monotonic() - self._heard_at > HUNG_SECONDS:
-            self.process.send_signal(signal.SIGABRT)  # it logs where it hangs
-            return f"hung for {HUNG_SECONDS:.0f} s", exits.FAILED
-        return "", exits.DONE
-
-    def end(self, deadline: float) -> None:
-        """Wait until it has ended, and kill it at the deadline (monotonic, seconds)."""
-        try:
-            self.process.wait(max(deadline - time.monotonic(), 0.0))
-        except subprocess.TimeoutExpired:
-            self.process.kill()
-            self.process.wait()
-        self._receiver.close()
+        super().__init__(PARTS[command], HUNG_SECONDS, STOP_SECONDS, process_group=0)
+        self.command = [sys.executable, "-m", "camtopod", *common_options(args), command, *options]
 
 
 class _Parts:
@@ -165,27 +135,31 @@ class _Parts:
         if self._thread.ident is not None:
             self._thread.join()
         for part in self._parts:
-            part.process.terminate()
-        deadline = time.monotonic() + STOP_SECONDS
-        for part in self._parts:
-            part.end(deadline)
+            part.request_end(time.monotonic())
+        while not all(part.over for part in self._parts):
+            self._look_after()
+            time.sleep(LOOK_SECONDS)
 
     def _watch(self) -> None:
-        """Look at all parts until the end; the first that ends ends all."""
+        """Look after all parts until the end, which one that is given up is for all."""
         while not self._stop.wait(LOOK_SECONDS):
+            self._look_after()
             for part in self._parts:
-                reason, status = part.look()
-                if reason:
-                    words = f"{part.name}: {reason}, see above; all has been stopped"
-                    self.failure = CommandError(words, status)
+                if part.over:
+                    words = f"{part.name}: {exit_reason(part.status)}, see above"
+                    self.failure = CommandError(f"{words}; all has been stopped", part.status)
                     self._stop.set()
                     return
-            if not self._ready.is_set() and self._parts[0].ready:
+            if not self._ready.is_set() and self._parts[0].state == "running":
                 self._ready.set()
                 self._parts += self._readers()
 
+    def _look_after(self) -> None:
+        for part in self._parts:
+            part.look_after(time.monotonic(), part.command)
+
     def _readers(self) -> list[_Part]:
-        """Start page and bridge, which look for the daemon once."""
+        """Return page and bridge, which look for the daemon once, at each start."""
         args = self._args
         parts = []
         if importlib.util.find_spec(PAGE_NEEDS) is None:

@@ -85,19 +85,21 @@ def schema(name: str) -> dict[str, Any]:
     for kind, constant in _SCHEMAS.items():
         if kind in types:
             types[kind]["properties"]["schema"] = {"const": constant}
-    dialect = "https://json-schema.org/draft/2020-12/schema"
-    if name == "configuration":
-        dialect = "http://json-schema.org/draft-07/schema#"  # which every editor supports
+    if name == "configuration":  # keywords of draft 7 only, which every editor supports
         types["Config"]["properties"]["cameras"]["propertyNames"]["not"] = {"enum": [*RESERVED]}
         for kind in ("CameraSettings", "VisionSettings"):
             _allow_further_forms(types[kind]["properties"])
         camera = types["CameraSettings"]
-        camera["not"] = {"required": ["source", "source_file"]}
+        sources = dict.fromkeys(("source", "source_file"), True)
+        camera["not"] = {"properties": sources, "required": [*sources]}
         camera["properties"]["detector"] = {
             "anyOf": [{"const": False}, {"$ref": "#/$defs/DetectorSettings"}]
         }
     reference = references[0] if len(references) == 1 else {"anyOf": list(references)}
-    return {"$schema": dialect, "title": f"camtopod {name}", **reference, "$defs": types}
+    if name == "store":
+        del reference["anyOf"][0]["discriminator"]  # of OpenAPI, which validators refuse
+    head = {"$schema": "https://json-schema.org/draft/2020-12/schema", "title": f"camtopod {name}"}
+    return {**head, **reference, "$defs": types}
 
 
 def _describe(description: dict[str, Any], kind: type[Struct]) -> None:
@@ -117,10 +119,13 @@ def _describe(description: dict[str, Any], kind: type[Struct]) -> None:
 def _allow_further_forms(properties: dict[str, Any]) -> None:
     """Allow polygons to be texts, and a door to be a point."""
     for key in ("ignore", "doors"):
-        polygon = properties[key]["items"]
+        field = properties[key]
+        del field["type"]
+        polygon = field.pop("items")
         point = polygon["items"]
         point["items"] = point.pop("prefixItems")[0]  # which draft 7 does not know
         forms = [polygon, {"type": "string"}]
         if key == "doors":
             forms.append(point)
-        properties[key] |= {"type": ["array", "string"], "items": {"anyOf": forms}}
+        polygons = {"type": "array", "items": {"anyOf": forms}}
+        field |= {"if": {"type": "string"}, "else": polygons}

@@ -15,6 +15,7 @@ import logging
 import re
 import threading
 from collections.abc import Callable, Mapping, Sequence
+from concurrent.futures import Future
 from typing import Any
 
 import zenoh
@@ -77,7 +78,7 @@ class Bus(contextlib.AbstractContextManager["Bus"]):
     """One session on the bus of one site.
 
     Do not call it from its own callbacks, except `publish` (a query there waits for itself). Close
-    it at the end: a process with callbacks and an open session does not exit.
+    it at the end: a callback that comes when the interpreter has ended ends the process by force.
     """
 
     def __init__(
@@ -142,8 +143,7 @@ class Bus(contextlib.AbstractContextManager["Bus"]):
             if sample.kind == zenoh.SampleKind.PUT:
                 on_message(self._below(str(sample.key_expr)), sample.payload.to_bytes())
 
-        subscriber: Any = self._session.declare_subscriber(self._full(key), receive)
-        self._declarations.append(subscriber)
+        subscriber = self._declare(self._session.declare_subscriber, self._full(key), receive)
 
         def end() -> None:
             self._declarations.remove(subscriber)
@@ -179,7 +179,7 @@ class Bus(contextlib.AbstractContextManager["Bus"]):
                 self._mind_size(self._below(full_key), payload)
                 query.reply(full_key, payload, encoding=JSON if as_json else _PACK.format(schema))
 
-        self._declarations.append(self._session.declare_queryable(self._full(key), reply))
+        self._declare(self._session.declare_queryable, self._full(key), reply)
 
     def query(
         self,
@@ -279,7 +279,7 @@ class Bus(contextlib.AbstractContextManager["Bus"]):
             content = query.payload
             on_request(self._below(full_key), b"" if content is None else content.to_bytes(), reply)
 
-        self._declarations.append(self._session.declare_queryable(self._full(key), receive))
+        self._declare(self._session.declare_queryable, self._full(key), receive)
 
     def announce(self, role: str, name: str) -> None:
         """Declare ``alive/{role}/{name}``, which vanishes with this session."""
@@ -317,10 +317,8 @@ class Bus(contextlib.AbstractContextManager["Bus"]):
             if re.match(NAME_PATTERN, name):
                 on_change(name, sample.kind == zenoh.SampleKind.PUT)
 
-        key = self._full(f"alive/{role}/*")
-        self._declarations.append(
-            self._session.liveliness().declare_subscriber(key, change, history=True)
-        )
+        declare = self._session.liveliness().declare_subscriber
+        self._declare(declare, self._full(f"alive/{role}/*"), change, history=True)
 
     def watch_connections(self) -> None:
         """Keep links that close from blocking the bus."""
@@ -329,9 +327,7 @@ class Bus(contextlib.AbstractContextManager["Bus"]):
             if event.kind == zenoh.SampleKind.PUT:
                 sockets.close_without_waiting()
 
-        self._declarations.append(
-            self._session.info.declare_link_events_listener(change, history=True)
-        )
+        self._declare(self._session.info.declare_link_events_listener, change, history=True)
 
     @property
     def connected(self) -> bool:
@@ -355,6 +351,24 @@ class Bus(contextlib.AbstractContextManager["Bus"]):
 
     def __exit__(self, *_: object) -> None:
         self.close()
+
+    def _declare(self, declare: Callable[..., Any], *arguments: object, **options: object) -> Any:
+        """Declare something that calls back, until the session is closed.
+
+        zenoh calls back on a thread that is a daemon if the declaring one is, and any other would
+        keep the process from ending while the session is open.
+        """
+        result: Future[Any] = Future()
+
+        def run() -> None:
+            try:
+                result.set_result(declare(*arguments, **options))
+            except zenoh.ZError as error:
+                result.set_exception(error)
+
+        threading.Thread(target=run, name="declare", daemon=True).start()
+        self._declarations.append(result.result())
+        return result.result()
 
     def _mind_size(self, key: str, payload: bytes) -> None:
         """Log an error, once for each key, if a payload is larger than other programs receive.

@@ -7,9 +7,14 @@ from collections import Counter, deque
 from collections.abc import Callable, Container
 
 from camtopod import codec
+from camtopod.serve.requests import Answer
 
 PUBLISHED_MAX = 1_000
 """Most publications of one camera that wait to be decoded, and most that wait to be released."""
+UNKNOWN_REQUESTS_MAX = 100
+"""Number of waiting requests beyond which none of an unknown camera is kept."""
+BUSY = codec.to_msgpack(Answer({}, reason="busy", detail="other requests are waiting"))
+"""Answer to a request that is not looked at."""
 
 Reply = Callable[[bytes], None]
 """Sends the answer to a request."""
@@ -20,16 +25,16 @@ AskedFor = tuple[str, bytes, Reply]
 class Inbox:
     """Requests, and publications, in the order of their arrival. Thread-safe; nothing blocks.
 
-    Of requests there is one a camera (`camtopod.serve.outbox`); publications of a camera beyond
-    `PUBLISHED_MAX` are dropped. All unknown cameras share the room of one, as names can be
-    invented.
+    Of requests there is one a camera: a newer one takes its place, and the older is answered
+    ``busy``. Publications of a camera beyond `PUBLISHED_MAX` are dropped. As names can be invented,
+    all unknown cameras share the room of one, and their requests wait only while there are few.
 
     cameras: the cameras that are known.
     """
 
     def __init__(self, cameras: Container[str]) -> None:
         self._cameras = cameras
-        self._requests: deque[AskedFor] = deque()
+        self._requests: dict[str, tuple[bytes, Reply]] = {}
         self._publications: deque[tuple[str, bytes, str]] = deque()
         """Camera, content, and whose room it takes."""
         self._counts: Counter[str] = Counter()  # number of publications by whose room they take
@@ -40,9 +45,16 @@ class Inbox:
 
     def on_request(self, key: str, content: bytes, reply: Reply) -> None:
         """Receive a request on ``store/{camera}``."""
+        camera = key.removeprefix("store/")
         with self._mutex:
-            self._requests.append((key.removeprefix("store/"), content, reply))
-            self._wakeup.set()
+            _, refuse = self._requests.get(camera, (b"", None))
+            if camera in self._cameras or len(self._requests) < UNKNOWN_REQUESTS_MAX:
+                self._requests[camera] = content, reply
+                self._wakeup.set()
+            else:
+                refuse = reply
+        if refuse is not None:
+            refuse(BUSY)
 
     def on_event(self, key: str, content: bytes) -> None:
         """Receive a publication on ``event/{camera}``."""
@@ -58,7 +70,9 @@ class Inbox:
 
     def take_request(self) -> AskedFor | None:
         """Return the oldest request, which is then no longer here; None if there is none."""
-        return self._requests.popleft() if self._requests else None
+        with self._mutex:
+            camera = next(iter(self._requests), None)
+            return None if camera is None else (camera, *self._requests.pop(camera))
 
     def take_published(self, limit: int) -> list[tuple[str, bytes]]:
         """Return up to ``limit`` publications (camera, content), which are then no longer here."""

@@ -20,11 +20,12 @@ and learned in the order of their numbers, so everything below is on disk, too. 
 another.
 Every request is answered: at once if nothing is taken, with the reason or with where to begin; with
 ``held`` if its events are not stored after a minute. The events in memory are bounded by
-`EVENTS_MAX`, and requests by one a camera (`camtopod.keys.rules` bounds their size).
+`EVENTS_MAX`, and requests by one a camera (`inbox`; `camtopod.keys.rules` bounds their size).
 """
 
 from __future__ import annotations
 
+import logging
 import threading
 from collections import Counter
 from collections.abc import Callable, Sequence, Set
@@ -53,6 +54,8 @@ from camtopod.serve.requests import Hello
 from camtopod.serve.runtime import Beat, Clock, Rejects, no_beat
 from camtopod.serve.storage import Entry, JournalWriter
 
+log = logging.getLogger(__name__)
+
 EVENTS_MAX = 50_000
 """Most events in memory, received and not yet stored; further requests are answered ``busy``."""
 COMMIT_EVENTS_MAX = 2_000
@@ -61,6 +64,8 @@ TAKEN_AT_ONCE_MAX = 1_000
 """Number of events after which no further request is taken before the next step."""
 HEARD_AT_ONCE_MAX = 10
 """Most publications that are taken before the next event of a request: neither waits for long."""
+SILENT_SECONDS = 5.0
+"""Time in which a grabber that numbers its events asks to store them; one of 0.2 never does."""
 TICK_SECONDS = 0.05
 """Longest wait of a thread for something to do."""
 
@@ -108,6 +113,9 @@ class Intake:
         self._steady = steady
         self.alive: set[str] = set()
         """Cameras whose grabber is on the bus."""
+        self._silent: dict[str, float] = {}  # grabber that has not asked yet -> since when
+        self.too_old: dict[str, str] = {}
+        """Camera -> that its grabber is too old, in words."""
         self.rejects = Rejects()
         self.counts = Counter(received=0, stored=0, duplicate=0, future=0, flood=0, late=0)
         self.inbox = Inbox(cameras)
@@ -119,6 +127,8 @@ class Intake:
 
     def on_alive(self, camera: str, alive: bool) -> None:
         """Take note that a grabber has appeared on the bus, or vanished."""
+        self.too_old.pop(camera, None)
+        self._silent.pop(camera, None)
         if not alive:
             self.alive.discard(camera)
         elif len(self.alive) < self.limits.cameras_max:
@@ -161,6 +171,7 @@ class Intake:
             while self.counts["received"] < enough and (request := self.inbox.take_request()):
                 self._take(*request, wall, now)
             self._answers.end_held(now)
+            self._note_too_old(now)
 
             # 3. Backlogs to wait for, and time that passes without events.
             ready, self._ready = self._ready, []
@@ -211,6 +222,8 @@ class Intake:
             reply(answers.encode({}, "malformed", str(error)))
             return
         camera = self.cameras.register(name, now, spooled=True)
+        self.too_old.pop(name, None)
+        self._silent.pop(name, None)
         if camera is None:
             reply(answers.encode({}, "cameras", self.cameras.refused_reason(now)))
             return
@@ -312,6 +325,8 @@ class Intake:
             return
         self.counts["received"] += 1
         boot, seq = event.boot, event.seq
+        if seq is not None and name in self.alive and not camera.hello:
+            self._silent.setdefault(name, self._steady())
         if boot is not None and seq is not None and not self.numbers.take_one(name, boot, seq):
             self.counts["duplicate"] += 1
             return
@@ -336,6 +351,14 @@ class Intake:
         if item.entry.seq is None:
             return []
         return [item.only_number()]
+
+    def _note_too_old(self, now: float) -> None:
+        """Note and log whose grabbers number their events and do not ask to store them."""
+        for name, since in list(self._silent.items()):
+            if now - since >= SILENT_SECONDS and name not in self.too_old:
+                words = f"camera {name}: its grabber is too old for this daemon: upgrade it"
+                self.too_old[name] = words
+                log.warning("%s", words)
 
     def _rewind(self, wall: float) -> None:
         """Take event time back, as this machine's clock was set back to ``wall``."""

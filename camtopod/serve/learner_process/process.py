@@ -5,7 +5,9 @@ from __future__ import annotations
 import atexit
 import importlib
 import multiprocessing
+import os
 from ctypes import c_longlong
+from multiprocessing import heap
 from multiprocessing.connection import Connection
 from multiprocessing.context import BaseContext
 
@@ -15,6 +17,11 @@ PROGRAM = "camtopod.serve.learner_process.worker"
 """The module whose `main` the process runs."""
 END_SECONDS = 5.0
 """Longest time, in seconds, for the system to end a process that was killed."""
+
+MEMORY = "/dev/shm"
+"""Directory of the memory that is shared with the process; without it, a temporary file is."""
+if not os.access(MEMORY, os.W_OK):
+    heap.Arena._dir_candidates = []  # type: ignore[attr-defined]
 
 context: BaseContext = multiprocessing.get_context("spawn")
 """How processes start: not as forks of the daemon, which has threads and open files."""

@@ -7,7 +7,6 @@ on disk until the daemon has stored them; `spool_tables` has its tables and `spo
 
 from camtopod.serve.outbox.publisher import (
     TRANSACTION_EVENTS_MAX as TRANSACTION_EVENTS_MAX,
-    UNANSWERED as UNANSWERED,
     Publisher as Publisher,
 )
 from camtopod.serve.outbox.spool import Spool as Spool

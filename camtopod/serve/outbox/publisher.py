@@ -29,10 +29,7 @@ Beyond it the newest are dropped.
 """
 TRANSACTION_EVENTS_MAX = 500
 """Most events stored in one transaction when many come at once."""
-UNANSWERED = (
-    "the daemon is there and does not answer: is this program's certificate for this camera?"
-)
-"""The reason reported for a camera whose requests get no answer."""
+_UNANSWERED = "the daemon is there and does not answer: it is older than this program"
 
 
 class Publisher:
@@ -181,6 +178,13 @@ class Publisher:
         ]
         return silent if self.sees_daemon else []
 
+    @property
+    def unanswered_reason(self) -> str:
+        """Why requests get no answer from a daemon that is there."""
+        if self._bus is None or not self._bus.endpoint.startswith("tls/"):
+            return f"{_UNANSWERED}, upgrade it"
+        return f"{_UNANSWERED}, or this program's certificate is not for this camera"
+
     def drop(self, camera: str) -> None:
         """Delete the events of a camera that wait in the spool, and count them as dropped."""
         self._spool.drop(camera)
@@ -295,7 +299,7 @@ class Publisher:
         if delivery.no_room and not was_full:  # of many cameras the first one
             log.error("%s", delivery.no_room)
         if delivery.failures == UNANSWERED_MAX and self.sees_daemon:
-            log.error("camera %s: %s", camera, UNANSWERED)
+            log.error("camera %s: %s", camera, self.unanswered_reason)
 
     def _send(self, delivery: Delivery) -> None:
         """Send the next request of a camera, if there is one."""

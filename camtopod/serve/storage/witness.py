@@ -1,7 +1,7 @@
 """A record of the journal's newest row numbers beside it, which shows that a journal was set back.
 
 The line is written after each transaction and never synced, so it is never ahead of the journal.
-After a power cut it may be older or unreadable; then it shows nothing.
+After a power cut it may be older. It ends with a checksum: a damaged one shows nothing.
 """
 
 from __future__ import annotations
@@ -11,7 +11,7 @@ from typing import NamedTuple
 
 import msgspec
 
-from camtopod.serve.storage.sqlite_file import Lock
+from camtopod.serve.storage.sqlite_file import Lock, crc
 
 
 class JournalExtent(NamedTuple):
@@ -33,12 +33,15 @@ class Witness:
         self._lock = lock
         self.extent = JournalExtent()
         """The record as it was read or written last; the default if it could not be read."""
-        with contextlib.suppress(OSError, msgspec.MsgspecError):
+        with contextlib.suppress(OSError):
             line = lock.read(1000).partition(b"\n")[0]
-            self.extent = msgspec.json.decode(line, type=JournalExtent)
+            content, _, checksum = line.rpartition(b" ")
+            if checksum == b"%d" % crc(content):
+                self.extent = msgspec.json.decode(content, type=JournalExtent)
 
     def note(self, extent: JournalExtent) -> None:
         """Write how far the journal has come. Errors are ignored."""
         self.extent = extent
         with contextlib.suppress(OSError):
-            self._lock.write(msgspec.json.encode(extent) + b"\n")
+            content = msgspec.json.encode(extent)
+            self._lock.write(b"%b %d\n" % (content, crc(content)))

@@ -180,6 +180,30 @@ def test_an_event_with_an_invalid_label_is_stored_and_the_label_counted(
     assert bench.intake.rejects.counts == {"bad-label": 1}
 
 
+def test_a_grabber_that_numbers_events_and_never_asks_is_too_old(
+    bench: IntakeBench, caplog: pytest.LogCaptureFixture
+) -> None:
+    """As those of 0.2; other programs have no token on the bus, and new grabbers ask at once."""
+    for camera in ("old", "new"):
+        bench.intake.on_alive(camera, True)
+    for camera in ("old", "new", "program"):
+        bench.publish(camera, boot="b1", seq=1)
+    bench.hello("new")
+    bench.tick(intake_module.SILENT_SECONDS - 0.1)
+    assert bench.intake.too_old == {}
+    bench.tick(0.2)
+    bench.tick(1.0)
+
+    words = "camera old: its grabber is too old for this daemon: upgrade it"
+    assert bench.intake.too_old == {"old": words}
+    assert caplog.messages.count(words) == 1
+    bench.intake.on_alive("old", False)
+    bench.hello("old")
+    bench.publish("old", boot="b1", seq=2)
+    bench.tick(intake_module.SILENT_SECONDS + 1.0)
+    assert bench.intake.too_old == {}
+
+
 def test_a_held_batch_is_answered_after_a_minute_and_stored_once(bench: IntakeBench) -> None:
     bench.hello()
     batch = Batch("h1", "b1", 0, [(1, event_bytes("a", bench.wall))])
