@@ -43,14 +43,15 @@ _JSON_STARTS = (b"{", b" ", b"\t", b"\r", b"\n")
 """First bytes of an event in JSON; a MessagePack map begins above 0x7f."""
 
 
-class _Time(msgspec.Struct):
-    """The time alone of an event."""
+class _Stamp(msgspec.Struct):
+    """Camera and time alone of an event."""
 
     t: float
+    camera: str = ""
 
 
 _json_event = msgspec.json.Decoder(Event)
-_json_time = msgspec.json.Decoder(_Time)
+_json_stamp = msgspec.json.Decoder(_Stamp)
 _json_value = msgspec.json.Decoder(msgspec.Raw)
 _pack_event = msgspec.msgpack.Decoder(Event)
 _to_json = msgspec.json.Encoder()
@@ -196,13 +197,13 @@ def _without_label(raw: bytes) -> Event:
     return msgspec.convert(value, Event)
 
 
-def time_of(line: bytes) -> float | None:
-    """Return the time in a line of JSON, seconds, unchecked; None for a line without one."""
+def stamp_of(line: bytes) -> tuple[str, float] | None:
+    """Return camera and time (seconds) in a line of JSON; None for a line without a valid time."""
     try:
-        event: _Time = _json_time.decode(line)
+        stamp: _Stamp = _json_stamp.decode(line)
     except _UNREADABLE:
         return None
-    return event.t
+    return (stamp.camera, stamp.t) if T_MIN <= stamp.t < T_MAX else None
 
 
 def is_json(raw: bytes) -> bool:

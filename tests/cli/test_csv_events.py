@@ -69,7 +69,8 @@ def test_each_kind_of_mistake_is_counted_and_shown_once(
     said = capsys.readouterr().err
     assert [event.t for event in events] == [4.0]
     assert reader.summary() == (
-        "6 of 7 lines were rejected: bad-value camera 1, bad-value kind 2, bad-value t 1, "
+        "1 of 7 lines were accepted; 6 of 7 lines were rejected: "
+        "bad-value camera 1, bad-value kind 2, bad-value t 1, "
         "bad-value x 1, half-position 1"
     )
     for number, word in {2: "enter", 3: "yesterday", 4: "1.5", 5: "send both", 8: "a b"}.items():

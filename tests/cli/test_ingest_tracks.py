@@ -315,7 +315,7 @@ def test_frigate_positions_outside_the_picture_are_refused(
     lines = [line.decode() for line in says.passage(t=T)]
     source, out = tmp_path / "in", tmp_path / "out"
     source.write_text("\n".join(lines))
-    assert main(["ingest", "frigate", str(source), "--size", "320x180", "--out", str(out)]) == 0
+    assert main(["ingest", "frigate", str(source), "--size", "320x180", "--out", str(out)]) == 1
     assert out.read_bytes() == b""
     assert "outside the picture: is --size right?" in capsys.readouterr().err
 

@@ -17,10 +17,11 @@ from typing import Any, TypeVar
 
 from msgspec import Struct
 
+from camtopod.cli import exits
 from camtopod.cli.commands.predict import by_moment, matching, predicting
 from camtopod.cli.common import topology_of
 from camtopod.cli.events.event_lines import LineReader
-from camtopod.cli.events.time_order import merged
+from camtopod.cli.events.recording import Times, fault_of, recorded
 from camtopod.cli.exits import InputError
 from camtopod.cli.terminal import Progress
 from camtopod.records import Event, Match, Prediction, Topology
@@ -75,12 +76,12 @@ def add_parser(add: Any) -> None:
     )
 
 
-def run(args: argparse.Namespace) -> None:
+def run(args: argparse.Namespace) -> int:
     """Print the scores. Raises `InputError`."""
     topology = topology_of(args.topology)
     reader = LineReader()
-    events = [line.event for line in merged(reader, [args.events])]
-    events.sort(key=lambda event: event.t)  # a pipe is not
+    times = Times()
+    events = [line.event for line in recorded(reader, [args.events], times)]
     if (summary := reader.summary()) is not None:
         print(f"camtopod: {summary}", file=sys.stderr)
     passages = passages_of(events, args.identities)
@@ -99,6 +100,10 @@ def run(args: argparse.Namespace) -> None:
     every_match = _given(by_moment(matching(topology), events), len(events), "matched")
     matches = [match for match in every_match if match.t > begin]
     print("\n".join([*lines, *match_lines(matches, passages, window)]))
+    if (fault := fault_of(times)) is not None:
+        print(f"camtopod: {fault}", file=sys.stderr)
+        return exits.FAILED
+    return reader.status
 
 
 def _given(answers: Iterator[AnswerT | None], count: int, unit: str) -> Iterator[AnswerT]:

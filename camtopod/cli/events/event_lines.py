@@ -18,6 +18,7 @@ from io import BufferedReader
 from typing import NamedTuple, Protocol
 
 from camtopod.adapt import LINE_BYTES_MAX, Adapter, frames
+from camtopod.cli import exits
 from camtopod.cli.events import csv_rows
 from camtopod.cli.exits import InputError
 from camtopod.codec import EVENT_BYTES_MAX, Rejected, event_from_json, to_json
@@ -27,6 +28,8 @@ from camtopod.visible import visible
 
 log = logging.getLogger(__name__)
 
+ACCEPTED_MIN = 0.9
+"""Least share of accepted lines with which a command succeeds."""
 _PIECE_BYTES = 1 << 16
 """Longest piece that is read at a time: whatever has come of it."""
 _UTF_16 = "in UTF-16: save it as UTF-8, or pipe it through iconv -f UTF-16"
@@ -62,11 +65,13 @@ class LineReader:
     """Reads lines and counts them.
 
     ``lines_read`` counts all lines, ``events`` the resulting events, ``rejections`` the other lines
-    by mistake: a reason and, if there is one, the field.
+    by mistake: a reason and, if there is one, the field. ``repeats`` are lines with an event that
+    another line has, too: they are no mistake.
     """
 
     def __init__(self) -> None:
         self.rejections: Counter[str] = Counter()
+        self.repeats = 0
         self.labels_dropped = 0
         """Events whose label is not valid; they count without it."""
         self.lines_read = 0
@@ -146,26 +151,56 @@ class LineReader:
         self.rejections[mistake] += 1
         if self.rejections[mistake] == 1:
             quote = text[:120].decode("utf-8", "backslashreplace")
-            message = visible(redact(": ".join(filter(None, [position, quote]))))
-            print(f"camtopod: {message} (further ones are only counted)", file=sys.stderr)
+            say(redact(": ".join(filter(None, [position, quote]))))
+
+    def reject_event(self, reason: str, position: str) -> None:
+        """Reject a line that has been yielded as an event; ``position`` as for `reject`."""
+        self.events -= 1
+        self.reject(reason, position)
+
+    def repeat(self, line: Line) -> None:
+        """Count a line whose event has come before; print the first one."""
+        self.events -= 1
+        self.repeats += 1
+        if self.repeats == 1:
+            say(f"{line.file}:{line.number}: repeats an event, which counts once")
 
     def _drop_label(self, position: str, error: Rejected) -> None:
         """Count an invalid label; print the first one's mistake in a message."""
         self.labels_dropped += 1
         if self.labels_dropped == 1:
-            warning = f"{position}: {error}; the event counts without its label"
-            print(f"camtopod: {warning} (further ones are only counted)", file=sys.stderr)
+            say(f"{position}: {error}; the event counts without its label")
+
+    @property
+    def accepted(self) -> int:
+        """Number of lines that were accepted, repeats included."""
+        return self.lines_read - self.rejections.total()
+
+    @property
+    def status(self) -> int:
+        """Exit status of the command: `exits.FAILED` if too few lines were accepted."""
+        used = self.accepted - self.repeats
+        too_few = used < ACCEPTED_MIN * (self.lines_read - self.repeats)
+        return exits.FAILED if too_few else exits.DONE
 
     def summary(self) -> str | None:
-        """Return one line about the rejected lines and labels; None if there are none."""
+        """Return one line about what was used; None if that is every line with all it says."""
         parts = []
         if self.rejections:
             mistakes = ", ".join(f"{mistake} {n}" for mistake, n in sorted(self.rejections.items()))
-            total = sum(self.rejections.values())
+            total = self.rejections.total()
+            parts.append(f"{self.accepted} of {self.lines_read} lines were accepted")
             parts.append(f"{total} of {self.lines_read} lines were rejected: {mistakes}")
+        if self.repeats:
+            parts.append(f"{self.repeats} of {self.lines_read} lines are repeats, counted once")
         if self.labels_dropped:
             parts.append(f"{self.labels_dropped} labels were not valid, their events count")
         return "; ".join(parts) or None
+
+
+def say(message: str) -> None:
+    """Print the first message of its kind to standard error."""
+    print(f"camtopod: {visible(message)} (further ones are only counted)", file=sys.stderr)
 
 
 def messages(path: str, file: Readable) -> Iterator[tuple[int, bytes]]:
