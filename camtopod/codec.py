@@ -62,7 +62,10 @@ _UNREADABLE = (msgspec.MsgspecError, ValueError, RecursionError)
 _KINDS = get_args(Kind)
 _T = TypeVar("_T")
 _AT_T = " - at `$.t`"
-_NO_TIME = f"t is no number of seconds between 1970 and 3000 (milliseconds, or text?){_AT_T}"
+_NO_TIME = (
+    "t is no number of seconds between 1970 and 3000 (milliseconds, or text?); ISO 8601 is read in "
+    f"tables only{_AT_T}"
+)
 _AT_LABEL = " - at `$.label"
 """In the mistake of an event whose label is of the wrong type, or too long."""
 _CUT_OFF = "Input data was truncated"

@@ -14,6 +14,7 @@ from camtopod.adapt.adapter import (
     Adapter as Adapter,
     Size as Size,
 )
+from camtopod.adapt.camera_names import folded as folded
 from camtopod.adapt.formats import FORMATS as FORMATS
 from camtopod.adapt.framing import frames as frames
 from camtopod.adapt.tracks import TrackEvents as TrackEvents

@@ -27,7 +27,7 @@ class CameraNames:
         """Return the id of a camera, with its channel behind it. Raises `Rejected`."""
         if not name and self._only is None:
             raise Rejected("no-camera", "names no camera: give --camera ID")
-        camera = (self._only or self.new_names.get(name) or _folded(name)) + channel
+        camera = (self._only or self.new_names.get(name) or folded(name)) + channel
         if not codec.is_camera(camera):
             raise Rejected(
                 "no-camera",
@@ -46,7 +46,7 @@ class CameraNames:
         return camera
 
 
-def _folded(name: str) -> str:
+def folded(name: str) -> str:
     """Return a name that is no id in lower case, without accents, with ``_`` for blanks."""
     if codec.is_camera(name):
         return name

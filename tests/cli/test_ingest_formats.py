@@ -258,9 +258,6 @@ def test_xml_that_never_ends_is_refused_once(
         (gzip.compress, "gunzip -c"),
         (lzma.compress, "xz -dc"),
         (bz2.compress, "bunzip2 -c"),
-        (lambda raw: raw.decode().encode("utf-16"), "UTF-16: save it as UTF-8"),
-        (lambda raw: raw.decode().encode("utf-16-le"), "iconv -f UTF-16LE"),
-        (lambda raw: raw.decode().encode("utf-16-be"), "iconv -f UTF-16BE"),
     ],
 )
 def test_text_in_another_form_is_named(
@@ -270,6 +267,15 @@ def test_text_in_another_form_is_named(
     path.write_bytes(form(to_json(Event("lobby", "entry", T0))))
     assert main(["ingest", "jsonl", str(path), "--out", "-"]) == exits.INPUT
     assert said in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("encoding", ["utf-16", "utf-16-le", "utf-16-be", "utf-32"])
+def test_text_in_another_encoding_is_read(
+    encoding: str, tmp_path: Path, capsysbinary: pytest.CaptureFixture[bytes]
+) -> None:
+    path = tmp_path / "events.jsonl"
+    path.write_bytes((to_json(Event("lobby", "entry", T0)).decode() + "\n").encode(encoding))
+    assert len(ingested(capsysbinary, path, "jsonl")[0]) == 1
 
 
 def test_byte_order_marks_are_skipped(

@@ -43,8 +43,9 @@ def add_parser(add: Any) -> None:
         "events",
         nargs="+",
         metavar="EVENTS",
-        help="files of event lines, or CSV with a header: camera, kind, t (seconds since 1970, or "
-        "ISO 8601), and x, y and track if known ('-': standard input)",
+        help="files of event lines, or tables (CSV, Parquet, Excel ...) with the columns camera, "
+        "kind, t (seconds since 1970, or ISO 8601), and x, y and track if known, in any order "
+        "('-': standard input)",
     )
     parser.add_argument(
         "--topology",

@@ -14,7 +14,8 @@ from camtopod.adapt import ANY_CAMERA, FORMATS, LINE_BYTES_MAX, Adapter, Size, f
 from camtopod.cli import exits
 from camtopod.cli.common import camera_id
 from camtopod.cli.events import broker_options
-from camtopod.cli.events.event_lines import LineReader, open_input, pieces
+from camtopod.cli.events.event_lines import LineReader, open_input
+from camtopod.cli.events.file_forms import pieces
 from camtopod.cli.exits import CommandError
 from camtopod.records import Event
 

@@ -104,7 +104,7 @@ class _Survey:
         hour = math.nan
         hour_lines = 0
         for number, text in messages(path, file):
-            stamp = stamp_of(text)
+            stamp = stamp_of(text) if isinstance(text, bytes) else None
             if stamp is None:
                 continue
             camera, t = stamp

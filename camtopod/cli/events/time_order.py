@@ -12,7 +12,8 @@ from collections.abc import Callable, Iterable, Iterator
 from contextlib import closing, contextmanager
 from io import BufferedReader
 
-from camtopod.cli.events.event_lines import Readable, messages
+from camtopod.cli.events.event_lines import messages
+from camtopod.cli.events.file_forms import Readable
 from camtopod.cli.exits import CommandError
 from camtopod.codec import event_from_msgpack, stamp_of, to_msgpack
 from camtopod.records import Event, Kind
@@ -148,7 +149,7 @@ def count_if_ordered(path: str, file: Readable) -> int | None:
     newest, count = -math.inf, 0
     for _, text in messages(path, file):
         count += 1
-        stamp = stamp_of(text)
+        stamp = stamp_of(text) if isinstance(text, bytes) else None
         if stamp is not None:
             if stamp[1] < newest:
                 return None
