@@ -27,6 +27,7 @@ class Mot(Adapter):
     """
 
     begins = b""
+    box_form = "left, top, width, height in pixels"
 
     def __init__(self, camera: str | None, sizes: Sizes, fps: float | None, start: float) -> None:
         """Prepare for a file of ``fps`` frames per second. Raises `ValueError`."""
@@ -77,8 +78,9 @@ class Mot(Adapter):
             events += self._tracks.update(
                 rows[first:end, 1], rows[first:end, 2:], self._time(frame)
             )
-        self._check_places(self._tracks.camera, self._tracks.outside)
-        return sorted(events + self._tracks.close(), key=lambda event: event.t)
+        events += self._tracks.close()
+        self._check_boxes(self._tracks.camera, self._tracks.statistics(), is_end=True)
+        return sorted(events, key=lambda event: event.t)
 
     def _time(self, frame: float) -> float:
         return self._start + (frame - 1) / self._fps

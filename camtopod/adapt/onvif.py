@@ -111,6 +111,7 @@ class Onvif(StreamAdapter):
     """
 
     begins = b"<{"
+    box_form = "fractions of the picture, behind the Transformation"
     outside_cause = "the camera sends no Transformation, or a wrong one, from its units to -1 to 1"
 
     def receive(self, line: bytes) -> list[Event]:

@@ -49,6 +49,7 @@ class SceneScape(StreamAdapter):
     """
 
     topic = "data/camera/+"
+    box_form = "x, y, width, height in pixels"
 
     def __init__(
         self, sizes: Sizes, labels: Collection[str] = (), is_tracked: bool = False
