@@ -99,14 +99,16 @@ class Adapter:
                 f"{self.outside_cause} Are they {self.box_form}?",
             )
 
-    def _check_kinds(self, counted: int, unwanted: Mapping[str, int], is_end: bool = False) -> None:
+    def _check_kinds(
+        self, object_count: int, unwanted: Mapping[str, int], is_end: bool = False
+    ) -> None:
         """Note it once if no object counts, by ``--label``.
 
-        counted: objects that count.
+        object_count: objects that count.
         unwanted: the others, by kind.
         """
         total = sum(unwanted.values())
-        if counted or total < (1 if is_end else UNWANTED_OBJECTS):
+        if object_count or total < (1 if is_end else UNWANTED_OBJECTS):
             return
         kinds = sorted(unwanted, key=lambda kind: -unwanted[kind])[:KINDS_SHOWN_MAX]
         words = ", ".join(f"{unwanted[kind]} {kind or 'without a kind'}" for kind in kinds)

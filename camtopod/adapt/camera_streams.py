@@ -52,7 +52,7 @@ class CameraStream:
         self.arrival = 0.0
         """When the latest frame came, seconds of the clock of `StreamAdapter.silent`."""
         self._t = -math.inf
-        self._held: tuple[Sequence[TrackedBox], Sequence[Name], float] | None = None
+        self._frame_ahead: tuple[Sequence[TrackedBox], Sequence[Name], float] | None = None
         """A frame that is far ahead: it may have a wrong time."""
         self._empty = False
         self._keeps_sending = False
@@ -72,12 +72,12 @@ class CameraStream:
         if len(tracked_boxes) > TRACKS_MAX:
             raise Rejected("too-many", f"more than {TRACKS_MAX} objects in a frame")
         events = []
-        if self._held is not None and t >= self._held[2]:
-            events = self._take(*self._held)
-        elif self._held is None and t - self._t > AHEAD_SECONDS and self._t > -math.inf:
-            self._held = tracked_boxes, ended_names, t
+        if self._frame_ahead is not None and t >= self._frame_ahead[2]:
+            events = self._take(*self._frame_ahead)
+        elif self._frame_ahead is None and t - self._t > AHEAD_SECONDS and self._t > -math.inf:
+            self._frame_ahead = tracked_boxes, ended_names, t
             return []
-        self._held = None
+        self._frame_ahead = None
         return events + self._take(tracked_boxes, ended_names, t)
 
     def _take(
@@ -97,7 +97,7 @@ class CameraStream:
 
     def close(self) -> list[Event]:
         """Return the events of the end of the input (`TrackEvents.close`)."""
-        events = [] if self._held is None else self._take(*self._held)
+        events = [] if self._frame_ahead is None else self._take(*self._frame_ahead)
         return events + self.tracks.close()
 
     def lose(self) -> list[Event]:
@@ -177,8 +177,8 @@ class StreamAdapter(Adapter):
         unwanted = Counter[str]()
         for stream in self._streams.values():
             unwanted.update(stream.tracks.unwanted)
-        counted = sum(stream.tracks.counted for stream in self._streams.values())
-        self._check_kinds(counted, unwanted, is_end)
+        object_count = sum(stream.tracks.object_count for stream in self._streams.values())
+        self._check_kinds(object_count, unwanted, is_end)
 
 
 def seconds_of(value: str | float) -> float:

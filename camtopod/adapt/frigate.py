@@ -93,7 +93,7 @@ class Frigate(Adapter):
         super().__init__()
         self._sizes = sizes
         self._labels = frozenset(map(plain, labels))
-        self._counted = 0
+        self._object_count = 0
         self._unwanted: dict[str, int] = {}
         self._objects: dict[str, _FrigateObject] = {}  # in order of the latest message
 
@@ -125,7 +125,7 @@ class Frigate(Adapter):
 
     def close(self) -> list[Event]:
         """Note it if no object counts."""
-        self._check_kinds(self._counted, self._unwanted, is_end=True)
+        self._check_kinds(self._object_count, self._unwanted, is_end=True)
         return []
 
     def _met(self, message: _FrigateMessage) -> _FrigateObject:
@@ -161,10 +161,10 @@ class Frigate(Adapter):
         track.ended = message.type == "end"
         if not track.counted and counts(track.votes, self._labels):
             track.counted = True
-            self._counted += 1
+            self._object_count += 1
         if track.ended and not track.counted and len(self._unwanted) <= LABELS_MAX:
             self._unwanted[now.label] = self._unwanted.get(now.label, 0) + 1
-            self._check_kinds(self._counted, self._unwanted)
+            self._check_kinds(self._object_count, self._unwanted)
         if track.counted and track.came and track.entry is not None:
             events.append(replace(track.entry, label=most_frequent(track.labels)))
             track.entry = None

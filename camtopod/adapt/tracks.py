@@ -157,7 +157,7 @@ class TrackEvents:
         """Boxes that were used."""
         self.unwanted: dict[str, int] = {}
         """Objects that have ended and were none of ``wanted_labels``, by their last kind."""
-        self.counted = 0
+        self.object_count = 0
         """Objects that count."""
         self.refused_count = 0
         """Boxes of tracks beyond ``tracks_max``."""
@@ -215,11 +215,11 @@ class TrackEvents:
         lost_tracks = itertools.takewhile(
             lambda item: t - item[1].last.t > self._lost_seconds, self._tracks.items()
         )
-        forgotten = itertools.takewhile(
+        expired_tracks = itertools.takewhile(
             lambda item: t - item[1].last.t > IDLE_SECONDS_MAX, self._idle.items()
         )
         events = []
-        for track_id, track in [*lost_tracks, *forgotten]:
+        for track_id, track in [*lost_tracks, *expired_tracks]:
             if track.votes is not None:
                 kind = most_frequent(track.labels)
                 sightings = {} if kind is None else {kind: 1}
@@ -333,7 +333,7 @@ class TrackEvents:
         if track.counted or not has_lived or not counts(track.votes, self._wanted_labels):
             return []
         track.counted = True
-        self.counted += 1
+        self.object_count += 1
         return [] if track.from_start else [self._event("entry", label, track, track.first)]
 
     def _seen(

@@ -200,13 +200,13 @@ def messages(
     if (form := table_files.form_of(beginning)) is not None:
         return table_files.rows(path, _rewound(path, file, len(beginning), form), form, needed)
     later_pieces = pieces(path, file, beginning)
-    begun: list[bytes] = []
+    first_pieces: list[bytes] = []
     for piece in later_pieces:
-        begun.append(piece)
-        if csv_rows.is_told(b"".join(begun)):
+        first_pieces.append(piece)
+        if csv_rows.is_told(b"".join(first_pieces)):
             break
-    whole = itertools.chain(begun, later_pieces)
-    if (header := csv_rows.header_of(b"".join(begun), needed)) is not None:
+    whole = itertools.chain(first_pieces, later_pieces)
+    if (header := csv_rows.header_of(b"".join(first_pieces), needed)) is not None:
         return csv_rows.rows(whole, path, header, needed)
     return frames(whole, EVENT_BYTES_MAX)
 

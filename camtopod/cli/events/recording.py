@@ -53,29 +53,29 @@ class _Course(Struct):
     """The times of one camera's lines, in the order of a file."""
 
     last: float
-    """Time of the last line, of those that are not in ``doubted``."""
+    """Time of the last line, of those that are not in ``outliers``."""
     lines: int = 0
     rises: int = 0
     falls: int = 0
     """Number of steps of more than `HOUR` between lines that are right."""
-    doubted: list[tuple[int, float]] = field(default_factory=list)
+    outliers: list[tuple[int, float]] = field(default_factory=list)
     """Number and time of the last lines, if they are more than a day from those before."""
     wrong: list[int] = field(default_factory=list)
     """Numbers of lines that those before and after them contradict."""
 
     def turn(self, number: int, t: float) -> None:
-        """Take a line after a step, or after lines that are doubted."""
+        """Take a line after a step, or after outliers."""
         if abs(t - self.last) <= DAY:
-            self.wrong += [number for number, _ in self.doubted]
-            self.doubted = []
+            self.wrong += [number for number, _ in self.outliers]
+            self.outliers = []
             self._move(t)
-        elif self.doubted and abs(t - self.doubted[-1][1]) > DAY:
-            self._move(self.doubted[-1][1])
-            self.doubted = [(number, t)]
-        elif len(self.doubted) < WRONG_IN_A_ROW_MAX:
-            self.doubted.append((number, t))
+        elif self.outliers and abs(t - self.outliers[-1][1]) > DAY:
+            self._move(self.outliers[-1][1])
+            self.outliers = [(number, t)]
+        elif len(self.outliers) < WRONG_IN_A_ROW_MAX:
+            self.outliers.append((number, t))
         else:
-            self.doubted = []
+            self.outliers = []
             self._move(t)
 
     def is_ordered(self) -> bool:
@@ -119,7 +119,7 @@ class _Survey:
             course = courses.get(camera)
             if course is None:
                 course = courses[camera] = _Course(t)
-            elif course.doubted or not -HOUR <= t - course.last <= HOUR:
+            elif course.outliers or not -HOUR <= t - course.last <= HOUR:
                 course.turn(number, t)
             else:
                 course.last = t
