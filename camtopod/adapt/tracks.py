@@ -144,6 +144,7 @@ class TrackEvents:
         self.untracked_count = 0
         """Boxes without an id (None or negative), which the tracker does not follow (yet)."""
         self._idle: dict[str, _Track] = {}  # the one seen last is last
+        self._expected: dict[str, None] = {}
         self._back_first = self._back_last = math.inf
         self._back_count = 0
         """Old frames in a row: time of the first and the last, and their number."""
@@ -246,6 +247,12 @@ class TrackEvents:
         label = _label(name)
         if label is not None and label in self._tracks:
             self._idle[label] = self._tracks.pop(label)
+
+    def expect(self, name: Any) -> None:
+        """Begin the next track of an id without an entry: it was part of another one."""
+        label = _label(name)
+        if label is not None:
+            remember(self._expected, label, None)
 
     def follows(self, name: Any) -> bool:
         """Return True if there is a track of an id."""
@@ -363,7 +370,8 @@ class TrackEvents:
             if len(self._tracks) >= self._max:
                 self.refused_count += 1
                 return []
-            from_start = t - self._start <= 2 * LIFE_SECONDS
+            from_start = t - self._start <= 2 * LIFE_SECONDS or label in self._expected
+            self._expected.pop(label, None)
             votes, sightings = self._verdicts.pop(label, (None, {}))
             track = _Track(place, place, from_start, votes, sightings)
         track.left = track.left and t <= track.last.t  # the same frame again
