@@ -92,7 +92,8 @@ class Axis(StreamAdapter):
         # The camera.
         name_levels = [level for level in levels if not _SOURCE.fullmatch(level)]
         channel = f"-{frame.channel_id}" * (frame.channel_id > 1)
-        camera = self.cameras.id_of("".join(name_levels[-1:]), channel)
+        origin = "/".join(name_levels[:-1])
+        camera = self.cameras.id_of("".join(name_levels[-1:]), channel, origin)
 
         # Boxes, and the objects that are gone.
         tracked_boxes = []

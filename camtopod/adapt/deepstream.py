@@ -76,11 +76,12 @@ class DeepStream(StreamAdapter):
 
     def receive(self, line: bytes) -> list[Event]:
         """Return the events that a message makes certain. Raises `Rejected`."""
-        message = codec.read(_DeepStreamMessage, split_topic(line)[1])
+        levels, text = split_topic(line)
+        message = codec.read(_DeepStreamMessage, text)
         sensor = message.sensor.id
         if message.sensorId != "":
             sensor = message.sensorId
-        camera = self.cameras.id_of(str(sensor))
+        camera = self.cameras.id_of(str(sensor), origin="/".join(levels))
         lone_object = message.object
         if message.objects is None and lone_object is None:
             raise Rejected("malformed", "has neither objects nor object")

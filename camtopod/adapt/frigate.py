@@ -95,18 +95,18 @@ class Frigate(Adapter):
         self._labels = frozenset(map(plain, labels))
         self._object_count = 0
         self._unwanted: dict[str, int] = {}
-        self._objects: dict[str, _FrigateObject] = {}  # in order of the latest message
+        self._objects: dict[tuple[str, str], _FrigateObject] = {}  # in order of the latest message
 
     def receive(self, line: bytes) -> list[Event]:
         """Return the entry or exit (or both) that a message makes certain. Raises `Rejected`."""
-        text = split_topic(line, "*/events")[1]
+        levels, text = split_topic(line, "*/events")
         if b'"before"' not in text:  # as what /api/events returns
             raise Rejected("bad-value", "is no message of frigate/events, with type, before, after")
         message = codec.read(_FrigateMessage, text)
         if message.type not in ("new", "update", "end"):
             raise Rejected("bad-value", "type is not new, update or end - at `$.type`")
 
-        camera = self.cameras.id_of(message.after.camera)
+        camera = self.cameras.id_of(message.after.camera, origin="/".join(levels[:-1]))
         now = replace(message.after, camera=camera)
         message = replace(message, before=replace(message.before, camera=camera), after=now)
         if not all(
@@ -116,8 +116,9 @@ class Frigate(Adapter):
         if now.false_positive:
             return []
 
-        track = self._objects.get(now.id) or self._met(message)
-        remember(self._objects, now.id, track)
+        key = camera, now.id
+        track = self._objects.get(key) or self._met(message)
+        remember(self._objects, key, track)
         track.votes = vote(track.votes, now.label, self._labels)
         if is_wanted(now.label, self._labels):
             count_label(track.labels, now.label)

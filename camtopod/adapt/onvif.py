@@ -190,11 +190,12 @@ class Onvif(StreamAdapter):
 
         # JSON by MQTT.
         levels, message = split_topic(line, "*/onvif-mj/VideoAnalytics/*")
-        name = module = ""
+        name = module = origin = ""
         if levels:
             place = levels.index("onvif-mj")
             name, module = levels[place - 1], "/".join(levels[place + 2 :])
-        camera = self.cameras.id_of(name)
+            origin = "/".join(levels[: place - 1])
+        camera = self.cameras.id_of(name, origin=origin)
         if self._modules.setdefault(camera, module) == module:
             module = ""
         return self._read(camera, module, _many(codec.read(_OnvifMessage, message).frames))

@@ -454,6 +454,42 @@ def test_other_programs_names_become_ids(tmp_path: Path, name: str) -> None:
         assert short(events) == PASSAGE
 
 
+@pytest.mark.parametrize("name", ["axis", "onvif", "deepstream", "scenescape", "frigate"])
+def test_two_programs_cameras_of_one_name_are_two(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], name: str
+) -> None:
+    def topic(place: str) -> str:
+        behind = {
+            "axis": "front",
+            "onvif": "front/onvif-mj/VideoAnalytics/1/Module",
+            "deepstream": "messages",
+            "scenescape": "data/camera/front",
+            "frigate": "events",
+        }
+        return f"{place}/{behind[name]}"
+
+    if name == "frigate":
+        options: list[str] = []
+        messages = [line.decode() for line in says.passage(t=T, camera="front")]
+    else:
+        line, options = FORMATS[name]
+        key = "id" if name == "scenescape" else "sensorId"
+        messages = [json.dumps({**m, key: "front"} if options == SIZE else m) for m in walk(line)]
+        options = [] if name in ("axis", "onvif") else options
+    lines = [f"{topic(place)} {m}" for m in messages for place in ("home/house", "home/barn")]
+    whole = topic("home/barn") if name == "deepstream" else "home/barn"
+
+    status, events = ingested(tmp_path, name, lines, *options)
+    assert (status, {e.camera for e in events}) == (exits.FAILED, {"front"})
+    assert len(events) == 2
+    said = capsys.readouterr().err
+    assert f"and '{whole}/front' would both be front: give --rename" in said
+
+    status, events = ingested(tmp_path, name, lines, *options, "--rename", f"{whole}/front=barn")
+    assert (status, {e.camera for e in events}) == (exits.DONE, {"front", "barn"})
+    assert len(events) == 4
+
+
 def test_frigate_cameras_have_ids_and_sizes_by_them(tmp_path: Path) -> None:
     lines = [line.decode() for line in says.passage(t=T, camera="Front Yard", paths=False)]
     events = ingested(tmp_path, "frigate", lines, "--size", "front_yard=1280x720")[1]

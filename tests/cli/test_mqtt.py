@@ -211,6 +211,19 @@ def test_bytes_that_wait_have_a_limit_and_prefixes_may_be_any(
     assert "3 messages of frigate/events were dropped" in caplog.text
 
 
+def test_retained_messages_are_not_read(tmp_path: Path) -> None:
+    """They are of earlier, as is told when a subscription begins."""
+    from paho.mqtt import publish
+
+    with mosquitto(tmp_path) as broker:
+        where = {"hostname": "127.0.0.1", "port": broker.port}
+        publish.single("frigate/events", b"old", 1, True, **where)
+        source = mqtt.broker(f"mqtt://127.0.0.1:{broker.port}/frigate")
+        with contextlib.closing(mqtt.MessageSubscription(source, "events")) as messages:
+            broker.publish([b"new"])
+            assert next(messages.read(threading.Event())) == b"new"
+
+
 def test_without_the_extra_it_says_so(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:

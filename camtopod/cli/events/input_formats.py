@@ -89,9 +89,7 @@ def events(
             raise CommandError(f"{args.format} cannot be read from MQTT, give a file", exits.USAGE)
         source = broker_options.broker_of(args, args.file)
         with broker_options.connecting(exits.INPUT):
-            messages = mqtt.MessageSubscription(
-                source, adapter.topic, with_topics=adapter.topic == "#"
-            )
+            messages = mqtt.MessageSubscription(source, adapter.topic, with_topics=True)
         stack.callback(messages.close)
         lines = ((reader.lines_read + 1, text) for text in messages.read(stop, ticks=True))
         return reader.adapted(messages.topic, lines, adapter, live=True)
