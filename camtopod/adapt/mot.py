@@ -13,6 +13,10 @@ from camtopod.adapt.tracks import TrackEvents
 from camtopod.codec import Rejected
 from camtopod.records import Event
 
+_AI_CITY = (
+    "is of the AI City Challenge (camera, id, frame, left, top, width, height, ...), not of "
+    "MOTChallenge: take one camera's with awk '$1 == CAMERA {print $3, $2, $4, $5, $6, $7}'"
+)
 ROWS_MAX = 5_000_000
 """Boxes accepted from a file, 48 bytes each."""
 
@@ -53,7 +57,9 @@ class Mot(Adapter):
         except ValueError:
             raise Rejected("malformed", "is not frame,id,left,top,width,height,...") from None
 
-        # Validate.
+        # Validate. The seventh of nine columns of a ground truth is 0 or 1.
+        if len(fields) == 9 and confidence > [1.0]:
+            raise Rejected("other-format", _AI_CITY)
         if not all(map(math.isfinite, numbers)) or frame < 0 or width < 0 or height < 0:
             raise Rejected(
                 "bad-value", "a frame, a width or a height below 0, or not a finite number"

@@ -39,7 +39,7 @@ def _renaming(text: str) -> tuple[str, str]:
 _OPTIONS: dict[str, tuple[str, dict[str, Any]]] = {
     "size": (
         "width and height in pixels of the pictures that the boxes refer to (of Frigate's detect, "
-        "not needed with path_data; of nvstreammux); may be repeated",
+        "not needed with path_data; of DeepStream's sources, see integrations.md); may be repeated",
         {"metavar": "[CAMERA=]WxH", "type": _size, "action": "append", "default": []},
     ),
     "label": (
