@@ -66,6 +66,7 @@ _NO_TIME = (
     "t is no number of seconds between 1970 and 3000 (milliseconds, or text?); ISO 8601 is read in "
     f"tables only{_AT_T}"
 )
+_AT_TRACK = " - at `$.track`"
 _AT_LABEL = " - at `$.label"
 """In the mistake of an event whose label is of the wrong type, or too long."""
 _CUT_OFF = "Input data was truncated"
@@ -146,10 +147,11 @@ def _event(decoder: Any, raw: bytes, on_label: OnLabel | None) -> Event:
         try:
             event: Event = decoder.decode(raw)
         except msgspec.ValidationError as error:
-            if _AT_LABEL not in str(error):
+            if _AT_LABEL in str(error):
+                bad_label = Rejected("bad-label", str(error))
+            elif _AT_TRACK not in str(error):
                 raise
-            bad_label = Rejected("bad-label", str(error))
-            event = _without_label(raw)
+            event = _mended(raw, bad_label is not None)
     except _UNREADABLE as error:
         rejection = _rejection(error)
         if str(rejection).endswith(_AT_T):
@@ -192,11 +194,18 @@ def _event(decoder: Any, raw: bytes, on_label: OnLabel | None) -> Event:
     return event
 
 
-def _without_label(raw: bytes) -> Event:
-    """Return the event of a payload, its label left out."""
+def _mended(raw: bytes, without_label: bool) -> Event:
+    """Return the event of a payload, with a whole number for a track that is a float like 17.0.
+
+    without_label: leave its label out.
+    """
     pack = not raw.startswith(_JSON_STARTS)
     value = msgspec.msgpack.decode(raw) if pack else msgspec.json.decode(raw)
-    del value["label"]
+    if without_label:
+        del value["label"]
+    track = value.get("track")
+    if isinstance(track, float) and track.is_integer():
+        value["track"] = int(track)
     return msgspec.convert(value, Event)
 
 

@@ -99,6 +99,13 @@ def test_a_table_that_cannot_be_read_is_said_to_be_one(text: str, mistake: str) 
         read(text)
 
 
+def test_a_track_that_is_a_float_in_json_is_a_whole_number() -> None:
+    """As pandas writes a column of numbers that has gaps."""
+    begin = '{"camera":"a","kind":"exit","t":1,"track":'
+    lines = [f"{begin}{track}}}" for track in ("17.0", "17.5")]
+    assert [event.track for event in read("\n".join(lines))[1]] == ["17"]
+
+
 def test_lines_of_json_are_no_table() -> None:
     line = '{"camera":"a","kind":"exit","t":1}\n'
     assert len(read(line * 2)[1]) == 2

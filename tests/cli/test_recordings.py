@@ -247,3 +247,15 @@ def test_repeats_do_not_count_against_a_recording(tmp_path: Path) -> None:
     reader.reject("malformed", "here")
     assert reader.status == exits.DONE
     assert (reader.accepted, reader.repeats) == (3 * len(EVENTS), 2 * len(EVENTS))
+
+
+def test_messages_of_other_topics_do_not_count_against_an_input() -> None:
+    """As of what else a camera publishes."""
+    reader = LineReader()
+    reader.lines_read = 100
+    for _ in range(90):
+        reader.reject("other-topic", "here")
+    assert reader.status == exits.DONE
+    for _ in range(2):
+        reader.reject("malformed", "here")
+    assert reader.status == exits.FAILED

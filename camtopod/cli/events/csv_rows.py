@@ -37,9 +37,8 @@ class TableHeader(NamedTuple):
 
 def is_told(beginning: bytes) -> bool:
     """Return True if it can be told whether a file that begins like this is a table."""
-    lines = _contents(_text_lines(beginning))
     return (
-        len(lines) > 2
+        len(_contents(_text_lines(beginning)[:-1])) > 1
         or len(beginning) > BEGINNING_BYTES_MAX
         or beginning.lstrip()[:1] in (b"{", b"[", b"<")
     )

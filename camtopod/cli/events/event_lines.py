@@ -161,10 +161,13 @@ class LineReader:
 
     @property
     def status(self) -> int:
-        """Exit status of the command: `exits.FAILED` if too few lines were accepted."""
+        """Exit status of the command: `exits.FAILED` if too few lines were accepted.
+
+        Neither repeats nor messages of other topics count.
+        """
         used = self.accepted - self.repeats
-        too_few = used < ACCEPTED_MIN * (self.lines_read - self.repeats)
-        return exits.FAILED if too_few else exits.DONE
+        rejected = self.rejections.total() - self.rejections["other-topic"]
+        return exits.FAILED if used < ACCEPTED_MIN * (used + rejected) else exits.DONE
 
     def summary(self) -> str | None:
         """Return one line about what was used; None if that is every line with all it says."""
