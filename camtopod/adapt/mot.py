@@ -55,6 +55,8 @@ class Mot(Adapter):
             numbers = [float(field) for field in fields[:7]]
             frame, track, left, top, width, height, *confidence = numbers
         except ValueError:
+            if len(fields) == 9:  # c041, ...
+                raise Rejected("other-format", _AI_CITY) from None
             raise Rejected("malformed", "is not frame,id,left,top,width,height,...") from None
 
         # Validate. The seventh of nine columns of a ground truth is 0 or 1.
