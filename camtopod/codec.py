@@ -43,14 +43,15 @@ _JSON_STARTS = (b"{", b" ", b"\t", b"\r", b"\n")
 """First bytes of an event in JSON; a MessagePack map begins above 0x7f."""
 
 
-class _Time(msgspec.Struct):
-    """The time alone of an event."""
+class _Stamp(msgspec.Struct):
+    """Camera and time alone of an event."""
 
     t: float
+    camera: str = ""
 
 
 _json_event = msgspec.json.Decoder(Event)
-_json_time = msgspec.json.Decoder(_Time)
+_json_stamp = msgspec.json.Decoder(_Stamp)
 _json_value = msgspec.json.Decoder(msgspec.Raw)
 _pack_event = msgspec.msgpack.Decoder(Event)
 _to_json = msgspec.json.Encoder()
@@ -61,7 +62,11 @@ _UNREADABLE = (msgspec.MsgspecError, ValueError, RecursionError)
 _KINDS = get_args(Kind)
 _T = TypeVar("_T")
 _AT_T = " - at `$.t`"
-_NO_TIME = f"t is no number of seconds between 1970 and 3000 (milliseconds, or text?){_AT_T}"
+_NO_TIME = (
+    "t is no number of seconds between 1970 and 3000 (milliseconds, or text?); ISO 8601 is read in "
+    f"tables only{_AT_T}"
+)
+_AT_TRACK = " - at `$.track`"
 _AT_LABEL = " - at `$.label"
 """In the mistake of an event whose label is of the wrong type, or too long."""
 _CUT_OFF = "Input data was truncated"
@@ -142,10 +147,11 @@ def _event(decoder: Any, raw: bytes, on_label: OnLabel | None) -> Event:
         try:
             event: Event = decoder.decode(raw)
         except msgspec.ValidationError as error:
-            if _AT_LABEL not in str(error):
+            if _AT_LABEL in str(error):
+                bad_label = Rejected("bad-label", str(error))
+            elif _AT_TRACK not in str(error):
                 raise
-            bad_label = Rejected("bad-label", str(error))
-            event = _without_label(raw)
+            event = _mended(raw, bad_label is not None)
     except _UNREADABLE as error:
         rejection = _rejection(error)
         if str(rejection).endswith(_AT_T):
@@ -188,21 +194,28 @@ def _event(decoder: Any, raw: bytes, on_label: OnLabel | None) -> Event:
     return event
 
 
-def _without_label(raw: bytes) -> Event:
-    """Return the event of a payload, its label left out."""
+def _mended(raw: bytes, without_label: bool) -> Event:
+    """Return the event of a payload, with a whole number for a track that is a float like 17.0.
+
+    without_label: leave its label out.
+    """
     pack = not raw.startswith(_JSON_STARTS)
     value = msgspec.msgpack.decode(raw) if pack else msgspec.json.decode(raw)
-    del value["label"]
+    if without_label:
+        del value["label"]
+    track = value.get("track")
+    if isinstance(track, float) and track.is_integer():
+        value["track"] = int(track)
     return msgspec.convert(value, Event)
 
 
-def time_of(line: bytes) -> float | None:
-    """Return the time in a line of JSON, seconds, unchecked; None for a line without one."""
+def stamp_of(line: bytes) -> tuple[str, float] | None:
+    """Return camera and time (seconds) in a line of JSON; None for a line without a valid time."""
     try:
-        event: _Time = _json_time.decode(line)
+        stamp: _Stamp = _json_stamp.decode(line)
     except _UNREADABLE:
         return None
-    return event.t
+    return (stamp.camera, stamp.t) if T_MIN <= stamp.t < T_MAX else None
 
 
 def is_json(raw: bytes) -> bool:

@@ -175,6 +175,8 @@ class _BrokerConnection:
 class MessageSubscription(_BrokerConnection):
     """The messages of one topic below the broker's prefix, oldest first.
 
+    Retained messages, which tell of earlier, are none of them.
+
     with_topics: put each message's topic and a blank in front of it, as `mosquitto_sub -v` does.
 
     Messages that are published while there is no connection are missing. Raises `MqttError`.
@@ -217,7 +219,10 @@ class MessageSubscription(_BrokerConnection):
         client.on_message = self._on_message
 
     def _joined(self) -> None:
-        self._client.subscribe(self.topic, qos=1)
+        from paho.mqtt.subscribeoptions import SubscribeOptions
+
+        options = SubscribeOptions(qos=1, retainHandling=SubscribeOptions.RETAIN_DO_NOT_SEND)
+        self._client.subscribe(self.topic, options=options)
 
     def _on_subscribe(
         self, _: Client, __: Any, ___: int, codes: list[ReasonCode], ____: Any
@@ -229,6 +234,8 @@ class MessageSubscription(_BrokerConnection):
         self._ready.set()
 
     def _on_message(self, _: Client, __: Any, message: MQTTMessage) -> None:
+        if message.retain:  # of a broker that sends them nevertheless
+            return
         payload = bytes(message.payload)
         if self._with_topics:
             payload = message.topic.encode() + b" " + payload

@@ -5,7 +5,7 @@ Read `formats` first, the table of all formats, and `adapter`, the interface tha
 `tracks.TrackEvents` turns the tracks of any tracker into events; it is public, through
 `camtopod.client`. `mot` is the shortest format, then `frigate`; `axis`, `onvif`, `deepstream` and
 `scenescape` (with `box_linking`) share `camera_streams`. `kinds` decides what counts,
-`camera_names` gives cameras their ids.
+`camera_names` gives cameras their ids, and `object_tree` follows ids that ONVIF explains.
 """
 
 from camtopod.adapt.adapter import (
@@ -14,6 +14,7 @@ from camtopod.adapt.adapter import (
     Adapter as Adapter,
     Size as Size,
 )
+from camtopod.adapt.camera_names import folded as folded
 from camtopod.adapt.formats import FORMATS as FORMATS
 from camtopod.adapt.framing import frames as frames
 from camtopod.adapt.tracks import TrackEvents as TrackEvents

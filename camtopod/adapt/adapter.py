@@ -13,12 +13,18 @@ from camtopod.records import Event
 
 LINE_BYTES_MAX = 1024 * 1024
 """Longest accepted line, bytes. Frigate's lines grow with the path of an object."""
+KINDS_SHOWN_MAX = 5
+"""Most kinds of objects that a message names."""
 REMEMBERED_MAX = 10_000
 """Objects remembered, the latest ones, so that a repeated message counts once."""
 OUTSIDE_MAX = 0.1
 """Largest distance of a foot point from the picture, in fractions of it: boxes are inexact."""
 OUTSIDE_BOXES = 20
-"""Boxes of a camera outside its picture after which that is said: a few may be errors."""
+"""Boxes of a camera that cannot be right after which that is said: a few may be errors."""
+BEYOND_SHARE = 1 / 3
+"""Share of a camera's boxes that reach beyond the picture from which that is said."""
+UNWANTED_OBJECTS = 100
+"""Objects of which none counts, by ``--label``, after which that is said."""
 ANY_CAMERA = ""
 """Key in `Sizes` for all cameras that are not named."""
 
@@ -40,12 +46,15 @@ class Adapter:
     """Signs that begin a message, as for `framing.frames`; without any, each line is one."""
     outside_cause = "is --size right?"
     """Likely cause of boxes outside the picture, as a message."""
+    box_form = "left, top, right, bottom in pixels"
+    """What the numbers of a box are."""
 
     def __init__(self, camera: str | None = None) -> None:
         self.cameras = CameraNames(camera)
         self.say: Callable[[str], None] = lambda note: None
         """Tells the user something; set by the caller."""
-        self._outside: set[str] = set()
+        self._noted: set[tuple[str, str]] = set()
+        """What was said, of which camera."""
 
     def receive(self, line: bytes) -> list[Event]:
         """Return the events that a line makes certain. Raises `Rejected` for an unusable line.
@@ -66,14 +75,51 @@ class Adapter:
         """Return the events that are certain once no more lines come."""
         return []
 
-    def _check_places(self, camera: str, outside: int) -> None:
-        """Note it once if many boxes of a camera lie outside its picture."""
-        if outside >= OUTSIDE_BOXES and camera not in self._outside:
-            self._outside.add(camera)
-            self.say(
-                f"camera {camera}: {outside} boxes lie outside the picture and are not used: "
-                f"{self.outside_cause}"
+    def _check_boxes(self, camera: str, counts: Mapping[str, int], is_end: bool = False) -> None:
+        """Note it once if many boxes of a camera cannot be right; at the end, if any cannot.
+
+        counts: as `TrackEvents.statistics`.
+        """
+        outside, unusable, beyond = (counts[name] for name in ("outside", "unusable", "beyond"))
+        if outside >= OUTSIDE_BOXES:
+            self._note(
+                camera,
+                f"{outside} boxes lie outside the picture and are not used: {self.outside_cause}",
             )
+        if unusable >= (1 if is_end else OUTSIDE_BOXES):
+            self._note(
+                camera,
+                f"{unusable} boxes have no area, or less than a pixel, and are not used: are they "
+                f"{self.box_form}?",
+            )
+        if beyond >= max(OUTSIDE_BOXES, BEYOND_SHARE * counts["used"]):
+            self._note(
+                camera,
+                f"{beyond} of {counts['used']} boxes reach far beyond the picture: "
+                f"{self.outside_cause} Are they {self.box_form}?",
+            )
+
+    def _check_kinds(
+        self, object_count: int, unwanted: Mapping[str, int], is_end: bool = False
+    ) -> None:
+        """Note it once if no object counts, by ``--label``.
+
+        object_count: objects that count.
+        unwanted: the others, by kind.
+        """
+        total = sum(unwanted.values())
+        if object_count or total < (1 if is_end else UNWANTED_OBJECTS):
+            return
+        kinds = sorted(unwanted, key=lambda kind: -unwanted[kind])[:KINDS_SHOWN_MAX]
+        words = ", ".join(f"{unwanted[kind]} {kind or 'without a kind'}" for kind in kinds)
+        self._note("", f"of {total} objects none counts by --label: {words}")
+
+    def _note(self, camera: str, message: str) -> None:
+        """Say something once of a camera: what follows its numbers makes it another thing."""
+        key = camera, re.sub("[0-9]+", "", message).split(":")[0]
+        if key not in self._noted:
+            self._noted.add(key)
+            self.say(f"camera {camera}: {message}" if camera else message)
 
 
 def size_of(camera: str, sizes: Sizes) -> Size:

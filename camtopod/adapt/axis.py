@@ -75,6 +75,7 @@ class Axis(StreamAdapter):
     """
 
     outside_cause = "they are not in fractions of the picture"
+    box_form = "fractions of the picture"
 
     def receive(self, line: bytes) -> list[Event]:
         """Return the events that a frame makes certain. Raises `Rejected`."""
@@ -91,7 +92,8 @@ class Axis(StreamAdapter):
         # The camera.
         name_levels = [level for level in levels if not _SOURCE.fullmatch(level)]
         channel = f"-{frame.channel_id}" * (frame.channel_id > 1)
-        camera = self.cameras.id_of("".join(name_levels[-1:]), channel)
+        origin = "/".join(name_levels[:-1])
+        camera = self.cameras.id_of("".join(name_levels[-1:]), channel, origin)
 
         # Boxes, and the objects that are gone.
         tracked_boxes = []

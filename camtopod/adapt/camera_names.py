@@ -21,13 +21,19 @@ class CameraNames:
         self.new_names: dict[str, str] = {}
         """Ids that the user chose, by name."""
         self._only = only
-        self._names: dict[str, str] = {}
+        self._names: dict[str, tuple[str, str]] = {}
+        """By id: where the camera's program is, and the camera's name there."""
 
-    def id_of(self, name: str, channel: str = "") -> str:
-        """Return the id of a camera, with its channel behind it. Raises `Rejected`."""
+    def id_of(self, name: str, channel: str = "", origin: str = "") -> str:
+        """Return the id of a camera, with its channel behind it. Raises `Rejected`.
+
+        origin: levels of the topic that tell one program from another; names of one differ.
+        """
         if not name and self._only is None:
             raise Rejected("no-camera", "names no camera: give --camera ID")
-        camera = (self._only or self.new_names.get(name) or _folded(name)) + channel
+        whole = f"{origin}/{name}" if origin else name
+        chosen = self._only or self.new_names.get(whole) or self.new_names.get(name)
+        camera = (chosen or folded(name)) + channel
         if not codec.is_camera(camera):
             raise Rejected(
                 "no-camera",
@@ -36,17 +42,19 @@ class CameraNames:
             )
         if camera not in self._names and len(self._names) >= CAMERAS_MAX:
             raise Rejected("too-many-cameras", f"more than {CAMERAS_MAX} cameras")
-        first = self._names.setdefault(camera, name + channel)
-        if first != name + channel:
-            raise Rejected(
-                "same-camera",
-                f"cameras {first[:64]!r} and {name[:64]!r} would both be {camera}: "
-                "give --rename NAME=ID, and no --camera",
-            )
-        return camera
+        first_origin, first = self._names.setdefault(camera, (origin, name + channel))
+        if first == name + channel and (first_origin == origin or not (first_origin and origin)):
+            return camera
+        if first == name + channel:
+            first, name = f"{first_origin}/{first}", whole
+        raise Rejected(
+            "same-camera",
+            f"cameras {first[:128]!r} and {name[:128]!r} would both be {camera}: "
+            "give --rename NAME=ID, and no --camera",
+        )
 
 
-def _folded(name: str) -> str:
+def folded(name: str) -> str:
     """Return a name that is no id in lower case, without accents, with ``_`` for blanks."""
     if codec.is_camera(name):
         return name

@@ -6,7 +6,8 @@ Shared by `axis`, `onvif`, `deepstream` and `scenescape`, whose messages are fra
 from __future__ import annotations
 
 import math
-from collections.abc import Collection, Iterable, Sequence
+from collections import Counter
+from collections.abc import Collection, Sequence
 from datetime import UTC, datetime
 from typing import NamedTuple
 
@@ -17,6 +18,10 @@ from camtopod.adapt.tracks import TRACKS_MAX, TrackEvents
 from camtopod.codec import Rejected
 from camtopod.records import Event
 
+AHEAD_SECONDS = 60.0
+"""Seconds by which a frame is so far ahead of the last that the next one has to confirm it."""
+CHECK_FRAMES = 25
+"""Frames after which boxes and kinds are checked again."""
 SILENT_SECONDS = 2.5
 """Time without a frame after which a camera's objects have left.
 
@@ -47,25 +52,40 @@ class CameraStream:
         self.arrival = 0.0
         """When the latest frame came, seconds of the clock of `StreamAdapter.silent`."""
         self._t = -math.inf
+        self._frame_ahead: tuple[Sequence[TrackedBox], Sequence[Name], float] | None = None
+        """A frame that is far ahead: it may have a wrong time."""
         self._empty = False
         self._keeps_sending = False
         """While the view is empty."""
 
     def update(
-        self, tracked_boxes: Sequence[TrackedBox], ended_names: Iterable[Name], t: float
+        self, tracked_boxes: Sequence[TrackedBox], ended_names: Sequence[Name], t: float
     ) -> list[Event]:
         """Return the events that a frame at ``t`` (seconds) makes certain.
 
         ended_names: tracks that the tracker reports as ended.
 
+        A frame that is far ahead waits for the next one, and is dropped if that is before it.
         Raises `Rejected` if a later frame came before, or the frame has too many boxes.
         """
         self.require_newer(t)
         if len(tracked_boxes) > TRACKS_MAX:
             raise Rejected("too-many", f"more than {TRACKS_MAX} objects in a frame")
+        events = []
+        if self._frame_ahead is not None and t >= self._frame_ahead[2]:
+            events = self._take(*self._frame_ahead)
+        elif self._frame_ahead is None and t - self._t > AHEAD_SECONDS and self._t > -math.inf:
+            self._frame_ahead = tracked_boxes, ended_names, t
+            return []
+        self._frame_ahead = None
+        return events + self._take(tracked_boxes, ended_names, t)
+
+    def _take(
+        self, tracked_boxes: Sequence[TrackedBox], ended_names: Sequence[Name], t: float
+    ) -> list[Event]:
         if self._empty and t - self._t > SILENT_SECONDS:
             self._keeps_sending = False
-        elif self._empty and not tracked_boxes:
+        elif self._empty and not tracked_boxes and t > self._t:
             self._keeps_sending = True
         self._empty = not tracked_boxes
         self._t = t
@@ -74,6 +94,11 @@ class CameraStream:
         for name in ended_names:
             events += self.tracks.end(name)
         return events
+
+    def close(self) -> list[Event]:
+        """Return the events of the end of the input (`TrackEvents.close`)."""
+        events = [] if self._frame_ahead is None else self._take(*self._frame_ahead)
+        return events + self.tracks.close()
 
     def lose(self) -> list[Event]:
         """Return the exits of all objects, as no frame has come for too long.
@@ -102,6 +127,7 @@ class StreamAdapter(Adapter):
         super().__init__(camera)
         self._labels = labels
         self._streams: dict[tuple[str, str], CameraStream] = {}
+        self._frames = 0
         self._last_call = self._now = self._last_check = 0.0
 
     def silent(self, now: float) -> list[Event]:
@@ -122,9 +148,11 @@ class StreamAdapter(Adapter):
 
     def close(self) -> list[Event]:
         """Return the exits of objects out of sight. Those in a camera's last frame are in view."""
+        events = [event for stream in self._streams.values() for event in stream.close()]
         for stream in self._streams.values():
-            self._check_places(stream.tracks.camera, stream.tracks.outside)
-        return [event for stream in self._streams.values() for event in stream.tracks.close()]
+            self._check_boxes(stream.tracks.camera, stream.tracks.statistics(), is_end=True)
+        self._check_all_kinds(is_end=True)
+        return events
 
     def _stream(self, camera: str, size: Size = (1, 1), module: str = "") -> CameraStream:
         """Return the stream of a camera's analytics module, new or known. Raises `Rejected`.
@@ -137,9 +165,20 @@ class StreamAdapter(Adapter):
                 raise Rejected("too-many-cameras", f"more than {CAMERAS_MAX} cameras")
             stream = CameraStream(camera, size, self._labels)
             self._streams[camera, module] = stream
-        self._check_places(camera, stream.tracks.outside)
+        self._frames += 1
+        if self._frames % CHECK_FRAMES == 0:
+            self._check_boxes(camera, stream.tracks.statistics())
+            self._check_all_kinds()
         stream.arrival = self._now
         return stream
+
+    def _check_all_kinds(self, is_end: bool = False) -> None:
+        """Note it once if no object of any camera counts."""
+        unwanted = Counter[str]()
+        for stream in self._streams.values():
+            unwanted.update(stream.tracks.unwanted)
+        object_count = sum(stream.tracks.object_count for stream in self._streams.values())
+        self._check_kinds(object_count, unwanted, is_end)
 
 
 def seconds_of(value: str | float) -> float:

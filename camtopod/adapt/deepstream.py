@@ -5,8 +5,11 @@
 - Full: one message an object, with ``object.id`` and ``object.bbox``; the camera is ``sensor.id``.
 
 As in the page "Gst-nvmsgconv" of DeepStream's documentation (looked up for 5.0 to 9.2). Boxes are
-pixels of the stream muxer's pictures, so their size is needed. ``@timestamp`` is ISO 8601;
-milliseconds since the epoch are read, too. Attributes behind the type (plates, ages) are not read.
+pixels, so the size of the pictures is needed: the source's, to which deepstream-app and
+deepstream-test5 scale boxes back, or the stream muxer's where a program (deepstream-test4) does
+not.
+``@timestamp`` is ISO 8601; milliseconds since the epoch are read, too. Attributes behind the type
+(plates, ages) are not read.
 """
 
 from __future__ import annotations
@@ -63,7 +66,7 @@ class _DeepStreamMessage(Struct, frozen=True):
 class DeepStream(StreamAdapter):
     """Adapter for both schemas: one JSON object a line, with or without the topic in front.
 
-    sizes: sizes of the muxer's pictures (``nvstreammux width height``).
+    sizes: sizes of the pictures that the boxes refer to.
     camera: id of the one camera; None to take it from the messages.
     labels: kinds of objects (``Person``) that count; empty for all.
     """
@@ -76,11 +79,12 @@ class DeepStream(StreamAdapter):
 
     def receive(self, line: bytes) -> list[Event]:
         """Return the events that a message makes certain. Raises `Rejected`."""
-        message = codec.read(_DeepStreamMessage, split_topic(line)[1])
+        levels, text = split_topic(line)
+        message = codec.read(_DeepStreamMessage, text)
         sensor = message.sensor.id
         if message.sensorId != "":
             sensor = message.sensorId
-        camera = self.cameras.id_of(str(sensor))
+        camera = self.cameras.id_of(str(sensor), origin="/".join(levels))
         lone_object = message.object
         if message.objects is None and lone_object is None:
             raise Rejected("malformed", "has neither objects nor object")

@@ -24,9 +24,9 @@ from camtopod import codec
 from camtopod.adapt import adapter
 from camtopod.adapt.adapter import Adapter, Sizes, remember, size_of, split_topic
 from camtopod.adapt.kinds import Votes, counts, is_wanted, plain, vote
-from camtopod.adapt.tracks import in_picture
+from camtopod.adapt.tracks import in_picture, is_box
 from camtopod.codec import Rejected
-from camtopod.labels import count_label, most_frequent
+from camtopod.labels import LABELS_MAX, count_label, most_frequent
 from camtopod.records import Event, Kind
 
 ENTRY_SECONDS_MAX = 5.0
@@ -36,7 +36,7 @@ An object that begins to move later was standing there before.
 """
 
 Box = tuple[float, float, float, float]
-"""Left, top, right, bottom, pixels of the picture that Frigate detects in."""
+"""Left, top, right, bottom, in messages pixels of the picture that Frigate detects in."""
 Point = tuple[tuple[float, float], float]
 """Foot point (fractions of the picture) and its time."""
 
@@ -93,18 +93,20 @@ class Frigate(Adapter):
         super().__init__()
         self._sizes = sizes
         self._labels = frozenset(map(plain, labels))
-        self._objects: dict[str, _FrigateObject] = {}  # in order of the latest message
+        self._object_count = 0
+        self._unwanted: dict[str, int] = {}
+        self._objects: dict[tuple[str, str], _FrigateObject] = {}  # in order of the latest message
 
     def receive(self, line: bytes) -> list[Event]:
         """Return the entry or exit (or both) that a message makes certain. Raises `Rejected`."""
-        text = split_topic(line, "*/events")[1]
+        levels, text = split_topic(line, "*/events")
         if b'"before"' not in text:  # as what /api/events returns
             raise Rejected("bad-value", "is no message of frigate/events, with type, before, after")
         message = codec.read(_FrigateMessage, text)
         if message.type not in ("new", "update", "end"):
             raise Rejected("bad-value", "type is not new, update or end - at `$.type`")
 
-        camera = self.cameras.id_of(message.after.camera)
+        camera = self.cameras.id_of(message.after.camera, origin="/".join(levels[:-1]))
         now = replace(message.after, camera=camera)
         message = replace(message, before=replace(message.before, camera=camera), after=now)
         if not all(
@@ -114,12 +116,18 @@ class Frigate(Adapter):
         if now.false_positive:
             return []
 
-        track = self._objects.get(now.id) or self._met(message)
-        remember(self._objects, now.id, track)
+        key = camera, now.id
+        track = self._objects.get(key) or self._met(message)
+        remember(self._objects, key, track)
         track.votes = vote(track.votes, now.label, self._labels)
         if is_wanted(now.label, self._labels):
             count_label(track.labels, now.label)
         return self._changed(track, message)
+
+    def close(self) -> list[Event]:
+        """Note it if no object counts."""
+        self._check_kinds(self._object_count, self._unwanted, is_end=True)
+        return []
 
     def _met(self, message: _FrigateMessage) -> _FrigateObject:
         """Return the state of an object at its first message; it enters if it is new."""
@@ -152,7 +160,12 @@ class Frigate(Adapter):
         # It is told once the object counts; its exit, too, unless it was standing.
         events = []
         track.ended = message.type == "end"
-        track.counted |= counts(track.votes, self._labels)
+        if not track.counted and counts(track.votes, self._labels):
+            track.counted = True
+            self._object_count += 1
+        if track.ended and not track.counted and len(self._unwanted) <= LABELS_MAX:
+            self._unwanted[now.label] = self._unwanted.get(now.label, 0) + 1
+            self._check_kinds(self._object_count, self._unwanted)
         if track.counted and track.came and track.entry is not None:
             events.append(replace(track.entry, label=most_frequent(track.labels)))
             track.entry = None
@@ -172,15 +185,21 @@ class Frigate(Adapter):
         if sighting.path_data and not self._knows_size(sighting.camera):
             return _at_point(kind, sighting, (sighting.path_data[-1][0], sighting.frame_time))
         width, height = size_of(sighting.camera, self._sizes)
-        left, _, right, bottom = sighting.box
-        return _at_point(
-            kind, sighting, (((left + right) / 2 / width, bottom / height), sighting.frame_time)
-        )
+        left, top, right, bottom = sighting.box
+        if not is_box(sighting.box, (width, height)):
+            raise Rejected("no-area", "the box has no area")
+        box = (left / width, top / height, right / width, bottom / height)
+        return _in_box(kind, sighting, box, sighting.frame_time)
 
 
 def _at_point(kind: Kind, sighting: _Seen, point: Point) -> Event:
     (x, y), t = point
-    foot = in_picture(x, y, adapter.OUTSIDE_MAX)
+    return _in_box(kind, sighting, (x, y, x, y), t)
+
+
+def _in_box(kind: Kind, sighting: _Seen, box: Box, t: float) -> Event:
+    """Return an event at the foot of a box, in fractions of the picture; raise `Rejected`."""
+    foot = in_picture(box, adapter.OUTSIDE_MAX)
     if foot is None:
         raise Rejected("outside", "the object lies outside the picture: is --size right?")
     return Event(sighting.camera, kind, round(t, 6), *foot, sighting.id)

@@ -13,6 +13,10 @@ from camtopod.adapt.tracks import TrackEvents
 from camtopod.codec import Rejected
 from camtopod.records import Event
 
+_AI_CITY = (
+    "is of the AI City Challenge (camera, id, frame, left, top, width, height, ...), not of "
+    "MOTChallenge: take one camera's with awk '$1 == CAMERA {print $3, $2, $4, $5, $6, $7}'"
+)
 ROWS_MAX = 5_000_000
 """Boxes accepted from a file, 48 bytes each."""
 
@@ -27,6 +31,7 @@ class Mot(Adapter):
     """
 
     begins = b""
+    box_form = "left, top, width, height in pixels"
 
     def __init__(self, camera: str | None, sizes: Sizes, fps: float | None, start: float) -> None:
         """Prepare for a file of ``fps`` frames per second. Raises `ValueError`."""
@@ -50,9 +55,13 @@ class Mot(Adapter):
             numbers = [float(field) for field in fields[:7]]
             frame, track, left, top, width, height, *confidence = numbers
         except ValueError:
+            if len(fields) == 9:  # c041, ...
+                raise Rejected("other-format", _AI_CITY) from None
             raise Rejected("malformed", "is not frame,id,left,top,width,height,...") from None
 
-        # Validate.
+        # Validate. The seventh of nine columns of a ground truth is 0 or 1.
+        if len(fields) == 9 and confidence > [1.0]:
+            raise Rejected("other-format", _AI_CITY)
         if not all(map(math.isfinite, numbers)) or frame < 0 or width < 0 or height < 0:
             raise Rejected(
                 "bad-value", "a frame, a width or a height below 0, or not a finite number"
@@ -77,8 +86,9 @@ class Mot(Adapter):
             events += self._tracks.update(
                 rows[first:end, 1], rows[first:end, 2:], self._time(frame)
             )
-        self._check_places(self._tracks.camera, self._tracks.outside)
-        return sorted(events + self._tracks.close(), key=lambda event: event.t)
+        events += self._tracks.close()
+        self._check_boxes(self._tracks.camera, self._tracks.statistics(), is_end=True)
+        return sorted(events, key=lambda event: event.t)
 
     def _time(self, frame: float) -> float:
         return self._start + (frame - 1) / self._fps

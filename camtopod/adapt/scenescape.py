@@ -49,6 +49,7 @@ class SceneScape(StreamAdapter):
     """
 
     topic = "data/camera/+"
+    box_form = "x, y, width, height in pixels"
 
     def __init__(
         self, sizes: Sizes, labels: Collection[str] = (), is_tracked: bool = False
@@ -60,9 +61,10 @@ class SceneScape(StreamAdapter):
 
     def receive(self, line: bytes) -> list[Event]:
         """Return the events that a frame makes certain. Raises `Rejected`."""
-        message = codec.read(_SceneScapeMessage, split_topic(line, "*/data/camera/*")[1])
+        levels, text = split_topic(line, "*/data/camera/*")
+        message = codec.read(_SceneScapeMessage, text)
         t = seconds_of(message.timestamp)
-        camera = self.cameras.id_of(message.id)
+        camera = self.cameras.id_of(message.id, origin="/".join(levels[:-3]))
         stream = self._stream(camera, size_of(camera, self._sizes))
         stream.require_newer(t)  # before its boxes are linked to those of later frames
 

@@ -13,7 +13,7 @@ from msgspec import Struct
 from camtopod import codec
 from camtopod.adapt.adapter import remember
 from camtopod.adapt.kinds import Votes, counts, is_wanted, plain, vote
-from camtopod.labels import count_label, most_frequent
+from camtopod.labels import LABEL_CHARACTERS_MAX, LABELS_MAX, count_label, most_frequent
 from camtopod.records import Event, Kind
 
 LIFE_SECONDS = 0.5
@@ -26,6 +26,15 @@ It delays exits, as `LIFE_SECONDS` delays entries, and must stay below the laten
 """
 UNCLASSIFIED_SECONDS = 4.0
 """Longest time that an entry waits for the kind of its object; as long as the lateness allows."""
+IDLE_SECONDS_MAX = 3600.0
+"""Longest time that an object that stands still need not be seen, seconds (`TrackEvents.hold`)."""
+BACK_FRAMES_MIN = 5
+"""Frames in a row, each later than the last, after which the clock was set back.
+
+They are of more than ``lost_seconds``, too; fewer are old frames that come late or again.
+"""
+BOX_MAX = 4.0
+"""Widest box, in widths of the picture; wider ones are in another unit."""
 TRACKS_MAX = 1000
 """Tracks followed at a time; boxes of further ones are counted as refused."""
 
@@ -48,6 +57,8 @@ class _Track(Struct):
     labels: dict[str, int]
     """Sightings by label."""
     counted: bool = False
+    kind: str = ""
+    """The last kind that it was said to be."""
     left: bool = False
     """Its exit was told while no frames came."""
 
@@ -74,8 +85,8 @@ class TrackEvents:
     life_seconds: shortest track that counts as an object.
     lost_seconds: time without a sighting after which a track has ended.
     tracks_max: tracks followed at a time.
-    outside_max: boxes whose foot point is further outside the picture than this fraction of it are
-        not used; without it such foot points are clipped.
+    outside_max: boxes that are as a whole further outside the picture than this fraction of it are
+        not used. Foot points are clipped to the picture.
     wanted_labels: kinds that count; empty for all but faces, heads and plates (`kinds.PARTS`).
 
     Raises `ValueError` for an invalid argument.
@@ -132,10 +143,23 @@ class TrackEvents:
         self.exits = 0
         self.untracked_count = 0
         """Boxes without an id (None or negative), which the tracker does not follow (yet)."""
+        self._idle: dict[str, _Track] = {}  # the one seen last is last
+        self._expected: dict[str, None] = {}
+        self._back_first = self._back_last = math.inf
+        self._back_count = 0
+        """Old frames in a row: time of the first and the last, and their number."""
         self.unusable = 0
-        """Boxes that are not four finite numbers."""
+        """Boxes that are not four finite numbers, have no area, or are no larger than a pixel."""
         self.outside = 0
         """Boxes beyond ``outside_max``."""
+        self.beyond = 0
+        """Boxes that were used, of which a part is beyond ``outside_max``."""
+        self.used = 0
+        """Boxes that were used."""
+        self.unwanted: dict[str, int] = {}
+        """Objects that have ended and were none of ``wanted_labels``, by their last kind."""
+        self.object_count = 0
+        """Objects that count."""
         self.refused_count = 0
         """Boxes of tracks beyond ``tracks_max``."""
         self.late = 0
@@ -157,9 +181,10 @@ class TrackEvents:
         kinds (n): what the objects are (``person``), empty where it is unknown; None if that is not
             known of any object.
 
-        A frame up to ``lost_seconds`` earlier than a previous one is ignored and counted
-        (``late``). One further back means that the clock was set: tracking restarts. Raises
-        `ValueError` if ids, boxes and kinds do not match or ``t`` is not finite.
+        A frame earlier than a previous one is ignored and counted (``late``), unless it goes on
+        from others that were: if they are `BACK_FRAMES_MIN` and span ``lost_seconds``, the clock
+        was set, and tracking restarts. Raises `ValueError` if ids, boxes and kinds do not match or
+        ``t`` is not finite.
         """
         # Check and normalise the arguments.
         corners = np.asarray(boxes, dtype=float)
@@ -182,6 +207,7 @@ class TrackEvents:
             return []
         if t < self._t:
             self._begin_anew()
+        self._back_count = 0
         if self._t == -math.inf:
             self._start = t
         self._t = t
@@ -190,13 +216,16 @@ class TrackEvents:
         lost_tracks = itertools.takewhile(
             lambda item: t - item[1].last.t > self._lost_seconds, self._tracks.items()
         )
+        expired_tracks = itertools.takewhile(
+            lambda item: t - item[1].last.t > IDLE_SECONDS_MAX, self._idle.items()
+        )
         events = []
-        for track_id, track in list(lost_tracks):
+        for track_id, track in [*lost_tracks, *expired_tracks]:
             if track.votes is not None:
                 kind = most_frequent(track.labels)
                 sightings = {} if kind is None else {kind: 1}
                 remember(self._verdicts, track_id, (min(max(track.votes, -1), 1), sightings))
-            events += self._exit(track_id, self._tracks.pop(track_id))
+            events += self._exit(track_id, self._pop(track_id) or track)
         kind_names: Sequence[str | None] = [None] * len(labels) if kinds is None else kinds
         for label, corner, kind in zip(
             labels, corners.reshape(-1, 4).tolist(), kind_names, strict=True
@@ -207,9 +236,28 @@ class TrackEvents:
     def end(self, name: Any) -> list[Event]:
         """End the track of an id that the tracker declares ended; return its exit, if any."""
         label = _label(name)
-        if label is None or label not in self._tracks:
-            return []
-        return self._exit(label, self._tracks.pop(label))
+        track = None if label is None else self._pop(label)
+        return [] if label is None or track is None else self._exit(label, track)
+
+    def hold(self, name: Any) -> None:
+        """Keep the track of an id that is not seen for a while, as the object stands still.
+
+        It goes on when it is seen again, and ends with `end` or after `IDLE_SECONDS_MAX`.
+        """
+        label = _label(name)
+        if label is not None and label in self._tracks:
+            self._idle[label] = self._tracks.pop(label)
+
+    def expect(self, name: Any) -> None:
+        """Begin the next track of an id without an entry: it was part of another one."""
+        label = _label(name)
+        if label is not None:
+            remember(self._expected, label, None)
+
+    def follows(self, name: Any) -> bool:
+        """Return True if there is a track of an id."""
+        label = _label(name)
+        return label in self._tracks or label in self._idle
 
     def lose(self) -> list[Event]:
         """Return the exits of all tracks, as no frame has come for too long.
@@ -223,8 +271,18 @@ class TrackEvents:
         return events
 
     def is_late(self, t: float) -> bool:
-        """Return True if `update` would ignore a frame of this time as out of order."""
-        return 0 < self._t - t <= self._lost_seconds
+        """Return True if `update` would ignore a frame of this time, which has come now."""
+        if t >= self._t:
+            return False
+        if self._t - t <= self._lost_seconds:
+            return True
+        if not self._back_count or t < self._back_last:
+            self._back_first, self._back_count = t, 1
+        elif t > self._back_last:
+            self._back_count += 1
+        self._back_last = t
+        span = self._back_last - self._back_first
+        return self._back_count < BACK_FRAMES_MIN or span <= self._lost_seconds
 
     def close(self) -> list[Event]:
         """End the recording; return the exits of tracks that were out of sight in its last frame.
@@ -232,8 +290,8 @@ class TrackEvents:
         The others are still in view; their entries wait no longer.
         """
         events = []
-        for label, track in self._tracks.items():
-            if track.last.t == self._t:
+        for label, track in (*self._tracks.items(), *self._idle.items()):
+            if track.last.t == self._t or label in self._idle:
                 events += self._entry(label, track)
             else:
                 events += self._exit(label, track)
@@ -249,12 +307,19 @@ class TrackEvents:
             "untracked": self.untracked_count,
             "unusable": self.unusable,
             "outside": self.outside,
+            "beyond": self.beyond,
+            "used": self.used,
             "refused": self.refused_count,
             "late": self.late,
         }
 
+    def _pop(self, label: str) -> _Track | None:
+        """Remove and return a track; None if there is none."""
+        return self._tracks.pop(label, None) or self._idle.pop(label, None)
+
     def _begin_anew(self) -> None:
         self._tracks = {}
+        self._idle = {}
         self._t = -math.inf
 
     def _exit(self, label: str, track: _Track) -> list[Event]:
@@ -264,6 +329,9 @@ class TrackEvents:
         events = self._entry(label, track)
         if track.counted:
             events.append(self._event("exit", label, track, track.last))
+        elif self._wanted_labels and track.last.t - track.first.t >= self._life:
+            kind = track.kind[:LABEL_CHARACTERS_MAX] if len(self.unwanted) < LABELS_MAX else ""
+            self.unwanted[kind] = self.unwanted.get(kind, 0) + 1
         return events
 
     def _entry(self, label: str, track: _Track) -> list[Event]:
@@ -272,6 +340,7 @@ class TrackEvents:
         if track.counted or not has_lived or not counts(track.votes, self._wanted_labels):
             return []
         track.counted = True
+        self.object_count += 1
         return [] if track.from_start else [self._event("entry", label, track, track.first)]
 
     def _seen(
@@ -281,28 +350,33 @@ class TrackEvents:
         if label is None:
             self.untracked_count += 1
             return []
-        if not all(map(math.isfinite, corners)):
+        if not is_box(corners, self.size):
             self.unusable += 1
             return []
-        left, _, right, bottom = corners
-        x, y = (left + right) / 2 / self.size[0], bottom / self.size[1]
-        foot = in_picture(x, y, self._outside_max)
+        width, height = self.size
+        left, top, right, bottom = corners
+        box = (left / width, top / height, right / width, bottom / height)
+        foot = in_picture(box, self._outside_max)
         if foot is None:
             self.outside += 1
             return []
+        self.used += 1
+        self.beyond += max(-box[0], box[2] - 1, -box[1], box[3] - 1) > self._outside_max
 
         # Begin the track or update it.
         place = _Place(t, *foot)
-        track = self._tracks.pop(label, None)
+        track = self._pop(label)
         if track is None:
             if len(self._tracks) >= self._max:
                 self.refused_count += 1
                 return []
-            from_start = t - self._start <= 2 * LIFE_SECONDS
+            from_start = t - self._start <= 2 * LIFE_SECONDS or label in self._expected
+            self._expected.pop(label, None)
             votes, sightings = self._verdicts.pop(label, (None, {}))
             track = _Track(place, place, from_start, votes, sightings)
+        track.left = track.left and t <= track.last.t  # the same frame again
         track.last = place
-        track.left = False
+        track.kind = kind or track.kind
         track.votes = vote(track.votes, kind or "", self._wanted_labels)
         if is_wanted(kind or "", self._wanted_labels):
             count_label(track.labels, kind or "")
@@ -330,11 +404,28 @@ class TrackEvents:
         return Event(self.camera, kind, at.t, at.x, at.y, name, self._boot, seq, label=label)
 
 
-def in_picture(x: float, y: float, outside_max: float) -> tuple[float, float] | None:
-    """Return a foot point (fractions of the picture) clipped to it; None if it is far outside."""
-    if max(-x, x - 1, -y, y - 1) > outside_max:
+def is_box(corners: Sequence[float], size: tuple[float, float]) -> bool:
+    """Return True for left, top, right, bottom with an area, larger than a pixel.
+
+    size (pixels): of the picture; (1, 1) if boxes are fractions of it.
+    """
+    left, top, right, bottom = corners
+    if not all(map(math.isfinite, corners)) or right <= left or bottom <= top:
+        return False
+    return size == (1, 1) or right - left > 1 or bottom - top > 1
+
+
+def in_picture(
+    box: tuple[float, float, float, float], outside_max: float
+) -> tuple[float, float] | None:
+    """Return the foot point of a box, clipped to the picture; None if all of it is far outside.
+
+    box: left, top, right, bottom, fractions of the picture. It may be a point.
+    """
+    left, top, right, bottom = box
+    if max(-right, left - 1, -bottom, top - 1) > outside_max or right - left > BOX_MAX:
         return None
-    return round(min(max(x, 0.0), 1.0), 4), round(min(max(y, 0.0), 1.0), 4)
+    return round(min(max((left + right) / 2, 0.0), 1.0), 4), round(min(max(bottom, 0.0), 1.0), 4)
 
 
 def _label(value: Any) -> str | None:

@@ -136,6 +136,16 @@ def mot_lines(frames: int = 60) -> list[bytes]:
     return [line.encode() for line in lines]
 
 
+def test_mot_refuses_rows_of_the_ai_city_challenge_by_name() -> None:
+    """Nine columns, too: camera, id, frame, left, top, width, height and a place in the world."""
+    adapter = Mot("gate", {"gate": (1920, 1080)}, 10.0, 0.0)
+    for line in (b"41 7 130 1201 530 88 190 42.52 -90.7", b"c041 7 130 1201 530 88 190 -1 -1"):
+        with pytest.raises(Rejected, match="AI City Challenge"):
+            adapter.receive(line)
+    for line in (b"1,7,1201,530,88,190,1,1,0.4", b"1 7 1201 530 88 190 0 1 1"):
+        assert adapter.receive(line) == [], "the ground truth of MOTChallenge"
+
+
 def test_mot_lines_become_events_by_time_whatever_their_order() -> None:
     lines = mot_lines()
     random.Random(1).shuffle(lines)

@@ -71,7 +71,9 @@ def foot(box: list[float]) -> tuple[float, float]:
     return round(min(max(x, 0), 1), 4), round(min(max(y, 0), 1), 4)
 
 
-boxes = st.lists(st.integers(-50, 250), min_size=4, max_size=4)
+boxes = st.tuples(
+    st.integers(-50, 250), st.integers(-50, 250), st.integers(2, 90), st.integers(2, 90)
+).map(lambda box: [box[0], box[1], box[0] + box[2], box[1] + box[3]])
 views = st.dictionaries(st.integers(0, 4), boxes, max_size=4)
 
 
@@ -197,10 +199,81 @@ def test_a_clock_that_is_set_back_begins_anew_and_a_frame_out_of_order_is_left_o
     assert events.update([1], [BOX], 99.9) == []
     assert events.late == 1
     assert [e.t for e in events.update([1, 2], [BOX, BOX], 100.8)] == [100.2]
-    assert events.update([1], [BOX], 50.0) == []
+    for t in (50.0, 50.6, 51.2, 51.8):
+        assert events.update([1], [BOX], t) == []
+    assert events.late == 5, "they may be old frames"
+    assert events.update([1], [BOX], 52.4) == []
     assert events.statistics()["tracks"] == 1
-    assert events.update([1], [BOX], 51.0) == [], "it was there when the time began anew"
-    assert [(e.kind, e.t) for e in events.update([], [], 60.0)] == [("exit", 51.0)]
+    assert events.update([1], [BOX], 53.0) == [], "it was there when the time began anew"
+    assert [(e.kind, e.t) for e in events.update([], [], 60.0)] == [("exit", 53.0)]
+
+
+@pytest.mark.parametrize("back", [2.5, 60.0, 1e9])
+@pytest.mark.parametrize("repeats", [1, 4])
+def test_old_frames_change_nothing(back: float, repeats: int) -> None:
+    """They come late, or again; a few in a row, too."""
+    frames: list[Any] = [
+        (n / 10, {1: [n, 0, n + 9, 50]} if 20 <= n < 80 else {}) for n in range(120)
+    ]
+    old = [(t - back, boxes) for t, boxes in frames[60 : 60 + repeats]]
+    assert fed([*frames[:65], *old, *frames[65:]]) == fed(frames)
+    again = [frames[k] for k in range(120) for _ in range(2)]
+    assert fed(again) == fed(frames)
+
+
+def test_an_object_that_is_held_stays_until_it_is_seen_again_or_ends() -> None:
+    for ending, times in (
+        (False, [("entry", 2.0), ("exit", 102.0)]),
+        (True, [("entry", 2.0), ("exit", 3.0)]),
+    ):
+        events = TrackEvents("c", SIZE)
+        found = events.update([], [], 0.0)
+        for t in (2.0, 3.0):
+            found += events.update([1], [BOX], t)
+        events.hold(1)
+        for t in range(4, 100):
+            found += events.update([], [], float(t))
+        found += events.lose()
+        assert events.follows(1)
+        if ending:
+            found += events.end(1)
+        else:
+            found += events.update([1], [BOX], 102.0) + events.update([], [], 110.0)
+        assert [(e.kind, e.t) for e in found] == times
+    events.update([2], [BOX], 200.0)
+    events.update([2], [BOX], 201.0)
+    events.hold(2)
+    left = events.update([], [], 201.0 + tracks.IDLE_SECONDS_MAX + 1)
+    assert [(e.kind, e.t) for e in left] == [("exit", 201.0)]
+
+
+@pytest.mark.parametrize(
+    "box",
+    [[0, 0, 0, 0], [50, 40, 50, 90], [90, 40, 50, 90], [50, 90, 60, 40], [0.1, 0.2, 0.3, 0.4]],
+    ids=["zeros", "no width", "right below left", "bottom above top", "fractions for pixels"],
+)
+def test_what_cannot_be_a_box_is_counted_and_not_used(box: list[float]) -> None:
+    events = TrackEvents("c", SIZE)
+    found = [e for n in range(50) for e in events.update([1] * (n > 9), [box] * (n > 9), n / 10)]
+    assert (found + events.close(), events.unusable) == ([], 40)
+
+
+def test_a_box_counts_if_some_of_it_lies_in_the_picture() -> None:
+    """Its foot point is clipped."""
+    width, height = SIZE
+    for box, place in (
+        ([-90, 10, 10, 3 * height], (0.0, 1.0)),
+        ([width - 5, 10, width + 200, 50], (1.0, 50 / height)),
+        ([0, -100, 20, 10], (10 / width, 10 / height)),
+    ):
+        events = TrackEvents("c", SIZE, outside_max=0.1)
+        found = events.update([], [], 0.0)
+        for t in (2.0, 3.0):
+            found += events.update([1], [box], t)
+        assert [(e.x, e.y) for e in found] == [pytest.approx(place, abs=1e-3)]
+        assert events.outside == 0
+    events.update([2], [[2 * width, 0, 2 * width + 9, 9]], 4.0)
+    assert events.outside == 1
 
 
 def test_nonsense_is_said_at_once() -> None:

@@ -105,7 +105,10 @@ def test_what_was_learned_is_said_to_be_scored_too_well(
 
 @pytest.mark.parametrize(
     ("text", "mistake"),
-    [("track,who\n", "no columns track and identity"), ("track,identity\nx,y\n", "no track of")],
+    [
+        ("track,who\n", "no column identity: its columns are track, who"),
+        ("track,identity\nx,y\n", "no track of"),
+    ],
 )
 def test_identities_of_nobody_are_no_score(
     text: str, mistake: str, folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]

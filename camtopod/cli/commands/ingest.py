@@ -128,7 +128,7 @@ def run(args: argparse.Namespace) -> int:
             "(untracked, stationary, outside the picture, a face or plate, not among --label)",
             reader.lines_read,
         )
-    return status
+    return status or reader.status
 
 
 def boot_of(path: Path, boots: Collection[str]) -> str:

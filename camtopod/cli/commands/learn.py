@@ -11,9 +11,10 @@ import sys
 from contextlib import ExitStack
 from typing import Any, BinaryIO
 
+from camtopod.cli import exits
 from camtopod.cli.common import configuration, open_output
 from camtopod.cli.events.event_lines import LineReader
-from camtopod.cli.events.time_order import merged
+from camtopod.cli.events.recording import Times, fault_of, recorded
 from camtopod.cli.exits import InputError
 from camtopod.cli.terminal import Progress, busiest_links, topology_lines
 from camtopod.codec import to_json
@@ -42,8 +43,9 @@ def add_parser(add: Any) -> None:
         "events",
         nargs="+",
         metavar="EVENTS",
-        help="files of event lines, or CSV with a header: camera, kind, t (seconds since 1970, or "
-        "ISO 8601), and x, y and track if known ('-': standard input)",
+        help="files of event lines, or tables (CSV, Parquet, Excel ...) with the columns camera, "
+        "kind, t (seconds since 1970, or ISO 8601), and x, y and track if known, in any order "
+        "('-': standard input)",
     )
     parser.add_argument(
         "--topology",
@@ -61,13 +63,14 @@ def add_parser(add: Any) -> None:
     )
 
 
-def run(args: argparse.Namespace) -> None:
+def run(args: argparse.Namespace) -> int:
     """Learn; write the topology to a file, or to standard output if no file is named.
 
     A terminal gets its links as a table instead, as with ``--table``.
     """
     config = configuration(args)
     reader = LineReader()
+    times = Times()
     to_stdout = not (args.updates or args.table or sys.stdout.isatty())
     out = args.topology or ("-" if to_stdout else None)
 
@@ -78,7 +81,7 @@ def run(args: argparse.Namespace) -> None:
             config.learner, site=config.site.name, epoch=EPOCH, only_last=args.updates is None
         )
         updates = stack.enter_context(open_output(args.updates)) if args.updates else None
-        _feed(learner, reader, args.events, updates)
+        _feed(learner, reader, args.events, times, updates)
         if (summary := reader.summary()) is not None:
             print(f"camtopod: {summary}", file=sys.stderr)
         if left_out := learner.statistics()["labels_left_out"]:
@@ -96,14 +99,18 @@ def run(args: argparse.Namespace) -> None:
     if not (out or args.updates):
         print("camtopod: --topology OUT.json keeps the topology", file=sys.stderr)
     repeats = [alarm for alarm in topology.alarms or [] if alarm.kind == "camera_repeats"]
+    fault = fault_of(times)
     for line in (
-        *topology_lines(topology),
+        *([fault] if fault else topology_lines(topology)),
         *(f"{alarm.subject} {alarm.detail}" for alarm in repeats),
     ):
         print(f"camtopod: {line}", file=sys.stderr)
+    return exits.FAILED if fault else reader.status
 
 
-def _feed(learner: Learner, reader: LineReader, paths: list[str], updates: BinaryIO | None) -> None:
+def _feed(
+    learner: Learner, reader: LineReader, paths: list[str], times: Times, updates: BinaryIO | None
+) -> None:
     """Pass every line to the learner, write each version, show progress."""
     with Progress(lines=True) as progress:
 
@@ -111,22 +118,17 @@ def _feed(learner: Learner, reader: LineReader, paths: list[str], updates: Binar
             progress.show("step %d of %d: %s", STEPS.index(step) + 1, len(STEPS), step)
 
         learner.on_step = say_step
-        for line in merged(reader, paths):
+        for line in recorded(reader, paths, times):
             verdict = learner.receive(line.event)
-            if verdict in _WHY:
-                reader.reject(verdict, f"{line.file}:{line.number}: {_WHY[verdict]}")
+            if verdict == "refused":
+                reader.reject_event(
+                    verdict, f"{line.file}:{line.number}: more cameras than can be learned"
+                )
             if progress.due:
                 progress.show("%d lines, %.0f %%", reader.lines_read, 100 * (reader.share() or 0.0))
             _write(learner, updates)
         learner.flush()
         _write(learner, updates)
-
-
-_WHY = {
-    "duplicate": "same boot and seq as an earlier event",
-    "refused": "more cameras than can be learned",
-}
-"""Verdict of the learner on an event that is not learned -> reason in words."""
 
 
 def _write(learner: Learner, updates: BinaryIO | None) -> None:

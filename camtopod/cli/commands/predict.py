@@ -62,7 +62,7 @@ def _count(text: str) -> int:
     return int(text)
 
 
-def run(args: argparse.Namespace) -> None:
+def run(args: argparse.Namespace) -> int:
     """Print a line for each exit (or entry) line, in input order; each uses only earlier events.
 
     A pipe is answered as it is read, and so is a file in order of time; another file is sorted
@@ -106,6 +106,7 @@ def run(args: argparse.Namespace) -> None:
         print(f"camtopod: {summary}", file=sys.stderr)
     if reader.lines_read and not reader.events:
         raise InputError(f"no event lines in {args.events}: nothing to predict")
+    return reader.status
 
 
 def predicting(topology: Topology) -> Callable[[list[Event]], list[Prediction | None]]:

@@ -7,7 +7,6 @@ next cameras of all other exits at the same zone, backed off to those at its cam
 from __future__ import annotations
 
 import argparse
-import csv
 import math
 import sys
 from collections import Counter, defaultdict
@@ -17,12 +16,15 @@ from typing import Any, TypeVar
 
 from msgspec import Struct
 
+from camtopod import codec
+from camtopod.cli import exits
 from camtopod.cli.commands.predict import by_moment, matching, predicting
 from camtopod.cli.common import topology_of
-from camtopod.cli.events.event_lines import LineReader
-from camtopod.cli.events.time_order import merged
+from camtopod.cli.events.event_lines import LineReader, messages, open_input
+from camtopod.cli.events.recording import Times, fault_of, recorded
 from camtopod.cli.exits import InputError
 from camtopod.cli.terminal import Progress
+from camtopod.codec import Rejected
 from camtopod.records import Event, Match, Prediction, Topology
 from camtopod.topology import camera_of, links_between_views
 from camtopod.words import sum_by_camera
@@ -43,6 +45,14 @@ LOSS_FLOOR = 1e-3
 AnswerT = TypeVar("AnswerT", Prediction, Match)
 Key = tuple[str, str]
 """Camera and track of a passage."""
+
+
+class _Identity(Struct):
+    """A row of the file of identities."""
+
+    track: str = ""
+    identity: str = ""
+    camera: str | None = None
 
 
 class TruePassage(Struct, eq=False):
@@ -75,12 +85,12 @@ def add_parser(add: Any) -> None:
     )
 
 
-def run(args: argparse.Namespace) -> None:
+def run(args: argparse.Namespace) -> int:
     """Print the scores. Raises `InputError`."""
     topology = topology_of(args.topology)
     reader = LineReader()
-    events = [line.event for line in merged(reader, [args.events])]
-    events.sort(key=lambda event: event.t)  # a pipe is not
+    times = Times()
+    events = [line.event for line in recorded(reader, [args.events], times)]
     if (summary := reader.summary()) is not None:
         print(f"camtopod: {summary}", file=sys.stderr)
     passages = passages_of(events, args.identities)
@@ -99,6 +109,10 @@ def run(args: argparse.Namespace) -> None:
     every_match = _given(by_moment(matching(topology), events), len(events), "matched")
     matches = [match for match in every_match if match.t > begin]
     print("\n".join([*lines, *match_lines(matches, passages, window)]))
+    if (fault := fault_of(times)) is not None:
+        print(f"camtopod: {fault}", file=sys.stderr)
+        return exits.FAILED
+    return reader.status
 
 
 def _given(answers: Iterator[AnswerT | None], count: int, unit: str) -> Iterator[AnswerT]:
@@ -111,12 +125,17 @@ def _given(answers: Iterator[AnswerT | None], count: int, unit: str) -> Iterator
 
 
 def passages_of(events: Sequence[Event], path: str) -> dict[Key, TruePassage]:
-    """Return the passages that have an identity in a file. Raises `InputError`, OSError."""
-    with open(path, newline="", encoding="utf-8-sig") as file:
-        rows = csv.DictReader(file)
-        if not {"track", "identity"} <= set(rows.fieldnames or ()):
-            raise InputError(f"{path}: the header has no columns track and identity")
-        identity = {(row.get("camera"), row["track"]): row["identity"] for row in rows}
+    """Return the passages that have an identity in a file. Raises `InputError`."""
+    identity: dict[tuple[str | None, str], str] = {}
+    with open_input(path) as file:
+        for number, line in messages(path, file, ("track", "identity")):
+            try:
+                row = line if isinstance(line, Rejected) else codec.read(_Identity, line)
+            except Rejected as error:
+                row = error
+            if isinstance(row, Rejected):
+                raise InputError(f"{path}:{number}: {row}")
+            identity[row.camera, row.track] = row.identity
 
     # Passages, and those of each identity in order.
     passages: dict[Key, TruePassage] = {}

@@ -1,74 +1,136 @@
-"""Event lines of a table: CSV with a header, as pandas and spreadsheets write it."""
+"""Tables as text: CSV and its relatives, as pandas, R, spreadsheets and databases write them.
+
+A row is a line: one stray quotation mark costs one row.
+"""
 
 from __future__ import annotations
 
-import contextlib
 import csv
-import json
+import itertools
 import re
-from collections.abc import Iterable, Iterator
-from datetime import UTC, datetime
+from collections.abc import Iterable, Iterator, Sequence
+from typing import NamedTuple
 
+from camtopod.cli.events.table_rows import COLUMNS, Rows, plain_name
 from camtopod.cli.exits import InputError
+from camtopod.codec import Rejected
 
-COLUMNS = ("camera", "kind", "t")
-"""Columns that a table of events must have."""
 LINE_BYTES_MAX = 100_000
 """Longest line, in bytes."""
-_NUMBERS = ("t", "x", "y", "seq", "clock_sd")
-_DELIMITER = re.compile(r"[,;\t]")
+BEGINNING_BYTES_MAX = 1 << 16
+"""Bytes within which the header comes."""
+_DELIMITERS = ",;\t| "
+_SEPARATOR = re.compile(r"\ufeff?sep=(.)", re.IGNORECASE)
+"""First line with the delimiter, as Excel reads it."""
+_MESSAGE = re.compile(rb"[{<]")
+"""Sign of a message: a file with such a one is a table only if its header has the right names."""
 
 
-def is_table(beginning: bytes) -> bool:
-    """Return True if a file that begins like this has a header: two of `COLUMNS` at least."""
-    header = beginning.split(b"\n", 1)[0].decode("utf-8-sig", "replace")
-    names = {name.strip(' "\r') for name in _DELIMITER.split(header)}
-    return "{" not in header and len(names.intersection(COLUMNS)) > 1
+class TableHeader(NamedTuple):
+    """The header of a table."""
+
+    line: int
+    """Number of its line, from 0."""
+    names: list[str]
+    delimiter: str
 
 
-def rows(pieces: Iterable[bytes], path: str) -> Iterator[tuple[int, bytes]]:
+def is_told(beginning: bytes) -> bool:
+    """Return True if it can be told whether a file that begins like this is a table."""
+    return (
+        len(_contents(_text_lines(beginning)[:-1])) > 1
+        or len(beginning) > BEGINNING_BYTES_MAX
+        or beginning.lstrip()[:1] in (b"{", b"[", b"<")
+    )
+
+
+def header_of(beginning: bytes, needed: Sequence[str] = COLUMNS) -> TableHeader | None:
+    """Return the header of a file that begins like this; None if it is no table.
+
+    The header has two of the columns that are needed at least or, as these may have other names, as
+    many as the line that follows. What stands before it is not read.
+    """
+    lines = _contents(_text_lines(beginning))
+    delimiters = _DELIMITERS
+    if lines and (match := _SEPARATOR.fullmatch(lines[0][1])) is not None:
+        delimiters = match[1]
+        lines = lines[1:]
+    before_messages = itertools.takewhile(lambda line: "{" not in line[1], lines)
+    headers = [
+        TableHeader(number, _cells(text.lstrip("#"), delimiter), delimiter)
+        for number, text in before_messages
+        for delimiter in delimiters
+    ]
+
+    best = max(headers, key=lambda header: _columns(header, needed), default=None)
+    if best is not None and _columns(best, needed) > 1:
+        return best
+    if _MESSAGE.search(beginning) is not None:
+        return None
+    for header in headers[: len(delimiters)]:
+        counts = {len(_cells(text, header.delimiter)) for _, text in lines[:2]}
+        if header.delimiter != " " and len(counts) == 1 and counts != {1}:
+            return header
+    return None
+
+
+def rows(
+    pieces: Iterable[bytes], path: str, header: TableHeader, needed: Sequence[str] = COLUMNS
+) -> Iterator[tuple[int, bytes | Rejected]]:
     """Yield each row of a table as a line of JSON, with the number (from 1) of its line.
 
     ``t`` is seconds since 1970 or ISO 8601, which is UTC if it has no time zone. Empty cells are
     left out. Raises `InputError` if a column is missing.
     """
-    lines = _lines(pieces, path)
-    header = next(lines)
-    delimiter = _DELIMITER.findall(header)[0]
-    names = [name.strip() for name in next(csv.reader([header], delimiter=delimiter))]
-    if missing_columns := [name for name in COLUMNS if name not in names]:
-        raise InputError(f"{path}: the header has no column {' and no '.join(missing_columns)}")
-
-    reader = csv.reader(lines, delimiter=delimiter)
-    try:
-        for row in reader:
-            cells = {name: cell for name, cell in zip(names, row, strict=False) if cell.strip()}
-            if cells:
-                line = {name: _value(name, cell.strip()) for name, cell in cells.items()}
-                yield reader.line_num + 1, json.dumps(line).encode()
-    except csv.Error as error:
-        raise InputError(f"{path}:{reader.line_num + 1}: {error}") from None
+    table = Rows(path, header.names, needed)
+    delimiter = header.delimiter
+    for number, raw in enumerate(_lines(pieces, path)):
+        if number <= header.line or not raw or raw.startswith(b"#"):
+            continue
+        try:
+            text = raw.decode()
+        except UnicodeDecodeError:
+            text = raw.decode("cp1252", "replace")
+        cells = (
+            _cells(text, delimiter) if b'"' in raw or delimiter == " " else text.split(delimiter)
+        )
+        if (line := table.line(cells)) is not None:
+            yield number + 1, line
 
 
-def _lines(pieces: Iterable[bytes], path: str) -> Iterator[str]:
-    """Yield the lines of a text, without the mark at its beginning."""
+def _cells(line: str, delimiter: str) -> list[str]:
+    return next(csv.reader([line], delimiter=delimiter, skipinitialspace=delimiter == " "), [])
+
+
+def _columns(header: TableHeader, needed: Sequence[str]) -> int:
+    return len({*needed}.intersection(map(plain_name, header.names)))
+
+
+def _text_lines(beginning: bytes) -> list[str]:
+    text = beginning.decode("utf-8", "replace").removeprefix("\ufeff")
+    return text.replace("\r\n", "\n").replace("\r", "\n").split("\n")
+
+
+def _contents(lines: list[str]) -> list[tuple[int, str]]:
+    """Return the lines with something in them that may be the header, with their numbers."""
+    return [
+        (number, line)
+        for number, line in enumerate(lines)
+        if line.strip()
+        and (not line.startswith("#") or {*COLUMNS} <= {*map(plain_name, re.split(r"\W+", line))})
+    ]
+
+
+def _lines(pieces: Iterable[bytes], path: str) -> Iterator[bytes]:
+    """Yield the lines of a text, which end as on any system, without the mark at its beginning."""
     remainder = b""
     for piece in pieces:
-        *whole, remainder = (remainder + piece).split(b"\n")
+        text = remainder + piece
+        end = len(text) - text.endswith(b"\r")  # a line feed may follow
+        held = text[end:]
+        *whole, remainder = text[:end].replace(b"\r\n", b"\n").replace(b"\r", b"\n").split(b"\n")
+        remainder += held
         if len(remainder) > LINE_BYTES_MAX:
             raise InputError(f"{path} has a line of more than {LINE_BYTES_MAX} bytes")
-        yield from (line.decode("utf-8-sig", "surrogateescape") for line in whole)
-    yield remainder.decode("utf-8-sig", "surrogateescape")
-
-
-def _value(name: str, cell: str) -> str | float:
-    """Return a cell's value; a text that is no number stays one, and is rejected as such."""
-    if name not in _NUMBERS:
-        return cell
-    for number in (int, float):
-        with contextlib.suppress(ValueError):
-            return number(cell)
-    with contextlib.suppress(ValueError):
-        t = datetime.fromisoformat(cell)
-        return (t if t.tzinfo else t.replace(tzinfo=UTC)).timestamp()
-    return cell
+        yield from whole
+    yield remainder.rstrip(b"\r")

@@ -8,17 +8,19 @@ from __future__ import annotations
 import itertools
 import logging
 import os
-import re
 import sys
 import time
 from collections import Counter
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from functools import partial
 from io import BufferedReader
-from typing import NamedTuple, Protocol
+from typing import Any, NamedTuple
 
 from camtopod.adapt import LINE_BYTES_MAX, Adapter, frames
-from camtopod.cli.events import csv_rows
+from camtopod.cli import exits
+from camtopod.cli.events import csv_rows, table_files
+from camtopod.cli.events.file_forms import PIECE_BYTES, Readable, pieces
+from camtopod.cli.events.table_rows import COLUMNS
 from camtopod.cli.exits import InputError
 from camtopod.codec import EVENT_BYTES_MAX, Rejected, event_from_json, to_json
 from camtopod.records import Event
@@ -27,27 +29,8 @@ from camtopod.visible import visible
 
 log = logging.getLogger(__name__)
 
-_PIECE_BYTES = 1 << 16
-"""Longest piece that is read at a time: whatever has come of it."""
-_UTF_16 = "in UTF-16: save it as UTF-8, or pipe it through iconv -f UTF-16"
-_OTHER_FORMS = {
-    rb"\x1f\x8b": "compressed: pipe it through gunzip -c",
-    rb"BZh": "compressed: pipe it through bunzip2 -c",
-    rb"\xfd7zXZ": "compressed: pipe it through xz -dc",
-    rb"\x28\xb5\x2f\xfd": "compressed: pipe it through zstd -dc",
-    rb"PK\x03\x04": "a zip file: pipe it through unzip -p",
-    rb"\xff\xfe|\xfe\xff": _UTF_16,
-    rb"([^\0]\0){2}": f"{_UTF_16}LE",
-    rb"(\0[^\0]){2}": f"{_UTF_16}BE",
-}
-"""Beginnings of files that hold text in another form, and what to do."""
-
-
-class Readable(Protocol):
-    """A file, or what stands before one."""
-
-    def read1(self, size: int, /) -> bytes:
-        """Read at most ``size`` bytes; block until there are some. Empty at the end of input."""
+ACCEPTED_MIN = 0.9
+"""Least share of accepted lines with which a command succeeds."""
 
 
 class Line(NamedTuple):
@@ -62,11 +45,13 @@ class LineReader:
     """Reads lines and counts them.
 
     ``lines_read`` counts all lines, ``events`` the resulting events, ``rejections`` the other lines
-    by mistake: a reason and, if there is one, the field.
+    by mistake: a reason and, if there is one, the field. ``repeats`` are lines with an event that
+    another line has, too: they are no mistake.
     """
 
     def __init__(self) -> None:
         self.rejections: Counter[str] = Counter()
+        self.repeats = 0
         self.labels_dropped = 0
         """Events whose label is not valid; they count without it."""
         self.lines_read = 0
@@ -95,9 +80,12 @@ class LineReader:
         for number, text in messages(path, file):
             self.lines_read += 1
             try:
+                if isinstance(text, Rejected):
+                    raise text
                 event = event_from_json(text, drop_label)
             except Rejected as error:
-                self.reject(error.reason, f"{path}:{number}: {error}", text)
+                quote = text if isinstance(text, bytes) else b""
+                self.reject(error.reason, f"{path}:{number}: {error}", quote)
                 continue
             self.events += 1
             yield Line(event, path, number)
@@ -146,53 +134,93 @@ class LineReader:
         self.rejections[mistake] += 1
         if self.rejections[mistake] == 1:
             quote = text[:120].decode("utf-8", "backslashreplace")
-            message = visible(redact(": ".join(filter(None, [position, quote]))))
-            print(f"camtopod: {message} (further ones are only counted)", file=sys.stderr)
+            say(redact(": ".join(filter(None, [position, quote]))))
+
+    def reject_event(self, reason: str, position: str) -> None:
+        """Reject a line that has been yielded as an event; ``position`` as for `reject`."""
+        self.events -= 1
+        self.reject(reason, position)
+
+    def repeat(self, line: Line) -> None:
+        """Count a line whose event has come before; print the first one."""
+        self.events -= 1
+        self.repeats += 1
+        if self.repeats == 1:
+            say(f"{line.file}:{line.number}: repeats an event, which counts once")
 
     def _drop_label(self, position: str, error: Rejected) -> None:
         """Count an invalid label; print the first one's mistake in a message."""
         self.labels_dropped += 1
         if self.labels_dropped == 1:
-            warning = f"{position}: {error}; the event counts without its label"
-            print(f"camtopod: {warning} (further ones are only counted)", file=sys.stderr)
+            say(f"{position}: {error}; the event counts without its label")
+
+    @property
+    def accepted(self) -> int:
+        """Number of lines that were accepted, repeats included."""
+        return self.lines_read - self.rejections.total()
+
+    @property
+    def status(self) -> int:
+        """Exit status of the command: `exits.FAILED` if too few lines were accepted.
+
+        Neither repeats nor messages of other topics count.
+        """
+        used = self.accepted - self.repeats
+        rejected = self.rejections.total() - self.rejections["other-topic"]
+        return exits.FAILED if used < ACCEPTED_MIN * (used + rejected) else exits.DONE
 
     def summary(self) -> str | None:
-        """Return one line about the rejected lines and labels; None if there are none."""
+        """Return one line about what was used; None if that is every line with all it says."""
         parts = []
         if self.rejections:
             mistakes = ", ".join(f"{mistake} {n}" for mistake, n in sorted(self.rejections.items()))
-            total = sum(self.rejections.values())
+            total = self.rejections.total()
+            parts.append(f"{self.accepted} of {self.lines_read} lines were accepted")
             parts.append(f"{total} of {self.lines_read} lines were rejected: {mistakes}")
+        if self.repeats:
+            parts.append(f"{self.repeats} of {self.lines_read} lines are repeats, counted once")
         if self.labels_dropped:
             parts.append(f"{self.labels_dropped} labels were not valid, their events count")
         return "; ".join(parts) or None
 
 
-def messages(path: str, file: Readable) -> Iterator[tuple[int, bytes]]:
+def say(message: str) -> None:
+    """Print the first message of its kind to standard error."""
+    print(f"camtopod: {visible(message)} (further ones are only counted)", file=sys.stderr)
+
+
+def messages(
+    path: str, file: Readable, needed: Sequence[str] = COLUMNS
+) -> Iterator[tuple[int, bytes | Rejected]]:
     """Yield each line of a file that should be an event, as JSON, with its number (from 1).
 
-    Raises `InputError` for a table without the columns it needs.
+    needed: columns that a table must have.
+
+    Of a row without sense it is the mistake. Raises `InputError` for a table without the columns it
+    needs, and for a file that is neither text nor a table.
     """
-    later_pieces = pieces(path, file)
-    beginning = next(later_pieces, b"")
-    whole = itertools.chain([beginning], later_pieces)
-    if csv_rows.is_table(beginning):
-        return csv_rows.rows(whole, path)
+    beginning = file.read1(PIECE_BYTES)
+    if (form := table_files.form_of(beginning)) is not None:
+        return table_files.rows(path, _rewound(path, file, len(beginning), form), form, needed)
+    later_pieces = pieces(path, file, beginning)
+    first_pieces: list[bytes] = []
+    for piece in later_pieces:
+        first_pieces.append(piece)
+        if csv_rows.is_told(b"".join(first_pieces)):
+            break
+    whole = itertools.chain(first_pieces, later_pieces)
+    if (header := csv_rows.header_of(b"".join(first_pieces), needed)) is not None:
+        return csv_rows.rows(whole, path, header, needed)
     return frames(whole, EVENT_BYTES_MAX)
 
 
-def pieces(path: str, file: Readable) -> Iterator[bytes]:
-    """Yield the content of a file as soon as it arrives.
-
-    Raises `InputError` for a file that is no text in UTF-8 or ASCII.
-    """
-    number = 0
-    while piece := file.read1(_PIECE_BYTES):
-        number += 1
-        for magic, form in _OTHER_FORMS.items():
-            if number == 1 and re.match(magic, piece):
-                raise InputError(f"{path} is {form}")
-        yield piece
+def _rewound(path: str, file: Any, size: int, form: str) -> BufferedReader:
+    """Return a file whose first bytes were read, from its beginning. Raises `InputError`."""
+    try:
+        file.seek(-size, os.SEEK_CUR)
+    except (OSError, AttributeError):
+        raise InputError(f"{path} is {form}, which is read from a file only") from None
+    return file  # type: ignore[no-any-return]
 
 
 def open_input(path: str) -> BufferedReader:

@@ -14,7 +14,8 @@ from camtopod.adapt import ANY_CAMERA, FORMATS, LINE_BYTES_MAX, Adapter, Size, f
 from camtopod.cli import exits
 from camtopod.cli.common import camera_id
 from camtopod.cli.events import broker_options
-from camtopod.cli.events.event_lines import LineReader, open_input, pieces
+from camtopod.cli.events.event_lines import LineReader, open_input
+from camtopod.cli.events.file_forms import pieces
 from camtopod.cli.exits import CommandError
 from camtopod.records import Event
 
@@ -38,7 +39,7 @@ def _renaming(text: str) -> tuple[str, str]:
 _OPTIONS: dict[str, tuple[str, dict[str, Any]]] = {
     "size": (
         "width and height in pixels of the pictures that the boxes refer to (of Frigate's detect, "
-        "not needed with path_data; of nvstreammux); may be repeated",
+        "not needed with path_data; of DeepStream's sources, see integrations.md); may be repeated",
         {"metavar": "[CAMERA=]WxH", "type": _size, "action": "append", "default": []},
     ),
     "label": (
@@ -88,9 +89,7 @@ def events(
             raise CommandError(f"{args.format} cannot be read from MQTT, give a file", exits.USAGE)
         source = broker_options.broker_of(args, args.file)
         with broker_options.connecting(exits.INPUT):
-            messages = mqtt.MessageSubscription(
-                source, adapter.topic, with_topics=adapter.topic == "#"
-            )
+            messages = mqtt.MessageSubscription(source, adapter.topic, with_topics=True)
         stack.callback(messages.close)
         lines = ((reader.lines_read + 1, text) for text in messages.read(stop, ticks=True))
         return reader.adapted(messages.topic, lines, adapter, live=True)

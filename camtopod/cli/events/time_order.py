@@ -7,15 +7,15 @@ import itertools
 import math
 import select
 import sqlite3
-from array import array
 from collections import deque
-from collections.abc import Callable, Iterable, Iterator, Sequence
-from contextlib import ExitStack, closing, contextmanager
+from collections.abc import Callable, Iterable, Iterator
+from contextlib import closing, contextmanager
 from io import BufferedReader
 
-from camtopod.cli.events.event_lines import Line, LineReader, Readable, messages, open_input
+from camtopod.cli.events.event_lines import messages
+from camtopod.cli.events.file_forms import Readable
 from camtopod.cli.exits import CommandError
-from camtopod.codec import event_from_msgpack, time_of, to_msgpack
+from camtopod.codec import event_from_msgpack, stamp_of, to_msgpack
 from camtopod.records import Event, Kind
 
 LINES_HELD_MAX = 10_000
@@ -144,51 +144,16 @@ class Pipe:
         return bool(select.select([self._file], [], [], seconds)[0])
 
 
-def merged(reader: LineReader, paths: Sequence[str]) -> Iterator[Line]:
-    """Yield the lines of several files by event time; ``-`` is standard input.
-
-    A file that is not in order of time is sorted, a pipe is read as it comes. Raises `InputError`
-    if a file cannot be read, and `CommandError` if the disk is full.
-    """
-    with ExitStack() as stack:
-        files = [(path, stack.enter_context(open_input(path))) for path in paths]
-        reader.files = [file for _, file in files]
-        streams = [_by_time(reader, path, file) for path, file in files]
-        yield from heapq.merge(*streams, key=lambda line: line.event.t)
-
-
-def _by_time(reader: LineReader, path: str, file: BufferedReader) -> Iterator[Line]:
-    """Yield the lines of one file by event time, those of a pipe as they come."""
-    lines = reader.lines(path, file)
-    if file.seekable():
-        begin = file.tell()
-        is_ordered = count_if_ordered(path, file) is not None
-        file.seek(begin)
-        if not is_ordered:
-            numbers = array("Q")
-
-            def records() -> Iterator[tuple[float, bytes]]:
-                for line in lines:
-                    numbers.append(line.number)
-                    yield line.event.t, to_msgpack(line.event)
-
-            with sorting():
-                for place, record in by_key(records()):
-                    yield Line(event_from_msgpack(record), path, numbers[place - 1])
-            return
-    yield from lines
-
-
 def count_if_ordered(path: str, file: Readable) -> int | None:
     """Return the number of a file's lines if they are in order of time; None if they are not."""
     newest, count = -math.inf, 0
     for _, text in messages(path, file):
         count += 1
-        t = time_of(text)
-        if t is not None:
-            if t < newest:
+        stamp = stamp_of(text) if isinstance(text, bytes) else None
+        if stamp is not None:
+            if stamp[1] < newest:
                 return None
-            newest = t
+            newest = stamp[1]
     return count
 
 
@@ -198,10 +163,15 @@ def sorting() -> Iterator[None]:
     try:
         yield
     except sqlite3.Error as error:
-        raise CommandError(
-            "lines that are not in order of time are sorted in a temporary file, which failed "
-            f"({error}): make room, set TMPDIR to another directory, or sort the lines by t"
-        ) from None
+        raise sorting_failure(error) from None
+
+
+def sorting_failure(error: Exception) -> CommandError:
+    """Return the error of a temporary file."""
+    return CommandError(
+        "lines that are not in order of time are sorted in a temporary file, which failed "
+        f"({error}): make room, set TMPDIR to another directory, or sort the lines by t"
+    )
 
 
 def by_key(records: Iterable[tuple[float, bytes]]) -> Iterator[tuple[int, bytes]]:

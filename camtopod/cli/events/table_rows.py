@@ -1,0 +1,148 @@
+"""Rows of a table as event lines: names of columns, numbers, dates and names of cameras.
+
+The table may come from a text, a spreadsheet or a file of columns.
+"""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Callable, Sequence
+from datetime import UTC, date, datetime, time
+
+from camtopod.adapt import folded
+from camtopod.cli.exits import InputError
+from camtopod.codec import Rejected, to_json
+
+COLUMNS = ("camera", "kind", "t")
+"""Columns that a table of events must have."""
+NAMES_CHARACTERS_MAX = 300
+"""Most characters of the columns' names in a message."""
+_MISSING = frozenset(
+    {"", "NA", "N/A", "#N/A", "<NA>", "nan", "NaN", "NAN", "NaT", "null", "NULL", "None"}
+)
+"""Cells without a value, as R, pandas, spreadsheets and databases write them."""
+_WHOLE = re.compile(r"([0-9]+)[.,]0+")
+"""A whole number that was written as a float."""
+_DECIMAL_COMMA = re.compile(r"[-+]?[0-9]+,[0-9]+(?:[eE][-+]?[0-9]+)?")
+_ZONE = re.compile(r" *(?:UTC|GMT|Z)\Z")
+
+
+class Rows:
+    """Makes a line of JSON of each row of a table.
+
+    path: of the table, for messages.
+    names: of the columns, whatever their case.
+    needed: columns without which this is no such table.
+
+    Raises `InputError` if one of these is missing.
+    """
+
+    def __init__(self, path: str, names: Sequence[str], needed: Sequence[str] = COLUMNS) -> None:
+        plain = [plain_name(name) for name in names]
+        if missing := [name for name in needed if name not in plain]:
+            there = ", ".join(name.strip() for name in names)[:NAMES_CHARACTERS_MAX]
+            raise InputError(
+                f"{path}: the header has no column {' and no '.join(missing)}: its columns are "
+                f"{there}; rename those that are meant"
+            )
+        self.count = len(names)
+        """Number of columns."""
+        self._cameras: dict[str, str] = {}
+        self._names: dict[str, str] = {}
+        makers: dict[str, Callable[[str], object]] = {
+            "camera": self._camera,
+            "kind": str.lower,
+            "t": seconds,
+            "track": name_of,
+            "boot": name_of,
+            "seq": _count,
+            **dict.fromkeys(("x", "y", "clock_sd"), number),
+            "label": str,
+            "identity": name_of,
+        }
+        self._columns = [
+            (index, name, makers[name])
+            for index, name in enumerate(plain)
+            if name in makers and name not in plain[:index]
+        ]
+
+    def line(self, cells: Sequence[object]) -> bytes | Rejected | None:
+        """Return a row as a line of JSON; None for one without values."""
+        if len(cells) > self.count:
+            return Rejected(
+                "too-long", f"{len(cells)} cells below {self.count} columns: decimal commas?"
+            )
+        values: dict[str, object] = {}
+        try:
+            for index, name, make in self._columns[: len(cells)]:
+                if index < len(cells) and (text := text_of(cells[index])) not in _MISSING:
+                    values[name] = make(text)
+        except Rejected as error:
+            return error
+        return to_json(values) if values else None
+
+    def _camera(self, name: str) -> str:
+        """Return the id of a camera; raise `Rejected` if another one has it."""
+        camera = self._cameras.get(name)
+        if camera is None:
+            camera = self._cameras[name] = folded(name)
+        first = self._names.setdefault(camera, name)
+        if first != name:
+            raise Rejected(
+                "same-camera", f"cameras {first[:64]!r} and {name[:64]!r} would both be {camera}"
+            )
+        return camera
+
+
+def plain_name(name: str) -> str:
+    """Return the name of a column in small letters, without quotation marks."""
+    return name.strip(" \t\r\"'#\ufeff").lower()
+
+
+def text_of(cell: object) -> str:
+    """Return the text of a cell; of a moment its seconds since 1970, UTC without a zone."""
+    if isinstance(cell, str):
+        return cell.strip()
+    if cell is None:
+        return ""
+    if isinstance(cell, bytes):
+        return cell.decode("utf-8", "replace")
+    if isinstance(cell, date):
+        moment = cell if isinstance(cell, datetime) else datetime.combine(cell, time())
+        return repr((moment if moment.tzinfo else moment.replace(tzinfo=UTC)).timestamp())
+    return str(cell)
+
+
+def number(text: str) -> object:
+    """Return a number, with a decimal point or comma; a text that is none stays one."""
+    try:
+        value = float(text)
+    except ValueError:
+        if _DECIMAL_COMMA.fullmatch(text) is None:
+            return text
+        value = float(text.replace(",", "."))
+    return value if math.isfinite(value) else text
+
+
+def seconds(text: str) -> object:
+    """Return seconds since 1970, of a number or of ISO 8601, UTC without a zone."""
+    value = number(text)
+    if isinstance(value, float):
+        return value
+    try:
+        moment = datetime.fromisoformat(_ZONE.sub("+00:00", text).replace("/", "-"))
+        return (moment if moment.tzinfo else moment.replace(tzinfo=UTC)).timestamp()
+    except (ValueError, OverflowError):
+        return text
+
+
+def name_of(text: str) -> str:
+    """Return a name; a whole number that was written as a float is one without the point."""
+    match = _WHOLE.fullmatch(text)
+    return match[1] if match else text
+
+
+def _count(text: str) -> object:
+    text = name_of(text)
+    return int(text) if text.isdecimal() and len(text) < 20 else number(text)
