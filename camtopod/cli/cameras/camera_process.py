@@ -251,11 +251,12 @@ class CameraProcess(ChildProcess):
             self.state, self.reason = heartbeat
 
     def _ended(self, status: int, now: float) -> None:
+        has_begun = self.state in ("running", "blind", "ended")
         if self._asked_to_end or status == exits.USAGE:
             super()._ended(status, now)
         elif status == exits.DONE and self.state == "ended":  # a file; a stream never ends
             log.info("%s has ended", self.name)
-        elif self.state in ("running", "blind", "ended") and kind_of(self.settings.source) == "file":
+        elif has_begun and kind_of(self.settings.source) == "file":
             self.status = status if status >= 0 else exits.FAILED
             cause = self._hang or exit_reason(status)
             self._give_up(f"{cause}; not restarted, as the events of a file would count twice")
