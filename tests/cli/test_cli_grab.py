@@ -52,7 +52,9 @@ class FakeGrabber:
         self.state = "ended"
 
     def statistics(self) -> dict[str, int | float]:
-        figures = dict.fromkeys(("frames_dropped", "frames_analysed", "entries", "exits"), 0)
+        figures = dict.fromkeys(
+            ("frames_dropped", "frames_analysed", "blind_seconds", "entries", "exits"), 0
+        )
         return {"frames": 7, **figures}
 
     def close(self) -> None:
