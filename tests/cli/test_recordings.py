@@ -13,7 +13,7 @@ from msgspec.structs import replace
 from camtopod.cli import exits
 from camtopod.cli.events import event_lines
 from camtopod.cli.events.event_lines import LineReader
-from camtopod.cli.events.recording import Times, fault_of, recorded
+from camtopod.cli.events.recording import Times, fault_of, once_by_number, recorded
 from camtopod.cli.main import main
 from camtopod.codec import read, to_json
 from camtopod.records import Event, Topology
@@ -38,7 +38,8 @@ def learned(path: Path, *more: str) -> tuple[int, Topology]:
 def used(tmp_path: Path, events: Sequence[Event]) -> tuple[LineReader, list[Event], Times]:
     """Return the events of a recording, and what is known of its lines and times."""
     reader, times = LineReader(), Times()
-    lines = recorded(reader, [str(written(tmp_path / "events.jsonl", events))], times)
+    path = written(tmp_path / "events.jsonl", events)
+    lines = once_by_number(reader, recorded(reader, [str(path)], times))
     return reader, [line.event for line in lines], times
 
 

@@ -120,7 +120,9 @@ def _feed(
         learner.on_step = say_step
         for line in recorded(reader, paths, times):
             verdict = learner.receive(line.event)
-            if verdict == "refused":
+            if verdict == "duplicate":
+                reader.repeat(line)
+            elif verdict == "refused":
                 reader.reject_event(
                     verdict, f"{line.file}:{line.number}: more cameras than can be learned"
                 )

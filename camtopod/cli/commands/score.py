@@ -21,7 +21,7 @@ from camtopod.cli import exits
 from camtopod.cli.commands.predict import by_moment, matching, predicting
 from camtopod.cli.common import topology_of
 from camtopod.cli.events.event_lines import LineReader, messages, open_input
-from camtopod.cli.events.recording import Times, fault_of, recorded
+from camtopod.cli.events.recording import Times, fault_of, once_by_number, recorded
 from camtopod.cli.exits import InputError
 from camtopod.cli.terminal import Progress
 from camtopod.codec import Rejected
@@ -90,7 +90,8 @@ def run(args: argparse.Namespace) -> int:
     topology = topology_of(args.topology)
     reader = LineReader()
     times = Times()
-    events = [line.event for line in recorded(reader, [args.events], times)]
+    lines = once_by_number(reader, recorded(reader, [args.events], times))
+    events = [line.event for line in lines]
     if (summary := reader.summary()) is not None:
         print(f"camtopod: {summary}", file=sys.stderr)
     passages = passages_of(events, args.identities)
@@ -103,12 +104,12 @@ def run(args: argparse.Namespace) -> int:
     if not any(begin < passage.left <= end for passage in passages.values()):
         print("camtopod: these events were learned: the scores are too good", file=sys.stderr)
         begin = -math.inf
-    lines = link_lines(topology, passages.values())
+    texts = link_lines(topology, passages.values())
     predictions = list(_given(by_moment(predicting(topology), events), len(events), "predicted"))
-    lines += prediction_lines(predictions, passages, begin, end)
+    texts += prediction_lines(predictions, passages, begin, end)
     every_match = _given(by_moment(matching(topology), events), len(events), "matched")
     matches = [match for match in every_match if match.t > begin]
-    print("\n".join([*lines, *match_lines(matches, passages, window)]))
+    print("\n".join([*texts, *match_lines(matches, passages, window)]))
     if (fault := fault_of(times)) is not None:
         print(f"camtopod: {fault}", file=sys.stderr)
         return exits.FAILED

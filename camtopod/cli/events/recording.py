@@ -11,8 +11,8 @@ import math
 import shutil
 import tempfile
 from array import array
-from collections import Counter
-from collections.abc import Collection, Iterator, Sequence
+from collections import Counter, defaultdict
+from collections.abc import Collection, Iterable, Iterator, Sequence
 from contextlib import ExitStack, contextmanager
 from io import BufferedReader
 from typing import cast
@@ -32,6 +32,8 @@ WRONG_IN_A_ROW_MAX = 3
 """Most wrong stamps of a camera in a row; more are another part of the recording."""
 HOUR = 3_600.0
 """Difference of a camera's neighbouring lines from which it is a step of time, in seconds."""
+CAMERAS_HELD = 10_000
+"""Lines after which they are counted by camera."""
 DISORDER_MAX = 0.02
 """Largest share of a camera's lines with a step against the direction of the others.
 
@@ -53,8 +55,7 @@ class _Course(Struct):
     """The times of one camera's lines, in the order of a file."""
 
     last: float
-    """Time of the last line, of those that are not in ``outliers``."""
-    lines: int = 0
+    """Time of the last line, if it was a step, of those that are not in ``outliers``."""
     rises: int = 0
     falls: int = 0
     """Number of steps of more than `HOUR` between lines that are right."""
@@ -63,29 +64,35 @@ class _Course(Struct):
     wrong: list[int] = field(default_factory=list)
     """Numbers of lines that those before and after them contradict."""
 
-    def turn(self, number: int, t: float) -> None:
-        """Take a line after a step, or after outliers."""
+    def turn(self, number: int, t: float, latest: float) -> float:
+        """Take a line after a step, or after outliers; return its time, NaN for an outlier.
+
+        latest: time of the line before; NaN after an outlier.
+        """
+        if not self.outliers:
+            self.last = latest
         if abs(t - self.last) <= DAY:
             self.wrong += [number for number, _ in self.outliers]
-            self.outliers = []
             self._move(t)
         elif self.outliers and abs(t - self.outliers[-1][1]) > DAY:
             self._move(self.outliers[-1][1])
             self.outliers = [(number, t)]
+            return math.nan
         elif len(self.outliers) < WRONG_IN_A_ROW_MAX:
             self.outliers.append((number, t))
+            return math.nan
         else:
-            self.outliers = []
             self._move(t)
+        return t
 
-    def is_ordered(self) -> bool:
-        """Return True if the lines around a line tell something about its time."""
-        return min(self.rises, self.falls) <= DISORDER_MAX * self.lines
+    def is_ordered(self, lines: int) -> bool:
+        """Return True if the lines around a line, of so many, tell something about its time."""
+        return min(self.rises, self.falls) <= DISORDER_MAX * lines
 
     def _move(self, t: float) -> None:
         self.rises += t > self.last + HOUR
         self.falls += t < self.last - HOUR
-        self.last = t
+        self.last, self.outliers = t, []
 
 
 class _Survey:
@@ -101,7 +108,9 @@ class _Survey:
         newest = -math.inf
         is_ordered = True
         courses: dict[str, _Course] = {}
-        hour = math.nan
+        latest: dict[str, float] = {}  # time of a camera's last line; NaN after an outlier
+        cameras: list[str] = []
+        hour_begin = hour_end = math.inf
         hour_lines = 0
         for number, text in messages(path, file):
             stamp = stamp_of(text) if isinstance(text, bytes) else None
@@ -111,30 +120,34 @@ class _Survey:
             if t < newest:
                 is_ordered = False
             newest = t
-            if t // HOUR == hour:
+            if hour_begin <= t < hour_end:
                 hour_lines += 1
             else:
-                self._hours[hour] += hour_lines
-                hour, hour_lines = t // HOUR, 1
-            course = courses.get(camera)
-            if course is None:
-                course = courses[camera] = _Course(t)
-            elif course.outliers or not -HOUR <= t - course.last <= HOUR:
-                course.turn(number, t)
+                self._hours[hour_begin // HOUR] += hour_lines
+                hour_begin = t // HOUR * HOUR
+                hour_end, hour_lines = hour_begin + HOUR, 1
+            if -HOUR <= t - latest.get(camera, math.nan) <= HOUR:
+                latest[camera] = t
+            elif camera in courses:
+                latest[camera] = courses[camera].turn(number, t, latest[camera])
             else:
-                course.last = t
-            course.lines += 1
-        self._hours[hour] += hour_lines
+                courses[camera] = _Course(t)
+                latest[camera] = t
+            cameras.append(camera)
+            if len(cameras) == CAMERAS_HELD:
+                self.cameras.update(cameras)
+                cameras = []
+        self._hours[hour_begin // HOUR] += hour_lines
+        self.cameras.update(cameras)
         wrong: set[int] = set()
         for camera, course in courses.items():
-            self.cameras[camera] += course.lines
-            if course.is_ordered():
+            if course.is_ordered(self.cameras[camera]):
                 wrong.update(course.wrong)
         return is_ordered, wrong
 
     def lonely_hours(self) -> set[float]:
         """Return the hours at either end with one line, more than a day from all other lines."""
-        lines = +self._hours
+        lines = +self._hours  # without the hour before the first line
         hours = [-math.inf, *sorted(lines), math.inf]
         lonely = {
             hour
@@ -156,8 +169,8 @@ class Times(Struct):
     events: int = 0
     moments: int = 0
     """Number of different times."""
-    cameras: set[str] = field(default_factory=set)
-    are_coarse: bool = True
+    cameras: int = 0
+    is_coarse: bool = True
     """All are multiples of `FAULT_STEP`."""
 
 
@@ -166,9 +179,10 @@ def recorded(reader: LineReader, paths: Sequence[str], times: Times) -> Iterator
 
     times: has the times in the end.
 
-    Repeats are counted, and left out. A stamp that its camera's lines around it contradict by more
-    than a day, while they agree with each other, is rejected. Raises `InputError` if a file cannot
-    be read, and `CommandError` if the disk is full.
+    Repeats are counted, and left out, except those that only their numbers tell (`once_by_number`).
+    A stamp that its camera's lines around it contradict by more than a day, while they agree with
+    each other, is rejected. Raises `InputError` if a file cannot be read, and `CommandError` if the
+    disk is full.
     """
     with ExitStack() as stack:
         survey = _Survey()
@@ -243,26 +257,26 @@ def _once(
     reader: LineReader, survey: _Survey, lines: Iterator[Line], times: Times
 ) -> Iterator[Line]:
     """Yield lines in order of time, each event once, and sum their times up."""
-    numbers: dict[str, EventNumbers] = {}
     first: Event | None = None  # of this moment
     keys: set[tuple[object, ...] | None] = set()  # of this moment, if it has several events
     until = -math.inf
     lonely = survey.lonely_hours()
-    cameras = times.cameras
+    is_coarse = True
     for line in lines:
         event = line.event
-        if event.t >= until:
-            if lonely and event.t // HOUR in lonely and survey.cameras[event.camera] > 2:
+        t = event.t
+        if t >= until:
+            if lonely and t // HOUR in lonely and survey.cameras[event.camera] > 2:
                 _set_aside(reader, line, (line.number,))
                 continue
             if first is None:
-                times.first = event.t
-            first, until = event, event.t + SAME_SECONDS
+                times.first = t
+            first, until = event, t + SAME_SECONDS
             if keys:
                 keys = set()
             times.moments += 1
-            if times.are_coarse:
-                times.are_coarse = event.t % FAULT_STEP == 0.0
+            if is_coarse:
+                is_coarse = t % FAULT_STEP == 0.0
         else:
             if not keys and first is not None:
                 keys.add(_key(first))
@@ -271,17 +285,25 @@ def _once(
                 reader.repeat(line)
                 continue
             keys.add(key)
-        if event.boot is not None and event.seq is not None:
-            of_camera = numbers.get(event.camera) or numbers.setdefault(
-                event.camera, EventNumbers()
-            )
-            if not of_camera.add(event.boot, event.seq):
-                reader.repeat(line)
-                continue
-        times.events += 1
-        cameras.add(event.camera)
         yield line
     times.last = until - SAME_SECONDS
+    times.is_coarse = is_coarse
+    times.events = reader.events
+    times.cameras = len(survey.cameras)
+
+
+def once_by_number(reader: LineReader, lines: Iterable[Line]) -> Iterator[Line]:
+    """Yield lines without events that have the boot and seq of an earlier one.
+
+    The learner does the same by itself.
+    """
+    numbers: defaultdict[str, EventNumbers] = defaultdict(EventNumbers)
+    for line in lines:
+        boot, seq = line.event.boot, line.event.seq
+        if boot is None or seq is None or numbers[line.event.camera].add(boot, seq):
+            yield line
+        else:
+            reader.repeat(line)
 
 
 def _key(event: Event) -> tuple[object, ...] | None:
@@ -297,12 +319,12 @@ def fault_of(times: Times) -> str | None:
     count = times.events
     if count < FAULT_EVENTS_MIN:
         return None
-    if times.are_coarse and count >= 2 * times.moments:
+    if times.is_coarse and count >= 2 * times.moments:
         return (
             f"{count} events have {times.moments} different times, all of them rounded: a "
             "spreadsheet has shortened them (1.70E+09, or no seconds): save t with all its digits"
         )
-    if count > FAULT_RATE * len(times.cameras) * span:
+    if count > FAULT_RATE * times.cameras * span:
         return (
             f"{count} events lie within {span:.3g} s: t is in seconds; a spreadsheet counts days "
             "(45244.9): save t as seconds since 1970, or as text in ISO 8601"
