@@ -50,8 +50,7 @@ if TYPE_CHECKING:
 log = logging.getLogger(__name__)
 
 DRAIN_SECONDS = 10.0
-"""Time that the grabber of a file waits at its end until its events are stored, unless it is
-supervised."""
+"""Time that the grabber of a file waits until its events are stored, unless it is supervised."""
 EVENTS_PER_MINUTE_MAX = 120
 """Events that people make within a minute at most: each second one enters and one leaves."""
 LEAVE_SECONDS = 4.0
@@ -414,12 +413,13 @@ class _GrabberConnection:
 
     def _on_daemon(self, name: str, alive: bool) -> None:
         """Note that a daemon has appeared or gone."""
+        from camtopod.serve.bus import access
+
         if not alive:
-            self._miss("the daemon has gone")
-            return
-        if self._is_there is False:
+            self._miss(f"the daemon has gone{access.ended_certificate(self._config)}")
+        elif self._is_there is False:
             log.info("camera %s: connected to the daemon again", self._grabber.camera)
-        self._is_there = True
+        self._is_there = alive
 
     def _miss(self, reason: str) -> None:
         """Log once that the daemon is not there."""

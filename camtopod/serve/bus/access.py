@@ -8,6 +8,8 @@ from __future__ import annotations
 
 import ipaddress
 import logging
+import socket
+import ssl
 from pathlib import Path
 
 from camtopod.config import Config
@@ -15,6 +17,11 @@ from camtopod.keys import rules
 from camtopod.serve.runtime import Clock
 
 log = logging.getLogger(__name__)
+
+HANDSHAKE_SECONDS = 2.0
+"""Longest time to look at the certificate of a daemon."""
+_EXPIRED = 10
+"""OpenSSL's X509_V_ERR_CERT_HAS_EXPIRED."""
 
 
 class BusError(OSError):
@@ -78,6 +85,33 @@ def check_files(config: Config) -> None:
             Path(path).open("rb").close()
         except OSError as error:
             raise BusError(f"cannot read {path}: {error.strerror}; see [bus.tls]") from None
+
+
+def ended_certificate(config: Config) -> str:
+    """Return ", " and that the certificate of the daemon has ended; "" if not, or if none is there.
+
+    It may take `HANDSHAKE_SECONDS` for each endpoint; zenoh does not tell the reason.
+    """
+    tls = config.bus.tls
+    for endpoint in config.dials if tls.ca else ():
+        host, _, port = endpoint.removeprefix("tls/").rpartition(":")
+        address = host.strip("[]"), int(port)
+        try:
+            context = ssl.create_default_context(cafile=tls.ca)
+            with (
+                socket.create_connection(address, HANDSHAKE_SECONDS) as link,
+                context.wrap_socket(link, server_hostname=address[0]),
+            ):
+                pass
+        except ssl.SSLCertVerificationError as error:
+            if error.verify_code == _EXPIRED:
+                return (
+                    f", as the certificate of the daemon at {endpoint} has ended: make another with"
+                    " `camtopod keys`"
+                )
+        except OSError:
+            continue
+    return ""
 
 
 def openness_warning(config: Config) -> str | None:

@@ -27,10 +27,12 @@ def dial(config: Config) -> Bus:
             return open_session(config, access.settings(config, "client"), connect=endpoints)
         except NotOpened as error:
             if time.monotonic() >= deadline:
+                place = f"cannot reach the bus at {', '.join(endpoints)}"
+                if ended := access.ended_certificate(config):
+                    raise BusError(place + ended) from None
                 also = ", and does it accept this certificate" if config.bus.tls.ca else ""
                 raise BusError(
-                    f"cannot reach the bus at {', '.join(endpoints)}: "
-                    f"is `camtopod run` running there{also}? ({error})"
+                    f"{place}: is `camtopod run` running there{also}? ({error})"
                 ) from None
             time.sleep(0.2)
 
