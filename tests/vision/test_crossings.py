@@ -257,3 +257,24 @@ def test_who_leaves_the_view_of_a_camera_that_has_turned_has_left(turn: int, edg
     goes = line(15.0, (0.5, 0.8), (beyond, 0.8), 10.0)
     walker = Person(lambda t: comes(t) or goes(t), shade=20)
     assert turned([walker], turn, 32.0) == [("entered", "bottom border"), ("left", edge)]
+
+
+# --- doors in mid-view ---------------------------------------------------------------------------
+
+
+def across(y: float, until: float = WIDTH) -> list[list[Box]]:
+    """Return the boxes of a person of 20 x 50 pixels who walks from the left border."""
+    return [[(max(0.0, x - 20), y - 50, min(x, WIDTH), y)] for x in np.arange(6.0, until, 6.0)]
+
+
+@pytest.mark.parametrize(("passages", "edge"), [(0, "learned door"), (6, None)])
+def test_a_place_that_more_walk_through_than_vanish_at_is_no_door(
+    passages: int, edge: str | None
+) -> None:
+    """Three vanish in mid-view; the third by a door, unless others have walked on there."""
+    watcher = Watcher()
+    gone: list[list[Box]] = [[]] * 20
+    watcher.see([*across(180, 160), *gone] * 2)
+    watcher.see([*across(180), *gone] * passages)
+    watcher.see([*across(180, 160), *gone])
+    assert watcher.edges()[-1] == ("left" if edge else "lost", edge)

@@ -180,10 +180,8 @@ class Tracker:
     # -- initiation and end ------------------------------
 
     def _start_track(self, t: float, blob: Blob) -> None:
-        """Start a tentative track, unless the blob is too small or a fragment of an object."""
+        """Start a tentative track, unless the blob is a fragment of an object."""
         if len(self.active) >= OBJECTS_MAX:
-            return
-        if blob.height < self._fragment_height(blob.box):
             return
         confirmed_tracks = [track for track in self.active if track.confirmed]
         if any(
@@ -225,19 +223,16 @@ class Tracker:
         """Return what a track that is seen now lacks to be an object; None if nothing."""
         box = track.last.box
         tall = sum(box_height(sighting.box) >= self._height_min for sighting in track.history)
+        person_height = self.stature.height(box[3]) or 0.0
+        fragment_height = 0.0 if self._touches(box) else PIECE_HEIGHT_MIN * person_height
         conditions: tuple[Unmet, ...] = (
             ("brief", track.last.t - track.first.t, CONFIRM_SECONDS),
             ("patchy", track.sightings / track.frames, CONFIRM_SIGHTINGS_SHARE),
             ("still", track.reach / track.height, CONFIRM_HEIGHTS),
-            ("fragment", box_height(box), self._fragment_height(box)),
+            ("fragment", box_height(box), fragment_height),
             ("low", tall, min(TALL_SIGHTINGS_MIN, len(track.history))),
         )
         return next((condition for condition in conditions if condition[1] < condition[2]), None)
-
-    def _fragment_height(self, box: Box) -> float:
-        """Return the height (pixels) below which a box that no border cuts is but a fragment."""
-        cut = self._touches(box)
-        return 0.0 if cut else PIECE_HEIGHT_MIN * (self.stature.height(box[3]) or 0.0)
 
     def _touches(self, box: Box) -> bool:
         """Return True if an edge of the latest frame cuts the box."""
