@@ -19,6 +19,8 @@ from camtopod.topology import (
 
 COLOURS: dict[PairRelation, str] = {"overlapped": "black", "unseen_path": "gray60"}
 """Colour of an edge by the relation of its cameras, as in the thesis (4.6)."""
+WEIGHT_SECONDS_MIN = 0.1
+"""Least weight of an edge; views that overlap have times around zero."""
 
 
 class Edge(Struct, frozen=True, omit_defaults=True, rename={"from_": "from"}):
@@ -36,6 +38,11 @@ class Edge(Struct, frozen=True, omit_defaults=True, rename={"from_": "from"}):
     """Expected number of transitions of all its links."""
     weak: bool = False
     """Whether its links are weak ones, which are not published."""
+
+    @property
+    def weight(self) -> float:
+        """Most frequent transit time, seconds, as a weight: positive, as algorithms want it."""
+        return max(self.transit.mode, WEIGHT_SECONDS_MIN)
 
     @property
     def overlapped(self) -> bool:

@@ -15,7 +15,7 @@ _TYPES = {int: "int", float: "double", str: "string", bool: "boolean"}
 
 
 def to_graphml(topology: Topology) -> str:
-    """Return a directed graph of cameras; edge weights are modes of transit times, seconds."""
+    """Return a directed graph of cameras; edge weights are transit times, seconds."""
     root = ElementTree.Element("graphml", xmlns=NAMESPACE)
     graph = ElementTree.Element("graph", id=visible(topology.site), edgedefault="directed")
     keys: dict[str, ElementTree.Element] = {}
@@ -44,7 +44,7 @@ def to_graphml(topology: Topology) -> str:
             {
                 "relation": edge.relation,
                 "colour": COLOURS[edge.relation],
-                "weight": edge.transit.mode,
+                "weight": edge.weight,
                 **figures,
                 "probability": edge.probability,
                 "transitions": edge.transitions,

@@ -13,7 +13,7 @@ _ABOUT = ("site", "epoch", "version", "as_of", "digest")
 def to_json_graph(topology: Topology) -> str:
     """Return a directed graph of cameras with their zones.
 
-    Edge weights are modes of transit times, seconds.
+    Edge weights are transit times, seconds.
     """
     zones = {zone.id: zone for zone in topology.zones}
     nodes = [
@@ -30,7 +30,7 @@ def to_json_graph(topology: Topology) -> str:
             "target": edge.to,
             "relation": edge.relation,
             "colour": COLOURS[edge.relation],
-            "weight": edge.transit.mode,
+            "weight": edge.weight,
             "transit": edge.transit,
             "probability": edge.probability,
             "transitions": edge.transitions,

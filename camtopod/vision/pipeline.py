@@ -186,18 +186,18 @@ class ViewPipeline:
         # Blobs, tracks, events.
         blobs = find_blobs(motion, self._tracker.stature.height)
         objects: list[Blob] | None = blobs
-        trusted = False
+        is_trusted = False
         if self._detector is not None:
             objects = self._detector.step(
                 t, image, motion.moving_mask, blobs, [track.box for track in self._tracker.active]
             )
-            trusted = self._detector.result.is_trusted
-        frame_view = FrameView(t, self._motion.view, self._newest_t, trusted)
+            is_trusted = self._detector.result.is_trusted
+        frame_view = FrameView(t, self._motion.view, self._newest_t, is_trusted)
         events = [] if objects is None else self._tracker.step(frame_view, objects)
 
         # Drop ghosts; a detector that is trusted knows none.
         for track in self._tracker.active:
-            still = not trusted and _is_still(track, t)
+            still = not is_trusted and _is_still(track, t)
             if still and self._motion.is_ghost(motion, track.last.box):
                 self._tracker.drop(track)
 

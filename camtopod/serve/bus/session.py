@@ -35,7 +35,9 @@ JSON = "application/json"
 QUERY_SECONDS = 2.0
 """Time to wait for the answer to a query."""
 CALLBACKS_SECONDS_MAX = 2.0
-"""Longest wait, at the end of a session, for the ends of its requests."""
+"""Longest wait, at the end of a session, for the end of its requests, and of each callback."""
+_CALLBACK_NAME = "pyo3"
+"""Part of the name of zenoh's threads that call back; they end after their declarations."""
 _REPLIES_MAX = 4096
 """Most answers to one query that are kept; closing the channel drops the rest."""
 _PROMPT = ("prediction", "match", "status")
@@ -91,6 +93,7 @@ class Bus(contextlib.AbstractContextManager["Bus"]):
         self._bytes_max = settings.message_bytes_max
         self._too_large: set[str] = set()
         self._declarations: list[Any] = []
+        self._callback_threads: list[threading.Thread] = []
         self._end = threading.Event()
         self._idle = threading.Condition()
         self._asking = 0  # requests that have not ended
@@ -348,6 +351,9 @@ class Bus(contextlib.AbstractContextManager["Bus"]):
         # A callback that comes when the interpreter has ended would end the process by force.
         with self._idle:
             self._idle.wait_for(lambda: not self._asking, CALLBACKS_SECONDS_MAX)
+        for thread in self._callback_threads:
+            if thread is not threading.current_thread():
+                thread.join(CALLBACKS_SECONDS_MAX)
 
     def __exit__(self, *_: object) -> None:
         self.close()
@@ -359,6 +365,7 @@ class Bus(contextlib.AbstractContextManager["Bus"]):
         keep the process from ending while the session is open.
         """
         result: Future[Any] = Future()
+        threads_before = threading.enumerate()
 
         def run() -> None:
             try:
@@ -368,6 +375,11 @@ class Bus(contextlib.AbstractContextManager["Bus"]):
 
         threading.Thread(target=run, name="declare", daemon=True).start()
         self._declarations.append(result.result())
+        new_threads = [thread for thread in threading.enumerate() if thread not in threads_before]
+        self._callback_threads = [
+            *(thread for thread in self._callback_threads if thread.is_alive()),
+            *(thread for thread in new_threads if _CALLBACK_NAME in thread.name),
+        ]
         return result.result()
 
     def _mind_size(self, key: str, payload: bytes) -> None:

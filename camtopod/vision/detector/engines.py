@@ -180,9 +180,12 @@ class OnnxRuntimeEngine:
             raise DetectorError(
                 "model", f"{self._path} is not an ONNX model that onnxruntime can run: {words}"
             )
-        failed = self._providers.pop(0)
+        provider = self._providers.pop(0)
         log.warning(
-            "detector: %s of onnxruntime fails (%s); %s is used", failed, words, self._providers[0]
+            "detector: %s of onnxruntime fails (%s); %s is used",
+            provider,
+            words,
+            self._providers[0],
         )
 
 

@@ -40,7 +40,7 @@ class FileTimes:
         """Position of a frame minus its stamp."""
         self._stamped_position = -self.interval
         """Position of the latest frame whose stamp is believed, or that was settled without one."""
-        self._counted = 0
+        self._unstamped_count = 0
         """Number of frames without a stamp that were placed since."""
         self._last_position = -self.interval
         """Position of the latest frame that was placed."""
@@ -53,7 +53,7 @@ class FileTimes:
     @property
     def is_unstamped(self) -> bool:
         """True if no frame has a stamp, so that all positions follow from the declared rate."""
-        return self._stamp == 0.0 and self._counted > 0
+        return self._stamp == 0.0 and self._unstamped_count > 0
 
     @property
     def gap(self) -> float:
@@ -77,18 +77,18 @@ class FileTimes:
         self._stamp = stamp
 
         # The step from the last believed stamp, over all frames since, is believed or doubted.
-        waiting = len(self._waiting_stamps)
-        pace = (position - self._stamped_position) / (self._counted + waiting + 1)
-        seconds_max = self.gap + (2 * self._counted + waiting) * self.interval
+        waiting_count = len(self._waiting_stamps)
+        pace = (position - self._stamped_position) / (self._unstamped_count + waiting_count + 1)
+        seconds_max = self.gap + (2 * self._unstamped_count + waiting_count) * self.interval
         is_near = position - self._stamped_position <= seconds_max
         if pace > self.interval / INTERVALS and is_near and not sticks:
-            if not waiting:
-                share = min(1.0, (self._counted + 1) / INTERVALS)
+            if not waiting_count:
+                share = min(1.0, (self._unstamped_count + 1) / INTERVALS)
                 self.interval += (min(pace, 2.0 * self.interval) - self.interval) * share
             self._count_untrusted()
             return self._settled(self._spread(position), position)
         self._waiting_stamps.append(stamp)
-        if waiting < CONFIRMING_FRAMES:
+        if waiting_count < CONFIRMING_FRAMES:
             return []
         if positions := self._confirmed():
             return self._settled(positions, stamp + self._offset)
@@ -99,8 +99,8 @@ class FileTimes:
         if self._waiting_stamps:
             self._waiting_stamps.append(0.0)
             return self._guessed() if len(self._waiting_stamps) > WAITING_FRAMES_MAX else []
-        self._counted += 1
-        position = self._stamped_position + self._counted * self.interval
+        self._unstamped_count += 1
+        position = self._stamped_position + self._unstamped_count * self.interval
         self._last_position = max(position, self._last_position + self.interval / INTERVALS)
         return [self._last_position]
 
@@ -113,7 +113,7 @@ class FileTimes:
         """Return the positions; those that follow count from ``stamped_position``."""
         self._last_position = positions[-1]
         self._stamped_position = stamped_position
-        self._counted = 0
+        self._unstamped_count = 0
         self._waiting_stamps.clear()
         return positions
 

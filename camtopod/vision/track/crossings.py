@@ -59,7 +59,7 @@ class FrameView(NamedTuple):
     """Part of the scene that it shows, pixels; its sides are the border."""
     now: float
     """Capture time of the newest image, seconds: the first images wait for a background."""
-    trusted: bool = False
+    is_trusted: bool = False
     """Its objects are those of a trusted detector, which may enter and leave in mid-view."""
 
 
@@ -221,7 +221,7 @@ class Crossings:
     def _entry(self, frame: FrameView, track: Track) -> list[Event]:
         """Return the entry of a track that became an object, if it is one."""
         edge = self._edge(frame, track, track.first, -1.0)
-        if edge is None and frame.trusted and not track.beside_others:
+        if edge is None and frame.is_trusted and not track.beside_others:
             edge = "mid-view"
         if track.from_start or (
             edge is not None
@@ -269,7 +269,7 @@ class Crossings:
 
         if edge == "learned door" and not _has_walked(track):
             edge = None
-        if edge is None and frame.trusted and not track.is_occluded:
+        if edge is None and frame.is_trusted and not track.is_occluded:
             edge = "mid-view"
         if edge is not None:
             return self._told(frame, "exit", track, track.last, edge)

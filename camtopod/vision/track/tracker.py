@@ -98,8 +98,8 @@ class Tracker:
         free = self._assign(t, blobs, self._waiting(t, patience), self._costs)
 
         # A pause in the frames ends the other tracks; their exits were known before it.
-        unseen = [track for track in self.active if is_paused and track.last.t < t]
-        events = self._end(unseen, before, "interrupted")
+        lost_tracks = [track for track in self.active if is_paused and track.last.t < t]
+        events = self._end(lost_tracks, before, "interrupted")
         recent = self._waiting(t, REACH_SECONDS)
         by_area = partial(costs_by_area, dt=dt, crossings=self.crossings)
         free = self._assign(t, free, recent, by_area)
