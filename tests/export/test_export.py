@@ -50,12 +50,13 @@ def test_graphml_is_read_by_networkx() -> None:
     assert graph.nodes[CAMERAS[0]]["zones"] == len(TOPOLOGY.cameras[0].zones)
     for edge in edges(TOPOLOGY):
         data = graph.edges[edge.from_, edge.to]
-        assert (data["weight"], data["q90"]) == (edge.transit.mode, edge.transit.q90)
+        assert (data["weight"], data["q90"]) == (max(edge.transit.mode, 0.1), edge.transit.q90)
         assert data["probability"] == edge.probability
 
 
 def test_json_is_read_by_networkx() -> None:
     graph = nx.node_link_graph(json.loads(FORMATS["json"](TOPOLOGY)), edges="edges")
+    assert min(edge["weight"] for _, _, edge in graph.edges(data=True)) == 0.1  # it overlaps
 
     found = [(a, b, edge["colour"] == "black") for a, b, edge in graph.edges(data=True)]
     zones = sum(len(node["zones"]) for _, node in graph.nodes(data=True))
