@@ -47,14 +47,14 @@ class Adapter:
     outside_cause = "is --size right?"
     """Likely cause of boxes outside the picture, as a message."""
     box_form = "left, top, right, bottom in pixels"
-    """What the numbers of a box are."""
+    """Meaning of the numbers of a box."""
 
     def __init__(self, camera: str | None = None) -> None:
         self.cameras = CameraNames(camera)
         self.say: Callable[[str], None] = lambda note: None
         """Tells the user something; set by the caller."""
         self._noted: set[tuple[str, str]] = set()
-        """What was said, of which camera."""
+        """Remarks that were logged, with their cameras."""
 
     def receive(self, line: bytes) -> list[Event]:
         """Return the events that a line makes certain. Raises `Rejected` for an unusable line.
@@ -115,7 +115,7 @@ class Adapter:
         self._note("", f"of {total} objects none counts by --label: {words}")
 
     def _note(self, camera: str, message: str) -> None:
-        """Say something once of a camera: what follows its numbers makes it another thing."""
+        """Log a remark once for each camera; the text after its numbers tells remarks apart."""
         key = camera, re.sub("[0-9]+", "", message).split(":")[0]
         if key not in self._noted:
             self._noted.add(key)

@@ -1,4 +1,4 @@
-"""What a camera tells about its objects' ids: renamed, merged, split, part of another one.
+"""Explanations of object ids by a camera: renamed, merged, split, part of another object.
 
 Such an id is not gone, and the one that it becomes has not come. A merged object is followed as all
 that it was merged from, so that each of them leaves where it leaves; a split gives them back.
@@ -80,7 +80,7 @@ class ObjectTree:
                     self._tracks.expect(self.name(number))
 
     def places(self, boxes: Sequence[TrackedBox], parents: dict[str, str]) -> list[TrackedBox]:
-        """Return boxes by the names of their tracks, with those of what is where they are.
+        """Return boxes by the names of their tracks, with those of objects merged into them.
 
         parents: name of the track of which another one is a part now, by the name of that.
         """
@@ -102,7 +102,7 @@ class ObjectTree:
     def end(self, number: Name) -> list[Name]:
         """Return the names of the tracks that end with an id, and forget it.
 
-        What is part of another object now ends with that.
+        An object that is part of another one now ends with it.
         """
         key = str(number)
         if key not in self._names and any(key in part for part in self._companions.values()):
@@ -113,7 +113,7 @@ class ObjectTree:
         return names
 
     def _join(self, name: str, other: str) -> None:
-        """Follow a track, and what is where it is, at another one's places."""
+        """Follow a track, and the objects merged into it, at another one's places."""
         if name == other:
             return
         companions = self._companions.get(other, [])

@@ -51,7 +51,7 @@ _SEVERAL = frozenset(
 )
 """Elements of which there may be several."""
 _OTHER = "other"
-"""Kind of what is nothing else: any other kind is likelier."""
+"""Kind of an object of no other kind: any other one is likelier."""
 
 
 class _Vector(Struct, frozen=True):
@@ -230,7 +230,7 @@ class Onvif(StreamAdapter):
     def _boxes(
         self, frame: _OnvifFrame, module: str, stream: CameraStream, tree: ObjectTree
     ) -> tuple[list[TrackedBox], dict[str, str], list[Name]]:
-        """Return boxes, names of tracks by those of their parts, and names of what stands still."""
+        """Return boxes, names of tracks by those of their parts, and names of those that stand."""
         tracked_boxes = []
         parents = {}
         idle_names = []

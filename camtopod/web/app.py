@@ -38,7 +38,7 @@ from camtopod.web.report import gather, placed
 from camtopod.web.single_file import STATIC, page
 
 GATHERING_MAX = 2
-"""Requests at a time for what is gathered from many versions."""
+"""Requests at a time for pages that are gathered from many versions."""
 CLOSE_SECONDS = 2
 """Time that open responses have to end when the server stops."""
 

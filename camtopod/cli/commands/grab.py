@@ -264,9 +264,8 @@ def _until_stopped(
         cause = grabber.reason.partition(RETRY_SEPARATOR)[0]  # without the time of the next attempt
         if cause not in causes and state != "ended":
             causes.add(cause)
-            words = f"camera {grabber.camera} is {state}: {grabber.reason}"
-            level = logging.WARNING if state in ("stalled", "blind") else logging.INFO
-            log.log(level, "%s", words.removesuffix(": "))
+            say = log.warning if state in ("stalled", "blind") else log.info
+            say("camera %s is %s", grabber.camera, f"{state}: {grabber.reason}".removesuffix(": "))
 
         if event is not None and not too_many:
             newest.append(event.t)
@@ -297,8 +296,8 @@ def _log_end(grabber: Grabber) -> None:
     if figures["blind_seconds"]:
         parts.append(f"blind for {figures['blind_seconds']:.0f} s")
     parts += ["1 entry" if entries == 1 else f"{entries} entries", counted(exit_count, "exit")]
-    level = logging.WARNING if undecoded_count else logging.INFO
-    log.log(level, "camera %s has ended: %s", grabber.camera, ", ".join(parts))
+    say = log.warning if undecoded_count else log.info
+    say("camera %s has ended: %s", grabber.camera, ", ".join(parts))
 
 
 def _to_lines(
@@ -430,10 +429,9 @@ class _GrabberConnection:
     def status(self) -> dict[str, Any]:
         """Return the content of ``status/{camera}``."""
         grabber = self._grabber
-        reason = redact.redact(grabber.reason)
         past = (self._args.restarts, self._args.last_end)
         return {
-            **camera_status(grabber.camera, grabber.state, reason, *past),
+            **camera_status(grabber.camera, grabber.state, redact.redact(grabber.reason), *past),
             "status_seconds": self._config.limits.status_seconds,
             **grabber.statistics(),
             **self._publisher.statistics(),

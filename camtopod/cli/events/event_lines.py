@@ -170,7 +170,7 @@ class LineReader:
         return exits.FAILED if used < ACCEPTED_MIN * (used + rejected) else exits.DONE
 
     def summary(self) -> str | None:
-        """Return one line about what was used; None if that is every line with all it says."""
+        """Return one line about the lines that were used; None if all of them were, in full."""
         parts = []
         if self.rejections:
             mistakes = ", ".join(f"{mistake} {n}" for mistake, n in sorted(self.rejections.items()))

@@ -1,4 +1,4 @@
-"""The form of a file: text in some encoding, or what else it is, and what to do with it."""
+"""The form of a file: text in some encoding, or another form, and how to convert it."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ _OTHER_FORMS = {
     ),
     rb"\s*\[\s*\[": "a JSON array of arrays: write an object with camera, kind, t for each event",
 }
-"""Beginnings of files that hold something else than lines of text, and what to do."""
+"""Beginnings of files that hold no lines of text, and how to convert each."""
 _UNICODE = {
     rb"\xff\xfe\0\0|\0\0\xfe\xff": "utf-32",
     rb"\xff\xfe|\xfe\xff": "utf-16",
@@ -55,7 +55,7 @@ _CONTROL = re.compile(rb"[\x01-\x08\x0e-\x19\x1c\x1d\x1f]")
 
 
 class Readable(Protocol):
-    """A file, or what stands before one."""
+    """A file, or its first bytes."""
 
     def read1(self, size: int, /) -> bytes:
         """Read at most ``size`` bytes; block until there are some. Empty at the end of input."""

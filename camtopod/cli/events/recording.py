@@ -35,7 +35,7 @@ HOUR = 3_600.0
 CAMERAS_HELD = 10_000
 """Lines after which they are counted by camera."""
 DISORDER_MAX = 0.02
-"""Largest share of a camera's lines with a step against the direction of the others.
+"""Largest share of a camera's lines with a step against the direction of most.
 
 Beyond that the lines are in no order, and those around a line say nothing about it.
 """
@@ -96,7 +96,7 @@ class _Course(Struct):
 
 
 class _Survey:
-    """What is to be known of files before their lines are used."""
+    """Survey of files before their lines are used."""
 
     def __init__(self) -> None:
         self.cameras = Counter[str]()
@@ -307,7 +307,7 @@ def once_by_number(reader: LineReader, lines: Iterable[Line]) -> Iterator[Line]:
 
 
 def _key(event: Event) -> tuple[object, ...] | None:
-    """Return what a repeat of an event at the same time shares with it; None if nothing tells."""
+    """Return the value that repeats of an event at its time share; None if there is none."""
     if event.track is not None:
         return event.camera, event.kind, event.track
     return None if event.x is None else (event.camera, event.kind, event.x, event.y)

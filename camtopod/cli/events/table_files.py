@@ -25,7 +25,7 @@ _FORMS = {
 
 
 def form_of(beginning: bytes) -> str | None:
-    """Return what a file is that begins like this; None if it is none of these tables."""
+    """Return the form of a file that begins like this; None if it is no such table."""
     return next(
         (form for magic, form in _FORMS.items() if re.match(magic, beginning, re.DOTALL)), None
     )

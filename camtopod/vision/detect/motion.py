@@ -62,7 +62,7 @@ _SQUARE = np.ones((3, 3), np.uint8)
 _DARK = 24.0
 """Level below which the logarithm flattens, so that noise in the dark makes no edges."""
 _PLAIN_SHARE = 0.2
-"""Standard deviation of a scene that shows nothing, as a share of what counts as motion."""
+"""Standard deviation of a scene that shows nothing, as a share of the least difference."""
 _DIM = 85.0
 """Mean level, a third of the range, below which less difference is motion, in proportion."""
 _LOGARITHM = np.clip(100 * np.log((np.arange(256) + _DARK) / _DARK), 0, 255).astype(np.uint8)

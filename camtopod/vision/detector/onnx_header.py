@@ -37,7 +37,7 @@ Field = IntEnum(
 
 
 class Header(NamedTuple):
-    """What the file of a model says."""
+    """Inputs of a model, by its file."""
 
     inputs: Inputs
     in_order: bytes | None

@@ -189,7 +189,7 @@ class Capture:
         self._fault_share = 0.0
         """Share of such frames among the latest."""
         self._is_joined = kind != "stream"
-        """True from the first frame on; a stream begins with messages about what came before."""
+        """True from the first frame on; a stream begins with messages about earlier pictures."""
 
     @property
     def is_open(self) -> bool:

@@ -39,7 +39,7 @@ A sighting is moved to the crossing of the border if it takes no longer.
 LATENESS_SECONDS_MAX = 4.0
 """Longest time after an event at which it is told; the daemon does not learn from later ones."""
 CROSSING_SIGHTINGS_MIN = 3
-"""Least number of sightings, of which two tell the speed, of what crosses the view very fast."""
+"""Least number of sightings, of which two tell the speed, of an object that crosses very fast."""
 CUT_SHARE_MAX = 0.75
 """Largest share of its height that is left of an object that the top border cuts as it crosses."""
 WALKED_HEIGHTS_MIN = 1.5
@@ -238,7 +238,7 @@ class Crossings:
     def _has_crossed(self, frame: FrameView, track: Track, edge: Edge | None) -> bool:
         """Return True if a brief track that ends at ``edge`` has come straight from another one.
 
-        Beside others it is more likely a fragment of them.
+        One that began beside another object is more likely a fragment of it.
         """
         return (
             edge is not None
@@ -253,7 +253,7 @@ class Crossings:
     def exit_of(self, frame: FrameView, track: Track) -> list[Event]:
         """Return the exit of an object whose track ends, if it has left.
 
-        What has crossed the view too fast for a confirmation has its entry as well.
+        An object that crossed the view too fast for a confirmation has its entry as well.
         """
         edge = self.at_edge(frame, track)
         if self._has_crossed(frame, track, edge):
