@@ -64,7 +64,7 @@ class Readable(Protocol):
 def pieces(path: str, file: Readable, beginning: bytes = b"") -> Iterator[bytes]:
     """Yield the content of a text as soon as it arrives; UTF-16 as UTF-8.
 
-    beginning: what was read before.
+    beginning: bytes that were read before.
 
     Raises `InputError` for a file that is no text, and for JSON that has no events one by one.
     """

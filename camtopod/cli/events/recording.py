@@ -1,7 +1,7 @@
 """The events of a recording: in order of time, each once, without stamps that are wrong.
 
-A recording is known to its end, so no event of it is late. What is wrong with its times as a whole
-(`fault_of`) is seen by their span and their digits, not by their size: they may count from 0.
+All of a recording is read before its first event is used, so no event is late. Faults of its times
+as a whole (`fault_of`) show in their span and digits, not in their size: they may count from 0.
 """
 
 from __future__ import annotations
@@ -86,7 +86,7 @@ class _Course(Struct):
         return t
 
     def is_ordered(self, lines: int) -> bool:
-        """Return True if the lines around a line, of so many, tell something about its time."""
+        """Return True if the camera's ``lines`` (a number) are mostly in order of time."""
         return min(self.rises, self.falls) <= DISORDER_MAX * lines
 
     def _move(self, t: float) -> None:

@@ -353,7 +353,7 @@ class Intake:
         return [item.only_number()]
 
     def _note_too_old(self, now: float) -> None:
-        """Note and log whose grabbers number their events and do not ask to store them."""
+        """Note and log the cameras whose grabbers number events and do not ask to store them."""
         for name, since in list(self._silent.items()):
             if now - since >= SILENT_SECONDS and name not in self.too_old:
                 words = f"camera {name}: its grabber is too old for this daemon: upgrade it"

@@ -25,8 +25,8 @@ SPEED_MAX = 10.0
 _NEVER = 1e9
 """Cost of an assignment that is not allowed."""
 
-Costs = Callable[[FrameView, Track, Sequence[Blob]], list[float]]
-"""Cost of each blob for a track in a frame; `_NEVER` where it is not allowed."""
+Costs = Callable[[Track, Sequence[Blob]], list[float]]
+"""Cost of each blob for a track; `_NEVER` where it is not allowed."""
 
 
 def best_pairs(
@@ -39,7 +39,7 @@ def best_pairs(
     """Return the pairs of track and blob with the least total cost (Kuhn 1955)."""
     if not tracks or not blobs:
         return []
-    cost = np.array([costs(frame, track, blobs) for track in tracks])
+    cost = np.array([costs(track, blobs) for track in tracks])
     for i, j in np.argwhere(cost < _NEVER):
         if crossings.comes_in(frame, tracks[i], blobs[j].box):
             cost[i, j] = _NEVER

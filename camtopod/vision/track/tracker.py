@@ -92,8 +92,8 @@ class Tracker:
             track.kalman.predict(dt, track.size)
             track.frames += 1
 
-        # Assign blobs: by head and foot, by area. They occlude others, or start tracks. What a
-        # pause interrupts goes on if it is where it can be by then.
+        # Assign blobs: by head and foot, by area. They occlude others, or start tracks. A
+        # track goes on over a pause if its object is where it can be by then.
         patience = dt if is_paused and dt <= LATENESS_SECONDS_MAX else PATIENCE_SECONDS
         free = self._assign(t, blobs, self._waiting(t, patience), self._costs)
 
@@ -101,7 +101,7 @@ class Tracker:
         lost_tracks = [track for track in self.active if is_paused and track.last.t < t]
         events = self._end(lost_tracks, before, "interrupted")
         recent = self._waiting(t, REACH_SECONDS)
-        by_area = partial(costs_by_area, dt=dt, crossings=self.crossings)
+        by_area = partial(costs_by_area, frame, dt=dt, crossings=self.crossings)
         free = self._assign(t, free, recent, by_area)
         for track in self.active:
             near = GATE_HEIGHTS * track.height
@@ -140,7 +140,7 @@ class Tracker:
             blob for blob in blobs if all(blob is not matched_blob for _, matched_blob in pairs)
         ]
 
-    def _costs(self, frame: FrameView, track: Track, blobs: Sequence[Blob]) -> list[float]:
+    def _costs(self, track: Track, blobs: Sequence[Blob]) -> list[float]:
         """Return for each blob the distance of head and foot, at the height expected there."""
         expected = self.stature.height(track.kalman.position[3]) or 0.0
         return costs_by_points(track, blobs, expected)
@@ -262,7 +262,7 @@ class Tracker:
         These are the exits of objects out of sight at an edge. Objects seen next count as having
         been there from the start.
 
-        reason: what is recorded of the others.
+        reason: recorded of the tracks that have no event.
         """
         self._start = None
         return self._end(self.active, self._frame, reason)
@@ -270,7 +270,7 @@ class Tracker:
     def _end(self, tracks: Sequence[Track], frame: FrameView, reason: Reason) -> list[Event]:
         """End tracks as of ``frame``; return the exits of objects out of sight at an edge.
 
-        reason: what is recorded of the others.
+        reason: recorded of the tracks that have no event.
         """
         events = []
         for track in tracks:
