@@ -5,7 +5,7 @@ becomes of an exit, from the version and from the observed arrivals; `version` h
 version says: `hazards` (rates of appearing by lag), `contexts` (the effect of an exit's context),
 `time_windows` (windows for an object of some speed), `outcomes` and `second_opinion` (the version's
 two opinions) and
-`anywhere` (what neither explains). `recent_events` and `open_passages` store the observed events,
+`anywhere` (what neither explains). `recent_events` and `passages` store the observed events,
 by which `reporting` tells the cameras that are silent. `zone_lookup` finds the zone of an event,
 and `hand_over` the other cameras that see the object at the exit. `walks` tells which passages are
 of one object, by the outlook from each exit; from both follows how many objects are `between`
@@ -13,7 +13,6 @@ cameras.
 """
 
 from camtopod.predict.between import BetweenCameras as BetweenCameras
-from camtopod.predict.open_passages import Passage as Passage
 from camtopod.predict.outlook import (
     Departure as Departure,
     Outlook as Outlook,
@@ -21,6 +20,7 @@ from camtopod.predict.outlook import (
     outlook as outlook,
     outside_rates as outside_rates,
 )
+from camtopod.predict.passages import Passage as Passage
 from camtopod.predict.predictor import Predictor as Predictor, PredictorState as PredictorState
 from camtopod.predict.version import PreparedVersion as PreparedVersion
 from camtopod.predict.walks import Walks as Walks

@@ -18,7 +18,7 @@ import numpy as np
 from camtopod.columns import numbers
 from camtopod.predict.hazards import model_of
 from camtopod.predict.labels import Labels
-from camtopod.predict.open_passages import OpenPassages, Passage
+from camtopod.predict.passages import Passage, RecentPassages
 from camtopod.records import InView, Look, NextCamera, Topology
 from camtopod.topology import STEPS, masses_of, offset_bins
 from camtopod.words import sum_by_camera
@@ -66,7 +66,7 @@ class HandOver:
         self,
         passage: Passage,
         t: float,
-        open_passages: OpenPassages,
+        passages: RecentPassages,
         offsets: dict[str, float],
         labels: Labels,
     ) -> list[InView]:
@@ -74,14 +74,14 @@ class HandOver:
 
         passage: the passage that ends.
         t (seconds): corrected time of its exit.
-        open_passages: the open passages of all cameras.
+        passages: the recent passages of all cameras.
         offsets (seconds): clock offset by camera.
         labels: the labels of the version.
         """
         result: list[InView] = []
         for camera, share, odds in self._from.get(passage.camera, ()):
             offset = offsets.get(camera, 0.0)
-            tracks = open_passages.open_at(camera, t, t + offset)
+            tracks = passages.open_at(camera, t, t + offset)
 
             # Odds of each open passage against all others and against none of them.
             weights = [odds[self._bins.bin_of(candidate.t - passage.t)] for _, candidate in tracks]

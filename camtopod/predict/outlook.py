@@ -18,7 +18,7 @@ import numpy as np
 
 from camtopod.arrays import Bools, Floats, Ints, Rows
 from camtopod.predict.labels import UNKNOWN_LABEL
-from camtopod.predict.open_passages import UNKNOWN, Passage
+from camtopod.predict.passages import UNKNOWN, Passage
 from camtopod.predict.time_windows import (
     PassagePace,
     quantiles,

@@ -18,8 +18,8 @@ from msgspec.structs import replace
 from camtopod.arrays import Floats, Rows
 from camtopod.codec import require_event
 from camtopod.predict.hand_over import cameras_to_watch
-from camtopod.predict.open_passages import UNKNOWN, OpenPassages, Passage
 from camtopod.predict.outlook import Departure, Outlook, Seen, outlook
+from camtopod.predict.passages import UNKNOWN, Passage, RecentPassages
 from camtopod.predict.recent_events import (
     RECENT_MAX,
     RecentEvents,
@@ -77,7 +77,7 @@ class Predictor:
 
     def forget(self) -> None:
         """Forget all observed events; needed when event time has been taken back."""
-        self._open_passages = OpenPassages(self.prepared.longest_stays())
+        self._passages = RecentPassages(self.prepared.longest_stays())
         self._arrivals, self._exits = RecentEvents(), RecentEvents()
         self._reporting = Reporting(self.prepared.cameras, self.prepared.event_share)
         self._since = math.inf
@@ -88,7 +88,7 @@ class Predictor:
         labels = self.prepared.labels.moved(older.prepared.labels)
         self._arrivals.take_over(older._arrivals, new_zones, labels)
         self._exits.take_over(older._exits, new_zones, labels)
-        self._open_passages.take_over(older._open_passages, new_zones, labels)
+        self._passages.take_over(older._passages, new_zones, labels)
         self._reporting.load(older._reporting.events, older._reporting.last_events())
         self._since = older._since
 
@@ -97,7 +97,7 @@ class Predictor:
         return PredictorState(
             arrivals=self._arrivals.save(),
             exits=self._exits.save(),
-            under_way=self._open_passages.passages(),
+            under_way=[(*key, passage) for key, passage in self._passages.open.passages()],
             events=self._reporting.events,
             last_event=self._reporting.last_events(),
             since=self._since,
@@ -108,7 +108,7 @@ class Predictor:
         self._arrivals.load(state.arrivals)
         self._exits.load(state.exits)
         for camera, track, passage in state.under_way:
-            self._open_passages.begin(camera, track, passage)
+            self._passages.open.begin(camera, track, passage)
         self._reporting.load(state.events, state.last_event)
         self._since = state.since
 
@@ -155,7 +155,7 @@ class Predictor:
             _check(event.t, now)
             return Prediction(event.camera, None, event.t, track, self.version, 1.0, [], prior=True)
 
-        passages = self._open_passages
+        passages = self._passages
         passage = None if track is None else passages.left_at(event.camera, track, event.t)
         block = block_of(event.x, event.y)
         return self.predict_from(zone, event.t, passage, track, block, now, event.label)
@@ -211,7 +211,7 @@ class Predictor:
         in_view = self.prepared.hand_over.in_view(
             passage,
             site_t,
-            self._open_passages,
+            self._passages,
             self.prepared.clock_offset,
             self.prepared.labels,
         )
@@ -323,7 +323,7 @@ class Predictor:
         zone = int(self._arrivals.zone[row])
         start = float(self._arrivals.t[row])
         camera = self.zones[zone].camera
-        return self._open_passages.was_in_view(
+        return self._passages.was_in_view(
             camera, zone, start, t + self.prepared.clock_offset[camera]
         )
 
@@ -341,9 +341,9 @@ class Predictor:
         previous = max(causes, key=causes.__getitem__, default=None)
         sure = causes[previous] / rate if previous is not None else 0.0
         passage = Passage(t, event.camera, zone, previous, sure, label)
-        self._open_passages.begin(event.camera, str(event.track), passage)
+        self._passages.open.begin(event.camera, str(event.track), passage)
         self._add_simultaneous_cause(passage)
-        self._open_passages.forget_stale(t)
+        self._passages.forget_stale(t)
 
     def _observe_exit(self, event: Event, zone: int, t: float) -> None:
         """Store an exit, and add it to the possible causes of arrivals before it.
@@ -352,7 +352,7 @@ class Predictor:
         """
         passage = None
         if event.track is not None:
-            passage = self._open_passages.end(event.camera, str(event.track), event.t)
+            passage = self._passages.end(event.camera, str(event.track), event.t)
         label = self.prepared.labels.number(event.label, (passage or UNKNOWN).label)
         self._exits.append(t, zone, label)
 
@@ -402,7 +402,7 @@ class Predictor:
         # Objects in other views that may appear at the zone before they leave.
         own_camera = self.zones[zone].camera
         for camera in hazards.rates_before(zone):
-            for passage in self._open_passages.in_view(camera) if camera != own_camera else ():
+            for passage in self._passages.open.of(camera).values() if camera != own_camera else ():
                 rate = self.prepared.rate_in_view(passage, zone, t, label)
                 if rate:
                     causes[camera] = causes.get(camera, 0.0) + rate

@@ -15,8 +15,8 @@ from camtopod.predict.contexts import ContextMultipliers
 from camtopod.predict.hand_over import HandOver
 from camtopod.predict.hazards import Hazards, model_of
 from camtopod.predict.labels import Labels
-from camtopod.predict.open_passages import Passage
 from camtopod.predict.outcomes import Outcomes
+from camtopod.predict.passages import Passage
 from camtopod.predict.time_windows import PaceModel
 from camtopod.predict.zone_lookup import ZoneLookup
 from camtopod.records import Event, Topology

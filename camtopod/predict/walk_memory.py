@@ -10,6 +10,7 @@ import itertools
 from collections import deque
 from collections.abc import Collection, Iterable
 
+from camtopod.predict.passages import OpenPassages
 from camtopod.predict.walk_graph import WalkStep
 from camtopod.records import Event
 
@@ -29,8 +30,8 @@ class WalkMemory:
     """Passages by camera and by zone; events come in order of time."""
 
     def __init__(self) -> None:
-        self.open: dict[str, dict[str, WalkStep]] = {}
-        """Passages in view by camera, then by track or name, oldest first."""
+        self.open: OpenPassages[WalkStep] = OpenPassages()
+        """Passages in view; one without a track has its name as that."""
         self.steps_by_exit: dict[int, deque[WalkStep]] = {}
         """The newest passages by zone of exit, oldest first."""
         self.recent: deque[WalkStep] = deque()
@@ -64,7 +65,7 @@ class WalkMemory:
 
     def add_open(self, step: WalkStep) -> None:
         """Add a passage that has begun to those in view."""
-        self.open.setdefault(step.camera, {})[step.track or step.name] = step
+        self.open.begin(step.camera, step.track or step.name, step)
 
     def end(self, step: WalkStep, zone: int | None, t: float) -> None:
         """Add the exit of a passage.
@@ -103,10 +104,9 @@ class WalkMemory:
                 continue
             self._names.discard(step.name)
             step.is_forgotten = True
-            in_view = self.open.get(step.camera, {})
             key = step.track or step.name
-            if in_view.get(key) is step:
-                del in_view[key]
+            if self.open.of(step.camera).get(key) is step:
+                self.open.end(step.camera, key)
             self._release(step)
             step.before = None
         while self.recent and self.recent[0].is_final:
@@ -131,7 +131,9 @@ class WalkMemory:
         )
         self.recent = deque(step for step in self.recent if step.name not in names)
         self._names -= names
-        self.open = {name: steps for name, steps in self.open.items() if name not in cameras}
+        for camera in cameras:
+            for key in list(self.open.of(camera)):
+                self.open.end(camera, key)
         for zone_steps in self.steps_by_exit.values():
             for step in [step for step in zone_steps if step.name in names]:
                 zone_steps.remove(step)
@@ -149,7 +151,7 @@ class WalkMemory:
         new_zones: new index of each of the ``zones`` old ones, without those that are gone.
         """
         if new_zones != {zone: zone for zone in range(zones)}:
-            in_view = (step for steps in self.open.values() for step in steps.values())
+            in_view = (step for _, step in self.open.passages())
             for step in _steps(self._events, in_view):
                 step.entry = new_zones.get(-1 if step.entry is None else step.entry)
         self.steps_by_exit = {

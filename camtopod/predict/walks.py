@@ -16,14 +16,14 @@ have changed the answer.
 from __future__ import annotations
 
 from bisect import bisect_right
-from collections.abc import Collection, Sequence
+from collections.abc import Collection, Mapping, Sequence
 
 import numpy as np
 
 from camtopod.arrays import Floats
 from camtopod.codec import require_event
-from camtopod.predict.open_passages import Passage
 from camtopod.predict.outlook import Departure, anywhere_rates, outlook, outside_rates
+from camtopod.predict.passages import Passage
 from camtopod.predict.recent_events import moved_zones
 from camtopod.predict.version import PreparedVersion
 from camtopod.predict.walk_graph import ExitOutlook, WalkEdge, WalkStep, pass_messages
@@ -172,9 +172,10 @@ class Walks:
 
     def _end(self, event: Event, zone: int | None, t: float) -> None:
         """End the passage of an exit; if its entry is unknown, the exit is all of it."""
-        in_view = self._memory.open.get(event.camera, {})
+        open_passages = self._memory.open
+        in_view = open_passages.of(event.camera)
         key = str(event.track) if event.track is not None else self._through(in_view, zone, t)
-        step = in_view.pop(key, None) or self._memory.begin(event, None, t)
+        step = open_passages.end(event.camera, key) or self._memory.begin(event, None, t)
         step.departure_t = t
         step.label = event.label or step.label
         if zone is not None:
@@ -198,7 +199,7 @@ class Walks:
             step.expected = ExitOutlook(tuple(scale.tolist()), tuple(no_arrival.tolist()), rates)
         return step.expected
 
-    def _through(self, in_view: dict[str, WalkStep], zone: int | None, t: float) -> str:
+    def _through(self, in_view: Mapping[str, WalkStep], zone: int | None, t: float) -> str:
         """Return the key of the passage without a track that ends in a zone; "" if none does."""
         weights = {}
         for key, step in in_view.items():
@@ -260,7 +261,7 @@ class Walks:
         for camera in self._hazards.rates_before(zone):
             if camera == step.camera:
                 continue
-            for source_step in list(self._memory.open.get(camera, {}).values())[-CANDIDATES_MAX:]:
+            for source_step in list(self._memory.open.of(camera).values())[-CANDIDATES_MAX:]:
                 rate = self._rate_in_view(source_step, step)
                 if rate > 0.0:
                     edges.append(WalkEdge(source_step, step, step.camera, rate))

@@ -30,7 +30,7 @@ from msgspec.structs import replace
 from bench.support.prediction_scores import score_predictions
 from camtopod.learn.learner import Learner
 from camtopod.learn.settings import Settings
-from camtopod.predict import anywhere, open_passages, recent_events
+from camtopod.predict import anywhere, passages, recent_events
 from camtopod.predict.outlook import NEXT_PROBABILITY_MIN, RATE_MIN
 from camtopod.predict.predictor import Predictor
 from camtopod.predict.reporting import DEAD_PRIOR
@@ -247,7 +247,7 @@ def test_a_silent_camera_is_not_where_they_appear() -> None:
 def test_what_is_remembered_is_bounded(monkeypatch: pytest.MonkeyPatch) -> None:
     """Also with passages that never end."""
     monkeypatch.setattr(recent_events, "RECENT_MAX", 7)
-    monkeypatch.setattr(open_passages, "OPEN_MAX", 7)
+    monkeypatch.setattr(passages, "OPEN_MAX", 7)
     predictor = Predictor(THREE)
     for k in range(50):
         predictor.observe(replace(ENTERED, t=float(k), track=str(k)))
@@ -256,7 +256,7 @@ def test_what_is_remembered_is_bounded(monkeypatch: pytest.MonkeyPatch) -> None:
     state = predictor.save()
 
     assert len(state.under_way) == len(state.arrivals.t) == len(state.exits.t) == 7
-    assert len(predictor._open_passages._ended_passages) == 7
+    assert len(predictor._passages._ended_passages) == 7
 
 
 def test_what_is_remembered_is_in_order_of_time(monkeypatch: pytest.MonkeyPatch) -> None:

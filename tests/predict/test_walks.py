@@ -163,7 +163,7 @@ def test_passages_are_forgotten_after_an_hour(walks: Walks) -> None:
     matched(walks, events)
     matched(walks, [entry("b", T + 5 + MEMORY_SECONDS + 1, "3")])
     assert len(remembered(walks)) == len(walks._memory.recent) == 1
-    assert not walks._memory.open["a"]
+    assert not walks._memory.open.of("a")
     assert not any(walks._memory.steps_by_exit.values())
 
 
@@ -184,7 +184,7 @@ def test_a_walk_is_named_by_its_oldest_passage_of_the_last_hour(walks: Walks) ->
     assert second.walk == first.walk
 
     matched(walks, [entry("c", T + 4 + MEMORY_SECONDS, "4")])
-    step = walks._memory.open["b"]["3"]
+    step = walks._memory.open.of("b")["3"]
     assert step.walk == first.walk
     matched(walks, [entry("c", T + 4.5 + MEMORY_SECONDS, "5")])
     assert step.walk == f"b@{T + 13:.0f}"

@@ -1,13 +1,15 @@
-"""Open passages: objects that have entered a view and not left it; and passages that just ended.
+"""Memory of passages: of objects that are in a view (open passages), and of those that just left.
 
 A passage is known by the track of its object: it begins with the entry and ends with the exit of
-the same track at the same camera.
+the same track at the same camera. Predictions and walks remember their open passages in the same
+way, `OpenPassages`, each in its own: predictions hear an event at once, walks in order of time.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Collection
+from collections.abc import Iterable, Mapping
+from typing import Generic, TypeVar
 
 import msgspec
 from msgspec import Struct
@@ -43,8 +45,47 @@ UNKNOWN = Passage(-math.inf, "", -1)
 """In place of a passage of which only the exit is known."""
 
 
-class OpenPassages:
-    """The open passages by camera and track, in the order in which they began.
+AnyPassage = TypeVar("AnyPassage")
+
+
+class OpenPassages(Generic[AnyPassage]):
+    """The open passages by camera and track, in the order in which they began."""
+
+    def __init__(self) -> None:
+        self._passages: dict[tuple[str, str], AnyPassage] = {}
+        """By (camera, track), in the order in which they began."""
+        self._tracks: dict[str, dict[str, AnyPassage]] = {}
+        """The same by camera, then track."""
+
+    def __len__(self) -> int:
+        return len(self._passages)
+
+    def begin(self, camera: str, track: str, passage: AnyPassage) -> None:
+        """Add a passage; it takes the place of an open passage of the same track, if any."""
+        self._passages[camera, track] = passage
+        self._tracks.setdefault(camera, {})[track] = passage
+
+    def end(self, camera: str, track: str) -> AnyPassage | None:
+        """Remove the passage of a track and return it; None if there is none."""
+        passage = self._passages.pop((camera, track), None)
+        if passage is not None:
+            tracks = self._tracks[camera]
+            del tracks[track]
+            if not tracks:
+                del self._tracks[camera]
+        return passage
+
+    def of(self, camera: str) -> Mapping[str, AnyPassage]:
+        """Return a camera's open passages by track."""
+        return self._tracks.get(camera, {})
+
+    def passages(self) -> Iterable[tuple[tuple[str, str], AnyPassage]]:
+        """Return all open passages, oldest first, each as ((camera, track), passage)."""
+        return self._passages.items()
+
+
+class RecentPassages:
+    """The passages that predictions need: those that are open, and the newest that ended.
 
     longest (seconds): longest known dwell time by camera, after which a passage without an exit is
         forgotten.
@@ -52,10 +93,8 @@ class OpenPassages:
 
     def __init__(self, longest: dict[str, float]) -> None:
         self._longest = longest
-        self._passages: dict[tuple[str, str], Passage] = {}
-        """Open passages by (camera, track), in the order in which they began."""
-        self._in_view: dict[str, dict[str, Passage]] = {}
-        """The open passages by camera, then track."""
+        self.open: OpenPassages[Passage] = OpenPassages()
+        """The open passages."""
         self._ended_passages: dict[tuple[str, str], tuple[float, Passage | None]] = {}
         """The newest exits by (camera, track), oldest first.
 
@@ -66,14 +105,9 @@ class OpenPassages:
         that ended then.
         """
 
-    def begin(self, camera: str, track: str, passage: Passage) -> None:
-        """Add a passage; it takes the place of an open passage of the same track, if any."""
-        self._passages[camera, track] = passage
-        self._in_view.setdefault(camera, {})[track] = passage
-
     def end(self, camera: str, track: str, t: float) -> Passage | None:
         """End the passage of a track at ``t`` by the camera's clock; return it if it was open."""
-        passage = self._remove(camera, track)
+        passage = self.open.end(camera, track)
         self._ended_passages.pop((camera, track), None)  # the newest come last
         self._ended_passages[camera, track] = t, passage
         self._note_last_exit(camera, track, t, passage)
@@ -84,11 +118,7 @@ class OpenPassages:
     def left_at(self, camera: str, track: str, t: float) -> Passage | None:
         """Return the passage that ended at ``t`` by the camera's clock, or that is still open."""
         ended_at, passage = self._ended_passages.get((camera, track), (None, None))
-        return passage if ended_at == t else self._passages.get((camera, track))
-
-    def in_view(self, camera: str) -> Collection[Passage]:
-        """Return a camera's open passages."""
-        return self._in_view.get(camera, {}).values()
+        return passage if ended_at == t else self.open.of(camera).get(track)
 
     def was_in_view(self, camera: str, entry: int, start: float, t: float) -> bool:
         """Return True if a given passage was open until ``t`` at least.
@@ -104,7 +134,7 @@ class OpenPassages:
         )
         return any(
             passage.t == start and passage.entry == entry
-            for passage in (*self.in_view(camera), *ended_passages)
+            for passage in (*self.open.of(camera).values(), *ended_passages)
         )
 
     def open_at(self, camera: str, t: float, by_clock: float) -> list[tuple[str, Passage]]:
@@ -115,7 +145,7 @@ class OpenPassages:
         Passages that end at this moment are included and those that begin are not, so the order of
         simultaneous events does not matter.
         """
-        still_open = self._in_view.get(camera, {}).items()
+        still_open = self.open.of(camera).items()
         last, ended_passages = self._last_exits.get(camera, (None, []))
         just_ended = ended_passages if last == by_clock else []
         return [item for item in [*still_open, *just_ended] if item[1].t < t]
@@ -125,19 +155,15 @@ class OpenPassages:
 
         now (seconds): corrected time.
         """
-        while self._passages:
-            key, oldest = next(iter(self._passages.items()))
-            is_fresh = now - oldest.t <= self._longest.get(oldest.camera, OPEN_SECONDS_MAX)
-            if is_fresh and len(self._passages) <= OPEN_MAX:
+        while self.open:
+            (camera, track), oldest = next(iter(self.open.passages()))
+            is_fresh = now - oldest.t <= self._longest.get(camera, OPEN_SECONDS_MAX)
+            if is_fresh and len(self.open) <= OPEN_MAX:
                 return
-            self._remove(*key)
-
-    def passages(self) -> list[tuple[str, str, Passage]]:
-        """Return (camera, track, passage) of all open passages, oldest first."""
-        return [(camera, track, passage) for (camera, track), passage in self._passages.items()]
+            self.open.end(camera, track)
 
     def take_over(
-        self, older: OpenPassages, new_zones: dict[int, int], labels: dict[int, int]
+        self, older: RecentPassages, new_zones: dict[int, int], labels: dict[int, int]
     ) -> None:
         """Take over the passages stored for an older version; this must be new.
 
@@ -145,9 +171,9 @@ class OpenPassages:
         labels: new number of each label by its old number.
         """
         # Open passages, except those whose zone of entry is gone.
-        for (camera, track), passage in older._passages.items():
+        for key, passage in older.open.passages():
             if passage.entry in new_zones:
-                self.begin(camera, track, _moved(passage, new_zones, labels))
+                self.open.begin(*key, _moved(passage, new_zones, labels))
 
         # Ended passages.
         self._ended_passages = {
@@ -168,16 +194,6 @@ class OpenPassages:
             self._last_exits[camera] = t, []
         if passage is not None:
             self._last_exits[camera][1].append((track, passage))
-
-    def _remove(self, camera: str, track: str) -> Passage | None:
-        """Remove the open passage of a track and return it; None if there is none."""
-        passage = self._passages.pop((camera, track), None)
-        if passage is not None:
-            in_view = self._in_view[camera]
-            del in_view[track]
-            if not in_view:
-                del self._in_view[camera]
-        return passage
 
 
 def _moved(passage: Passage, new_zones: dict[int, int], labels: dict[int, int]) -> Passage:
