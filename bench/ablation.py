@@ -41,7 +41,6 @@ from bench.support.measure import measure as measure_regime
 from bench.support.real_figures import calibration_error
 from bench.support.real_options import Options, label_shares
 from bench.support.regimes import REGIMES
-from camtopod.learn.lag_range import UNSEARCHED_SECONDS
 from camtopod.learn.prediction_model import missed_shares
 from camtopod.learn.traffic.speed import NO_PERSISTENCE
 from camtopod.topology import LagBins
@@ -161,11 +160,7 @@ MECHANISMS = [
     ),
     Mechanism(
         "range of lags is found",
-        {
-            "learn.refit:find_lag_bins": lambda *arguments: LagBins(
-                *np.multiply(UNSEARCHED_SECONDS, (-1, 1))
-            )
-        },
+        {"learn.refit:find_lag_bins": lambda *arguments: LagBins(-120.0, 180.0)},
     ),
     Mechanism(
         "labels", {"learn.association.em:estimate_label_persistence": lambda *arguments: 0.0}

@@ -18,6 +18,7 @@ from camtopod.learn.association import (
     Fit,
     LagRanges,
     Problem,
+    Traffic,
     find_candidates,
     fit_jointly,
     newest_within_limit,
@@ -38,10 +39,12 @@ from camtopod.topology import LAG_STEP, LagBins
 
 SHORTEST_SECONDS = (5.0, 60.0)
 """Least range of lags before the exit, and after it."""
-UNSEARCHED_SECONDS = (120.0, 180.0)
-"""Range of a site with too many pairs of zones for one fit (`PAIRS_FEW`), where none is looked for:
-before the exit, and after it.
+NEIGHBOURHOODS = 3
+"""Parts of a site with too many pairs of zones for one fit (`PAIRS_FEW`) where the range is looked
+for.
 """
+NEIGHBOURHOOD_ZONES_MAX = 64
+"""Zones of such a part."""
 REACH_STEP = 0.7
 """Factor on the longest lag while too few of the newest events are within the limits."""
 Q_MAX = 0.01
@@ -67,13 +70,14 @@ def find_lag_bins(scene: Scene, overlap: Bools, ranges: LagRanges | None = None)
         (`overlap_table`).
     ranges: delays of long paths, from which their lags count; None without.
     """
-    zones = len(scene.zones)
-    if zones**2 > PAIRS_FEW:
-        return _bins(*UNSEARCHED_SECONDS)
     if not (len(scene.departures.t) and len(scene.arrivals.t)):
         return shortest_bins()
-    problem = newest_stretch(scene, ranges)
-    seconds = np.array(extremes(problem, fit_jointly(problem, find_candidates(problem))))
+    parts = neighbourhoods(scene) if len(scene.zones) ** 2 > PAIRS_FEW else [scene]
+    problems = [newest_stretch(part, ranges) for part in parts]
+    seconds = np.max(
+        [extremes(problem, fit_jointly(problem, find_candidates(problem))) for problem in problems],
+        axis=0,
+    )
     shortest = np.array(SHORTEST_SECONDS)
     in_overlap = np.isin(scene.departures.camera, np.nonzero(overlap)[0])
     stays = (scene.departures.t - scene.departures.since)[in_overlap]
@@ -82,6 +86,36 @@ def find_lag_bins(scene: Scene, overlap: Bools, ranges: LagRanges | None = None)
     if ranges is not None:  # a peak at lag 0 has two sides
         shortest[0] = max(shortest[0], LAG_STEP * float(ranges.delay.max()))
     return _bins(*np.clip(SPARE * seconds, shortest, LONGEST_SECONDS).tolist())
+
+
+def neighbourhoods(scene: Scene) -> list[Scene]:
+    """Return the events of parts of a large site, each of cameras that follow on each other.
+
+    A part has the busiest camera that is in none before, and those after whose departures its
+    arrivals come most clearly more often than by chance.
+    """
+    ahead, longest = LONGEST_SECONDS
+    departures, arrivals = scene.departures, scene.arrivals
+    bins = LagBins(-ahead, longest)
+    traffic = Traffic(Problem(departures, arrivals, bins, len(scene.zones), scene.last))
+    view = np.array([zone.camera for zone in scene.zones])
+    zone_counts = np.bincount(view)
+    counts = np.bincount(arrivals.camera, minlength=len(zone_counts))
+    parts = []
+    for _ in range(NEIGHBOURHOODS):
+        busiest = int(counts.argmax())
+        excess = np.zeros(len(counts), np.float32)
+        np.maximum.at(excess, view, traffic.excess(np.flatnonzero(view == busiest)).max(axis=1))
+        excess[busiest] = np.inf
+        order = np.argsort(-excess, kind="stable")
+        cameras = order[np.cumsum(zone_counts[order]) <= NEIGHBOURHOOD_ZONES_MAX]
+        counts[cameras] = 0
+        is_near = np.isin(arrivals.camera, cameras)
+        near_departures = departures.take(np.isin(departures.camera, cameras), is_near)
+        part = scene._replace(departures=near_departures, arrivals=arrivals.take(is_near))
+        if len(part.departures.t) and len(part.arrivals.t):
+            parts.append(part)
+    return parts
 
 
 def shortest_bins() -> LagBins:

@@ -6,9 +6,11 @@ from itertools import pairwise
 
 import numpy as np
 import pytest
+from msgspec.structs import replace
 from synthetic_events import learned_from, passage
 
 from camtopod.learn import lag_range
+from camtopod.learn.association import screening
 from camtopod.learn.learner import Learner
 from camtopod.learn.limits import LONGEST_SECONDS
 from camtopod.records import Event, Topology
@@ -77,6 +79,28 @@ def test_a_way_that_becomes_a_detour_of_ten_minutes_is_found_within_an_hour(hour
     bins = LagBins(model.lag_min, model.lag_max)
     mass = masses_on_bins(way.histogram, bins)
     assert mass[bins.edges[:-1] > 300.0].sum() > 8.0, "of some forty who have arrived by then"
+
+
+def test_the_range_of_a_large_site_is_that_of_its_ways(monkeypatch: pytest.MonkeyPatch) -> None:
+    """It is looked for in some of its parts, as the whole has too many pairs of zones."""
+    houses = range(5)
+    for module in (lag_range, screening):
+        monkeypatch.setattr(module, "PAIRS_FEW", (len(houses) * len(CAMERAS)) ** 2 - 1)
+    monkeypatch.setattr(lag_range, "NEIGHBOURHOOD_ZONES_MAX", len(CAMERAS))
+    walks = {house: site(240.0, 1.0, seed=house) for house in houses}
+    events = [
+        replace(event, camera=f"{event.camera}{house}", track=f"{house} {event.track}")
+        for house in houses
+        for event in walks[house]
+    ]
+    topology = learned_from(sorted(events, key=lambda event: event.t))
+
+    assert 300.0 <= reach(topology) <= 1000.0
+    links = (link for link in topology.links if link.relation != "visible")
+    ways = {(link.from_.split("/")[0], link.to.split("/")[0]) for link in links}
+    assert ways == {
+        (f"{a}{house}", f"{b}{house}") for a, b in pairwise(CAMERAS) for house in houses
+    }
 
 
 def test_an_overlap_is_within_the_range_before_the_exit() -> None:
