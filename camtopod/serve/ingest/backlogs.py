@@ -24,7 +24,7 @@ from camtopod.serve.ingest.received import Received
 from camtopod.serve.storage import Entry
 
 SETTLE_SECONDS = 5.0
-"""Time that other cameras get to tell of their backlogs: after the start, and after the first.
+"""Time that other cameras get to tell of their backlogs: after the start, and after each that did.
 
 A backlog may be a single batch, as after an outage of a minute.
 """
@@ -61,8 +61,6 @@ class Backlogs:
         self._event_clock = event_clock
         self._deadline = now + SETTLE_SECONDS
         self._trials: dict[str, tuple[CameraState, Trial]] = {}
-        self.said_hello = True
-        """True if a camera has come back since the last wait for backlogs, perhaps with one."""
         self._unsettled_since = now
         self.waited_cameras = event_clock.waited
         """Cameras that the learner was last told to wait for."""
@@ -74,10 +72,11 @@ class Backlogs:
 
         oldest: time of its first event, Unix seconds; None without events.
         """
+        if oldest is not None:
+            is_first, camera.is_new = camera.is_new, False
         if camera.reached < self._event_clock.watermark:
             return
-        if self.said_hello and oldest is not None and wall - oldest > self._lateness:
-            self.said_hello = False
+        if oldest is not None and is_first and wall - oldest > self._lateness:
             if ANY_CAMERA not in self.waited_cameras:
                 self._unsettled_since = now
             until = min(now + SETTLE_SECONDS, self._unsettled_since + UNSETTLED_SECONDS_MAX)

@@ -64,6 +64,8 @@ TAKEN_AT_ONCE_MAX = 1_000
 """Number of events after which no further request is taken before the next step."""
 HEARD_AT_ONCE_MAX = 10
 """Most publications that are taken before the next event of a request: neither waits for long."""
+HEARD_SECONDS_MAX = 86_400.0
+"""Age of a delivered event from which on it is not heard: nothing live looks back further."""
 SILENT_SECONDS = 5.0
 """Time in which a grabber that numbers its events asks to store them; one of 0.2 never does."""
 TICK_SECONDS = 0.05
@@ -231,8 +233,8 @@ class Intake:
             reply(answers.encode({}, "clock", reason))
             return
         if isinstance(request, Hello):
-            self.backlogs.said_hello = True
             camera.hello = request.number
+            camera.is_new = True
             reply(answers.encode({boot: self.numbers.stored(name, boot) for boot in request.boots}))
             return
         if request.number != camera.hello:
@@ -258,12 +260,12 @@ class Intake:
         oldest = next((item.event.t for item in events if item.event is not None), None)
         self.backlogs.note_request(camera, oldest, wall, now)
         answers.note_stored(name)
+        self._take_published(wall, now)
         for item in events:  # a publication waits for one of these events, not for all
-            self._take_published(wall, now)
-            if item.event is not None:
-                self._hear(
-                    camera, item.event, request.boot, item.entry.seq, wall, is_delivered=True
-                )
+            event = item.event
+            if event is not None and wall - event.t < HEARD_SECONDS_MAX:
+                self._hear(camera, event, request.boot, item.entry.seq, wall, is_delivered=True)
+                self._take_published(wall, now)
 
     def _take_published(self, wall: float, now: float) -> None:
         """Take publications."""
