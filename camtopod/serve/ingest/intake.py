@@ -52,7 +52,7 @@ from camtopod.serve.ingest.received import (
 from camtopod.serve.ingest.store_queue import StoreQueue
 from camtopod.serve.requests import Hello
 from camtopod.serve.runtime import Beat, Clock, Rejects, no_beat
-from camtopod.serve.storage import Entry, JournalWriter
+from camtopod.serve.storage import Entry, JournalWriter, highest_numbers
 
 log = logging.getLogger(__name__)
 
@@ -205,11 +205,10 @@ class Intake:
         self.note_stored(ready)
 
         # 5. Answer.
-        for entry in entries:
-            if entry.boot is not None and entry.seq is not None:
-                self.numbers.note_stored(entry.camera, entry.boot, entry.seq)
+        for stream, seq in highest_numbers(entries).items():
+            self.numbers.note_stored(*stream, seq)
         self.queue.done()
-        for name in {entry.camera for entry in entries if entry.boot is not None}:
+        for name in {entry.camera for entry in entries}:
             self._answers.note_stored(name)
         self.writer.prune(self.names.erased)
         return True

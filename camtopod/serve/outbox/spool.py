@@ -193,12 +193,11 @@ class Spool:
                 events: list[tuple[int, bytes]] = []
                 bad_rows = []
                 size = 0
-                statement = f"SELECT * FROM {_WAITING} ORDER BY seq"
-                for row in self._db.execute(statement, (camera, boot, have)):
-                    if not sqlite_file.sound(row[1:]):
-                        bad_rows.append(row[:1])
+                statement = f"SELECT id, seq, raw, crc FROM {_WAITING} ORDER BY seq"
+                for id_, seq, raw, crc in self._db.execute(statement, (camera, boot, have)):
+                    if crc != sqlite_file.crc(camera, boot, seq, raw):
+                        bad_rows.append((id_,))
                         continue
-                    _, _, _, seq, raw, _ = row
                     size += len(raw)
                     if len(events) == limit or (events and size > BATCH_BYTES_MAX):
                         break
@@ -324,10 +323,7 @@ class Spool:
     def _number(
         self, events: Sequence[Event]
     ) -> tuple[list[Event], list[spool_tables.EventRow], list[tuple[str, codec.Rejected]]]:
-        """Return the new events with boot and seq, their rows, and (camera, error) of those refused.
-
-        The rows go into the file.
-        """
+        """Return the new events with boot and seq, their rows, and (camera, error) of bad ones."""
         tops = self._tops.copy()
         batch: list[Event] = []
         rows: list[spool_tables.EventRow] = []
@@ -355,14 +351,14 @@ class Spool:
                 refusals.append((camera, error))
                 continue
             tops[camera, boot] = seq
-            self._ceilings[camera, boot] = max(seq, self._ceiling(camera, boot))
+            self._ceilings[camera, boot] = max(seq, self._ceilings.get((camera, boot), seq))
             numbers.add((camera, boot, seq))
             batch.append(event)
             rows.append(row)
         return batch, rows, refusals
 
     def _ceiling(self, camera: str, boot: str) -> int:
-        """Return a number that none of the events of a boot in the file, or on its way, is above."""
+        """Return a number that no event of a boot, in the file or on its way there, is above."""
         ceiling = self._ceilings.get((camera, boot))
         if ceiling is None:
             highest = f"SELECT MAX(seq) FROM {_BOOT}"
