@@ -107,7 +107,8 @@ def run(args: argparse.Namespace) -> int:
                 boots = {boot for camera in spool.cameras() for boot in spool.boots(camera)}
                 source = numbered_by(boot_of(Path(args.file), boots), source)
             event_batches = batches(source, TRANSACTION_EVENTS_MAX, stop, tell)
-            status = _publish(config, spool, event_batches, not is_file, stack, stop, progress)
+            live = not (is_file or (args.file == "-" and Path("/dev/stdin").is_file()))
+            status = _publish(config, spool, event_batches, live, stack, stop, progress)
         else:
             event_batches = batches(source, TRANSACTION_EVENTS_MAX, stop, tell)
             out = stack.enter_context(open_output(args.out, live=not is_file))

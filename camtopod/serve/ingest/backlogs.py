@@ -85,14 +85,20 @@ class Backlogs:
             self._trials.setdefault(camera.name, (camera, Trial(now, wall - camera.reached)))
 
     def changed(
-        self, wall: float, now: float, present: Callable[[Iterable[str]], set[str]]
+        self,
+        wall: float,
+        now: float,
+        present: Callable[[Iterable[str]], set[str]],
+        is_asking: Callable[[str], bool],
     ) -> list[Received]:
         """Return the entry that tells the learner which cameras to wait for, if that has changed.
 
         present: returns the present names of cameras, without forgotten ones.
+        is_asking: returns True if a request of a camera has come and is not taken yet.
         """
         for name, (camera, trial) in list(self._trials.items()):
-            if not self._is_waited_for(camera, trial, wall, now):
+            is_held = camera.pending is not None or is_asking(name)
+            if not self._is_waited_for(camera, trial, is_held, wall, now):
                 del self._trials[name]
         cameras = frozenset([*present(self._trials), *[ANY_CAMERA][: now < self._deadline]])
         if cameras == self.waited_cameras:
@@ -101,10 +107,14 @@ class Backlogs:
         raw = codec.to_json(sorted(cameras))
         return [Received(Entry("waits", "", None, None, raw), waited=cameras)]
 
-    def _is_waited_for(self, camera: CameraState, trial: Trial, wall: float, now: float) -> bool:
-        """Return True if a camera has older events to deliver, and gets on with it."""
+    def _is_waited_for(
+        self, camera: CameraState, trial: Trial, is_held: bool, wall: float, now: float
+    ) -> bool:
+        """Return True if a camera has older events to deliver, and gets on with it.
+
+        is_held: a request of it waits for the daemon.
+        """
         behind = wall - camera.reached
-        is_held = camera.pending is not None
         if behind <= self._lateness or camera.reached < self._event_clock.watermark:
             return False
         if not is_held and (not camera.more or now - camera.asked > SETTLE_SECONDS):

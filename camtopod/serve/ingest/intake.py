@@ -58,7 +58,7 @@ log = logging.getLogger(__name__)
 
 EVENTS_MAX = 50_000
 """Most events in memory, received and not yet stored; further requests are answered ``busy``."""
-COMMIT_EVENTS_MAX = 2_000
+COMMIT_EVENTS_MAX = 5_000
 """Maximum number of events in one transaction of the journal."""
 TAKEN_AT_ONCE_MAX = 1_000
 """Number of events after which no further request is taken before the next step."""
@@ -181,7 +181,8 @@ class Intake:
                 self.event_clock.note_taken(ready, now)
             else:
                 ready = self.event_clock.note_quiet(wall, now)
-            self.queue.put([*self.backlogs.changed(wall, now, self.names.present), *ready])
+            waits = self.backlogs.changed(wall, now, self.names.present, self.inbox.has_request)
+            self.queue.put([*waits, *ready])
 
     def store_waiting(
         self, stopping: threading.Event, beat: Beat = no_beat, seconds: float = TICK_SECONDS

@@ -28,7 +28,7 @@ PENDING_EVENTS_MAX = 10_000
 Beyond it the newest are dropped.
 """
 TRANSACTION_EVENTS_MAX = 5_000
-"""Most events stored in one transaction when many come at once."""
+"""Most events stored in one transaction when many come at once, some hundredths of a second."""
 _UNANSWERED = "the daemon is there and does not answer: it is older than this program"
 
 
@@ -266,7 +266,7 @@ class Publisher:
                     delivery.on_daemon(now)
             for camera, request, payload in answers:
                 if self._guard(camera, self._take, self._deliveries[camera], request, payload):
-                    due.add(camera)
+                    self._guard(camera, self._send, self._deliveries[camera])
             for camera in due:
                 self._guard(camera, self._send, self._deliveries[camera])
             with self._change:
