@@ -163,7 +163,8 @@ class Cameras:
 
         An event of a flood is not counted.
         """
-        tally = self._tallies.setdefault(event.camera, Counted())
+        if (tally := self._tallies.get(event.camera)) is None:
+            tally = self._tallies[event.camera] = Counted()
         if not tally.seconds.take(event.t):
             return False
         tally.newest = max(tally.newest, event.t)

@@ -346,8 +346,10 @@ class Intake:
 
     def _cut_flood(self, item: Received) -> list[Received]:
         """Return the entry; if its camera sends too much, one with the number alone, if any."""
-        self.counts["future"] += item.entry.kind == "future"
-        if item.event is None or self.cameras.count(item.event):
+        if item.event is None:
+            self.counts["future"] += item.entry.kind == "future"
+            return [item]
+        if self.cameras.count(item.event):
             return [item]
         self.counts["flood"] += 1
         if item.entry.seq is None:
@@ -375,12 +377,15 @@ class Intake:
         """Count the stored events, for status and answers, and pass them to the learner."""
         for item in ready:
             late = self.event_clock.note_stored(item)
-            self.counts["stored"] += item.event is not None
+            is_refused = item.entry.kind in ("refused", "future")
+            if not (late or is_refused):
+                continue
             self.counts["late"] += late
             camera = self.cameras.get(item.entry.camera)
             if camera is not None and (pending := camera.pending) is not None:
                 pending.late += late
-                pending.refused += item.entry.kind in ("refused", "future")
+                pending.refused += is_refused
+        self.counts["stored"] += sum(item.event is not None for item in ready)
         if ready:
             self._learn(list(ready))
 
