@@ -13,7 +13,7 @@ late, and are learned all the same. So are those of a camera that has been away 
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Collection, Iterable
 
 from msgspec import Struct
 
@@ -90,14 +90,17 @@ class Backlogs:
         now: float,
         present: Callable[[Iterable[str]], set[str]],
         is_asking: Callable[[str], bool],
+        alive: Collection[str] = (),
     ) -> list[Received]:
         """Return the entry that tells the learner which cameras to wait for, if that has changed.
 
         present: returns the present names of cameras, without forgotten ones.
         is_asking: returns True if a request of a camera has come and is not taken yet.
+        alive: cameras whose grabber is on the bus: with a backlog, it may be slow to ask.
         """
         for name, (camera, trial) in list(self._trials.items()):
             is_held = camera.pending is not None or is_asking(name)
+            is_held |= bool(camera.more) and name in alive
             if not self._is_waited_for(camera, trial, is_held, wall, now):
                 del self._trials[name]
         cameras = frozenset([*present(self._trials), *[ANY_CAMERA][: now < self._deadline]])
@@ -112,7 +115,7 @@ class Backlogs:
     ) -> bool:
         """Return True if a camera has older events to deliver, and gets on with it.
 
-        is_held: a request of it waits for the daemon.
+        is_held: a request of it waits for the daemon, or is sure to come.
         """
         behind = wall - camera.reached
         if behind <= self._lateness or camera.reached < self._event_clock.watermark:

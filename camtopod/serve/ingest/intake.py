@@ -181,7 +181,9 @@ class Intake:
                 self.event_clock.note_taken(ready, now)
             else:
                 ready = self.event_clock.note_quiet(wall, now)
-            waits = self.backlogs.changed(wall, now, self.names.present, self.inbox.has_request)
+            waits = self.backlogs.changed(
+                wall, now, self.names.present, self.inbox.has_request, self.alive
+            )
             self.queue.put([*waits, *ready])
 
     def store_waiting(

@@ -69,6 +69,18 @@ def test_a_request_that_a_busy_daemon_has_not_taken_yet_counts(
     assert bench.waits[-1] == []
 
 
+def test_a_slow_grabber_that_is_there_is_waited_for_as_long_as_its_trial(
+    bench: IntakeBench,
+) -> None:
+    bench.intake.on_alive("a", True)
+    bench.hello("a")
+    bench.send("a", times={1: -3600.0}, more=1000)
+    bench.tick(backlogs.TRIAL_SECONDS - 1.0)
+    assert bench.intake.backlogs.waited_cameras == {"a"}
+    bench.tick(2.0)
+    assert bench.intake.backlogs.waited_cameras == set(), "it gains nothing"
+
+
 def test_cameras_that_come_back_again_and_again_hold_nobody_up_for_ever(
     bench: IntakeBench,
 ) -> None:
