@@ -1,105 +1,157 @@
-"""Measure the daemon's rate of events, beside zenoh + msgspec that only receive and decode.
+"""Measure how fast a recording is stored, beside bare zenoh and SQLite, and another checkout.
 
-    python -m bench ingest [--cameras 100] [--events 200000] [--rounds 5] [--json FILE]
+    python -m bench ingest [--base FOLDER] [--cameras 100] [--events 100000] [--rounds 5]
+        [--json FILE]
 
-One process publishes, another receives. The receiver is the real `camtopod run`: it orders,
-journals, answers, learns and predicts. A round is valid only if every event published has been
-stored once. The site has learned before. ``no version due`` leaves out the learner's fits. ``a
-version a minute`` has them, by default settings: 50 events of a camera stand for a second of event
-time, as with a backlog.
+A process delivers the events of a recording, three days old, to another, which stores and answers.
+``spools``: to `camtopod run`, in requests as those of a spool for each camera. ``camtopod ingest``:
+the same from a file of event lines, from the start of the command to its end. ``bare``: requests of
+the same size over zenoh alone, each committed to SQLite as one blob and answered; no program on
+these two can be faster. A round is valid only if each event was stored once. FOLDER is another
+checkout, made by ``git worktree add FOLDER COMMIT``.
 """
 
 from __future__ import annotations
 
 import argparse
 import shutil
+import subprocess
+import sys
 import tempfile
+import time
+from collections import defaultdict
+from collections.abc import Callable
 from functools import partial
 from pathlib import Path
 
-from bench.support import ratios, site
-from bench.support.clients import client, learned_status, ready_at, result, status_of, write_events
-from bench.support.site import learned_site, running, traffic
+import msgspec
 
-BARE, QUIET, FITTING = (
-    "zenoh + msgspec, doing nothing",
-    "daemon, no version due",
-    "daemon, a version a minute",
-)
-"""Names of the contestants."""
-NEVER = "refit_share = 1e9\nrefit_hours = 1e9"
-"""Settings with which no version falls due."""
-COST_MAX = 4.0
-"""Target: at least a quarter of the bare rate."""
-EVENTS_PER_SECOND_PER_CAMERA = 50.0
-"""Density of the traffic in event time, events a second and camera."""
+import bench
+from bench.support import ratios
+from bench.support.clients import client, ready_at, result, status_of, write_events
+from bench.support.site import PROGRAM, in_checkout, peak_memory, running, traffic
+from camtopod.codec import to_json
+
+BARE, SPOOLS, FILE = "bare", "spools", "camtopod ingest"
+"""Names of the contestants; those of the base have `OF_BASE` at the end."""
+OF_BASE = " of the base"
+TIME_MAX, MEMORY_MAX = 0.2, 1.5
+"""Targets: largest ratio to the base."""
+EVENTS_PER_SECOND_PER_CAMERA = 0.1
+"""Density of the recording, events a second and camera."""
+AGE_SECONDS = 3 * 86_400.0
+"""Age of the last event."""
+
+Peaks = defaultdict[str, list[float]]
+"""Megabytes of daemon and learner at their peak, in each round, by contestant."""
 
 
 class Lost(RuntimeError):
-    """Raised if not every published event has been stored."""
+    """Raised if not every event has been stored."""
 
 
 def main(argv: list[str]) -> int:
     """Measure and return the exit status."""
     parser = argparse.ArgumentParser(
-        prog="python -m bench ingest", description="Measure the daemon's rate of events."
+        prog="python -m bench ingest", description="Measure how fast a recording is stored."
     )
-    site.add_arguments(parser)
-    parser.add_argument("--events", type=int, default=200_000)
+    parser.add_argument("--base", type=Path, metavar="FOLDER")
+    parser.add_argument("--cameras", type=int, default=100)
+    parser.add_argument("--events", type=int, default=100_000)
     ratios.add_arguments(parser, rounds=5)
     given = parser.parse_args(argv)
+    checkouts = {"": Path(bench.__path__[0]).parent}
+    if given.base:
+        checkouts[OF_BASE] = given.base.resolve()
+    peaks: Peaks = defaultdict(list)
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
-        learned = learned_site(given.site or folder, given.cameras, given.learned)
-        events = write_events(
-            folder / "events",
-            traffic(given.cameras, EVENTS_PER_SECOND_PER_CAMERA * given.cameras, given.events),
+        events = recording(folder, given.cameras, given.events)
+        contestants: dict[str, Callable[[], float]] = {BARE: partial(bare, folder, events)}
+        for suffix, checkout in checkouts.items():
+            for way, deliver in ((SPOOLS, spools), (FILE, ingest)):
+                contestants[way + suffix] = partial(
+                    stored, folder, checkout, given.events, partial(deliver, folder, checkout)
+                )
+        for contestant in [*contestants][1:]:
+            contestants[contestant] = partial(contestants[contestant], peaks[contestant])
+        costs = ratios.take_turns(contestants, given.rounds)
+
+    title = f"{given.events} events of {given.cameras} cameras"
+    tables = [ratios.compare(title, "us an event", costs, BARE)]
+    for way in (SPOOLS, FILE) if given.base else ():
+        pair = (way + OF_BASE, way)
+        tables.append(
+            ratios.compare(
+                way, "us an event", {one: costs[one] for one in pair}, pair[0], {way: TIME_MAX}
+            )
         )
-        costs = ratios.take_turns(
-            {
-                BARE: partial(bare, folder, events, given.events),
-                QUIET: partial(daemon, folder, learned, events, given.events, NEVER),
-                FITTING: partial(daemon, folder, learned, events, given.events, ""),
-            },
-            given.rounds,
-        )
-    at_most = {QUIET: COST_MAX, FITTING: COST_MAX}
-    table = ratios.compare(
-        f"{given.events} events of {given.cameras} cameras", "us an event", costs, BARE, at_most
-    )
-    print("\n".join(ratios.lines(table)))
-    for row in table.rows:
-        print(
-            f"  {row.name}: {1e6 / row.cost.median:,.0f} events/s, "
-            f"{1 / row.ratio.median:.2f} of the bare rate"
-        )
+        megabytes = {one: peaks[one][ratios.WARM_ROUNDS :] for one in pair}
+        tables.append(ratios.compare(f"{way}: memory", "MB", megabytes, pair[0], {way: MEMORY_MAX}))
+    print("\n".join(line for table in tables for line in ratios.lines(table)))
+    for row in tables[0].rows:
+        print(f"  {row.name}: {1e6 / row.cost.median:,.0f} events/s")
     if given.json:
-        ratios.write(given.json, "ingest", [table], cameras=given.cameras, events=given.events)
+        ratios.write(given.json, "ingest", tables, cameras=given.cameras, events=given.events)
     return 0
 
 
-def bare(folder: Path, events: str, count: int) -> float:
-    """Return the microseconds an event that is received, decoded and dropped."""
-    with client("sink", folder, endpoint="tcp/127.0.0.1:0") as sink:
-        endpoint = ready_at(sink)
-        with client("put_flood", folder, endpoint=endpoint, events=events) as sender:
+def recording(folder: Path, cameras: int, count: int) -> str:
+    """Write a recording as event lines and as one message; return the path of the message."""
+    events = traffic(cameras, EVENTS_PER_SECOND_PER_CAMERA * cameras, count)
+    later = time.time() - AGE_SECONDS - events[-1].t
+    moved = [msgspec.structs.replace(event, t=event.t + later) for event in events]
+    (folder / "events.jsonl").write_bytes(b"".join(to_json(event) + b"\n" for event in moved))
+    return write_events(folder / "events", moved)
+
+
+def bare(folder: Path, events: str) -> float:
+    """Return the microseconds an event that is sent, committed and answered as part of a blob."""
+    database = str(folder / "bare.db")
+    Path(database).unlink(missing_ok=True)
+    with client("keep", folder, endpoint="tcp/127.0.0.1:0", database=database) as keeper:
+        with client("ask", folder, endpoint=ready_at(keeper), events=events) as sender:
             sent = result(sender)
-        received = result(sink)["received"]
-    if received != count:
-        raise Lost(f"{count} events were published and {received} received")
-    return float(1e6 * sent["seconds"] / count)
+        kept = result(keeper)["requests"]
+    if kept != sent["requests"]:
+        raise Lost(f"{sent['requests']} requests were sent and {kept} stored")
+    return float(1e6 * sent["seconds"] / sent["events"])
 
 
-def daemon(folder: Path, learned: Path, events: str, count: int, learn: str) -> float:
-    """Return the microseconds an event until it is stored."""
+def stored(
+    folder: Path, checkout: Path, count: int, deliver: Callable[[str], float], peaks: list[float]
+) -> float:
+    """Return the microseconds an event until a daemon has stored it; note its peak of memory.
+
+    deliver: delivers all to an endpoint, and returns the seconds that this takes.
+    """
     shutil.rmtree(folder / "state", ignore_errors=True)
-    shutil.copytree(learned, folder / "state")
-    with running(folder, learn) as (endpoint, _):
-        learned_status(endpoint)
-        with client("deliver", folder, endpoint=endpoint, events=events) as sender:
-            sent = result(sender)
+    with running(folder, checkout=checkout) as (endpoint, pid):
+        with peak_memory(pid) as peak:
+            seconds = deliver(endpoint)
         status = status_of(endpoint)
-    if status.events.stored != count:
-        raise Lost(f"{count} events were published and {status.events.stored} stored: {status}")
-    print(f"    {1e6 * sent['seconds'] / count:.1f} us; {status}", flush=True)
-    return float(1e6 * sent["seconds"] / count)
+    if status.events.stored != count or status.events.lost:
+        raise Lost(f"{count} events were delivered, and of these {status}")
+    peaks.append(peak[0] / 1e6)
+    print(f"    {1e6 * seconds / count:.1f} us, {peak[0] / 1e6:.0f} MB", flush=True)
+    return 1e6 * seconds / count
+
+
+def spools(folder: Path, checkout: Path, endpoint: str) -> float:
+    """Deliver as the spools of all cameras would; return the seconds until all is stored."""
+    with client("deliver", folder, endpoint=endpoint, events=str(folder / "events")) as sender:
+        return float(result(sender)["seconds"])
+
+
+def ingest(folder: Path, checkout: Path, endpoint: str) -> float:
+    """Run `camtopod ingest` of a checkout; return its seconds."""
+    shutil.rmtree(folder / "spools", ignore_errors=True)
+    command = [*PROGRAM, "--connect", endpoint, "ingest", "jsonl", str(folder / "events.jsonl")]
+    begun = time.monotonic()
+    subprocess.run(
+        [sys.executable, *command, "--state", str(folder / "spools")],
+        check=True,
+        stderr=subprocess.DEVNULL,
+        **in_checkout(checkout),
+    )
+    return time.monotonic() - begun

@@ -9,6 +9,7 @@ watermark trails event time by the lateness, and waits for cameras that deliver 
 
 from __future__ import annotations
 
+import math
 from collections.abc import Set
 
 import numpy as np
@@ -52,6 +53,7 @@ class EventTime:
     def __init__(self, lateness_seconds: float, clocks_apart_seconds: float = 0.0) -> None:
         self.lateness_us = microseconds(lateness_seconds)
         self._apart_us = microseconds(clocks_apart_seconds)
+        self._slowest = ""  # the camera that the watermark had to wait for last
         self.load(EventTimeState())
 
     def load(self, state: EventTimeState) -> None:
@@ -126,10 +128,20 @@ class EventTime:
         """Raise the watermark; only `rewind` lowers it."""
         event_us = self._event_time()
         assert event_us is not None
-        times = self.state.waited.values()
-        camera_us = [t_us for t_us in times if t_us is not None]
-        if len(camera_us) < len(times):
-            return
-        watermark = min([event_us - self.lateness_us, *camera_us])
-        if self.state.watermark_us is None or watermark > self.state.watermark_us:
-            self.state.watermark_us = watermark
+        before_us = -math.inf if self.state.watermark_us is None else self.state.watermark_us
+        watermark_us = event_us - self.lateness_us
+        if waited := self.state.waited:
+            if self._time_of(self._slowest) <= before_us:
+                return  # it waits on
+            self._slowest = min(waited, key=self._time_of)
+            camera_us = waited[self._slowest]
+            if camera_us is None:
+                return
+            watermark_us = min(watermark_us, camera_us)
+        if watermark_us > before_us:
+            self.state.watermark_us = watermark_us
+
+    def _time_of(self, camera: str) -> float:
+        """Return the time of a camera that is waited for; -infinity if it has sent no event."""
+        t_us = self.state.waited.get(camera, math.inf)
+        return -math.inf if t_us is None else t_us

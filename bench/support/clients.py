@@ -14,8 +14,9 @@ import subprocess
 import sys
 import threading
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -28,7 +29,10 @@ from camtopod.config.settings import BusSettings, Config
 from camtopod.records import Event, Prediction
 from camtopod.serve.bus import Bus, dial, open_daemon_session
 from camtopod.serve.requests import ANSWER_SECONDS_MAX, Answer, Batch, Hello
+from camtopod.serve.storage import sqlite_file
 
+REQUEST_EVENTS = 300
+"""Most events in a request of `deliver`."""
 PREFIX = "camtopo/site"
 """Key prefix of a site on the bus."""
 COUNT_SECONDS = 0.2
@@ -111,14 +115,8 @@ def put_flood(endpoint: str, events: str) -> dict[str, Any]:
 def deliver(endpoint: str, events: str) -> dict[str, Any]:
     """Deliver as the spools of all cameras would; return the seconds until all is stored."""
     bus = _dialled(endpoint)
-    batch = _read(events)
     boot = f"boot-{time.time()}"
-    later = time.time() - batch[-1].t - 1.0
-    waiting: dict[str, list[tuple[int, bytes]]] = {}
-    for event in batch:
-        queue = waiting.setdefault(event.camera, [])
-        stamped = msgspec.structs.replace(event, t=event.t + later, boot=boot, seq=len(queue) + 1)
-        queue.append((len(queue) + 1, to_msgpack(stamped)))
+    waiting = _numbered(_read(events), boot)
     changed = threading.Condition()
     decoder = msgspec.msgpack.Decoder(Answer)
 
@@ -137,7 +135,7 @@ def deliver(endpoint: str, events: str) -> dict[str, Any]:
         if rest:
             if answer.reason:
                 time.sleep(0.1)
-            now = rest[: min(answer.batch, 300)]
+            now = rest[: min(answer.batch, REQUEST_EVENTS)]
             ask(camera, Batch("bench", boot, have, now, len(rest) - len(now)))
         else:
             with changed:
@@ -152,6 +150,73 @@ def deliver(endpoint: str, events: str) -> dict[str, Any]:
     took = time.monotonic() - begun
     bus.close()
     return {"seconds": took}
+
+
+def _numbered(events: Sequence[Event], boot: str) -> dict[str, list[tuple[int, bytes]]]:
+    """Return the events of each camera as pairs of number and bytes."""
+    queues: dict[str, list[tuple[int, bytes]]] = {}
+    for event in events:
+        queue = queues.setdefault(event.camera, [])
+        seq = len(queue) + 1
+        queue.append((seq, to_msgpack(msgspec.structs.replace(event, boot=boot, seq=seq))))
+    return queues
+
+
+def ask(endpoint: str, events: str) -> dict[str, Any]:
+    """Send what `deliver` sends, one request a camera at a time, whatever is answered."""
+    bus = _dialled(endpoint)
+    queues = _numbered(_read(events), "boot")
+    requests = {
+        camera: [
+            to_msgpack(Batch("bench", "boot", 0, queue[first : first + REQUEST_EVENTS]))
+            for first in range(0, len(queue), REQUEST_EVENTS)
+        ]
+        for camera, queue in queues.items()
+    }
+    counts = [sum(map(len, requests.values())), sum(map(len, queues.values()))]
+    changed = threading.Condition()
+
+    def send(camera: str) -> None:
+        bus.ask(f"store/{camera}", requests[camera].pop(), ANSWER_SECONDS_MAX, partial(on, camera))
+
+    def on(camera: str, content: bytes | None) -> None:
+        if requests[camera]:
+            send(camera)
+        else:
+            with changed:
+                del requests[camera]
+                changed.notify_all()
+
+    begun = time.monotonic()
+    for camera in list(requests):
+        send(camera)
+    with changed:
+        changed.wait_for(lambda: not requests, QUIET_SECONDS)
+    took = time.monotonic() - begun
+    bus.close()
+    return {"seconds": took, "requests": counts[0], "events": counts[1]}
+
+
+def keep(endpoint: str, ready: str, database: str) -> dict[str, Any]:
+    """Commit each request as one blob, and answer it."""
+    bus, done = open_daemon_session(_config(listen=endpoint)), threading.Event()
+    table = "CREATE TABLE meta (key, value, crc); CREATE TABLE request (content BLOB)"
+    store = sqlite_file.connect(Path(database), table, 1)
+    count = [0]
+
+    def on_request(key: str, content: bytes, reply: Callable[[bytes], None]) -> None:
+        with sqlite_file.transaction(store):
+            store.execute("INSERT INTO request VALUES (?)", (content,))
+        count[0] += 1
+        reply(b"stored")
+
+    bus.answer_requests("store/*", on_request)
+    _end_with_input(done)
+    _say_ready(bus, ready)
+    done.wait()
+    bus.close()
+    store.close()
+    return {"requests": count[0]}
 
 
 def sink(endpoint: str, ready: str, dials: bool = False) -> dict[str, Any]:
@@ -251,7 +316,7 @@ def learned_status(endpoint: str, seconds: float = START_SECONDS) -> Status:
 @contextmanager
 def client(role: str, folder: Path, **given: Any) -> Iterator[subprocess.Popen[str]]:
     """Run a role in a process of its own; wait until it is ready, if the role reports that."""
-    if role in ("sink", "echo", "hear", "router"):
+    if role in ("sink", "keep", "echo", "hear", "router"):
         given["ready"] = str(folder / f"{role}-{time.monotonic_ns()}")
     command = [sys.executable, "-m", "bench.support.clients", role, json.dumps(given)]
     process = subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True)
@@ -339,6 +404,8 @@ ROLES: dict[str, Any] = {
     "put_paced": put_paced,
     "put_flood": put_flood,
     "deliver": deliver,
+    "ask": ask,
+    "keep": keep,
     "sink": sink,
     "echo": echo,
     "hear": hear,

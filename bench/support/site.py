@@ -12,6 +12,7 @@ import threading
 import time
 from collections.abc import Iterator, Sequence
 from pathlib import Path
+from typing import Any
 
 import msgspec
 from msgspec import Struct
@@ -34,7 +35,9 @@ ONCE = Settings(refit_share=1e9, refit_hours=1e9)
 """Settings with which no version falls due; one is made when all has been learned."""
 LEARNED_EVENTS, LEARNED_PER_SECOND_PER_CAMERA = 60_000, 0.1
 """Events (and their rate) that a site learns before anything is measured; they fill its window."""
-UNIT = Path(__file__).parents[2] / "deploy" / "camtopod.service"
+HERE = Path(__file__).parents[2]
+"""This checkout."""
+UNIT = HERE / "deploy" / "camtopod.service"
 """The unit whose environment a measured daemon gets."""
 PROGRAM = ("-m", "camtopod")
 """What Python runs as the daemon."""
@@ -143,14 +146,20 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
 
 
+def in_checkout(checkout: Path) -> dict[str, Any]:
+    """Return the arguments of `subprocess` that run `PROGRAM` by the source of a checkout."""
+    return {"cwd": checkout, "env": os.environ | {"PYTHONPATH": str(checkout)}}
+
+
 @contextlib.contextmanager
 def running(
-    folder: Path, learn: str = "", limits: str = "", bus: str = ""
+    folder: Path, learn: str = "", limits: str = "", bus: str = "", checkout: Path = HERE
 ) -> Iterator[tuple[str, int]]:
     """Run `camtopod run` on ``folder``/state in a process of its own; yield endpoint and process
     id.
 
-    ``learn``, ``limits`` and ``bus`` are lines of these tables of the configuration.
+    ``learn``, ``limits`` and ``bus`` are lines of these tables of the configuration; ``checkout``
+    has the source of the daemon.
     """
     config = folder / "camtopod.toml"
     config.write_text(
@@ -159,10 +168,11 @@ def running(
     )
     lines = UNIT.read_text().splitlines()
     settings = [line.removeprefix("Environment=") for line in lines if "Environment=" in line]
-    environment = os.environ | dict(one.split("=") for one in " ".join(settings).split())
+    place = in_checkout(checkout)
+    place["env"] |= dict(one.split("=") for one in " ".join(settings).split())
     command = [sys.executable, *PROGRAM, "--config", str(config), "run"]
     with (folder / "log").open("wb") as log:
-        process = subprocess.Popen(command, stderr=log, env=environment)
+        process = subprocess.Popen(command, stderr=log, **place)
     try:
         yield _endpoint(process, folder / "log"), process.pid
     finally:

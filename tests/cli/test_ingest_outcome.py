@@ -22,6 +22,7 @@ from camtopod.config.settings import SiteSettings
 from camtopod.records import Event
 from camtopod.serve.bus import Bus, open_daemon_session
 from camtopod.serve.daemon import Daemon
+from camtopod.serve.ingest import backlogs
 from camtopod.serve.outbox import Publisher
 from camtopod.serve.outbox.spool_files import open_ingest_spool
 
@@ -110,6 +111,43 @@ def test_what_became_of_the_events_is_said(
         other = lines(tmp_path / "c.jsonl", [Event("lobby", "entry", T0), more[3]])
         assert ingest(daemon, tmp_path, other) == 0
         assert "2 events stored, 1 of them late" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("order", ["by time", "by camera", "newest first, all twice"])
+def test_a_recording_is_stored_whole_and_none_of_an_ordered_one_is_late(
+    order: str,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    """All of it is in the spool when its delivery begins, and nothing of it is published."""
+    events = [Event(f"c{n % 50}", "entry", T0 + 3.0 * n, track=str(n)) for n in range(4_000)]
+    if order == "by camera":
+        events.sort(key=lambda event: event.camera)
+    if order == "newest first, all twice":
+        events = [event for event in reversed(events) for _ in range(2)]
+    waiting: list[int] = []
+    published: list[str] = []
+    monkeypatch.setattr(backlogs, "SETTLE_SECONDS", 5.0)  # as outside of tests
+
+    class Told(Publisher):
+        """A publisher that notes how many events wait when the delivery begins."""
+
+        def attach(self, bus: Bus) -> None:
+            waiting.append(self.waiting)
+            super().attach(bus)
+
+    monkeypatch.setattr(ingest_command, "Publisher", Told)
+    with site(tmp_path, "a") as daemon:
+        daemon.bus.subscribe("event/*", lambda key, content: published.append(key))
+        assert ingest(daemon, tmp_path, lines(tmp_path / "a.jsonl", events)) == 0
+        status = daemon.status().events
+
+    assert waiting == [len(events)]
+    assert published == []
+    assert stored(tmp_path, "a") == status.stored == len(events)
+    if order != "newest first, all twice":
+        assert "4000 events stored\n" in capsys.readouterr().err, "none of them late"
 
 
 def test_cameras_too_many_end_it_and_left_events_of_them_hold_nothing_up(

@@ -107,7 +107,8 @@ def run(args: argparse.Namespace) -> int:
                 boots = {boot for camera in spool.cameras() for boot in spool.boots(camera)}
                 source = numbered_by(boot_of(Path(args.file), boots), source)
             event_batches = batches(source, TRANSACTION_EVENTS_MAX, stop, tell)
-            status = _publish(config, spool, event_batches, stack, stop, progress)
+            live = not (is_file or (args.file == "-" and Path("/dev/stdin").is_file()))
+            status = _publish(config, spool, event_batches, live, stack, stop, progress)
         else:
             event_batches = batches(source, TRANSACTION_EVENTS_MAX, stop, tell)
             out = stack.enter_context(open_output(args.out, live=not is_file))
@@ -167,22 +168,32 @@ def _publish(
     config: Config,
     spool: Spool,
     source: Iterator[list[Event]],
+    live: bool,
     stack: contextlib.ExitStack,
     stop: threading.Event,
     progress: Progress,
 ) -> int:
-    """Publish events, wait until all are stored and log the outcome; return the exit status."""
+    """Publish events, wait until all are stored and log the outcome; return the exit status.
+
+    live: deliver events as they come. A recording is delivered when all of it, or as much as may
+        wait, is in the spool: a camera whose spool is empty has told the daemon all that it has.
+    """
     bus = dial(config)
     stack.callback(bus.close)
-    publisher = Publisher(spool)
+    publisher = Publisher(spool, live)
     stack.callback(publisher.close)
-    publisher.attach(bus)
 
     # Publish batch by batch. Events that earlier runs have left are sent, too, but not waited for.
     limits = config.limits
     waiting_max = min(
         WAITING_EVENTS_MAX, limits.spool_events_max // 2, limits.spool_bytes_max // 2 // 1_000
     )
+    while not live and publisher.count_waiting(own=True) < waiting_max:
+        if (batch := next(source, None)) is None:
+            break
+        publisher.publish(*batch)
+        progress.show("%d events read", publisher.published)
+    publisher.attach(bus)
     for batch in source:
         publisher.publish(*batch)
         _wait(publisher, waiting_max, stop, bus, config, progress)
@@ -219,11 +230,13 @@ def batches(
     ``tell`` is called while no events come: some files give all their events at the end. Raises
     what reading them raises.
     """
-    event_queue: queue.Queue[Event | None] = queue.Queue(2 * batch_max)
+    event_queue: queue.SimpleQueue[Event | None] = queue.SimpleQueue()
 
     def read() -> None:
         try:
             for event in events:
+                while event_queue.qsize() >= batch_max and not stop.wait(_TICK_SECONDS / 10):
+                    pass
                 event_queue.put(event)
         finally:
             event_queue.put(None)

@@ -13,7 +13,7 @@ late, and are learned all the same. So are those of a camera that has been away 
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Collection, Iterable
 
 from msgspec import Struct
 
@@ -24,7 +24,7 @@ from camtopod.serve.ingest.received import Received
 from camtopod.serve.storage import Entry
 
 SETTLE_SECONDS = 5.0
-"""Time that other cameras get to tell of their backlogs: after the start, and after the first.
+"""Time that other cameras get to tell of their backlogs: after the start, and after each that did.
 
 A backlog may be a single batch, as after an outage of a minute.
 """
@@ -61,8 +61,6 @@ class Backlogs:
         self._event_clock = event_clock
         self._deadline = now + SETTLE_SECONDS
         self._trials: dict[str, tuple[CameraState, Trial]] = {}
-        self.said_hello = True
-        """True if a camera has come back since the last wait for backlogs, perhaps with one."""
         self._unsettled_since = now
         self.waited_cameras = event_clock.waited
         """Cameras that the learner was last told to wait for."""
@@ -74,10 +72,11 @@ class Backlogs:
 
         oldest: time of its first event, Unix seconds; None without events.
         """
+        if oldest is not None:
+            is_first, camera.is_new = camera.is_new, False
         if camera.reached < self._event_clock.watermark:
             return
-        if self.said_hello and oldest is not None and wall - oldest > self._lateness:
-            self.said_hello = False
+        if oldest is not None and is_first and wall - oldest > self._lateness:
             if ANY_CAMERA not in self.waited_cameras:
                 self._unsettled_since = now
             until = min(now + SETTLE_SECONDS, self._unsettled_since + UNSETTLED_SECONDS_MAX)
@@ -86,14 +85,23 @@ class Backlogs:
             self._trials.setdefault(camera.name, (camera, Trial(now, wall - camera.reached)))
 
     def changed(
-        self, wall: float, now: float, present: Callable[[Iterable[str]], set[str]]
+        self,
+        wall: float,
+        now: float,
+        present: Callable[[Iterable[str]], set[str]],
+        is_asking: Callable[[str], bool],
+        alive: Collection[str] = (),
     ) -> list[Received]:
         """Return the entry that tells the learner which cameras to wait for, if that has changed.
 
         present: returns the present names of cameras, without forgotten ones.
+        is_asking: returns True if a request of a camera has come and is not taken yet.
+        alive: cameras whose grabber is on the bus: with a backlog, it may be slow to ask.
         """
         for name, (camera, trial) in list(self._trials.items()):
-            if not self._is_waited_for(camera, trial, wall, now):
+            is_held = camera.pending is not None or is_asking(name)
+            is_held |= bool(camera.more) and name in alive
+            if not self._is_waited_for(camera, trial, is_held, wall, now):
                 del self._trials[name]
         cameras = frozenset([*present(self._trials), *[ANY_CAMERA][: now < self._deadline]])
         if cameras == self.waited_cameras:
@@ -102,10 +110,14 @@ class Backlogs:
         raw = codec.to_json(sorted(cameras))
         return [Received(Entry("waits", "", None, None, raw), waited=cameras)]
 
-    def _is_waited_for(self, camera: CameraState, trial: Trial, wall: float, now: float) -> bool:
-        """Return True if a camera has older events to deliver, and gets on with it."""
+    def _is_waited_for(
+        self, camera: CameraState, trial: Trial, is_held: bool, wall: float, now: float
+    ) -> bool:
+        """Return True if a camera has older events to deliver, and gets on with it.
+
+        is_held: a request of it waits for the daemon, or is sure to come.
+        """
         behind = wall - camera.reached
-        is_held = camera.pending is not None
         if behind <= self._lateness or camera.reached < self._event_clock.watermark:
             return False
         if not is_held and (not camera.more or now - camera.asked > SETTLE_SECONDS):

@@ -77,6 +77,7 @@ class CameraState(Struct):
     heard, heard_seconds: its events that were heard or delivered.
     spooled: True if a grabber delivers it from a spool.
     hello: the number of the grabber's last hello.
+    is_new: True if it has delivered no event since.
     ahead (seconds): by how much its last event was ahead of this machine's clock.
     reached (Unix seconds): the newest event time that it has delivered.
     more: number of its events that wait in its spool.
@@ -88,6 +89,7 @@ class CameraState(Struct):
     received: float
     spooled: bool = False
     hello: str = ""
+    is_new: bool = False
     ahead: float | None = None
     reached: float = -math.inf
     more: int = 0
@@ -161,7 +163,8 @@ class Cameras:
 
         An event of a flood is not counted.
         """
-        tally = self._tallies.setdefault(event.camera, Counted())
+        if (tally := self._tallies.get(event.camera)) is None:
+            tally = self._tallies[event.camera] = Counted()
         if not tally.seconds.take(event.t):
             return False
         tally.newest = max(tally.newest, event.t)

@@ -68,6 +68,10 @@ class Inbox:
             self._publications.append((camera, content[: codec.EVENT_BYTES_MAX + 1], room))
             self._wakeup.set()
 
+    def has_request(self, camera: str) -> bool:
+        """Return True if a request of a camera is here."""
+        return camera in self._requests
+
     def take_request(self) -> AskedFor | None:
         """Return the oldest request, which is then no longer here; None if there is none."""
         with self._mutex:

@@ -52,18 +52,20 @@ from camtopod.serve.ingest.received import (
 from camtopod.serve.ingest.store_queue import StoreQueue
 from camtopod.serve.requests import Hello
 from camtopod.serve.runtime import Beat, Clock, Rejects, no_beat
-from camtopod.serve.storage import Entry, JournalWriter
+from camtopod.serve.storage import Entry, JournalWriter, highest_numbers
 
 log = logging.getLogger(__name__)
 
 EVENTS_MAX = 50_000
 """Most events in memory, received and not yet stored; further requests are answered ``busy``."""
-COMMIT_EVENTS_MAX = 2_000
+COMMIT_EVENTS_MAX = 5_000
 """Maximum number of events in one transaction of the journal."""
 TAKEN_AT_ONCE_MAX = 1_000
 """Number of events after which no further request is taken before the next step."""
 HEARD_AT_ONCE_MAX = 10
 """Most publications that are taken before the next event of a request: neither waits for long."""
+HEARD_SECONDS_MAX = 86_400.0
+"""Age of a delivered event from which on it is not heard: nothing live looks back further."""
 SILENT_SECONDS = 5.0
 """Time in which a grabber that numbers its events asks to store them; one of 0.2 never does."""
 TICK_SECONDS = 0.05
@@ -179,7 +181,10 @@ class Intake:
                 self.event_clock.note_taken(ready, now)
             else:
                 ready = self.event_clock.note_quiet(wall, now)
-            self.queue.put([*self.backlogs.changed(wall, now, self.names.present), *ready])
+            waits = self.backlogs.changed(
+                wall, now, self.names.present, self.inbox.has_request, self.alive
+            )
+            self.queue.put([*waits, *ready])
 
     def store_waiting(
         self, stopping: threading.Event, beat: Beat = no_beat, seconds: float = TICK_SECONDS
@@ -203,11 +208,10 @@ class Intake:
         self.note_stored(ready)
 
         # 5. Answer.
-        for entry in entries:
-            if entry.boot is not None and entry.seq is not None:
-                self.numbers.note_stored(entry.camera, entry.boot, entry.seq)
+        for stream, seq in highest_numbers(entries).items():
+            self.numbers.note_stored(*stream, seq)
         self.queue.done()
-        for name in {entry.camera for entry in entries if entry.boot is not None}:
+        for name in {entry.camera for entry in entries}:
             self._answers.note_stored(name)
         self.writer.prune(self.names.erased)
         return True
@@ -231,8 +235,8 @@ class Intake:
             reply(answers.encode({}, "clock", reason))
             return
         if isinstance(request, Hello):
-            self.backlogs.said_hello = True
             camera.hello = request.number
+            camera.is_new = True
             reply(answers.encode({boot: self.numbers.stored(name, boot) for boot in request.boots}))
             return
         if request.number != camera.hello:
@@ -258,12 +262,12 @@ class Intake:
         oldest = next((item.event.t for item in events if item.event is not None), None)
         self.backlogs.note_request(camera, oldest, wall, now)
         answers.note_stored(name)
+        self._take_published(wall, now)
         for item in events:  # a publication waits for one of these events, not for all
-            self._take_published(wall, now)
-            if item.event is not None:
-                self._hear(
-                    camera, item.event, request.boot, item.entry.seq, wall, is_delivered=True
-                )
+            event = item.event
+            if event is not None and wall - event.t < HEARD_SECONDS_MAX:
+                self._hear(camera, event, request.boot, item.entry.seq, wall, is_delivered=True)
+                self._take_published(wall, now)
 
     def _take_published(self, wall: float, now: float) -> None:
         """Take publications."""
@@ -344,8 +348,10 @@ class Intake:
 
     def _cut_flood(self, item: Received) -> list[Received]:
         """Return the entry; if its camera sends too much, one with the number alone, if any."""
-        self.counts["future"] += item.entry.kind == "future"
-        if item.event is None or self.cameras.count(item.event):
+        if item.event is None:
+            self.counts["future"] += item.entry.kind == "future"
+            return [item]
+        if self.cameras.count(item.event):
             return [item]
         self.counts["flood"] += 1
         if item.entry.seq is None:
@@ -373,12 +379,15 @@ class Intake:
         """Count the stored events, for status and answers, and pass them to the learner."""
         for item in ready:
             late = self.event_clock.note_stored(item)
-            self.counts["stored"] += item.event is not None
+            is_refused = item.entry.kind in ("refused", "future")
+            if not (late or is_refused):
+                continue
             self.counts["late"] += late
             camera = self.cameras.get(item.entry.camera)
             if camera is not None and (pending := camera.pending) is not None:
                 pending.late += late
-                pending.refused += item.entry.kind in ("refused", "future")
+                pending.refused += is_refused
+        self.counts["stored"] += sum(item.event is not None for item in ready)
         if ready:
             self._learn(list(ready))
 

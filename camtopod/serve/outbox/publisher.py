@@ -27,8 +27,8 @@ PENDING_EVENTS_MAX = 10_000
 
 Beyond it the newest are dropped.
 """
-TRANSACTION_EVENTS_MAX = 500
-"""Most events stored in one transaction when many come at once."""
+TRANSACTION_EVENTS_MAX = 5_000
+"""Most events stored in one transaction when many come at once, some hundredths of a second."""
 _UNANSWERED = "the daemon is there and does not answer: it is older than this program"
 
 
@@ -36,13 +36,16 @@ class Publisher:
     """Publish the events of some cameras. Call `publish` and `retry` from one thread.
 
     spool: belongs to the caller, who closes this publisher before the bus and the spool.
+    live: the events happen now: publish each for predictions. Those of a recording are only
+        delivered.
 
     Without a bus, events wait in the spool until `attach`. `publish` and `retry` raise
     `sqlite_file.Damaged`.
     """
 
-    def __init__(self, spool: Spool) -> None:
+    def __init__(self, spool: Spool, live: bool = True) -> None:
         self._spool = spool
+        self._live = live
         self._bus: Bus | None = None
         self._pending: list[Event] = []
         self._unwritable = False
@@ -111,7 +114,7 @@ class Publisher:
             if self._bus is not None:
                 for camera in {event.camera for event in batch}:
                     self._introduce(self._bus, camera)
-                for event in batch:
+                for event in batch if self._live else ():
                     self._bus.publish_raw(
                         f"event/{event.camera}",
                         codec.to_msgpack(replace(event, spooled=True)),
@@ -263,7 +266,7 @@ class Publisher:
                     delivery.on_daemon(now)
             for camera, request, payload in answers:
                 if self._guard(camera, self._take, self._deliveries[camera], request, payload):
-                    due.add(camera)
+                    self._guard(camera, self._send, self._deliveries[camera])
             for camera in due:
                 self._guard(camera, self._send, self._deliveries[camera])
             with self._change:

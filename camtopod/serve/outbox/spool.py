@@ -85,6 +85,10 @@ class Spool:
         self._unwritten: set[tuple[str, str]] = set()  # (camera, boot) of marks that have moved
         # (camera, boot) of which this process was given events -> the highest number of them.
         self._tops: dict[tuple[str, str], int] = {}
+        # (camera, boot) -> a number that none of the events in the file is above.
+        self._ceilings: dict[tuple[str, str], int] = {}
+        # (camera, boot) -> number of events that wait, where it is known.
+        self._counts: dict[tuple[str, str], int] = {}
         self._additions = math.inf  # events since the limits were looked at
         self._mutex = threading.Lock()
         self._lock = sqlite_file.Lock(path.with_suffix(".lock"))
@@ -116,8 +120,8 @@ class Spool:
         After an error the events may be stored or not, and the next call must repeat them first.
         """
         with self._using():
-            batch, refusals = self._number(events)
-            rows = [spool_tables.row(event) for event in batch]
+            batch, rows, refusals = self._number(events)
+            self._counts.clear()  # after an error, too
             with self._writing():
                 self._db.executemany(spool_tables.INSERT, rows)
                 drops = self._make_room(len(rows))
@@ -168,12 +172,15 @@ class Spool:
         own: only those of boots of which this process was given events.
         """
         with self._using():
-            return sum(
-                self._count(_WAITING, name, boot, have)
-                for name in (self._marks if camera is None else [camera])
-                for boot, have in self._marks[name].items()
-                if not own or (name, boot) in self._tops
-            )
+            total = 0
+            for name in self._marks if camera is None else [camera]:
+                for boot, have in self._marks[name].items():
+                    if own and (name, boot) not in self._tops:
+                        continue
+                    if (name, boot) not in self._counts:
+                        self._counts[name, boot] = self._count(_WAITING, name, boot, have)
+                    total += self._counts[name, boot]
+            return total
 
     def next_batch(self, camera: str, limit: int) -> tuple[str, list[tuple[int, bytes]]] | None:
         """Return boot and (seq, bytes) of the events of ``camera`` to be sent next, by rising seq.
@@ -186,18 +193,18 @@ class Spool:
                 events: list[tuple[int, bytes]] = []
                 bad_rows = []
                 size = 0
-                statement = f"SELECT * FROM {_WAITING} ORDER BY seq"
-                for row in self._db.execute(statement, (camera, boot, have)):
-                    if not sqlite_file.sound(row[1:]):
-                        bad_rows.append(row[:1])
+                statement = f"SELECT id, seq, raw, crc FROM {_WAITING} ORDER BY seq"
+                for id_, seq, raw, crc in self._db.execute(statement, (camera, boot, have)):
+                    if crc != sqlite_file.crc(camera, boot, seq, raw):
+                        bad_rows.append((id_,))
                         continue
-                    _, _, _, seq, raw, _ = row
                     size += len(raw)
                     if len(events) == limit or (events and size > BATCH_BYTES_MAX):
                         break
                     events.append((seq, raw))
 
                 if bad_rows:
+                    self._counts.clear()
                     with sqlite_file.transaction(self._db):
                         self._db.executemany("DELETE FROM event WHERE id = ?", bad_rows)
                     self.damage_count += len(bad_rows)
@@ -212,9 +219,16 @@ class Spool:
         This is written with the next events or on closing: after a kill the daemon says it again.
         """
         with self._using():
-            if self._marks[camera].get(boot, seq) != seq:
-                self._marks[camera][boot] = seq
-                self._unwritten.add((camera, boot))
+            before = self._marks[camera].get(boot, seq)
+            if before == seq:
+                return
+            if before < seq and (camera, boot) in self._counts:
+                passed = self._count(f"{_WAITING} AND seq <= ?", camera, boot, before, seq)
+                self._counts[camera, boot] -= passed
+            else:
+                self._counts.pop((camera, boot), None)
+            self._marks[camera][boot] = seq
+            self._unwritten.add((camera, boot))
 
     def begin_boot(self, camera: str, new: str) -> None:
         """Begin the boot ``new`` for ``camera``, and number what waits of the present one in it.
@@ -226,6 +240,7 @@ class Spool:
             above = camera, old, self._marks[camera].get(old, 0)
             rows = self._db.execute(f"SELECT * FROM {_WAITING} ORDER BY seq", above).fetchall()
             good = [row for row in rows if sqlite_file.sound(row[1:])]
+            self._counts.clear()
             with sqlite_file.transaction(self._db):
                 for seq, (id_, *_, raw, _) in enumerate(good, 1):
                     event = replace(codec.event_from_bytes(raw), boot=new, seq=seq)
@@ -241,6 +256,7 @@ class Spool:
     def drop(self, camera: str) -> None:
         """Delete the events of ``camera`` that wait, and count them as dropped."""
         with self._using():
+            self._counts.clear()
             for boot, have in self._marks[camera].items():
                 parameters = (camera, boot, have)
                 self.dropped += self._db.execute(f"DELETE FROM {_WAITING}", parameters).rowcount
@@ -299,37 +315,56 @@ class Spool:
     def _load(self) -> None:
         """Read which boots there are, and their marks."""
         self._marks.clear()
+        self._counts.clear()
+        self._ceilings.clear()
         for camera, boot, have in self._db.execute(_LOAD):
             self._marks[camera][boot] = have
 
     def _number(
         self, events: Sequence[Event]
-    ) -> tuple[list[Event], list[tuple[str, codec.Rejected]]]:
-        """Return the new events with boot and seq, and (camera, error) of those refused."""
+    ) -> tuple[list[Event], list[spool_tables.EventRow], list[tuple[str, codec.Rejected]]]:
+        """Return the new events with boot and seq, their rows, and (camera, error) of bad ones."""
         tops = self._tops.copy()
-        batch: dict[tuple[str, str, int], Event] = {}
+        batch: list[Event] = []
+        rows: list[spool_tables.EventRow] = []
+        numbers: set[tuple[str, str, int]] = set()
         refusals = []
         for event in events:
             camera, boot, seq = event.camera, event.boot, event.seq
             if boot and seq is not None:
-                count = self._count(f"{_BOOT} AND seq = ?", camera, boot, seq)
-                if count or (camera, boot, seq) in batch:
-                    self._tops.setdefault((camera, boot), 0)
-                    continue
+                if seq <= self._ceiling(camera, boot):
+                    count = self._count(f"{_BOOT} AND seq = ?", camera, boot, seq)
+                    if count or (camera, boot, seq) in numbers:
+                        self._tops.setdefault((camera, boot), 0)
+                        continue
                 if seq <= tops.get((camera, boot), 0):
                     boot = None
             if not boot or seq is None:
                 boot = self.boot(camera)
                 seq = 1 + tops.get((camera, boot), 0)
-            event = replace(event, boot=boot, seq=seq, spooled=False)
+            if event.spooled or (boot, seq) != (event.boot, event.seq):
+                event = replace(event, boot=boot, seq=seq, spooled=False)
+            row = spool_tables.row(event)
             try:
-                codec.event_from_bytes(codec.to_msgpack(event))  # as the daemon does
+                codec.event_from_bytes(row[3])  # as the daemon does
             except codec.Rejected as error:
                 refusals.append((camera, error))
                 continue
             tops[camera, boot] = seq
-            batch[camera, boot, seq] = event
-        return list(batch.values()), refusals
+            self._ceilings[camera, boot] = max(seq, self._ceilings.get((camera, boot), seq))
+            numbers.add((camera, boot, seq))
+            batch.append(event)
+            rows.append(row)
+        return batch, rows, refusals
+
+    def _ceiling(self, camera: str, boot: str) -> int:
+        """Return a number that no event of a boot, in the file or on its way there, is above."""
+        ceiling = self._ceilings.get((camera, boot))
+        if ceiling is None:
+            highest = f"SELECT MAX(seq) FROM {_BOOT}"
+            ceiling = self._db.execute(highest, (camera, boot)).fetchone()[0] or 0
+            self._ceilings[camera, boot] = ceiling
+        return ceiling
 
     def _count(self, rows: str, *parameters: str | int) -> int:
         """Return the number of these rows."""

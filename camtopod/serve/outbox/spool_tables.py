@@ -32,6 +32,8 @@ CREATE UNIQUE INDEX event_stream ON event (camera, boot, seq)
 mark: the highest number of each (camera, boot) that the daemon has stored.
 event: the events, in the order in which they came into the spool.
 """
+EventRow = tuple[str, str, int, bytes, int]
+"""Columns of a numbered event: camera, boot, seq, bytes and checksum."""
 INSERT = "INSERT OR IGNORE INTO event (camera, boot, seq, raw, crc) VALUES (?, ?, ?, ?, ?)"
 
 
@@ -66,8 +68,8 @@ def copy(
     return count
 
 
-def row(event: Event) -> tuple[str, str, int, bytes, int]:
-    """Return the columns of a numbered event: camera, boot, seq, bytes and checksum."""
+def row(event: Event) -> EventRow:
+    """Return the columns of a numbered event."""
     assert event.boot is not None
     assert event.seq is not None
     columns = event.camera, event.boot, event.seq, codec.to_msgpack(event)

@@ -18,6 +18,7 @@ from camtopod.serve.storage.journal import (
     Snapshot as Snapshot,
     StoredVersion as StoredVersion,
     Stream as Stream,
+    highest_numbers as highest_numbers,
 )
 from camtopod.serve.storage.journal_schema import NAMES_KEY as NAMES_KEY
 from camtopod.serve.storage.journal_writer import JournalWriter as JournalWriter, Learned as Learned

@@ -38,6 +38,10 @@ FROM sqlite_schema AS m LEFT JOIN pragma_table_xinfo(m.name) AS x ON m.type = 't
 WHERE m.name NOT LIKE 'sqlite_%' ORDER BY 2, 4
 """
 _encode = msgspec.msgpack.Encoder().encode
+_text = functools.partial(str, encoding="utf-8", errors="replace")
+"""Decodes a text column. A flipped bit can make it invalid UTF-8: the row then has a wrong CRC, and
+the rows beside it can still be read.
+"""
 
 
 class StateError(OSError):
@@ -400,14 +404,6 @@ def _sync_directory(directory: Path) -> None:
         os.fsync(fd)
     finally:
         os.close(fd)
-
-
-def _text(raw: bytes) -> str:
-    """Decode a text column. A flipped bit can make it invalid UTF-8.
-
-    The row then has a wrong CRC, and the rows beside it can still be read.
-    """
-    return raw.decode("utf-8", "replace")
 
 
 def _make_private(path: Path) -> None:

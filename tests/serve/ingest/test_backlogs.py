@@ -5,10 +5,11 @@ from __future__ import annotations
 from pathlib import Path
 
 import pytest
-from intake_bench import LATENESS, IntakeBench
+from intake_bench import LATENESS, IntakeBench, event_bytes
 
 from camtopod.admin import Command, Forget, Rename, Reset
-from camtopod.serve.ingest import backlogs, execute
+from camtopod.codec import to_msgpack
+from camtopod.serve.ingest import backlogs, execute, intake
 from camtopod.serve.requests import Batch
 
 
@@ -26,6 +27,58 @@ def test_killed_while_it_waits_for_a_backlog_it_waits_for_nobody_after_the_next_
     bench.restart()
     bench.tick(60.0)
     assert bench.waits == [["", "a"], []]
+
+
+def test_backlogs_that_come_one_after_another_are_all_waited_for(bench: IntakeBench) -> None:
+    """However long it takes until the last camera has delivered its first events."""
+    names = [f"c{number}" for number in range(6)]
+    for name in names:
+        bench.hello(name)
+    for name in names:
+        bench.send(name, times={1: -3600.0, 2: -1800.0}, more=2)
+        bench.tick(backlogs.SETTLE_SECONDS - 1.0)
+        for other in names[: names.index(name)]:
+            bench.send(other, boot="b2", after=0, times={}, more=2)  # it is still there
+    for name in names:
+        bench.send(name, after=2, times={3: -1700.0, 4: -1600.0})
+
+    assert bench.intake.counts["stored"] == 24
+    assert bench.intake.counts["late"] == 0
+
+
+def test_a_request_that_a_busy_daemon_has_not_taken_yet_counts(
+    bench: IntakeBench, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(intake, "TAKEN_AT_ONCE_MAX", 1)
+    for name in "ab":
+        bench.hello(name)
+    bench.send("a", times={1: -3600.0}, more=1000)
+    bench.tick(0.0)
+    bench.now += 2 * backlogs.SETTLE_SECONDS
+    for name, after in (("b", 0), ("a", 1)):
+        content = to_msgpack(
+            Batch("h1", "b1", after, [(after + 1, event_bytes(name, bench.wall))], 0)
+        )
+        bench.intake.inbox.on_request(f"store/{name}", content, lambda answer: None)
+    bench.intake.step()
+
+    assert bench.intake.inbox.has_request("a")
+    assert "a" in bench.intake.backlogs.waited_cameras
+    bench.work()
+    bench.tick(backlogs.SETTLE_SECONDS + 1.0)
+    assert bench.waits[-1] == []
+
+
+def test_a_slow_grabber_that_is_there_is_waited_for_as_long_as_its_trial(
+    bench: IntakeBench,
+) -> None:
+    bench.intake.on_alive("a", True)
+    bench.hello("a")
+    bench.send("a", times={1: -3600.0}, more=1000)
+    bench.tick(backlogs.TRIAL_SECONDS - 1.0)
+    assert bench.intake.backlogs.waited_cameras == {"a"}
+    bench.tick(2.0)
+    assert bench.intake.backlogs.waited_cameras == set(), "it gains nothing"
 
 
 def test_cameras_that_come_back_again_and_again_hold_nobody_up_for_ever(

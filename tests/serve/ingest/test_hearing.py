@@ -16,6 +16,7 @@ from camtopod.codec import to_msgpack
 from camtopod.config import Limits
 from camtopod.records import Event, Match, Prediction
 from camtopod.serve.ingest import cameras, execute
+from camtopod.serve.ingest.intake import HEARD_SECONDS_MAX
 from camtopod.serve.live_predictions import FRESH_SECONDS, RECENT_SECONDS, Live, Reader
 from camtopod.serve.requests import Batch
 
@@ -196,6 +197,15 @@ def test_events_of_an_hour_ago_are_no_part_of_walks(scene: Scene) -> None:
 
     assert [event.seq for event in scene.version.observed] == [1, 2]
     assert [event.seq for event in scene.version.walks.observed] == [2]
+
+
+def test_what_is_delivered_a_day_later_is_stored_and_not_heard(tmp_path: Path) -> None:
+    bench = IntakeBench(tmp_path)
+    bench.hello("a")
+    bench.store({1: -HEARD_SECONDS_MAX, 2: 1.0 - HEARD_SECONDS_MAX})
+
+    assert bench.intake.counts["stored"] == 2
+    assert [event.t - bench.wall for event in bench.heard] == [1.0 - HEARD_SECONDS_MAX]
 
 
 def test_a_restart_forgets_what_was_heard(tmp_path: Path) -> None:
