@@ -93,6 +93,7 @@ class Tracker:
 
         # Assign blobs: by head and foot, by area. They occlude others, or start tracks. A
         # track goes on over a pause if its object is where it can be by then.
+        blobs = [blob for blob in blobs if not blob.is_line or self._touches(blob.box)]
         patience = dt if is_paused and dt <= LATENESS_SECONDS_MAX else PATIENCE_SECONDS
         free = self._assign(t, blobs, patience, partial(costs_by_points, stature=self.stature))
 
