@@ -27,8 +27,8 @@ with the trust of such a camera that has run for days: learned on a first pass o
 events do not count.
 
 ``--variants`` adds what can be made of the clips: mirrored, backwards in time, cropped where nobody
-enters or leaves, with half the light, shaken, slowed, begun later, with a bush in the wind, and two
-side by side, each with its truth changed accordingly.
+enters or leaves, with half the light, in haze, shaken, slowed, begun later, with a bush in the
+wind, and two side by side, each with its truth changed accordingly.
 """
 
 from __future__ import annotations
