@@ -19,15 +19,16 @@ next. The mean over the clips has its standard error; ``--against`` compares wit
 earlier ``--json``, clip by clip: a difference below its standard error is none.
 
 If the truth tells kinds of view, the means are also over kinds. ``--leave-out-kinds`` chooses a
-constant of camtopod.vision on all kinds but one, for each of them, and scores it there.
+constant of camtopod.vision on all kinds but one, for each of them, and scores it there, beside the
+present value.
 
 A camera's detector is trusted once it has seen most of what moves there. ``--warm`` scores a clip
 with the trust of such a camera that has run for days: learned on a first pass of the clip, whose
 events do not count.
 
 ``--variants`` adds what can be made of the clips: mirrored, backwards in time, cropped where nobody
-enters or leaves, with half the light, shaken, slowed, begun later, with a bush in the wind, and two
-side by side, each with its truth changed accordingly.
+enters or leaves, with half the light, in haze, shaken, slowed, begun later, with a bush in the
+wind, and two side by side, each with its truth changed accordingly.
 """
 
 from __future__ import annotations
@@ -338,12 +339,13 @@ def chosen(
     score_of: Callable[[Clip], tuple[Score, list[str]]],
 ) -> list[str]:
     """Return the lines of a constant that is chosen on all kinds but one, each left out once."""
-    f1 = {}
-    for value in choice.values:
+    f1, present = {}, choice.present
+    for value in dict.fromkeys([present, *choice.values]):
         choice.set(value)
         scores = [score_of(clip)[0] for clip in clips]
         f1[value] = {kind: mean(values) for kind, values in f1_by_kind(scores).items()}
-    return clip_kinds.leave_out_kinds(f1)
+    choice.set(present)
+    return clip_kinds.leave_out_kinds(f1, present)
 
 
 def compared(scores: Sequence[Score], earlier: Sequence[Score]) -> list[str]:

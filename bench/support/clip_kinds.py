@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import importlib
 import math
+import sys
 from collections.abc import Mapping, Sequence
 from statistics import mean, stdev
 from typing import NamedTuple
@@ -20,8 +21,17 @@ class Choice(NamedTuple):
     values: list[float]
 
     def set(self, value: float) -> None:
-        """Give the constant a value, in its own module."""
-        setattr(importlib.import_module(f"{PACKAGE}.{self.module}"), self.name, value)
+        """Give the constant a value, in its own module and in those that import it."""
+        present = self.present
+        for module in [sys.modules[name] for name in sys.modules if name.startswith(PACKAGE)]:
+            if getattr(module, self.name, None) is present:
+                setattr(module, self.name, value)
+
+    @property
+    def present(self) -> float:
+        """The value that the constant has."""
+        value: float = getattr(importlib.import_module(f"{PACKAGE}.{self.module}"), self.name)
+        return value
 
 
 def choice_of(text: str) -> Choice:
@@ -44,20 +54,25 @@ def by_kind(f1: Mapping[str, Sequence[float]]) -> str:
     return f"by kind: {kinds}; {_mean_and_error(list(means.values()))}"
 
 
-def leave_out_kinds(f1: Mapping[float, Mapping[str, float]]) -> list[str]:
+def leave_out_kinds(f1: Mapping[float, Mapping[str, float]], present: float) -> list[str]:
     """Return the lines of a choice: for each kind the value that is best on the others.
 
-    f1: mean F1 by value and kind.
+    f1: mean F1 by value and kind. The last line compares with the ``present`` value, one of them.
     """
-    lines, scores = [], []
+    lines, scores, gains = [], [], []
     for kind in next(iter(f1.values())):
         best = max(
             f1, key=lambda value: mean(f1[value][other] for other in f1[value].keys() - {kind})
         )
         scores.append(f1[best][kind])
+        gains.append(f1[best][kind] - f1[present][kind])
         figures = ", ".join(f"{value:g}: {f1[value][kind]:.3f}" for value in f1)
         lines.append(f"{kind:20} best on the others {best:g}, here {scores[-1]:.3f} ({figures})")
-    return [*lines, f"chosen on the others: {_mean_and_error(scores)}"]
+    return [
+        *lines,
+        f"chosen on the others: {_mean_and_error(scores)}",
+        f"better than {present:g} by: {_mean_and_error(gains)}",
+    ]
 
 
 def _mean_and_error(values: Sequence[float]) -> str:

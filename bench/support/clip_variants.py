@@ -19,6 +19,8 @@ SLOWER = 1.5
 """Factor on the times of a slowed clip."""
 DARKER = 0.5
 """Factor on the luma of a darkened clip."""
+HAZE_LEVEL = 128
+"""Grey level towards which haze takes each pixel by half."""
 SHAKE_SHARE = 0.004
 """Standard deviation of a shaken picture's shift, as a share of its width."""
 SHAKE_SHARE_MAX = 0.0125
@@ -71,6 +73,17 @@ def darkened(clip: Clip) -> Clip:
             yield picture._replace(luma=cv2.convertScaleAbs(picture.luma, alpha=DARKER))
 
     return _mapped(clip, "darkened", pictures)
+
+
+def hazy(clip: Clip) -> Clip:
+    """Return the clip with half of its contrast, at the same light."""
+
+    def pictures(left_out: float, settings: VisionSettings) -> Iterator[Picture]:
+        for picture in clip.pictures(left_out, settings):
+            luma = cv2.convertScaleAbs(picture.luma, alpha=0.5, beta=HAZE_LEVEL / 2)
+            yield picture._replace(luma=luma)
+
+    return _mapped(clip, "hazy", pictures)
 
 
 def shaken(clip: Clip) -> Clip:
@@ -286,6 +299,7 @@ VARIANTS: dict[str, Callable[[Clip], Clip | None]] = {
     "backwards": backwards,
     "cropped": cropped,
     "darkened": darkened,
+    "hazy": hazy,
     "shaken": shaken,
     "slowed": slowed,
     "begun later": begun_later,

@@ -131,6 +131,23 @@ def test_a_head_without_a_body_is_no_person() -> None:
     assert sum(event.kind == "entry" for event in tracked(frames)) == 3
 
 
+def test_the_edge_of_a_door_leaf_that_swings_is_nobody() -> None:
+    """It moves towards the border where somebody comes in, and back, and a pane shows where the leaf was."""
+
+    def leaf(k: int) -> list[Box]:
+        x = 44.0 + 2.5 * abs(k - 16)
+        edge = (x, 44.0, x + 4, 155.0)
+        return [] if k > 32 else [edge, (53.0, 59.0, 84.0, 123.0)] if 14 <= k <= 17 else [edge]
+
+    def walker(k: int) -> list[Box]:
+        x = 7.0 * (k - 17)
+        return [(max(0.0, x - 20), 86.0, min(WIDTH, x), 146.0)] if k > 17 else []
+
+    first, last = tracked([leaf(k) + walker(k) for k in range(65)])
+    assert (first.kind, last.kind, first.track) == ("entry", "exit", last.track)
+    assert first.x < 0.1 < 0.9 < last.x
+
+
 def halting(start: float, at: Place) -> Callable[[float], Place | None]:
     """Return a walk that begins at the border, stands at ``at`` for six seconds, and goes on."""
     on = line(start + 6.0, at, (1.05, 0.9), 5.0)

@@ -49,8 +49,6 @@ class Background:
         """
         shift = self._tone_shift(frame, settled_mask)
         doubt = max(1.0, noise / 2)
-        if np.abs(shift).max() <= doubt:
-            return self.image
         shift -= np.clip(shift, -doubt, doubt)
         curve = np.clip(_LEVELS + shift, 0, 255).astype(np.uint8)
         return np.asarray(cv2.LUT(self.image, curve), dtype=np.uint8)
@@ -90,8 +88,7 @@ class Background:
             brightest = medians[-1] / max(centres[-1], 1.0) * _LEVELS[-1]
             medians = np.array([0.0, *medians, brightest])
             centres = np.array([0.0, *centres, _LEVELS[-1]])
-        curve: npt.NDArray[np.float32] = np.interp(_LEVELS, centres, medians).astype(np.float32)
-        return curve
+        return np.asarray(np.interp(_LEVELS, centres, medians), np.float32)
 
     def learn(self, frame: Luma, expected: Luma, dt: float, settled_mask: Luma) -> None:
         """Adapt to ``frame``, ``dt`` seconds after the last, where ``settled_mask`` is not 0.

@@ -48,9 +48,9 @@ def blank_pixels(frames: Sequence[Luma]) -> Luma:
     blank = (steady & (off <= RANGE_MAX)).astype(np.uint8)
     side = round(WIDTH_MIN * hypot(*blank.shape))
     square = np.ones((side, side), np.uint8)
-    framed = cv2.copyMakeBorder(blank, side, side, side, side, cv2.BORDER_CONSTANT)
-    framed = cv2.morphologyEx(framed, cv2.MORPH_OPEN, square)
-    blank = framed[side:-side, side:-side]
+    blank = cv2.morphologyEx(
+        blank, cv2.MORPH_OPEN, square, borderType=cv2.BORDER_CONSTANT, borderValue=(0,)
+    )
     _, labels = cv2.connectedComponents(blank, connectivity=4)
     labels_there = _border(labels)
     blank = np.isin(labels, labels_there[labels_there > 0]).astype(np.uint8) * np.uint8(255)

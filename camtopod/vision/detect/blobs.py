@@ -25,6 +25,9 @@ DENSE_SHARE = 0.5
 """Smallest share of the fullest column that another column of a person fills."""
 TALLER = 1.2
 """Largest height of a person in heights that are expected there."""
+LINE_SHARE = 0.1
+"""Smallest share of its length that an object is thick; a line is the edge of something, as of a
+door leaf that swings or of a shadow."""
 NEAR = 0.04
 """Largest gap beside a small fragment of a person, in heights, and its area in heights squared."""
 _CLOSE = np.ones((3, 1), np.uint8)
@@ -63,6 +66,11 @@ class Blob:
     def height(self) -> float:
         """Height, pixels."""
         return self.bottom - self.top
+
+    @property
+    def is_line(self) -> bool:
+        """It is too thin for an object, unless an edge of the view cuts it."""
+        return min(self.width, self.height) < LINE_SHARE * max(self.width, self.height)
 
     @property
     def foot(self) -> tuple[float, float]:

@@ -121,11 +121,11 @@ class MotionDetector:
 
     def bootstrap(self, frames: list[Luma]) -> None:
         """Take the median of ``frames`` (some of them) as the settled scene."""
-        step = -(-len(frames) // MEDIAN_SAMPLES)
-        frames = frames[::step]
-        watched_mask = watched_pixels(self._settings.ignore, *frames[0].shape)
+        frames = frames[:: -(-len(frames) // MEDIAN_SAMPLES)]
         blank = blank_pixels(frames)
-        self.watched_mask = cv2.subtract(watched_mask, blank)
+        self.watched_mask = cv2.subtract(
+            watched_pixels(self._settings.ignore, *frames[0].shape), blank
+        )
         self._picture_view = shown_part(blank == 0)
         scene = frames[len(frames) // 2]
         shifts = [shake.shift(frame, scene, self.watched_mask) for frame in frames]
@@ -255,8 +255,9 @@ class MotionDetector:
                 (0.0,),
                 cv2.FILLED,
             )
-        settled_mask = cv2.subtract(free, cv2.dilate(motion.change_mask, _SQUARE))
-        self._settled_mask = cv2.bitwise_and(settled_mask, self.watched_mask)
+        self._settled_mask = cv2.bitwise_and(
+            cv2.subtract(free, cv2.dilate(motion.change_mask, _SQUARE)), self.watched_mask
+        )
 
         self._swaying.learn(motion.differs, dt, free)
         self._background.learn(motion.frame, motion.expected, dt, self._settled_mask)

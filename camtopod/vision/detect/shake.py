@@ -96,9 +96,7 @@ def view(scene: Luma, by: Map) -> Box:
 
     by: the map from the scene to the image.
     """
-    height, width = scene.shape
-    full, nothing = (np.full((height, width), level, np.uint8) for level in (255, 0))
-    return shown_part(warped(full, nothing, by) != 0)
+    return shown_part(warped(np.full_like(scene, 255), np.zeros_like(scene), by) != 0)
 
 
 def warped(image: Luma, scene: Luma, by: Map) -> Luma:

@@ -12,6 +12,7 @@ from camtopod.vision.boxes import area, box_height, centre
 from camtopod.vision.detect import Blob
 from camtopod.vision.track.crossings import Crossings, FrameView
 from camtopod.vision.track.kalman import SIGMAS
+from camtopod.vision.track.stature import Stature
 from camtopod.vision.track.track import Track
 
 GATE_HEIGHTS = 0.35
@@ -47,14 +48,14 @@ def best_pairs(
     return [(tracks[i], blobs[j]) for i, j in best if cost[i, j] < _NEVER]
 
 
-def costs_by_points(track: Track, blobs: Sequence[Blob], expected_height: float) -> list[float]:
+def costs_by_points(track: Track, blobs: Sequence[Blob], stature: Stature) -> list[float]:
     """Return for each blob the distance of head and foot in gates.
 
     Tentative tracks have a higher cost, so that they yield to confirmed ones.
-    expected_height: height of a person where the track is, pixels; 0 if unknown.
     """
     head_x, head_y, foot_x, foot_y = track.kalman.position
-    gate = GATE_HEIGHTS * max(track.size, expected_height) + SIGMAS * track.kalman.uncertainty
+    size = max(track.size, stature.height(foot_y) or 0.0)
+    gate = GATE_HEIGHTS * size + SIGMAS * track.kalman.uncertainty
 
     costs = [_NEVER] * len(blobs)
     for j, blob in enumerate(blobs):

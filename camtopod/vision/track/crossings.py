@@ -27,7 +27,7 @@ REACH_SECONDS = 0.6
 """Time for which the velocity of an object out of sight is relied on.
 
 A box that reaches the border within it is at the border; an event is dated back or forward by as
-much at most; what jumps is assigned by its area if it was seen within it.
+much at most.
 """
 REACH_SIZES = 0.5
 """Distance (sizes) that an object's outline may jump between two frames at least."""
@@ -296,8 +296,17 @@ class Crossings:
             return []
         self.note("entered" if entry else "left", track, at, edge)
         x, y = (round(share, 4) for share in self._place(at))
-        label = most_frequent(track.labels)
-        return [Event(self._camera, kind, round(at.t, 6), x, y, str(track.number), label=label)]
+        return [
+            Event(
+                self._camera,
+                kind,
+                round(at.t, 6),
+                x,
+                y,
+                str(track.number),
+                label=most_frequent(track.labels),
+            )
+        ]
 
     def _at_border(
         self, frame: FrameView, track: Track, at: Sighting, edge: Edge | None, sense: float

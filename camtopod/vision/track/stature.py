@@ -64,5 +64,7 @@ class Stature:
         if self._line is None:
             return None
         base, slope = self._line
-        lowest = self._middle / OUTLIER_FACTOR
-        return min(max(base + slope * foot_y, lowest), self._middle * OUTLIER_FACTOR)
+        return min(
+            max(base + slope * foot_y, self._middle / OUTLIER_FACTOR),
+            self._middle * OUTLIER_FACTOR,
+        )

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections import deque
 from dataclasses import dataclass, field
+from math import inf
 from typing import NamedTuple
 
 from camtopod.vision.boxes import Box, centre
@@ -80,9 +81,7 @@ class Track:
         """
         first = self.history[0]
         last = self.history[-1]
-        dt = last.t - first.t
-        if dt <= 0:
-            return (0.0, 0.0)
+        dt = last.t - first.t or inf
         x, y = centre(first.box)
         x_2, y_2 = centre(last.box)
         return ((x_2 - x) / dt, (y_2 - y) / dt)

@@ -32,7 +32,6 @@ from camtopod.vision.track.assignment import (
 from camtopod.vision.track.crossings import (
     LATENESS_SECONDS_MAX,
     PATIENCE_SECONDS,
-    REACH_SECONDS,
     Crossings,
     FrameView,
 )
@@ -94,20 +93,19 @@ class Tracker:
 
         # Assign blobs: by head and foot, by area. They occlude others, or start tracks. A
         # track goes on over a pause if its object is where it can be by then.
+        blobs = [blob for blob in blobs if not blob.is_line or self._touches(blob.box)]
         patience = dt if is_paused and dt <= LATENESS_SECONDS_MAX else PATIENCE_SECONDS
-        free = self._assign(t, blobs, self._waiting(t, patience), self._costs)
+        free = self._assign(t, blobs, patience, partial(costs_by_points, stature=self.stature))
 
         # A pause in the frames ends the other tracks; their exits were known before it.
         lost_tracks = [track for track in self.active if is_paused and track.last.t < t]
         events = self._end(lost_tracks, before, "interrupted")
-        recent = self._waiting(t, REACH_SECONDS)
-        by_area = partial(costs_by_area, frame, dt=dt, crossings=self.crossings)
-        free = self._assign(t, free, recent, by_area)
+        free = self._assign(
+            t, free, patience, partial(costs_by_area, frame, dt=dt, crossings=self.crossings)
+        )
         for track in self.active:
-            near = GATE_HEIGHTS * track.height
-            is_missing = track.confirmed and track.last.t < t
-            track.is_occluded = is_missing and any(
-                gap(blob.box, track.last.box) < near for blob in blobs
+            track.is_occluded = track.last.t < t and any(
+                gap(blob.box, track.last.box) < GATE_HEIGHTS * track.height for blob in blobs
             )
         for blob in free:
             if blob.begins:
@@ -120,32 +118,25 @@ class Tracker:
 
     # -- sightings ------------------------------
 
-    def _waiting(self, t: float, patience: float) -> list[Track]:
-        """Return the tracks without a sighting at ``t``, of those seen within the patience.
+    def _assign(self, t: float, blobs: list[Blob], patience: float, costs: Costs) -> list[Blob]:
+        """Assign one blob to each track at the least total cost; return the others.
 
-        An object whose middle is expected beyond the border has left: what is seen there comes in.
+        The tracks are those without a sighting at ``t``, seen within the patience. An object whose
+        middle is expected beyond the border has left: what is seen there comes in.
         """
-        return [
+        tracks = [
             track
             for track in self.active
             if 0.0 < t - track.last.t <= patience and contains_centre(self._frame.view, track.box)
         ]
-
-    def _assign(self, t: float, blobs: list[Blob], tracks: list[Track], costs: Costs) -> list[Blob]:
-        """Assign one blob to each track at the least total cost; return the others."""
         pairs = best_pairs(self._frame, tracks, blobs, costs, self.crossings)
         for track, blob in pairs:
-            self._update_single(t, track, blob)
+            self._update(t, track, blob)
         return [
             blob for blob in blobs if all(blob is not matched_blob for _, matched_blob in pairs)
         ]
 
-    def _costs(self, track: Track, blobs: Sequence[Blob]) -> list[float]:
-        """Return for each blob the distance of head and foot, at the height expected there."""
-        expected = self.stature.height(track.kalman.position[3]) or 0.0
-        return costs_by_points(track, blobs, expected)
-
-    def _update_single(self, t: float, track: Track, blob: Blob) -> None:
+    def _update(self, t: float, track: Track, blob: Blob) -> None:
         """Update a track by the blob assigned to it."""
         cut = self._touches(blob.box)
         if cut or self._touches(track.last.box) or not track.confirmed:
@@ -156,17 +147,7 @@ class Tracker:
             track.height += _SIZE_RATE * (blob.height - track.height)
             track.width += _SIZE_RATE * (blob.width - track.width)
 
-        self._seen(track, Sighting(t, blob.foot, blob.box))
-        count_label(track.labels, blob.label)
-
-        # Measure the height of whole people, once per distance walked.
-        has_walked = dist(blob.foot, track.measured_at) > SIGMAS * MEASUREMENT * track.height
-        if track.confirmed and has_walked and blob.whole and not cut:
-            track.measured_at = blob.foot
-            self.stature.add(track.number, blob.bottom, blob.height)
-
-    def _seen(self, track: Track, sighting: Sighting) -> None:
-        """Record a sighting."""
+        sighting = Sighting(t, blob.foot, blob.box)
         track.kalman.update(sighting.points, track.height)
         track.last = sighting
         track.history.append(sighting)
@@ -176,6 +157,13 @@ class Tracker:
             dist(sighting.points[:2], track.first.points[:2]),
             dist(sighting.foot, track.first.foot),
         )
+        count_label(track.labels, blob.label)
+
+        # Measure the height of whole people, once per distance walked.
+        has_walked = dist(blob.foot, track.measured_at) > SIGMAS * MEASUREMENT * track.height
+        if track.confirmed and has_walked and blob.whole and not cut:
+            track.measured_at = blob.foot
+            self.stature.add(track.number, blob.bottom, blob.height)
 
     # -- initiation and end ------------------------------
 
@@ -191,9 +179,6 @@ class Tracker:
             return  # a fragment of an object that is seen already
 
         sighting = Sighting(t, blob.foot, blob.box)
-        beside = any(
-            gap(track.box, blob.box) < GATE_HEIGHTS * track.height for track in confirmed_tracks
-        )
         track = Track(
             number=next(self._numbers),
             first=sighting,
@@ -202,7 +187,9 @@ class Tracker:
             height=blob.height,
             width=blob.width,
             from_start=t == self._start,
-            beside_others=beside,
+            beside_others=any(
+                gap(track.box, blob.box) < GATE_HEIGHTS * track.height for track in confirmed_tracks
+            ),
             history=deque([sighting], HISTORY_SIGHTINGS),
             unmet_condition=("brief", 0.0, CONFIRM_SECONDS),
         )
@@ -211,13 +198,10 @@ class Tracker:
 
     def _confirm(self, t: float) -> list[Track]:
         """Return the tracks that have become objects."""
-        new_tracks: list[Track] = []
-        for track in self.active:
-            if not track.confirmed and track.last.t == t:
-                track.unmet_condition = self._unmet(track)
-                if track.confirmed:
-                    new_tracks.append(track)
-        return new_tracks
+        tentative = [track for track in self.active if not track.confirmed and track.last.t == t]
+        for track in tentative:
+            track.unmet_condition = self._unmet(track)
+        return [track for track in tentative if track.confirmed]
 
     def _unmet(self, track: Track) -> Unmet | None:
         """Return what a track that is seen now lacks to be an object; None if nothing."""
@@ -240,16 +224,15 @@ class Tracker:
 
     def _retire(self, t: float) -> list[Event]:
         """End tracks that were not detected for longer than the patience; return their exits."""
-        active = []
-        exits = []
-        for track in self.active:
-            patience = PATIENCE_SECONDS if track.confirmed else CONFIRM_SECONDS
-            if t - track.last.t <= patience:
-                active.append(track)
-            else:
-                exits += self.crossings.exit_of(self._frame, track)
-        self.active = active
-        return exits
+        ended_tracks = [
+            track
+            for track in self.active
+            if t - track.last.t > (PATIENCE_SECONDS if track.confirmed else CONFIRM_SECONDS)
+        ]
+        self.active = [track for track in self.active if track not in ended_tracks]
+        return [
+            event for track in ended_tracks for event in self.crossings.exit_of(self._frame, track)
+        ]
 
     def drop(self, track: Track) -> None:
         """Remove ``track`` without an event, because it is a ghost."""
