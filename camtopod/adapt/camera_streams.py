@@ -170,6 +170,10 @@ class StreamAdapter(Adapter):
             self._check_boxes(camera, stream.tracks.statistics())
             self._check_all_kinds()
         stream.arrival = self._now
+        if stream.tracks.is_misread:
+            raise Rejected(
+                "other-boxes", f"boxes of {camera} are not {self.box_form}: none is used"
+            )
         return stream
 
     def _check_all_kinds(self, is_end: bool = False) -> None:

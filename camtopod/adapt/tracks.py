@@ -11,7 +11,7 @@ import numpy as np
 from msgspec import Struct
 
 from camtopod import codec
-from camtopod.adapt.adapter import remember
+from camtopod.adapt.adapter import BEYOND_SHARE, OUTSIDE_BOXES, remember
 from camtopod.adapt.kinds import Votes, counts, is_wanted, plain, vote
 from camtopod.labels import LABEL_CHARACTERS_MAX, LABELS_MAX, count_label, most_frequent
 from camtopod.records import Event, Kind
@@ -156,6 +156,10 @@ class TrackEvents:
         """Boxes that were used, of which a part is beyond ``outside_max``."""
         self.used = 0
         """Boxes that were used."""
+        self._inverted = 0
+        """Boxes that end before they begin, as sizes for corners do."""
+        self._doubled = 0
+        """Boxes that were used and reach twice as far as they begin, as corners for sizes do."""
         self.unwanted: dict[str, int] = {}
         """Objects that have ended and were none of ``wanted_labels``, by their last kind."""
         self.object_count = 0
@@ -313,6 +317,17 @@ class TrackEvents:
             "late": self.late,
         }
 
+    @property
+    def is_misread(self) -> bool:
+        """True if the boxes cannot be left, top, right, bottom: each of them may be wrong.
+
+        Many of them end before they begin, as sizes for corners do. Or all of them reach twice as
+        far as they begin and many beyond the picture, as where an adapter takes corners for sizes.
+        """
+        boxes = self.used + self.unusable
+        many = max(OUTSIDE_BOXES, BEYOND_SHARE * boxes)
+        return self._inverted >= many or (self.beyond >= many and self._doubled == self.used)
+
     def _pop(self, label: str) -> _Track | None:
         """Remove and return a track; None if there is none."""
         return self._tracks.pop(label, None) or self._idle.pop(label, None)
@@ -350,11 +365,12 @@ class TrackEvents:
         if label is None:
             self.untracked_count += 1
             return []
+        left, top, right, bottom = corners
         if not is_box(corners, self.size):
             self.unusable += 1
+            self._inverted += right < left or bottom < top
             return []
         width, height = self.size
-        left, top, right, bottom = corners
         box = (left / width, top / height, right / width, bottom / height)
         foot = in_picture(box, self._outside_max)
         if foot is None:
@@ -362,6 +378,7 @@ class TrackEvents:
             return []
         self.used += 1
         self.beyond += max(-box[0], box[2] - 1, -box[1], box[3] - 1) > self._outside_max
+        self._doubled += right > 2 * left and bottom > 2 * top
 
         # Begin the track or update it.
         place = _Place(t, *foot)

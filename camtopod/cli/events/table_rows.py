@@ -71,7 +71,9 @@ class Rows:
         """Return a row as a line of JSON; None for one without values."""
         if len(cells) > self.count:
             return Rejected(
-                "too-long", f"{len(cells)} cells below {self.count} columns: decimal commas?"
+                "too-long",
+                f"{len(cells)} cells below {self.count} columns: decimal commas, names of rows, or "
+                "separators at the end?",
             )
         values: dict[str, object] = {}
         try:
