@@ -91,7 +91,6 @@ def test_each_kind_of_mistake_is_counted_and_shown_once(
             "cam,event,timestamp,px\na,exit,1,0\n",
             "no column camera and no kind and no t: its columns are cam, event, timestamp, px; rename",
         ),
-        ('camera,kind,t\n"' + "a" * 200_000, "a line of more than"),
     ],
 )
 def test_a_table_that_cannot_be_read_is_said_to_be_one(text: str, mistake: str) -> None:
@@ -203,6 +202,17 @@ def test_a_stray_quotation_mark_costs_one_row(quote: str) -> None:
     assert len(events) >= 599
     assert reader.lines_read == 600
     assert len(events) + reader.rejections.total() == 600
+
+
+@pytest.mark.parametrize("end", ["\n", "\r\n", "\r"])
+@pytest.mark.parametrize("length", [100_000, 300_000])
+def test_a_line_that_is_too_long_costs_one_row(end: str, length: int) -> None:
+    rows = [["c", "exit", str(k)] for k in range(600)]
+    lines = text(rows, names=NAMES[:3]).splitlines()
+    lines[100] += " " * length
+    reader, events = read(end.join(lines))
+    assert [event.t for event in events] == [*range(99), *range(100, 600)]
+    assert reader.rejections == {"too-long": 1}
 
 
 def test_more_cells_than_columns_are_refused(capsys: pytest.CaptureFixture[str]) -> None:
