@@ -277,22 +277,17 @@ def _once(
     first: Event | None = None  # of this moment
     keys: set[tuple[object, ...] | None] = set()  # of this moment, if it has several events
     until = -math.inf
-    is_coarse = True
     for line in lines:
         event = line.event
         t = event.t
         if t >= until:
-            if first is None:
-                times.first = t
             first, until = event, t + SAME_SECONDS
-            if keys:
-                keys = set()
+            keys.clear()
+            times.first = min(times.first, t)
             times.moments += 1
-            if is_coarse:
-                is_coarse = t % FAULT_STEP == 0.0
+            times.is_coarse = times.is_coarse and t % FAULT_STEP == 0.0
         else:
-            if not keys and first is not None:
-                keys.add(_key(first))
+            keys.add(first and _key(first))
             key = _key(event)
             if key is not None and key in keys:
                 reader.repeat(line)
@@ -300,7 +295,6 @@ def _once(
             keys.add(key)
         yield line
     times.last = until - SAME_SECONDS
-    times.is_coarse = is_coarse
     times.events = reader.events
     times.cameras = len(survey.cameras)
 
