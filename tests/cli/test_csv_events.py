@@ -233,6 +233,8 @@ def test_more_cells_than_columns_are_refused(capsys: pytest.CaptureFixture[str])
         (b"\xd0\xcf\x11\xe0\xa1\xb1\x1a\xe1", "an old Excel"),
         (bytes(range(1, 200)), "is binary"),
         (b'{"camera":{"0":"a","1":"b"},"kind":{', 'orient="records"'),
+        (b'{"0":{"camera":"a","kind":"exit"', 'orient="records"'),
+        (b"PK\3\4" + bytes(26) + b"mimetypeapplication/vnd.oasis.open", "an OpenDocument file"),
         (b'{"columns":["camera","kind"],"index":[0', 'orient="records"'),
         (b'[["a","exit",1],["b","entry",2]]', "array of arrays"),
         (b'{"events": [{"camera":"a","kind":"exit","t":1}]}', "jq -c '.[][]'"),

@@ -21,6 +21,8 @@ _OTHER_FORMS = {
     rb"\x28\xb5\x2f\xfd": "compressed: pipe it through zstd -dc",
     rb"\x04\x22\x4d\x18": "compressed: pipe it through lz4 -dc",
     rb"7z\xbc\xaf\x27\x1c|Rar!": "a compressed archive: unpack it",
+    rb"PK\x03\x04.{26}mimetypeapplication/vnd\.oasis": "an OpenDocument file: save it as "
+    ".xlsx or CSV",
     rb"PK\x03\x04": "a zip file: pipe it through unzip -p",
     rb"SQLite format 3\0": "a SQLite database: export the table with sqlite3 -header -csv FILE "
     "'SELECT camera, kind, t, x, y, track FROM ...' > events.csv",
@@ -40,7 +42,7 @@ _OTHER_FORMS = {
     rb'\s*\{\s*"(data|events|records|rows)"\s*:\s*\[': (
         "one JSON object around a list of events: take them out with jq -c '.[][]'"
     ),
-    rb'\s*\{\s*"(camera|kind|t|x|y|track|label|columns|index|schema)"\s*:\s*[\[{]': (
+    rb'\s*\{\s*"(0|camera|kind|t|x|y|track|label|columns|index|schema)"\s*:\s*[\[{]': (
         "one JSON object of columns, as pandas' to_json() writes it: use "
         'to_json("events.jsonl", orient="records", lines=True)'
     ),

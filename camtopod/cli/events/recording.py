@@ -287,7 +287,7 @@ def _once(
             times.moments += 1
             times.is_coarse = times.is_coarse and t % FAULT_STEP == 0.0
         else:
-            keys.add(first and _key(first))
+            keys.add(None if first is None else _key(first))
             key = _key(event)
             if key is not None and key in keys:
                 reader.repeat(line)
