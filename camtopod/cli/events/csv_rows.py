@@ -11,7 +11,7 @@ import re
 from collections.abc import Iterable, Iterator, Sequence
 from typing import NamedTuple
 
-from camtopod.cli.events.table_rows import COLUMNS, Rows, plain_name
+from camtopod.cli.events.table_rows import COLUMNS, Rows, count_needed, plain_name
 from camtopod.codec import Rejected
 
 LINE_BYTES_MAX = 100_000
@@ -61,8 +61,8 @@ def header_of(beginning: bytes, needed: Sequence[str] = COLUMNS) -> TableHeader 
         for delimiter in delimiters
     ]
 
-    best = max(headers, key=lambda header: _columns(header, needed), default=None)
-    if best is not None and _columns(best, needed) > 1:
+    best = max(headers, key=lambda header: count_needed(header.names, needed), default=None)
+    if best is not None and count_needed(best.names, needed) > 1:
         return best
     if _MESSAGE.search(beginning) is not None:
         return None
@@ -102,10 +102,6 @@ def rows(
 
 def _cells(line: str, delimiter: str) -> list[str]:
     return next(csv.reader([line], delimiter=delimiter, skipinitialspace=delimiter == " "), [])
-
-
-def _columns(header: TableHeader, needed: Sequence[str]) -> int:
-    return len({*needed}.intersection(map(plain_name, header.names)))
 
 
 def _text_lines(beginning: bytes) -> list[str]:

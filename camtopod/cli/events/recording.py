@@ -118,8 +118,7 @@ class Survey:
             if stamp is None:
                 continue
             camera, t = stamp
-            if t < newest:
-                is_ordered = False
+            is_ordered = is_ordered and t >= newest
             newest = t
             if hour_begin <= t < hour_end:
                 hour_lines += 1
@@ -249,14 +248,12 @@ def right_lines(
     wrong: numbers of lines of this file, as `Survey.look` returns them.
     """
     lonely = survey.lonely_hours()
-    if not (wrong or lonely):
-        yield from reader.lines(path, file)
-        return
     for line in reader.lines(path, file):
         event = line.event
-        # Of a camera most of whose lines are elsewhere.
-        is_lonely = event.t // HOUR in lonely and survey.cameras[event.camera] > 2 * len(lonely)
-        if is_lonely or line.number in wrong:
+        # Or lonely, of a camera most of whose lines are elsewhere.
+        if line.number in wrong or (
+            lonely and event.t // HOUR in lonely and survey.cameras[event.camera] > 2 * len(lonely)
+        ):
             reader.reject_event(
                 "contradicted",
                 f"{path}:{line.number}: t is {utc_text(event.t)}, which the lines of "

@@ -9,7 +9,7 @@ from collections.abc import Iterator, Sequence
 from io import BufferedReader
 from typing import Any
 
-from camtopod.cli.events.table_rows import COLUMNS, Rows, plain_name
+from camtopod.cli.events.table_rows import COLUMNS, Rows, count_needed
 from camtopod.cli.exits import InputError
 from camtopod.codec import Rejected
 
@@ -99,14 +99,12 @@ def _sheets(file: BufferedReader, needed: Sequence[str]) -> Iterator[Table]:
         values = sheet.iter_rows(values_only=True)
         for number, row in enumerate(itertools.islice(values, HEADER_ROWS_MAX), 1):
             names = ["" if cell is None else str(cell) for cell in row]
-            likeliest = max(likeliest or names, names, key=lambda names: _columns(names, needed))
-            if _columns(names, needed) == len(needed):
+            likeliest = max(
+                likeliest or names, names, key=lambda names: count_needed(names, needed)
+            )
+            if count_needed(names, needed) == len(needed):
                 is_table = True
                 yield names, number, values
                 break
     if not is_table:
         yield likeliest, 0, iter(())
-
-
-def _columns(names: Sequence[str], needed: Sequence[str]) -> int:
-    return len({*needed}.intersection(map(plain_name, names)))

@@ -102,6 +102,11 @@ def plain_name(name: str) -> str:
     return name.strip(" \t\r\"'#\ufeff").lower()
 
 
+def count_needed(names: Sequence[str], needed: Sequence[str]) -> int:
+    """Return the number of the columns that are needed among those of these names."""
+    return len({*needed}.intersection(map(plain_name, names)))
+
+
 def text_of(cell: object) -> str:
     """Return the text of a cell; of a moment its seconds since 1970, UTC without a zone."""
     if isinstance(cell, str):
