@@ -319,7 +319,7 @@ class TrackEvents:
 
     @property
     def is_misread(self) -> bool:
-        """True if the boxes cannot be left, top, right, bottom: each of them may be wrong.
+        """True while the boxes cannot be left, top, right, bottom: they make no events.
 
         Many of them end before they begin, as sizes for corners do. Or all of them reach twice as
         far as they begin and many beyond the picture, as where an adapter takes corners for sizes.
@@ -339,7 +339,7 @@ class TrackEvents:
 
     def _exit(self, label: str, track: _Track) -> list[Event]:
         """Return the exit of a track that counts, and its entry if that has waited for the kind."""
-        if track.left:
+        if track.left or self.is_misread:
             return []
         events = self._entry(label, track)
         if track.counted:
@@ -352,7 +352,8 @@ class TrackEvents:
     def _entry(self, label: str, track: _Track) -> list[Event]:
         """Return the entry of a track that counts as an object from now on."""
         has_lived = track.last.t - track.first.t >= self._life
-        if track.counted or not has_lived or not counts(track.votes, self._wanted_labels):
+        is_object = has_lived and counts(track.votes, self._wanted_labels)
+        if track.counted or not is_object or self.is_misread:
             return []
         track.counted = True
         self.object_count += 1

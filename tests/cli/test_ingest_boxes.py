@@ -25,6 +25,7 @@ from tracked_walks import (
 )
 
 from camtopod.adapt.axis import Axis
+from camtopod.adapt.tracks import TrackEvents
 from camtopod.cli import exits
 from camtopod.cli.main import main
 
@@ -134,9 +135,20 @@ def test_sizes_for_corners_are_refused(tmp_path: Path, capsys: pytest.CaptureFix
 
     status, events = ingested(tmp_path, "deepstream", walk(sizes), "--size", "1000x500")
     assert (status, events) == (exits.FAILED, [])
-    assert (
-        "boxes of lobby are not left, top, right, bottom in pixels: none" in capsys.readouterr().err
-    )
+    said = capsys.readouterr().err
+    assert "are they left, top, right, bottom in pixels?" in said
+    assert "boxes of lobby are sizes for corners, or corners for sizes: none is used" in said
+
+
+def test_boxes_that_have_been_mended_are_used_again() -> None:
+    tracks = TrackEvents("lobby", (1000, 500))
+    tracks.update([], [], 0.0)
+    for frame in range(400):
+        box = [500, 200, 40 if frame < 100 else 540, 400]
+        tracks.update(["7" if frame < 300 else "8"], [box], 2.0 + frame / 10)
+        assert tracks.is_misread == (19 <= frame < 300)
+    tracks.update([], [], 60.0)
+    assert (tracks.entries, tracks.exits) == (2, 2)
 
 
 # --- objects that do not count, frames that come late ---------------------------------------------

@@ -193,8 +193,8 @@ def _publish(
     backlog = publisher.count_waiting(own=True)
     stored_count = max(0, publisher.published - backlog - publisher.dropped)
     log.info("%s", _outcome(stored_count, backlog, late, refusals))
-    learned_count = stored_count - refusals
-    return exits.FAILED if learned_count < ACCEPTED_MIN * stored_count else exits.DONE
+    is_enough = stored_count - refusals >= ACCEPTED_MIN * stored_count
+    return exits.DONE if is_enough else exits.FAILED
 
 
 def _outcome(stored_count: int, backlog: int, late: int, refusals: int) -> str:

@@ -194,7 +194,9 @@ def recorded(reader: LineReader, paths: Sequence[str], times: Times) -> Iterator
             is_ordered, wrong = survey.look(path, file)
             file.seek(begin)
             streams.append(_by_time(reader, path, file, survey, is_ordered, wrong))
-        lines = heapq.merge(*streams, key=_time) if len(streams) > 1 else streams[0]
+        lines = (
+            heapq.merge(*streams, key=lambda line: line.event.t) if len(streams) > 1 else streams[0]
+        )
         yield from _once(reader, survey, lines, times)
 
 
@@ -261,10 +263,6 @@ def right_lines(
             )
         else:
             yield line
-
-
-def _time(line: Line) -> float:
-    return line.event.t
 
 
 def _once(
