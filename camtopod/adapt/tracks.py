@@ -12,6 +12,7 @@ from msgspec import Struct
 
 from camtopod import codec
 from camtopod.adapt.adapter import BEYOND_SHARE, OUTSIDE_BOXES, remember
+from camtopod.adapt.boxes import in_picture, is_box
 from camtopod.adapt.kinds import Votes, counts, is_wanted, plain, vote
 from camtopod.labels import LABEL_CHARACTERS_MAX, LABELS_MAX, count_label, most_frequent
 from camtopod.records import Event, Kind
@@ -33,8 +34,6 @@ BACK_FRAMES_MIN = 5
 
 They are of more than ``lost_seconds``, too; fewer are old frames that come late or again.
 """
-BOX_MAX = 4.0
-"""Widest box, in widths of the picture; wider ones are in another unit."""
 TRACKS_MAX = 1000
 """Tracks followed at a time; boxes of further ones are counted as refused."""
 
@@ -158,8 +157,10 @@ class TrackEvents:
         """Boxes that were used."""
         self._inverted = 0
         """Boxes that end before they begin, as sizes for corners do."""
-        self._doubled = 0
-        """Boxes that were used and reach twice as far as they begin, as corners for sizes do."""
+        self._doubled = self._single = 0
+        """Boxes twice as far as they begin, as corners for sizes are, and beyond the right border;
+        those that do not reach so far.
+        """
         self.unwanted: dict[str, int] = {}
         """Objects that have ended and were none of ``wanted_labels``, by their last kind."""
         self.object_count = 0
@@ -322,11 +323,11 @@ class TrackEvents:
         """True while the boxes cannot be left, top, right, bottom: they make no events.
 
         Many of them end before they begin, as sizes for corners do. Or all of them reach twice as
-        far as they begin and many beyond the picture, as where an adapter takes corners for sizes.
+        far as they begin, and many beyond the right border, as corners that are taken for sizes do.
         """
         boxes = self.used + self.unusable
         many = max(OUTSIDE_BOXES, BEYOND_SHARE * boxes)
-        return self._inverted >= many or (self.beyond >= many and self._doubled == self.used)
+        return self._inverted >= many or (self._doubled >= many and not self._single)
 
     def _pop(self, label: str) -> _Track | None:
         """Remove and return a track; None if there is none."""
@@ -379,7 +380,9 @@ class TrackEvents:
             return []
         self.used += 1
         self.beyond += max(-box[0], box[2] - 1, -box[1], box[3] - 1) > self._outside_max
-        self._doubled += right > 2 * left and bottom > 2 * top
+        is_single = right <= 2 * left or bottom <= 2 * top
+        self._single += is_single
+        self._doubled += not is_single and left >= 0 and box[2] - 1 > self._outside_max
 
         # Begin the track or update it.
         place = _Place(t, *foot)
@@ -420,30 +423,6 @@ class TrackEvents:
             self._seq += 1
         label = most_frequent(track.labels)
         return Event(self.camera, kind, at.t, at.x, at.y, name, self._boot, seq, label=label)
-
-
-def is_box(corners: Sequence[float], size: tuple[float, float]) -> bool:
-    """Return True for left, top, right, bottom with an area, larger than a pixel.
-
-    size (pixels): of the picture; (1, 1) if boxes are fractions of it.
-    """
-    left, top, right, bottom = corners
-    if not all(map(math.isfinite, corners)) or right <= left or bottom <= top:
-        return False
-    return size == (1, 1) or right - left > 1 or bottom - top > 1
-
-
-def in_picture(
-    box: tuple[float, float, float, float], outside_max: float
-) -> tuple[float, float] | None:
-    """Return the foot point of a box, clipped to the picture; None if all of it is far outside.
-
-    box: left, top, right, bottom, fractions of the picture. It may be a point.
-    """
-    left, top, right, bottom = box
-    if max(-right, left - 1, -bottom, top - 1) > outside_max or right - left > BOX_MAX:
-        return None
-    return round(min(max((left + right) / 2, 0.0), 1.0), 4), round(min(max(bottom, 0.0), 1.0), 4)
 
 
 def _label(value: Any) -> str | None:

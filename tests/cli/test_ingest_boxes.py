@@ -140,6 +140,17 @@ def test_sizes_for_corners_are_refused(tmp_path: Path, capsys: pytest.CaptureFix
     assert "boxes of lobby are sizes for corners, or corners for sizes: none is used" in said
 
 
+@pytest.mark.parametrize(
+    "box", [[5, 4, 240, 300], [-300, 4, 240, 300], [-300, -300, 1300, 900], [300, 100, 800, 700]]
+)
+def test_large_boxes_and_those_in_a_corner_are_used(box: list[float]) -> None:
+    tracks = TrackEvents("lobby", (1000, 500), outside_max=0.1)
+    for frame in range(100):
+        tracks.update(["7"] if frame > 20 else [], [box] if frame > 20 else [], frame / 10)
+    tracks.update([], [], 60.0)
+    assert (tracks.entries, tracks.exits) == (1, 1)
+
+
 def test_boxes_that_have_been_mended_are_used_again() -> None:
     tracks = TrackEvents("lobby", (1000, 500))
     tracks.update([], [], 0.0)
