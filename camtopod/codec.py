@@ -63,8 +63,8 @@ _KINDS = get_args(Kind)
 _T = TypeVar("_T")
 _AT_T = " - at `$.t`"
 _NO_TIME = (
-    "t is no number of seconds between 1970 and 3000 (milliseconds, or text?); ISO 8601 is read in "
-    f"tables only{_AT_T}"
+    "t is no number of seconds between 1970 and 3000 (milliseconds, or text?), nor ISO 8601 in a "
+    f"table{_AT_T}"
 )
 _AT_TRACK = " - at `$.track`"
 _AT_LABEL = " - at `$.label"

@@ -4,8 +4,9 @@ Read `formats` first, the table of all formats, and `adapter`, the interface tha
 `framing` splits the input into messages.
 `tracks.TrackEvents` turns the tracks of any tracker into events; it is public, through
 `camtopod.client`. `mot` is the shortest format, then `frigate`; `axis`, `onvif`, `deepstream` and
-`scenescape` (with `box_linking`) share `camera_streams`. `kinds` decides what counts,
-`camera_names` gives cameras their ids, and `object_tree` follows ids that ONVIF explains.
+`scenescape` (with `box_linking`) share `camera_streams`. `boxes` finds foot points, `kinds` decides
+what counts, `camera_names` gives cameras their ids, and `object_tree` follows ids that ONVIF
+explains.
 """
 
 from camtopod.adapt.adapter import (

@@ -22,7 +22,7 @@ OUTSIDE_MAX = 0.1
 OUTSIDE_BOXES = 20
 """Boxes of a camera that cannot be right after which that is said: a few may be errors."""
 BEYOND_SHARE = 1 / 3
-"""Share of a camera's boxes that reach beyond the picture from which that is said."""
+"""Share of a camera's boxes that are wrong from which they are no errors of single boxes."""
 UNWANTED_OBJECTS = 100
 """Objects of which none counts, by ``--label``, after which that is said."""
 ANY_CAMERA = ""

@@ -75,7 +75,7 @@ class Axis(StreamAdapter):
     """
 
     outside_cause = "they are not in fractions of the picture"
-    box_form = "fractions of the picture"
+    box_form = "left, top, right, bottom in fractions of the picture"
 
     def receive(self, line: bytes) -> list[Event]:
         """Return the events that a frame makes certain. Raises `Rejected`."""

@@ -66,7 +66,8 @@ class CameraStream:
         ended_names: tracks that the tracker reports as ended.
 
         A frame that is far ahead waits for the next one, and is dropped if that is before it.
-        Raises `Rejected` if a later frame came before, or the frame has too many boxes.
+        Raises `Rejected` if a later frame came before, the frame has too many boxes, or the boxes
+        of this camera are misread.
         """
         self.require_newer(t)
         if len(tracked_boxes) > TRACKS_MAX:
@@ -78,7 +79,14 @@ class CameraStream:
             self._frame_ahead = tracked_boxes, ended_names, t
             return []
         self._frame_ahead = None
-        return events + self._take(tracked_boxes, ended_names, t)
+        events += self._take(tracked_boxes, ended_names, t)
+        if self.tracks.is_misread:
+            raise Rejected(
+                "other-boxes",
+                f"boxes of {self.tracks.camera} are sizes for corners, or corners for sizes: none "
+                "is used",
+            )
+        return events
 
     def _take(
         self, tracked_boxes: Sequence[TrackedBox], ended_names: Sequence[Name], t: float
@@ -170,6 +178,10 @@ class StreamAdapter(Adapter):
             self._check_boxes(camera, stream.tracks.statistics())
             self._check_all_kinds()
         stream.arrival = self._now
+        if stream.tracks.is_misread:
+            raise Rejected(
+                "other-boxes", f"boxes of {camera} are not {self.box_form}: none is used"
+            )
         return stream
 
     def _check_all_kinds(self, is_end: bool = False) -> None:

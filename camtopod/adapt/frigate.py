@@ -23,8 +23,8 @@ from msgspec.structs import replace
 from camtopod import codec
 from camtopod.adapt import adapter
 from camtopod.adapt.adapter import Adapter, Sizes, remember, size_of, split_topic
+from camtopod.adapt.boxes import in_picture, is_box
 from camtopod.adapt.kinds import Votes, counts, is_wanted, plain, vote
-from camtopod.adapt.tracks import in_picture, is_box
 from camtopod.codec import Rejected
 from camtopod.labels import LABELS_MAX, count_label, most_frequent
 from camtopod.records import Event, Kind

@@ -88,6 +88,9 @@ class Mot(Adapter):
             )
         events += self._tracks.close()
         self._check_boxes(self._tracks.camera, self._tracks.statistics(), is_end=True)
+        if self._tracks.is_misread:
+            self._note("", f"the boxes are not {self.box_form}: none is used")
+            return []
         return sorted(events, key=lambda event: event.t)
 
     def _time(self, frame: float) -> float:

@@ -174,7 +174,7 @@ class Onvif(StreamAdapter):
     """
 
     begins = b"<{"
-    box_form = "fractions of the picture, behind the Transformation"
+    box_form = "left, top, right, bottom in fractions of the picture, after Transformation"
     outside_cause = "the camera sends no Transformation, or a wrong one, from its units to -1 to 1"
 
     def __init__(self, camera: str | None = None, labels: Collection[str] = ()) -> None:

@@ -11,7 +11,8 @@ import numpy as np
 from msgspec import Struct
 
 from camtopod import codec
-from camtopod.adapt.adapter import remember
+from camtopod.adapt.adapter import BEYOND_SHARE, OUTSIDE_BOXES, remember
+from camtopod.adapt.boxes import in_picture, is_box
 from camtopod.adapt.kinds import Votes, counts, is_wanted, plain, vote
 from camtopod.labels import LABEL_CHARACTERS_MAX, LABELS_MAX, count_label, most_frequent
 from camtopod.records import Event, Kind
@@ -33,8 +34,6 @@ BACK_FRAMES_MIN = 5
 
 They are of more than ``lost_seconds``, too; fewer are old frames that come late or again.
 """
-BOX_MAX = 4.0
-"""Widest box, in widths of the picture; wider ones are in another unit."""
 TRACKS_MAX = 1000
 """Tracks followed at a time; boxes of further ones are counted as refused."""
 
@@ -156,6 +155,12 @@ class TrackEvents:
         """Boxes that were used, of which a part is beyond ``outside_max``."""
         self.used = 0
         """Boxes that were used."""
+        self._inverted = 0
+        """Boxes that end before they begin, as sizes for corners do."""
+        self._doubled = self._single = 0
+        """Boxes twice as far as they begin, as corners for sizes are, and beyond the right border;
+        those that do not reach so far.
+        """
         self.unwanted: dict[str, int] = {}
         """Objects that have ended and were none of ``wanted_labels``, by their last kind."""
         self.object_count = 0
@@ -313,6 +318,17 @@ class TrackEvents:
             "late": self.late,
         }
 
+    @property
+    def is_misread(self) -> bool:
+        """True while the boxes cannot be left, top, right, bottom: they make no events.
+
+        Many of them end before they begin, as sizes for corners do. Or all of them reach twice as
+        far as they begin, and many beyond the right border, as corners that are taken for sizes do.
+        """
+        boxes = self.used + self.unusable
+        many = max(OUTSIDE_BOXES, BEYOND_SHARE * boxes)
+        return self._inverted >= many or (self._doubled >= many and not self._single)
+
     def _pop(self, label: str) -> _Track | None:
         """Remove and return a track; None if there is none."""
         return self._tracks.pop(label, None) or self._idle.pop(label, None)
@@ -324,7 +340,7 @@ class TrackEvents:
 
     def _exit(self, label: str, track: _Track) -> list[Event]:
         """Return the exit of a track that counts, and its entry if that has waited for the kind."""
-        if track.left:
+        if track.left or self.is_misread:
             return []
         events = self._entry(label, track)
         if track.counted:
@@ -337,7 +353,8 @@ class TrackEvents:
     def _entry(self, label: str, track: _Track) -> list[Event]:
         """Return the entry of a track that counts as an object from now on."""
         has_lived = track.last.t - track.first.t >= self._life
-        if track.counted or not has_lived or not counts(track.votes, self._wanted_labels):
+        is_object = has_lived and counts(track.votes, self._wanted_labels)
+        if track.counted or not is_object or self.is_misread:
             return []
         track.counted = True
         self.object_count += 1
@@ -350,11 +367,12 @@ class TrackEvents:
         if label is None:
             self.untracked_count += 1
             return []
+        left, top, right, bottom = corners
         if not is_box(corners, self.size):
             self.unusable += 1
+            self._inverted += right < left or bottom < top
             return []
         width, height = self.size
-        left, top, right, bottom = corners
         box = (left / width, top / height, right / width, bottom / height)
         foot = in_picture(box, self._outside_max)
         if foot is None:
@@ -362,6 +380,9 @@ class TrackEvents:
             return []
         self.used += 1
         self.beyond += max(-box[0], box[2] - 1, -box[1], box[3] - 1) > self._outside_max
+        is_single = right <= 2 * left or bottom <= 2 * top
+        self._single += is_single
+        self._doubled += not is_single and left >= 0 and box[2] - 1 > self._outside_max
 
         # Begin the track or update it.
         place = _Place(t, *foot)
@@ -402,30 +423,6 @@ class TrackEvents:
             self._seq += 1
         label = most_frequent(track.labels)
         return Event(self.camera, kind, at.t, at.x, at.y, name, self._boot, seq, label=label)
-
-
-def is_box(corners: Sequence[float], size: tuple[float, float]) -> bool:
-    """Return True for left, top, right, bottom with an area, larger than a pixel.
-
-    size (pixels): of the picture; (1, 1) if boxes are fractions of it.
-    """
-    left, top, right, bottom = corners
-    if not all(map(math.isfinite, corners)) or right <= left or bottom <= top:
-        return False
-    return size == (1, 1) or right - left > 1 or bottom - top > 1
-
-
-def in_picture(
-    box: tuple[float, float, float, float], outside_max: float
-) -> tuple[float, float] | None:
-    """Return the foot point of a box, clipped to the picture; None if all of it is far outside.
-
-    box: left, top, right, bottom, fractions of the picture. It may be a point.
-    """
-    left, top, right, bottom = box
-    if max(-right, left - 1, -bottom, top - 1) > outside_max or right - left > BOX_MAX:
-        return None
-    return round(min(max((left + right) / 2, 0.0), 1.0), 4), round(min(max(bottom, 0.0), 1.0), 4)
 
 
 def _label(value: Any) -> str | None:

@@ -82,6 +82,8 @@ def test_what_became_of_the_events_is_said(
         tmp_path / "both.jsonl",
         [Event("lobby", "entry", T0 + 20_003.0), Event("lobby", "exit", T0 - 9e4)],
     )
+    later = [Event("lobby", "exit", T0 + 20_004.0 + n / 8) for n in range(4)]
+    some = lines(tmp_path / "some.jsonl", [*later, Event("lobby", "exit", T0 + 300_000.0)])
     early = lines(tmp_path / "early.jsonl", [Event("hall", "entry", T0 + 300_000.0)])
 
     with site(tmp_path, "a") as daemon:
@@ -94,10 +96,12 @@ def test_what_became_of_the_events_is_said(
         assert ingest(daemon, tmp_path, both) == 0
         assert "2 events stored, 1 of them late" in capsys.readouterr().err
         assert ingest(daemon, tmp_path, early) == 1
-        assert "1 refused" in capsys.readouterr().err
+        assert "1 events stored, 1 of them refused" in capsys.readouterr().err
+        assert ingest(daemon, tmp_path, some) == 1, "a fifth of them"
+        assert "5 events stored, 1 of them refused" in capsys.readouterr().err
         assert ingest(daemon, tmp_path, recording, "--anew") == 0
         assert f"{events} events stored, {events - 1} of them late" in capsys.readouterr().err
-        assert daemon.status().events.stored == 2 * events + 22
+        assert daemon.status().events.stored == 2 * events + 26
 
         # A file that has grown, and one that only begins in the same way.
         more = [Event("lobby", "exit", T0 + 20_010.0 + n) for n in range(4)]

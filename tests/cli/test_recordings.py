@@ -160,6 +160,47 @@ def test_a_few_wrong_stamps_in_a_row_are_no_part_of_the_recording(tmp_path: Path
     assert reader.rejections == {"contradicted": 2}
 
 
+@pytest.mark.parametrize("place", [0, -3])
+@pytest.mark.parametrize("years", [-30, 25])
+def test_wrong_stamps_of_several_cameras_at_either_end_are_set_aside(
+    years: int, place: int, tmp_path: Path
+) -> None:
+    """As before clocks are set; together they agree, but not with their cameras."""
+    events = list(EVENTS)
+    for number in (place, place + 1, place + 2):
+        events[number] = replace(events[number], t=events[number].t + years * 365 * DAY)
+    reader, found, _ = used(tmp_path, events)
+    assert found == (EVENTS[3:] if place == 0 else EVENTS[:-3])
+    assert reader.rejections == {"contradicted": 3}
+
+
+def test_a_rare_camera_is_not_contradicted_by_busy_ones(tmp_path: Path) -> None:
+    middle = EVENTS[len(EVENTS) // 2].t
+    rare = [Event("rare", "entry", middle + 3 * DAY * k) for k in range(-5, 6)]
+    reader, found, _ = used(tmp_path, [*EVENTS, *rare])
+    assert len(found) == len(EVENTS) + len(rare)
+    assert not reader.rejections
+
+
+@pytest.mark.parametrize("walks", [[], ["--walks"]])
+def test_predict_sets_wrong_stamps_aside_as_learn_does(
+    walks: list[str], tmp_path: Path, capsysbinary: pytest.CaptureFixture[bytes]
+) -> None:
+    learned(written(tmp_path / "right.jsonl", EVENTS))
+    wrong = [replace(EVENTS[k], t=EVENTS[k].t + 1e8) for k in (200, -1)]
+    right = [*EVENTS[:200], *EVENTS[201:-1]]
+    capsysbinary.readouterr()
+    answers = []
+    for events in (right, [*EVENTS[:200], wrong[0], *EVENTS[201:-1], wrong[1]]):
+        path = written(tmp_path / "events.jsonl", events)
+        main(["--config", "none", "predict", *walks, str(tmp_path / "topology.json"), str(path)])
+        printed = capsysbinary.readouterr()
+        answers.append(printed.out)
+    assert answers[0] == answers[1] != b""
+    assert b"events.jsonl:201: t is " in printed.err
+    assert b"rejected: contradicted 2" in printed.err
+
+
 @pytest.mark.parametrize("days", [1.2, 2.5, 10, 300])
 def test_lines_in_no_order_contradict_nothing(days: float, tmp_path: Path) -> None:
     chance = random.Random(days)

@@ -68,16 +68,18 @@ def feather(columns: dict[str, list[Any]]) -> bytes:
     return out.getvalue()
 
 
-def excel(columns: dict[str, list[Any]]) -> bytes:
+def excel(columns: dict[str, list[Any]], *others: dict[str, list[Any]]) -> bytes:
+    """Return a workbook with a sheet for each table, and one without a table."""
     openpyxl = pytest.importorskip("openpyxl", reason="needs openpyxl (camtopod[tables])")
     book = openpyxl.Workbook()
     book.active.append(["About this file"])
-    sheet = book.create_sheet("events")
-    sheet.append(["Events of Monday"])
-    sheet.append([*columns])
-    for row in zip(*columns.values(), strict=True):
-        naive = [c.replace(tzinfo=None) if isinstance(c, datetime) else c for c in row]
-        sheet.append([None if c != c else c for c in naive])
+    for table in (columns, *others):
+        sheet = book.create_sheet("events")
+        sheet.append(["Events of Monday"])
+        sheet.append([*table])
+        for row in zip(*table.values(), strict=True):
+            naive = [c.replace(tzinfo=None) if isinstance(c, datetime) else c for c in row]
+            sheet.append([None if c != c else c for c in naive])
     out = io.BytesIO()
     book.save(out)
     return out.getvalue()
@@ -107,6 +109,16 @@ def test_other_names_of_columns_are_named(name: str) -> None:
         InputError, match="the header has no column t: its columns are Camera, kind, w"
     ):
         read(WRITERS[name](columns))
+
+
+def test_all_sheets_with_events_are_read_and_no_other() -> None:
+    counts = {"camera": ["lobby"], "kind": ["exit"], "count": [7]}
+    reader = LineReader()
+    book = excel(counts, COLUMNS, COLUMNS | {"t": [event.t + 9 for event in WALK]})
+    lines = [*reader.lines("file", io.BytesIO(book))]
+    assert [line.event.t - WALK[0].t for line in lines] == [0, 7.75, 9, 16.75]
+    assert [line.number for line in lines] == [3, 4, 7, 8]
+    assert not reader.rejections
 
 
 def test_it_is_learned(tmp_path: Path) -> None:

@@ -16,7 +16,8 @@ from serving import closing_event, walkers
 
 from camtopod.cli import exits, main
 from camtopod.cli.events import time_order
-from camtopod.cli.events.time_order import LATE_LINES_MAX, OrderedAnswers, by_key, count_if_ordered
+from camtopod.cli.events.recording import Survey
+from camtopod.cli.events.time_order import LATE_LINES_MAX, OrderedAnswers, by_key
 from camtopod.codec import to_json
 from camtopod.records import Event
 
@@ -135,18 +136,19 @@ def test_what_exceeds_the_memory_is_sorted_on_disk(monkeypatch: pytest.MonkeyPat
 
 
 @pytest.mark.parametrize(
-    ("text", "count"),
+    ("text", "is_ordered"),
     [
-        (b"", 0),
-        (b'{"t":1}\n{"t":1}\nnonsense\n{"t":2.5}\n{"camera":3}\n', 5),
-        (b'{"t":2}\n{"t":1}\n', None),
-        (b'[{"t":2},\n {"t":3}]\n{"t":2}', None),
-        (b"camera,kind,t\na,exit,1970-01-01T00:00:02\na,exit,3\n", 2),
-        (b"camera,kind,t\na,exit,4\na,exit,3\n", None),
+        (b"", True),
+        (b'{"t":1}\n{"t":1}\nnonsense\n{"t":2.5}\n{"camera":3}\n', True),
+        (b'{"t":2}\n{"t":1}\n', False),
+        (b'[{"t":2},\n {"t":3}]\n{"t":2}', False),
+        (b"camera,kind,t\na,exit,1970-01-01T00:00:02\na,exit,3\n", True),
+        (b"camera,kind,t\na,exit,4\na,exit,3\n", False),
     ],
 )
-def test_a_file_is_checked_for_order(text: bytes, count: int | None) -> None:
-    assert count_if_ordered("f", io.BytesIO(text)) == count
+def test_a_file_is_checked_for_order(text: bytes, is_ordered: bool) -> None:
+    file = io.BufferedReader(io.BytesIO(text))  # type: ignore[arg-type,type-var]
+    assert Survey().look("f", file) == (is_ordered, set())
 
 
 # --- The command ---

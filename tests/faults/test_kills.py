@@ -9,6 +9,7 @@ import contextlib
 import os
 import random
 import signal
+import sqlite3
 import subprocess
 import time
 from collections import Counter
@@ -151,7 +152,7 @@ class Site:
             count = self.status["events"]["stored"]
             self.bus.publish(f"event/{event.camera}", event, "event")
             wait_for(lambda n=count: self.status["events"]["stored"] > n, "the last event")  # type: ignore[misc]
-        wait_for(lambda: _has_learned_all(self.status), "the learner", 600.0)
+        wait_for(self._has_learned_all, "the learner", 600.0)
         status = self.status
         if status["version"]:  # while the daemon can still be asked for it
             wait_for(lambda: self._has_heard(status["version"]), "the newest version to be heard")
@@ -189,6 +190,19 @@ class Site:
         """Return the router's endpoint behind the link of the publishers, or of the daemon."""
         return f"tcp/127.0.0.1:{self.links[side].port}"
 
+    def _has_learned_all(self) -> bool:
+        """Return True if the learner is at the end of the stored events, and its versions are out.
+
+        The journal also has entries that tell which cameras the learner waits for.
+        """
+        file = (self.directory / "state" / "journal.db").as_uri()
+        with contextlib.closing(sqlite3.connect(f"{file}?mode=ro", uri=True)) as base:
+            [(count,)] = base.execute("SELECT count(*) FROM entry WHERE kind = 'event'")
+        status = self.status
+        learner = status["learner"]
+        at_end = learner["accepted"] + learner["late"] == count and learner["held"] <= 2
+        return bool(at_end and status["version"] == learner["version"])
+
     def _has_heard(self, newest: int) -> bool:
         """Return True if a version was received; if not, ask for the newest one.
 
@@ -205,14 +219,6 @@ class Site:
         version = (topology.epoch, topology.version)
         assert self.versions.setdefault(version, topology.digest) == topology.digest
         return version
-
-
-def _has_learned_all(status: dict[str, Any]) -> bool:
-    """Return True if the learner is at the end of a journal of events, and its versions are out."""
-    learner = status["learner"]
-    taken = learner["accepted"] + learner["late"]
-    at_end = taken == status["journal"]["entries"] and learner["held"] <= 2
-    return bool(at_end and status["version"] == learner["version"])
 
 
 def _learner_of(pid: int) -> int:

@@ -21,7 +21,7 @@ import msgspec
 from camtopod.adapt import FORMATS
 from camtopod.cli import exits
 from camtopod.cli.common import configuration, counted, open_output, start_logging, until_signal
-from camtopod.cli.events.event_lines import LineReader
+from camtopod.cli.events.event_lines import ACCEPTED_MIN, LineReader
 from camtopod.cli.events.input_formats import add_options, events
 from camtopod.cli.exits import CommandError, InputError
 from camtopod.cli.site_choice import right_site
@@ -204,9 +204,8 @@ def _publish(
     backlog = publisher.count_waiting(own=True)
     stored_count = max(0, publisher.published - backlog - publisher.dropped)
     log.info("%s", _outcome(stored_count, backlog, late, refusals))
-    if refusals and refusals >= stored_count:
-        return exits.FAILED
-    return exits.DONE
+    is_enough = stored_count - refusals >= ACCEPTED_MIN * stored_count
+    return exits.DONE if is_enough else exits.FAILED
 
 
 def _outcome(stored_count: int, backlog: int, late: int, refusals: int) -> str:
@@ -215,7 +214,9 @@ def _outcome(stored_count: int, backlog: int, late: int, refusals: int) -> str:
     if late:
         parts.append(f"{late} of them late (older than the events learned last)")
     if refusals:
-        parts.append(f"{refusals} refused (malformed, too many of one camera, or in the future)")
+        parts.append(
+            f"{refusals} of them refused (malformed, too many of one camera, or in the future)"
+        )
     if backlog:
         parts.append(f"{backlog} wait in the spool and are published with the next ingest")
     return ", ".join(parts)

@@ -15,7 +15,8 @@ from msgspec.structs import replace
 
 from camtopod.cli.common import configuration, counted, topology_of
 from camtopod.cli.events.event_lines import LineReader, open_input
-from camtopod.cli.events.time_order import OrderedAnswers, Pipe, count_if_ordered
+from camtopod.cli.events.recording import Survey, right_lines
+from camtopod.cli.events.time_order import OrderedAnswers, Pipe
 from camtopod.cli.exits import InputError
 from camtopod.cli.terminal import Progress
 from camtopod.codec import to_json
@@ -74,24 +75,26 @@ def run(args: argparse.Namespace) -> int:
     unit = "entries matched" if args.walks else "exits predicted"
     reader = LineReader()
     out = sys.stdout.buffer
-    lines: int | None = None
-    count = 0
+    count = line_count = 0
     with open_input(args.events) as file, Progress() as progress:
 
         def texts(moment: list[Event]) -> list[bytes]:
             nonlocal count
             count += sum(event.kind == kind for event in moment)
-            progress.show(f"%d {unit} of %d lines", count, lines or reader.lines_read)
+            progress.show(f"%d {unit} of %d lines", count, line_count or reader.lines_read)
             results = (result and shortened(result, args.top) for result in answer(moment))
             return [to_json(result) + b"\n" if result else b"" for result in results]
 
         if file.seekable():
             answers = OrderedAnswers(texts, kind, 0.0)
             begin = file.tell()
-            lines = count_if_ordered(args.events, file)
+            survey = Survey()
+            is_ordered, wrong = survey.look(args.events, file)
+            line_count = survey.cameras.total()
             file.seek(begin)
-            events = (line.event for line in reader.lines(args.events, file))
-            answer_lines = answers.of(events) if lines is not None else answers.of_unordered(events)
+            right = right_lines(reader, args.events, file, survey, wrong)
+            events = (line.event for line in right)
+            answer_lines = answers.of(events) if is_ordered else answers.of_unordered(events)
         else:
             answers = OrderedAnswers(texts, kind, configuration(args).learn.lateness_seconds)
             pipe = Pipe(file, out.flush, lambda: out.writelines(answers.rest()))

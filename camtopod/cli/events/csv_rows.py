@@ -11,8 +11,7 @@ import re
 from collections.abc import Iterable, Iterator, Sequence
 from typing import NamedTuple
 
-from camtopod.cli.events.table_rows import COLUMNS, Rows, plain_name
-from camtopod.cli.exits import InputError
+from camtopod.cli.events.table_rows import COLUMNS, Rows, count_needed, plain_name
 from camtopod.codec import Rejected
 
 LINE_BYTES_MAX = 100_000
@@ -62,8 +61,8 @@ def header_of(beginning: bytes, needed: Sequence[str] = COLUMNS) -> TableHeader 
         for delimiter in delimiters
     ]
 
-    best = max(headers, key=lambda header: _columns(header, needed), default=None)
-    if best is not None and _columns(best, needed) > 1:
+    best = max(headers, key=lambda header: count_needed(header.names, needed), default=None)
+    if best is not None and count_needed(best.names, needed) > 1:
         return best
     if _MESSAGE.search(beginning) is not None:
         return None
@@ -84,8 +83,11 @@ def rows(
     """
     table = Rows(path, header.names, needed)
     delimiter = header.delimiter
-    for number, raw in enumerate(_lines(pieces, path)):
+    for number, raw in enumerate(_lines(pieces)):
         if number <= header.line or not raw or raw.startswith(b"#"):
+            continue
+        if len(raw) > LINE_BYTES_MAX:
+            yield number + 1, Rejected("too-long", f"more than {LINE_BYTES_MAX} bytes")
             continue
         try:
             text = raw.decode()
@@ -100,10 +102,6 @@ def rows(
 
 def _cells(line: str, delimiter: str) -> list[str]:
     return next(csv.reader([line], delimiter=delimiter, skipinitialspace=delimiter == " "), [])
-
-
-def _columns(header: TableHeader, needed: Sequence[str]) -> int:
-    return len({*needed}.intersection(map(plain_name, header.names)))
 
 
 def _text_lines(beginning: bytes) -> list[str]:
@@ -121,16 +119,14 @@ def _contents(lines: list[str]) -> list[tuple[int, str]]:
     ]
 
 
-def _lines(pieces: Iterable[bytes], path: str) -> Iterator[bytes]:
-    """Yield the lines of a text, which end as on any system, without the mark at its beginning."""
+def _lines(pieces: Iterable[bytes]) -> Iterator[bytes]:
+    """Yield the lines of a text, which end as on any system; too long ones are cut."""
     remainder = b""
     for piece in pieces:
         text = remainder + piece
         end = len(text) - text.endswith(b"\r")  # a line feed may follow
         held = text[end:]
         *whole, remainder = text[:end].replace(b"\r\n", b"\n").replace(b"\r", b"\n").split(b"\n")
-        remainder += held
-        if len(remainder) > LINE_BYTES_MAX:
-            raise InputError(f"{path} has a line of more than {LINE_BYTES_MAX} bytes")
+        remainder = remainder[: LINE_BYTES_MAX + 1] + held
         yield from whole
     yield remainder.rstrip(b"\r")

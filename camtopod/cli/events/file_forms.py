@@ -21,6 +21,8 @@ _OTHER_FORMS = {
     rb"\x28\xb5\x2f\xfd": "compressed: pipe it through zstd -dc",
     rb"\x04\x22\x4d\x18": "compressed: pipe it through lz4 -dc",
     rb"7z\xbc\xaf\x27\x1c|Rar!": "a compressed archive: unpack it",
+    rb"PK\x03\x04.{26}mimetypeapplication/vnd\.oasis": "an OpenDocument file: save it as "
+    ".xlsx or CSV",
     rb"PK\x03\x04": "a zip file: pipe it through unzip -p",
     rb"SQLite format 3\0": "a SQLite database: export the table with sqlite3 -header -csv FILE "
     "'SELECT camera, kind, t, x, y, track FROM ...' > events.csv",
@@ -37,7 +39,10 @@ _OTHER_FORMS = {
     rb"RD[AX][234]\n": f"an R workspace: use write.csv {_TABLE}",
     rb"\xd0\xcf\x11\xe0": "an old Excel or Access file: save it as .xlsx or CSV",
     rb"%PDF": "a PDF, not the events",
-    rb'\s*\{\s*"(camera|kind|t|x|y|track|label|columns|index|data|schema)"\s*:\s*[\[{]': (
+    rb'\s*\{\s*"(data|events|records|rows)"\s*:\s*\[': (
+        "one JSON object around a list of events: take them out with jq -c '.[][]'"
+    ),
+    rb'\s*\{\s*"(0|camera|kind|t|x|y|track|label|columns|index|schema)"\s*:\s*[\[{]': (
         "one JSON object of columns, as pandas' to_json() writes it: use "
         'to_json("events.jsonl", orient="records", lines=True)'
     ),

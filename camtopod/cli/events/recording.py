@@ -7,6 +7,7 @@ as a whole (`fault_of`) show in their span and digits, not in their size: they m
 from __future__ import annotations
 
 import heapq
+import itertools
 import math
 import shutil
 import tempfile
@@ -40,7 +41,7 @@ DISORDER_MAX = 0.02
 Beyond that the lines are in no order, and those around a line say nothing about it.
 """
 LONELY_MAX = 0.1
-"""Largest share of lines with no other within a day, for those at either end to be wrong."""
+"""Share of lines with few others within a day from which those at either end are not wrong."""
 SAME_SECONDS = 1e-6
 """Difference of two times below which they are the same: a time has microseconds."""
 FAULT_EVENTS_MIN = 50
@@ -95,12 +96,12 @@ class _Course(Struct):
         self.last, self.outliers = t, []
 
 
-class _Survey:
+class Survey:
     """Survey of files before their lines are used."""
 
     def __init__(self) -> None:
         self.cameras = Counter[str]()
-        """Number of lines."""
+        """Number of lines with a time."""
         self._hours = Counter[float]()
 
     def look(self, path: str, file: BufferedReader) -> tuple[bool, set[int]]:
@@ -117,8 +118,7 @@ class _Survey:
             if stamp is None:
                 continue
             camera, t = stamp
-            if t < newest:
-                is_ordered = False
+            is_ordered = is_ordered and t >= newest
             newest = t
             if hour_begin <= t < hour_end:
                 hour_lines += 1
@@ -146,19 +146,19 @@ class _Survey:
         return is_ordered, wrong
 
     def lonely_hours(self) -> set[float]:
-        """Return the hours at either end with one line, more than a day from all other lines."""
+        """Return the hours at either end with few lines, more than a day from all other lines."""
         lines = +self._hours  # without the hour before the first line
-        hours = [-math.inf, *sorted(lines), math.inf]
-        lonely = {
-            hour
-            for before, hour, after in zip(hours, hours[1:], hours[2:], strict=False)
-            if lines[hour] == 1 and min(hour - before, after - hour) > DAY / HOUR
-        }
-        together = lines.keys() - lonely
-        if not together or len(lonely) > LONELY_MAX * lines.total():
+        parts: list[list[float]] = []
+        for hour in sorted(lines):
+            if not parts or hour - parts[-1][-1] > DAY / HOUR:
+                parts.append([])
+            parts[-1].append(hour)
+        counts = [sum(lines[hour] for hour in part) for part in parts]
+        lonely = [count <= WRONG_IN_A_ROW_MAX for count in counts]
+        if sum(itertools.compress(counts, lonely)) >= LONELY_MAX * lines.total():
             return set()
-        first, last = min(together), max(together)
-        return {hour for hour in lonely if not first < hour < last}
+        first, end = lonely.index(False), len(parts) - lonely[::-1].index(False)
+        return {hour for part in (*parts[:first], *parts[end:]) for hour in part}
 
 
 class Times(Struct):
@@ -185,7 +185,7 @@ def recorded(reader: LineReader, paths: Sequence[str], times: Times) -> Iterator
     disk is full.
     """
     with ExitStack() as stack:
-        survey = _Survey()
+        survey = Survey()
         files = [(path, stack.enter_context(_known_to_its_end(path))) for path in paths]
         reader.files = [file for _, file in files]
         streams = []
@@ -193,8 +193,10 @@ def recorded(reader: LineReader, paths: Sequence[str], times: Times) -> Iterator
             begin = file.tell()
             is_ordered, wrong = survey.look(path, file)
             file.seek(begin)
-            streams.append(_by_time(reader, path, file, is_ordered, wrong))
-        lines = heapq.merge(*streams, key=_time) if len(streams) > 1 else streams[0]
+            streams.append(_by_time(reader, path, file, survey, is_ordered, wrong))
+        lines = (
+            heapq.merge(*streams, key=lambda line: line.event.t) if len(streams) > 1 else streams[0]
+        )
         yield from _once(reader, survey, lines, times)
 
 
@@ -215,12 +217,15 @@ def _known_to_its_end(path: str) -> Iterator[BufferedReader]:
 
 
 def _by_time(
-    reader: LineReader, path: str, file: BufferedReader, is_ordered: bool, wrong: Collection[int]
+    reader: LineReader,
+    path: str,
+    file: BufferedReader,
+    survey: Survey,
+    is_ordered: bool,
+    wrong: Collection[int],
 ) -> Iterator[Line]:
     """Yield the lines of one file by event time, without those that are wrong."""
-    lines = reader.lines(path, file)
-    if wrong:
-        lines = (line for line in lines if not _set_aside(reader, line, wrong))
+    lines = right_lines(reader, path, file, survey, wrong)
     if is_ordered:
         yield from lines
         return
@@ -236,50 +241,48 @@ def _by_time(
             yield Line(event_from_msgpack(record), path, numbers[place - 1])
 
 
-def _set_aside(reader: LineReader, line: Line, wrong: Collection[int]) -> bool:
-    """Reject a line if its number is one of those."""
-    if line.number not in wrong:
-        return False
-    event = line.event
-    reader.reject_event(
-        "contradicted",
-        f"{line.file}:{line.number}: t is {utc_text(event.t)}, which the lines of {event.camera} "
-        "around it contradict by more than a day: it is set aside",
-    )
-    return True
+def right_lines(
+    reader: LineReader, path: str, file: BufferedReader, survey: Survey, wrong: Collection[int]
+) -> Iterator[Line]:
+    """Yield the lines of a file, in its order, without those whose stamps are wrong.
 
-
-def _time(line: Line) -> float:
-    return line.event.t
+    survey: of all files of the recording.
+    wrong: numbers of lines of this file, as `Survey.look` returns them.
+    """
+    lonely = survey.lonely_hours()
+    for line in reader.lines(path, file):
+        event = line.event
+        # Or lonely, of a camera most of whose lines are elsewhere.
+        if line.number in wrong or (
+            lonely and event.t // HOUR in lonely and survey.cameras[event.camera] > 2 * len(lonely)
+        ):
+            reader.reject_event(
+                "contradicted",
+                f"{path}:{line.number}: t is {utc_text(event.t)}, which the lines of "
+                f"{event.camera} around it contradict by more than a day: it is set aside",
+            )
+        else:
+            yield line
 
 
 def _once(
-    reader: LineReader, survey: _Survey, lines: Iterator[Line], times: Times
+    reader: LineReader, survey: Survey, lines: Iterator[Line], times: Times
 ) -> Iterator[Line]:
     """Yield lines in order of time, each event once, and sum their times up."""
     first: Event | None = None  # of this moment
     keys: set[tuple[object, ...] | None] = set()  # of this moment, if it has several events
     until = -math.inf
-    lonely = survey.lonely_hours()
-    is_coarse = True
     for line in lines:
         event = line.event
         t = event.t
         if t >= until:
-            if lonely and t // HOUR in lonely and survey.cameras[event.camera] > 2:
-                _set_aside(reader, line, (line.number,))
-                continue
-            if first is None:
-                times.first = t
             first, until = event, t + SAME_SECONDS
-            if keys:
-                keys = set()
+            keys.clear()
+            times.first = min(times.first, t)
             times.moments += 1
-            if is_coarse:
-                is_coarse = t % FAULT_STEP == 0.0
+            times.is_coarse = times.is_coarse and t % FAULT_STEP == 0.0
         else:
-            if not keys and first is not None:
-                keys.add(_key(first))
+            keys.add(None if first is None else _key(first))
             key = _key(event)
             if key is not None and key in keys:
                 reader.repeat(line)
@@ -287,7 +290,6 @@ def _once(
             keys.add(key)
         yield line
     times.last = until - SAME_SECONDS
-    times.is_coarse = is_coarse
     times.events = reader.events
     times.cameras = len(survey.cameras)
 

@@ -9,7 +9,7 @@ from collections.abc import Iterator, Sequence
 from io import BufferedReader
 from typing import Any
 
-from camtopod.cli.events.table_rows import COLUMNS, Rows, plain_name
+from camtopod.cli.events.table_rows import COLUMNS, Rows, count_needed
 from camtopod.cli.exits import InputError
 from camtopod.codec import Rejected
 
@@ -34,16 +34,16 @@ def form_of(beginning: bytes) -> str | None:
 def rows(
     path: str, file: BufferedReader, form: str, needed: Sequence[str] = COLUMNS
 ) -> Iterator[tuple[int, bytes | Rejected]]:
-    """Yield each row as a line of JSON, with its number (from 1).
+    """Yield each row as a line of JSON, with its number (from 1), over all sheets.
 
     Raises `InputError`, also if the package that reads the form is not installed.
     """
     try:
-        tables = _sheet(file, needed) if "Excel" in form else _batches(file, form)
+        tables = _sheets(file, needed) if "Excel" in form else _batches(file, form)
         number = 0
-        for names, first, batch in tables:
+        for names, rows_before, batch in tables:
             table = Rows(path, names, needed)
-            number = first if first is not None else number
+            number += rows_before
             for cells in batch:
                 number += 1
                 if (line := table.line(cells)) is not None:
@@ -57,8 +57,8 @@ def rows(
         raise InputError(f"{path} is {form} that cannot be read: {error}") from None
 
 
-Table = tuple[list[str], int | None, Iterator[Sequence[Any]]]
-"""Names of the columns, number of the row before (None: it goes on), rows."""
+Table = tuple[list[str], int, Iterator[Sequence[Any]]]
+"""Names of the columns, number of rows that these are in or below, rows."""
 
 
 def _batches(file: BufferedReader, form: str) -> Iterator[Table]:
@@ -77,7 +77,7 @@ def _batches(file: BufferedReader, form: str) -> Iterator[Table]:
         batches = (reader.get_batch(k) for k in range(reader.num_record_batches))
     for batch in batches:
         columns = [_plain(pyarrow, column) for column in batch.columns]
-        yield batch.schema.names, None, zip(*columns, strict=True)
+        yield batch.schema.names, 0, zip(*columns, strict=True)
 
 
 def _plain(pyarrow: Any, column: Any) -> list[Any]:
@@ -89,17 +89,22 @@ def _plain(pyarrow: Any, column: Any) -> list[Any]:
     return values
 
 
-def _sheet(file: BufferedReader, needed: Sequence[str]) -> Iterator[Table]:
-    """Yield the first sheet of a workbook that has a header, else the first one."""
+def _sheets(file: BufferedReader, needed: Sequence[str]) -> Iterator[Table]:
+    """Yield each sheet of a workbook that is such a table; if none is, the one most like it."""
     import openpyxl
 
-    book = openpyxl.load_workbook(file, read_only=True, data_only=True)
-    for sheet in (*book.worksheets, *book.worksheets[:1]):
+    likeliest: list[str] = []
+    is_table = False
+    for sheet in openpyxl.load_workbook(file, read_only=True, data_only=True).worksheets:
         values = sheet.iter_rows(values_only=True)
         for number, row in enumerate(itertools.islice(values, HEADER_ROWS_MAX), 1):
             names = ["" if cell is None else str(cell) for cell in row]
-            if len({*needed}.intersection(map(plain_name, names))) > 1:
+            likeliest = max(
+                likeliest or names, names, key=lambda names: count_needed(names, needed)
+            )
+            if count_needed(names, needed) == len(needed):
+                is_table = True
                 yield names, number, values
-                return
-    first = next(book.worksheets[0].iter_rows(values_only=True), ()) if book.worksheets else ()
-    yield ["" if cell is None else str(cell) for cell in first], 1, iter(())
+                break
+    if not is_table:
+        yield likeliest, 0, iter(())

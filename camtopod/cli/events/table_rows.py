@@ -71,7 +71,9 @@ class Rows:
         """Return a row as a line of JSON; None for one without values."""
         if len(cells) > self.count:
             return Rejected(
-                "too-long", f"{len(cells)} cells below {self.count} columns: decimal commas?"
+                "too-long",
+                f"{len(cells)} cells below {self.count} columns: decimal commas, names of rows, or "
+                "separators at the end?",
             )
         values: dict[str, object] = {}
         try:
@@ -98,6 +100,11 @@ class Rows:
 def plain_name(name: str) -> str:
     """Return the name of a column in small letters, without quotation marks."""
     return name.strip(" \t\r\"'#\ufeff").lower()
+
+
+def count_needed(names: Sequence[str], needed: Sequence[str]) -> int:
+    """Return the number of the columns that are needed among those of these names."""
+    return len({*needed}.intersection(map(plain_name, names)))
 
 
 def text_of(cell: object) -> str:

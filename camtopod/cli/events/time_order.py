@@ -12,10 +12,8 @@ from collections.abc import Callable, Iterable, Iterator
 from contextlib import closing, contextmanager
 from io import BufferedReader
 
-from camtopod.cli.events.event_lines import messages
-from camtopod.cli.events.file_forms import Readable
 from camtopod.cli.exits import CommandError
-from camtopod.codec import event_from_msgpack, stamp_of, to_msgpack
+from camtopod.codec import event_from_msgpack, to_msgpack
 from camtopod.records import Event, Kind
 
 LINES_HELD_MAX = 10_000
@@ -142,19 +140,6 @@ class Pipe:
     def _ready(self, seconds: float) -> bool:
         """Return True if something comes within ``seconds``."""
         return bool(select.select([self._file], [], [], seconds)[0])
-
-
-def count_if_ordered(path: str, file: Readable) -> int | None:
-    """Return the number of a file's lines if they are in order of time; None if they are not."""
-    newest, count = -math.inf, 0
-    for _, text in messages(path, file):
-        count += 1
-        stamp = stamp_of(text) if isinstance(text, bytes) else None
-        if stamp is not None:
-            if stamp[1] < newest:
-                return None
-            newest = stamp[1]
-    return count
 
 
 @contextmanager
