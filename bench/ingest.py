@@ -70,11 +70,11 @@ def main(argv: list[str]) -> int:
         contestants: dict[str, Callable[[], float]] = {BARE: partial(bare, folder, events)}
         for suffix, checkout in checkouts.items():
             for way, deliver in ((SPOOLS, spools), (FILE, ingest)):
+                delivery = partial(deliver, folder, checkout)
+                peak = peaks[way + suffix]
                 contestants[way + suffix] = partial(
-                    stored, folder, checkout, given.events, partial(deliver, folder, checkout)
+                    stored, folder, checkout, given.events, delivery, peak
                 )
-        for contestant in [*contestants][1:]:
-            contestants[contestant] = partial(contestants[contestant], peaks[contestant])
         costs = ratios.take_turns(contestants, given.rounds)
 
     title = f"{given.events} events of {given.cameras} cameras"
