@@ -19,7 +19,7 @@ from camtopod.cli.events.time_order import OrderedAnswers, Pipe, count_if_ordere
 from camtopod.cli.exits import InputError
 from camtopod.cli.terminal import Progress
 from camtopod.codec import to_json
-from camtopod.predict import Predictor, Walks
+from camtopod.predict import CityPredictor, CityWalks, Predictor, Walks
 from camtopod.records import Event, Kind, Match, Prediction, Topology
 
 AnswerT = TypeVar("AnswerT")
@@ -114,7 +114,7 @@ def predicting(topology: Topology) -> Callable[[list[Event]], list[Prediction | 
 
     Those of one moment become known when time has moved on.
     """
-    predictor = Predictor(topology)
+    predictor = Predictor(topology) if topology.parts is None else CityPredictor(topology)
 
     def answer(moment: list[Event]) -> list[Prediction | None]:
         answers = [predictor.predict(event) if event.kind == "exit" else None for event in moment]
@@ -130,7 +130,7 @@ def matching(topology: Topology) -> Callable[[list[Event]], list[Match | None]]:
 
     Of one moment, exits that end earlier passages count before entries.
     """
-    walks = Walks(topology)
+    walks = Walks(topology) if topology.parts is None else CityWalks(topology)
 
     def answer(moment: list[Event]) -> list[Match | None]:
         entry_tracks = {(event.camera, event.track) for event in moment if event.kind == "entry"}

@@ -51,6 +51,7 @@ from camtopod.learn.association.screening import (
     PAIRS_FEW as PAIRS_FEW,
     CandidateScreen as CandidateScreen,
     FollowedSources as FollowedSources,
+    Traffic as Traffic,
     candidates_of_pairs as candidates_of_pairs,
     negative_without_overlap as negative_without_overlap,
     place as place,

@@ -1,0 +1,125 @@
+"""Likely neighbours: cameras between which objects seem to go, by a coarse look at many events.
+
+The look is that of `learn.association.screening`: for each two zones, by how much the arrivals at
+one after departures from the other exceed the null model. People come back by the zones through
+which they went, and take as long, so the excess of both directions at like lags counts together.
+Two cameras have the largest excess of their pairs of zones. Of unrelated cameras that is the
+largest of many, which Gumbel's distribution describes (Coles 2001, An Introduction to Statistical
+Modeling of Extreme Values, 3.1); its two parameters follow from two quantiles over all pairs of
+cameras, of which few are related.
+
+No joint fit is needed, whose memory grows with the city. Links of little traffic are missed.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable
+from itertools import islice, pairwise
+
+import numpy as np
+
+from camtopod.arrays import Floats, Ints, Singles
+from camtopod.event_time import microseconds
+from camtopod.learn.association import Problem, Traffic
+from camtopod.learn.camera_zones import zones_of_cameras
+from camtopod.learn.lag_range import UNSEARCHED_SECONDS
+from camtopod.learn.settings import Settings
+from camtopod.learn.traffic import label_events
+from camtopod.learn.window import Window
+from camtopod.records import Event
+from camtopod.topology import LagBins
+
+EVENTS_AT_ONCE = 10_000
+"""Events that are put into the window together."""
+ZONES_AT_ONCE = 64
+"""Zones of arrival that are looked at together."""
+CHANCE_NEIGHBOURS = 1.0
+"""Unrelated cameras that chance makes likely neighbours of a camera, on average."""
+QUANTILES = (0.5, 0.9)
+"""Quantiles over all pairs of cameras from which the distribution of unrelated ones follows."""
+
+
+def likely_neighbours(
+    events: Iterable[Event], settings: Settings | None = None
+) -> dict[tuple[str, str], float]:
+    """Return the likely neighbours, as sorted pairs of cameras, and how clear each pair is.
+
+    events: in order of time; the newest that the learner's window holds count.
+
+    A pair has its excess over the null model, in standard deviations. Zones are compared with each
+    other, which takes 3 bytes for each pair of zones.
+    """
+    settings = settings or Settings()
+    window = Window(
+        settings.window_events, settings.window_camera_events, settings.window_events_max
+    )
+    events = iter(events)
+    while batch := [(microseconds(event.t), event) for event in islice(events, EVENTS_AT_ONCE)]:
+        window.append(batch)
+        window.forget_old(batch[-1][0] - microseconds(settings.window_hours * 3600.0))
+    if not len(window):
+        return {}
+
+    scene = label_events(window, zones_of_cameras(window))
+    if not (len(scene.departures.t) and len(scene.arrivals.t)):
+        return {}
+    before, after = UNSEARCHED_SECONDS
+    problem = Problem(
+        scene.departures, scene.arrivals, LagBins(-before, after), len(scene.zones), scene.last
+    )
+    camera = np.array([zone.camera for zone in scene.zones], np.int32)
+    excess = camera_excess(problem, camera)
+    rows, columns = np.triu_indices(len(excess), 1)
+    value = excess[rows, columns]
+    if not len(value):
+        return {}
+    names = [window.cameras[number] for number in np.unique(camera).tolist()]
+    likely = np.flatnonzero(value > chance_excess(value, len(excess)))
+    return {
+        (min(pair), max(pair)): clear
+        for pair, clear in zip(
+            ((names[rows[k]], names[columns[k]]) for k in likely.tolist()),
+            value[likely].tolist(),
+            strict=True,
+        )
+    }
+
+
+def camera_excess(problem: Problem, camera: Ints) -> Singles:
+    """Return the excess over the null model of each two of the n cameras with zones, (n, n).
+
+    camera (zones,): camera of each zone, ascending.
+
+    The excess is in standard deviations: the largest, over their pairs of zones, of that in one
+    direction, and of both together where their lags are alike.
+    """
+    zones = problem.zones
+    traffic = Traffic(problem)
+    excess, peak = np.empty((zones, zones), np.float16), np.empty((zones, zones), np.int8)
+    for first in range(0, zones, ZONES_AT_ONCE):
+        targets = np.arange(first, min(first + ZONES_AT_ONCE, zones))
+        excess[:, targets], peak[:, targets] = traffic.peaks(targets)
+
+    # The largest of the zones of each two cameras; those of a camera stand side by side.
+    begin = np.flatnonzero(np.diff(camera, prepend=-1))
+    result = np.empty((len(begin), len(begin)), np.float32)
+    for row, (first, end) in enumerate(pairwise([*begin.tolist(), zones])):
+        there, back = excess[first:end].astype(np.float32), excess[:, first:end].T
+        is_alike = np.abs(peak[first:end] - peak[:, first:end].T) <= 1
+        both = np.where(is_alike, (there + back) / math.sqrt(2.0), 0.0)
+        largest = np.maximum(there, both).max(axis=0)
+        result[row] = np.maximum.reduceat(largest, begin)
+    return np.maximum(result, result.T)
+
+
+def chance_excess(values: Singles | Floats, cameras: int) -> float:
+    """Return the excess above which chance makes `CHANCE_NEIGHBOURS` neighbours of a camera.
+
+    values: excess of all pairs of ``cameras`` cameras, most of which are unrelated.
+    """
+    low, high = np.quantile(values, QUANTILES)
+    low_gumbel, high_gumbel = (-math.log(-math.log(share)) for share in QUANTILES)
+    scale = float(high - low) / (high_gumbel - low_gumbel)
+    chance = min(CHANCE_NEIGHBOURS / cameras, 0.5)
+    return float(low) + scale * (-math.log(-math.log1p(-chance)) - low_gumbel)
