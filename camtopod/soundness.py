@@ -85,19 +85,18 @@ def _shapes(topology: Topology) -> Iterator[str]:
 
 
 def _city(topology: Topology) -> Iterator[str]:
-    """Check the parts of a city, and that each of their cameras is owned by one of them."""
+    """Check the parts of a city, and that each of their cameras is in the part that owns it."""
     owners, parts = topology.owners or {}, topology.parts or []
-    sites = {part.site for part in parts}
-    if len(sites) < len(parts):
+    cameras = {part.site: {camera.id for camera in part.cameras} for part in parts}
+    if len(cameras) < len(parts):
         yield "two parts are of one site - at `$.parts`"
     for k, part in enumerate(parts):
         if part.parts is not None:
             yield f"it is a city itself - at `$.parts[{k}]`"
         for camera in part.cameras:
-            if owners.get(camera.id) not in sites:
+            if camera.id not in cameras.get(owners.get(camera.id, ""), ()):
                 yield f"no part owns {camera.id!r} - at `$.owners`"
-        for problem in problems(part):
-            yield f"{problem} of `$.parts[{k}]`"
+        yield from (f"{problem} of `$.parts[{k}]`" for problem in problems(part))
 
 
 def _is_covariance(cov: list[list[float]]) -> bool:

@@ -8,16 +8,14 @@ the same place takes its place.
 from __future__ import annotations
 
 from collections import defaultdict
-from collections.abc import Callable, Mapping, Sequence
-from typing import Any, NamedTuple
+from collections.abc import Mapping, Sequence
+from typing import NamedTuple
 
-import numpy as np
 from msgspec.structs import replace
 
-from camtopod.columns import packed
 from camtopod.learn.zones import ZoneShape, same_places
 from camtopod.records import TOPOLOGY_SCHEMA, Link, Model, Pair, Topology, Zone
-from camtopod.topology import by_name, camera_of, link_key, weak_columns, weak_links
+from camtopod.topology import camera_of, link_key, weak_columns, weak_links
 
 
 class JoinedMap(NamedTuple):
@@ -60,20 +58,19 @@ def joined_map(parts: Sequence[Topology], owners: Mapping[str, str]) -> JoinedMa
             result += [replace(link, to=name_of[link.to]) for link in inside]
             links_left_out += len(outgoing) - len(inside)
 
-    # Related cameras: across a border, as the owner of the first of the two says, else the other.
-    joined_cameras = {(camera_of(link.from_), camera_of(link.to)) for link in links}
+    # Related cameras: across a border as the owner of the first of the two says, else the other.
+    cameras = [
+        camera for part in parts for camera in part.cameras if owners[camera.id] == part.site
+    ]
+    related = {frozenset((camera_of(link.from_), camera_of(link.to))) for link in links}
     pairs: dict[tuple[str, str], Pair] = {}
     for end in (1, 0):
         pairs |= {
             pair.cameras: pair
             for part in parts
             for pair in part.pairs
-            if owners[pair.cameras[end]] == part.site
+            if owners[pair.cameras[end]] == part.site and frozenset(pair.cameras) in related
         }
-    cameras = [
-        camera for part in parts for camera in part.cameras if owners[camera.id] == part.site
-    ]
-    cameras.sort(key=lambda camera: camera.id)
     topology = Topology(
         schema=TOPOLOGY_SCHEMA,
         site="",
@@ -82,17 +79,23 @@ def joined_map(parts: Sequence[Topology], owners: Mapping[str, str]) -> JoinedMa
         as_of=max(part.as_of for part in parts),
         events=sum(part.events for part in parts),
         digest="",
-        cameras=cameras,
+        cameras=sorted(cameras, key=lambda camera: camera.id),
         zones=zones,
         links=sorted(links, key=link_key),
-        pairs=[
-            pairs[cameras]
-            for cameras in sorted(pairs)
-            if cameras in joined_cameras or cameras[::-1] in joined_cameras
-        ],
+        pairs=[pairs[key] for key in sorted(pairs)],
     )
-    model = _model(parts, owners, topology, sorted(weak, key=link_key))
-    return JoinedMap(replace(topology, model=model), zones_unmatched, links_left_out)
+    models = [part.model for part in parts if part.model is not None]
+    if models:  # the lag bins of all histograms, and the weak links
+        model = Model(
+            models[0].lag_scale,
+            models[0].lag_step,
+            min(model.lag_min for model in models),
+            max(model.lag_max for model in models),
+            b"",
+            weak_links=weak_columns(sorted(weak, key=link_key), zones),
+        )
+        topology = replace(topology, model=model)
+    return JoinedMap(topology, zones_unmatched, links_left_out)
 
 
 def zone_names(
@@ -118,43 +121,3 @@ def _shape(zone: Zone) -> ZoneShape:
     """Return a zone's place; the one zone of a camera without positions is in a corner."""
     (xx, xy), (yx, yy) = zone.cov or ((0.0, 0.0), (0.0, 0.0))
     return ZoneShape(0, zone.x or 0.0, zone.y or 0.0, ((xx, xy), (yx, yy)), 0.0)
-
-
-def _model(
-    parts: Sequence[Topology], owners: Mapping[str, str], city: Topology, weak: Sequence[Link]
-) -> Model | None:
-    """Return what maps show of the parts' models; None if they have none.
-
-    city: the map.
-    weak: its weak links.
-    """
-    models = [(part, part.model) for part in parts if part.model is not None]
-    if not models:
-        return None
-
-    def column(field: str, kind: type[Any], ids_of: Callable[[Topology], list[str]]) -> bytes:
-        """Return a column of the models with the figure of each owner."""
-        figures: dict[str, Any] = {}
-        for part, model in models:
-            of_part = by_name(ids_of(part), getattr(model, field), kind)
-            figures |= {k: v for k, v in of_part.items() if owners[camera_of(k)] == part.site}
-        return packed([figures.get(name, 0) for name in ids_of(city)], kind)
-
-    return Model(
-        models[0][1].lag_scale,
-        models[0][1].lag_step,
-        min(model.lag_min for _, model in models),
-        max(model.lag_max for _, model in models),
-        column("departures", np.int32, _zone_ids),
-        column("arrival_rate", np.float32, _zone_ids),
-        last_event=column("last_event", np.float64, _camera_ids),
-        weak_links=weak_columns(weak, city.zones),
-    )
-
-
-def _zone_ids(topology: Topology) -> list[str]:
-    return [zone.id for zone in topology.zones]
-
-
-def _camera_ids(topology: Topology) -> list[str]:
-    return [camera.id for camera in topology.cameras]

@@ -14,8 +14,9 @@ import msgspec
 from msgspec.structs import replace
 
 from camtopod.city.joined_map import JoinedMap, joined_map
-from camtopod.config import Districts, owners_of
+from camtopod.config import District, Districts, owners_of
 from camtopod.records import Topology
+from camtopod.words import counted
 
 EPOCH_DIGITS = 16
 """Digits of the digest that are the epoch of a city."""
@@ -59,36 +60,32 @@ def digest_of(parts: Sequence[Topology], owners: dict[str, str]) -> str:
 def problems(parts: Sequence[Topology], districts: Districts) -> Iterator[str]:
     """Yield a sentence for each reason why topologies are not the parts of one city."""
     owners = owners_of(districts)
-    part_of = {part.site: part for part in parts}
-    for site, count in Counter(part.site for part in parts).items():
-        if count > 1:
-            yield f"{count} topologies are of the district {site}"
-        if site not in districts:
-            yield f"no district is called {site}, as the site of a topology is"
-    for site in sorted(districts.keys() - part_of.keys()):
-        yield f"the topology of the district {site} is missing"
+    sites = Counter(part.site for part in parts)
+    cameras = {part.site: {camera.id for camera in part.cameras} for part in parts}
+    for site in sorted(districts.keys() | sites.keys()):
+        if sites[site] != 1 or site not in districts:
+            topologies = counted(sites[site], "topology", "topologies")
+            districts_count = counted(int(site in districts), "district")
+            yield f"of the site {site} there are {topologies} and {districts_count}: one of each"
     scales = {(part.model.lag_scale, part.model.lag_step) for part in parts if part.model}
     if len(scales) > 1:
         yield "the topologies have lag bins of different scales: learn all by one camtopod"
-
-    # Cameras: each has one owner, and those beyond a border are heard.
-    for site in sorted(part_of.keys() & districts.keys()):
-        part, district = part_of[site], districts[site]
-        cameras = {camera.id for camera in part.cameras}
+    for part in parts:
         if part.parts is not None:
-            yield f"the topology of {site} is a city itself"
-        for camera in sorted(cameras - {*district.cameras, *district.hears}):
+            yield f"the topology of {part.site} is a city itself"
+
+        # Cameras: each has one owner, and those beyond a border are heard.
+        district = districts.get(part.site, District())
+        for camera in sorted(cameras[part.site] - {*district.cameras, *district.hears}):
             owner = owners.get(camera)
-            yield (
-                f"{site} has a camera {camera}, which no district owns"
-                if owner is None
-                else f"{site} has a camera {camera}, which is {owner}'s and which {site} does not "
-                "hear: a name is one camera's"
+            yield f"{part.site} has a camera {camera}, which " + (
+                f"is {owner}'s and which {part.site} does not hear: a name is one camera's"
+                if owner
+                else "no district owns"
             )
-        for camera in sorted({*district.hears} - cameras):
-            owner_part = part_of.get(owners[camera])
-            if owner_part and any(camera == item.id for item in owner_part.cameras):
+        for camera in sorted({*district.hears} - cameras[part.site]):
+            if camera in cameras.get(owners[camera], ()):
                 yield (
-                    f"{site} has not learned from {camera} of {owners[camera]}, which it should "
-                    "hear: this side of the border is missing"
+                    f"{part.site} has not learned from {camera} of {owners[camera]}, which it "
+                    "should hear: this side of the border is missing"
                 )

@@ -58,32 +58,20 @@ def likely_neighbours(
     while batch := [(microseconds(event.t), event) for event in islice(events, EVENTS_AT_ONCE)]:
         window.append(batch)
         window.forget_old(batch[-1][0] - microseconds(settings.window_hours * 3600.0))
-    if not len(window):
+    scene = label_events(window, zones_of_cameras(window)) if len(window) else None
+    if scene is None or not (len(scene.departures.t) and len(scene.arrivals.t)):
         return {}
 
-    scene = label_events(window, zones_of_cameras(window))
-    if not (len(scene.departures.t) and len(scene.arrivals.t)):
-        return {}
     before, after = UNSEARCHED_SECONDS
     problem = Problem(
         scene.departures, scene.arrivals, LagBins(-before, after), len(scene.zones), scene.last
     )
     camera = np.array([zone.camera for zone in scene.zones], np.int32)
     excess = camera_excess(problem, camera)
-    rows, columns = np.triu_indices(len(excess), 1)
-    value = excess[rows, columns]
-    if not len(value):
-        return {}
+    above = np.triu(excess > chance_excess(excess[np.triu_indices_from(excess, 1)]), 1)
     names = [window.cameras[number] for number in np.unique(camera).tolist()]
-    likely = np.flatnonzero(value > chance_excess(value, len(excess)))
-    return {
-        (min(pair), max(pair)): clear
-        for pair, clear in zip(
-            ((names[rows[k]], names[columns[k]]) for k in likely.tolist()),
-            value[likely].tolist(),
-            strict=True,
-        )
-    }
+    pairs = {(names[a], names[b]): float(excess[a, b]) for a, b in np.argwhere(above).tolist()}
+    return {(min(pair), max(pair)): clear for pair, clear in pairs.items()}
 
 
 def camera_excess(problem: Problem, camera: Ints) -> Singles:
@@ -113,13 +101,15 @@ def camera_excess(problem: Problem, camera: Ints) -> Singles:
     return np.maximum(result, result.T)
 
 
-def chance_excess(values: Singles | Floats, cameras: int) -> float:
+def chance_excess(values: Singles | Floats) -> float:
     """Return the excess above which chance makes `CHANCE_NEIGHBOURS` neighbours of a camera.
 
-    values: excess of all pairs of ``cameras`` cameras, most of which are unrelated.
+    values: excess of all pairs of cameras, most of which are unrelated; infinite without any.
     """
+    if not len(values):
+        return math.inf
     low, high = np.quantile(values, QUANTILES)
     low_gumbel, high_gumbel = (-math.log(-math.log(share)) for share in QUANTILES)
-    scale = float(high - low) / (high_gumbel - low_gumbel)
-    chance = min(CHANCE_NEIGHBOURS / cameras, 0.5)
-    return float(low) + scale * (-math.log(-math.log1p(-chance)) - low_gumbel)
+    cameras = math.sqrt(2.0 * len(values))  # or half a camera less
+    gumbel = -math.log(-math.log1p(-min(CHANCE_NEIGHBOURS / cameras, 0.5)))
+    return float(low + (high - low) * (gumbel - low_gumbel) / (high_gumbel - low_gumbel))

@@ -12,6 +12,7 @@ from __future__ import annotations
 
 import json
 import re
+from collections import defaultdict
 from collections.abc import Iterable, Iterator, Mapping
 from pathlib import Path
 
@@ -44,16 +45,16 @@ def with_borders(owners: Mapping[str, str], neighbours: Iterable[tuple[str, str]
     owners: district by camera.
     neighbours: pairs of cameras; pairs of a camera that has no owner do not count.
     """
-    cameras: dict[str, set[str]] = {name: set() for name in sorted(set(owners.values()))}
-    hears: dict[str, set[str]] = {name: set() for name in cameras}
+    cameras, hears = defaultdict[str, set[str]](set), defaultdict[str, set[str]](set)
     for camera, owner in owners.items():
         cameras[owner].add(camera)
-    for a, b in neighbours:
-        if a in owners and b in owners and owners[a] != owners[b]:
-            hears[owners[a]].add(b)
-            hears[owners[b]].add(a)
+    for pair in neighbours:
+        for camera, other in (pair, pair[::-1]):
+            if {camera, other} <= owners.keys() and owners[camera] != owners[other]:
+                hears[owners[camera]].add(other)
     return {
-        name: District(tuple(sorted(cameras[name])), tuple(sorted(hears[name]))) for name in cameras
+        name: District(tuple(sorted(cameras[name])), tuple(sorted(hears[name])))
+        for name in sorted(cameras)
     }
 
 
@@ -67,18 +68,15 @@ def load(path: Path, raw: bytes | None = None) -> Districts:
 
     Raises `ConfigError` with every mistake, and `OSError` if the file cannot be read.
     """
-    return parse(text_of(path, raw), str(path))
+    try:
+        return parse(text_of(path, raw), str(path))
+    except RecursionError:  # of the parser, or of what reads its tables
+        message = "tables or arrays are nested too deeply"
+        raise ConfigError(str(path), [Mistake(1, message)]) from None
 
 
 def parse(text: str, name: str = "districts") -> Districts:
     """Return the districts in ``text``; raise `ConfigError`, which calls the file ``name``."""
-    try:
-        return _parse(text, name)
-    except RecursionError:  # of the parser, or of what reads its tables
-        raise ConfigError(name, [Mistake(1, "tables or arrays are nested too deeply")]) from None
-
-
-def _parse(text: str, name: str) -> Districts:
     data, text, problems = syntax(text.replace("\r\n", "\n"))
     reader = TableReader({}, key_lines(text))
     tables = data.pop("districts", {})

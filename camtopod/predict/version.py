@@ -67,7 +67,7 @@ class PreparedVersion:
 
     def __init__(self, topology: Topology) -> None:
         """Prepare a topology. Raises ValueError for a city, whose parts predict."""
-        if topology.parts is not None:
+        if topology.parts:
             raise ValueError("the topology is a city, which has parts: CityPredictor asks them")
         model = model_of(topology)
         self.number = topology.version

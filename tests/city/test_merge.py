@@ -38,12 +38,20 @@ def test_the_digest_tells_parts_and_owners_apart() -> None:
 @pytest.mark.parametrize(
     ("parts", "districts", "sentence"),
     [
-        ([NORTH], DISTRICTS, "the topology of the district south is missing"),
-        ([NORTH, SOUTH, SOUTH], DISTRICTS, "2 topologies are of the district south"),
         (
-            [NORTH, SOUTH, replace(SOUTH, site="east")],
+            [NORTH],
             DISTRICTS,
-            "no district is called east, as the site of a topology is",
+            "of the site south there are 0 topologies and 1 district: one of each",
+        ),
+        (
+            [SOUTH, NORTH, SOUTH],
+            DISTRICTS,
+            "of the site south there are 2 topologies and 1 district: one of each",
+        ),
+        (
+            [NORTH, SOUTH, replace(SOUTH, site="east", cameras=[])],
+            DISTRICTS,
+            "of the site east there are 1 topology and 0 districts: one of each",
         ),
         (
             [NORTH, SOUTH],
@@ -90,6 +98,7 @@ def city() -> Topology:
     [
         (replace(city(), parts=[NORTH, NORTH]), "two parts are of one site"),
         (replace(city(), owners={}), "no part owns 'cam0000'"),
+        (replace(city(), owners={**OWNERS, "cam0000": "south"}), "no part owns 'cam0000'"),
         (replace(city(), parts=[NORTH, replace(SOUTH, parts=[NORTH])]), "it is a city itself"),
         (
             replace(city(), parts=[NORTH, replace(SOUTH, zones=[])]),

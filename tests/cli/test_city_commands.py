@@ -157,7 +157,7 @@ def test_a_city_is_scored(city: Path, capsys: pytest.CaptureFixture[str]) -> Non
 def test_what_is_no_city_is_refused(city: Path, capsys: pytest.CaptureFixture[str]) -> None:
     arguments = ["merge", "north.json", "--districts", "districts.toml"]
     assert main(arguments) == 1
-    assert "the topology of the district south is missing" in capsys.readouterr().err
+    assert "of the site south there are 0 topologies" in capsys.readouterr().err
 
     (city / "south.json").write_text('{"schema": "camtopod/topology/9"}')
     assert main(["merge", "north.json", "south.json", "--districts", "districts.toml"]) == 66

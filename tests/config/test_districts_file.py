@@ -89,6 +89,9 @@ def test_every_mistake_is_told_with_its_line(before: str, after: str, mistakes: 
 @pytest.mark.parametrize(
     "text", ["", "[sites.a]\n", "districts = 7\n", "[districts.a]\nx = " + "[" * 5000]
 )
-def test_what_has_no_districts_is_a_mistake(text: str) -> None:
-    with pytest.raises(ConfigError):
-        districts_file.parse(text)
+def test_what_has_no_districts_is_a_mistake(text: str, tmp_path: Path) -> None:
+    path = tmp_path / "districts.toml"
+    path.write_text(text)
+
+    with pytest.raises(ConfigError, match=r"districts.toml:\d+: "):
+        districts_file.load(path)

@@ -114,7 +114,7 @@ def predicting(topology: Topology) -> Callable[[list[Event]], list[Prediction | 
 
     Those of one moment become known when time has moved on.
     """
-    predictor = Predictor(topology) if topology.parts is None else CityPredictor(topology)
+    predictor = CityPredictor(topology) if topology.parts else Predictor(topology)
 
     def answer(moment: list[Event]) -> list[Prediction | None]:
         answers = [predictor.predict(event) if event.kind == "exit" else None for event in moment]
@@ -130,7 +130,7 @@ def matching(topology: Topology) -> Callable[[list[Event]], list[Match | None]]:
 
     Of one moment, exits that end earlier passages count before entries.
     """
-    walks = Walks(topology) if topology.parts is None else CityWalks(topology)
+    walks = CityWalks(topology) if topology.parts else Walks(topology)
 
     def answer(moment: list[Event]) -> list[Match | None]:
         entry_tracks = {(event.camera, event.track) for event in moment if event.kind == "entry"}
