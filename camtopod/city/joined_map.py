@@ -53,23 +53,23 @@ def joined_map(parts: Sequence[Topology], owners: Mapping[str, str]) -> JoinedMa
         name_of = zone_names(part, owners, zones_of)
         zones_unmatched += len(part.zones) - len(name_of)
         for result, part_links in ((links, part.links), (weak, weak_links(part))):
-            outgoing = [link for link in part_links if owners[camera_of(link.from_)] == part.site]
-            inside = [link for link in outgoing if link.to in name_of]
-            result += [replace(link, to=name_of[link.to]) for link in inside]
-            links_left_out += len(outgoing) - len(inside)
+            own_links = [link for link in part_links if owners[camera_of(link.from_)] == part.site]
+            inner_links = [link for link in own_links if link.to in name_of]
+            result += [replace(link, to=name_of[link.to]) for link in inner_links]
+            links_left_out += len(own_links) - len(inner_links)
 
     # Related cameras: across a border as the owner of the first of the two says, else the other.
     cameras = [
         camera for part in parts for camera in part.cameras if owners[camera.id] == part.site
     ]
-    related = {frozenset((camera_of(link.from_), camera_of(link.to))) for link in links}
+    related_cameras = {frozenset((camera_of(link.from_), camera_of(link.to))) for link in links}
     pairs: dict[tuple[str, str], Pair] = {}
     for end in (1, 0):
         pairs |= {
             pair.cameras: pair
             for part in parts
             for pair in part.pairs
-            if owners[pair.cameras[end]] == part.site and frozenset(pair.cameras) in related
+            if owners[pair.cameras[end]] == part.site and frozenset(pair.cameras) in related_cameras
         }
     topology = Topology(
         schema=TOPOLOGY_SCHEMA,

@@ -71,7 +71,7 @@ def likely_neighbours(
     above = np.triu(excess > chance_excess(excess[np.triu_indices_from(excess, 1)]), 1)
     names = [window.cameras[number] for number in np.unique(camera).tolist()]
     pairs = {(names[a], names[b]): float(excess[a, b]) for a, b in np.argwhere(above).tolist()}
-    return {(min(pair), max(pair)): clear for pair, clear in pairs.items()}
+    return {(min(pair), max(pair)): value for pair, value in pairs.items()}
 
 
 def camera_excess(problem: Problem, camera: Ints) -> Singles:
@@ -87,16 +87,17 @@ def camera_excess(problem: Problem, camera: Ints) -> Singles:
     excess, peak = np.empty((zones, zones), np.float16), np.empty((zones, zones), np.int8)
     for first in range(0, zones, ZONES_AT_ONCE):
         targets = np.arange(first, min(first + ZONES_AT_ONCE, zones))
-        excess[:, targets], peak[:, targets] = traffic.peaks(targets)
+        above, peak[:, targets] = traffic.peaks(targets)
+        excess[:, targets] = np.minimum(above, np.finfo(np.float16).max)
 
     # The largest of the zones of each two cameras; those of a camera stand side by side.
     begin = np.flatnonzero(np.diff(camera, prepend=-1))
     result = np.empty((len(begin), len(begin)), np.float32)
     for row, (first, end) in enumerate(pairwise([*begin.tolist(), zones])):
-        there, back = excess[first:end].astype(np.float32), excess[:, first:end].T
+        forward, backward = excess[first:end].astype(np.float32), excess[:, first:end].T
         is_alike = np.abs(peak[first:end] - peak[:, first:end].T) <= 1
-        both = np.where(is_alike, (there + back) / math.sqrt(2.0), 0.0)
-        largest = np.maximum(there, both).max(axis=0)
+        two_way = np.where(is_alike, (forward + backward) / math.sqrt(2.0), 0.0)
+        largest = np.maximum(forward, two_way).max(axis=0)
         result[row] = np.maximum.reduceat(largest, begin)
     return np.maximum(result, result.T)
 

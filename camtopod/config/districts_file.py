@@ -117,7 +117,7 @@ def mistakes(districts: Districts) -> Iterator[tuple[Keys, str]]:
                 )
 
     # Borders have two sides.
-    heard = {
+    heard_sites = {
         name: {owners.get(camera, "") for camera in district.hears}
         for name, district in districts.items()
     }
@@ -129,7 +129,7 @@ def mistakes(districts: Districts) -> Iterator[tuple[Keys, str]]:
                 yield place, f"no district owns {camera}"
             elif owner == name:
                 yield place, f"{camera} is its own"
-            elif name not in heard[owner]:
+            elif name not in heard_sites[owner]:
                 yield place, f"it hears {camera} of {owner}, which hears no camera of {name}"
 
 

@@ -103,12 +103,13 @@ def run(args: argparse.Namespace) -> None:
     with open_output(args.out) as file:
         file.write(districts_file.to_toml(districts).encode())
     crossing = sum(number for (a, b), number in passages.items() if owners[a] != owners[b])
+    share = crossing / max(sum(passages.values()), 1e-9)
     largest = max(len(district.cameras) for district in districts.values())
-    listening = sum(len(district.hears) for district in districts.values())
+    heard_count = sum(len(district.hears) for district in districts.values())
     print(
         f"camtopod: {counted(len(districts), 'district')} of up to {counted(largest, 'camera')}, "
-        f"which hear {listening} of others; {crossing / max(sum(passages.values()), 1e-9):.1%} of "
-        "what passes goes from one to another",
+        f"which hear {heard_count} of others; {share:.1%} of what "
+        "passes goes from one to another",
         file=sys.stderr,
     )
 
