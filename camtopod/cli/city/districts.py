@@ -25,7 +25,7 @@ from camtopod.config import districts_file, with_borders
 from camtopod.records import CameraId, Event, Topology
 from camtopod.topology import camera_of, likely_links, links_between_views
 
-CAMERAS_MAX = 50
+CAMERAS_MAX = 25
 """Most cameras of a district, by default (deploy/large.md has the measurements)."""
 CAMERAS_MAX_MIN = 10
 """Least value of --cameras-max: smaller districts would mostly hear the cameras of others."""
@@ -48,7 +48,7 @@ def add_parser(add: Any) -> None:
         description="Cuts a city into districts, each of which is a site with a learner of its "
         "own: connected groups of cameras between which few objects pass. A district hears its "
         "own cameras and their neighbours in other districts.",
-        epilog="example: camtopod districts events.jsonl --cameras-max 50 --out districts.toml",
+        epilog="example: camtopod districts events.jsonl --cameras-max 25 --out districts.toml",
     )
     parser.add_argument(
         "source",
