@@ -4,6 +4,7 @@ An event is an entry into the view of a camera, or an exit. Of a recording:
 
     topology = camtopod.learn_topology(events)     # or camtopod.load_topology(path)
     camtopod.Predictor(topology).predict(exit)     # where the object appears next: a Prediction
+    camtopod.CityPredictor(city).predict(exit)     # of a city that `camtopod merge` has made
     camtopod.Gate(topology).affinity(exits, entries)  # which exit and entry are of one object
 
 Of a running daemon, `connect` gives a `Site`; `Learner` learns from a stream. Each name is loaded
@@ -12,8 +13,9 @@ when it is first asked for, so programs that only predict do without SciPy.
 The packages: `records` has the public data types, and `codec` reads and writes them. `learn` fits a
 topology to events; `predict` says in which camera an object appears next; `serve` runs both as a
 daemon on a message bus; `vision` makes events of video, `adapt` of other programs' output; `client`
-is for programs that use the results. `cli` holds the commands, `config` the settings, `keys` the
-access rules, `web` the page and reports, `export` other formats, and `sim` simulated sites.
+is for programs that use the results. `city` joins many sites. `cli` holds the commands, `config`
+the settings, `keys` the access rules, `web` the page and reports, `export` other formats, and `sim`
+simulated sites.
 """
 
 from typing import TYPE_CHECKING
@@ -23,7 +25,7 @@ if TYPE_CHECKING:
     from camtopod.codec import load_topology
     from camtopod.learn.learner import Learner
     from camtopod.learn.recording import learn_topology
-    from camtopod.predict import Predictor
+    from camtopod.predict import CityPredictor, Predictor
     from camtopod.records import Event, Prediction, Topology
 else:
     _HOMES = {
@@ -31,7 +33,7 @@ else:
         "camtopod.codec": ("load_topology",),
         "camtopod.learn.learner": ("Learner",),
         "camtopod.learn.recording": ("learn_topology",),
-        "camtopod.predict": ("Predictor",),
+        "camtopod.predict": ("CityPredictor", "Predictor"),
         "camtopod.records": ("Event", "Prediction", "Topology"),
     }
 
@@ -49,6 +51,7 @@ else:
 
 __version__ = "0.2.0"
 __all__ = [
+    "CityPredictor",
     "Event",
     "Gate",
     "Learner",

@@ -24,6 +24,7 @@ def problems(topology: Topology) -> Iterator[str]:
     yield from _unknown(topology)
     yield from _repeated(topology)
     yield from _shapes(topology)
+    yield from _city(topology)
     if topology.model is not None:
         yield from _histograms(topology, topology.model)
         model, zones, cameras = topology.model, topology.zones, topology.cameras
@@ -81,6 +82,21 @@ def _shapes(topology: Topology) -> Iterator[str]:
     for k, pair in enumerate(topology.pairs):
         if pair.cameras[0] >= pair.cameras[1]:
             yield f"the cameras are not two, sorted - at `$.pairs[{k}].cameras`"
+
+
+def _city(topology: Topology) -> Iterator[str]:
+    """Check the parts of a city, and that each of their cameras is in the part that owns it."""
+    owners, parts = topology.owners or {}, topology.parts or []
+    cameras = {part.site: {camera.id for camera in part.cameras} for part in parts}
+    if len(cameras) < len(parts):
+        yield "two parts are of one site - at `$.parts`"
+    for k, part in enumerate(parts):
+        if part.parts is not None:
+            yield f"it is a city itself - at `$.parts[{k}]`"
+        for camera in part.cameras:
+            if camera.id not in cameras.get(owners.get(camera.id, ""), ()):
+                yield f"no part owns {camera.id!r} - at `$.owners`"
+        yield from (f"{problem} of `$.parts[{k}]`" for problem in problems(part))
 
 
 def _is_covariance(cov: list[list[float]]) -> bool:

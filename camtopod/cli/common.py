@@ -20,7 +20,15 @@ from msgspec.structs import replace
 from camtopod import codec, files
 from camtopod.cli import exits
 from camtopod.cli.exits import CommandError, InputError
-from camtopod.config import Config, ConfigError, StateSettings, config_file, secret_files
+from camtopod.config import (
+    Config,
+    ConfigError,
+    Districts,
+    StateSettings,
+    config_file,
+    districts_file,
+    secret_files,
+)
 from camtopod.records import Topology
 from camtopod.redact import redact
 from camtopod.serve.runtime import Progress, systemd
@@ -96,6 +104,14 @@ def topology_of(path: str) -> Topology:
         return codec.decode_topology(raw)
     except codec.Rejected as error:
         raise InputError(f"{path} is not a topology: {error}") from None
+
+
+def districts_of(path: Path) -> Districts:
+    """Return the districts of a file. Raises `OSError`, `CommandError`."""
+    try:
+        return districts_file.load(path)
+    except ConfigError as error:
+        raise CommandError(f"the districts have mistakes:\n{error}", exits.CONFIG) from None
 
 
 def camera_id(text: str) -> str:

@@ -1,11 +1,10 @@
 """Console script: find the command, import only its module, turn expected errors into exit
 statuses.
 
-A command is a module, ``camtopod.cli.commands.NAME`` or, of `OPERATOR`,
-``camtopod.cli.operator.NAME``, with two functions. ``add_parser(add)`` calls ``add(...)``, which
-makes the command's parser, once, and adds the command's own arguments; it returns the parsers of
-its own subcommands, if it has any. ``run(args)`` does the work and returns the exit status, or None
-for 0.
+A command is a module, ``camtopod.cli.commands.NAME`` or in one of `FOLDERS`, with two functions.
+``add_parser(add)`` calls ``add(...)``, which makes the command's parser, once, and adds the
+command's own arguments; it returns the parsers of its own subcommands, if it has any. ``run(args)``
+does the work and returns the exit status, or None for 0.
 
 The common options are added here, before and after the command's name, and arrive as
 ``args.config`` (path or None; without --config the first of `PLACES`), ``args.site`` (str or
@@ -47,6 +46,8 @@ COMMANDS = {
     "run": "run the daemon: learn the topology from events on the bus and predict",
     "learn": "learn the topology from recorded event lines",
     "predict": "predict for each recorded exit where the object appears next",
+    "districts": "cut a city into districts, each of which is a site",
+    "merge": "make one topology of those of a city's districts",
     "score": "score a topology by the identities of a recording",
     "simulate": "simulate a camera network: event lines and their ground truth",
     "watch": "show cameras, topology and predictions live in the terminal",
@@ -65,8 +66,8 @@ COMMANDS = {
 }
 """Command -> one-line summary for --help."""
 
-OPERATOR = ("forget", "rename", "reset")
-"""The commands that change a site by hand."""
+FOLDERS = {"operator": ("forget", "rename", "reset"), "city": ("districts", "merge")}
+"""Commands that are not in `camtopod.cli.commands`, by their folder."""
 PLACES = (Path("camtopod.toml"), Path("/etc/camtopod/camtopod.toml"))
 """Files that are read without --config; the first one that exists."""
 LOG_FORMATS = ("text", "logfmt", "json")
@@ -287,7 +288,8 @@ def parser_of(whole: Collection[str]) -> tuple[argparse.ArgumentParser, dict[str
 
 def _module(command: str) -> str:
     """Return the name of the command's module."""
-    return f"camtopod.cli.{'operator' if command in OPERATOR else 'commands'}.{command}"
+    folders = [folder for folder, names in FOLDERS.items() if command in names]
+    return f"camtopod.cli.{[*folders, 'commands'][0]}.{command}"
 
 
 def _command_in(arguments: list[str]) -> str | None:

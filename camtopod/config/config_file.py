@@ -34,6 +34,11 @@ def load(path: Path, raw: bytes | None = None) -> Config:
 
     raw: content of the file, if it was read before.
     """
+    return _with_absolute_paths(path.parent, parse(text_of(path, raw), str(path)))
+
+
+def text_of(path: Path, raw: bytes | None = None) -> str:
+    """Return the text of a file; raises and ``raw`` as for `load`."""
     if raw is None:
         raw = path.read_bytes()
     try:
@@ -41,7 +46,7 @@ def load(path: Path, raw: bytes | None = None) -> Config:
     except UnicodeDecodeError as error:
         line = raw.count(b"\n", 0, error.start) + 1
         raise ConfigError(str(path), [Mistake(line, "the file is not UTF-8")]) from None
-    return _with_absolute_paths(path.parent, parse(text, str(path)))
+    return text
 
 
 def parse(text: str, name: str = "configuration") -> Config:

@@ -9,10 +9,11 @@ two opinions) and
 by which `reporting` tells the cameras that are silent. `zone_lookup` finds the zone of an event,
 and `hand_over` the other cameras that see the object at the exit. `walks` tells which passages are
 of one object, by the outlook from each exit; from both follows how many objects are `between`
-cameras.
+cameras. `city` asks the predictor, or the walks, of the district that owns a camera.
 """
 
 from camtopod.predict.between import BetweenCameras as BetweenCameras
+from camtopod.predict.city import CityPredictor as CityPredictor, CityWalks as CityWalks
 from camtopod.predict.outlook import (
     Departure as Departure,
     Outlook as Outlook,

@@ -66,6 +66,9 @@ class PreparedVersion:
     """
 
     def __init__(self, topology: Topology) -> None:
+        """Prepare a topology. Raises ValueError for a city, whose parts predict."""
+        if topology.parts:
+            raise ValueError("the topology is a city, which has parts: CityPredictor asks them")
         model = model_of(topology)
         self.number = topology.version
         self.as_of = topology.as_of

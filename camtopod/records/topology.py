@@ -224,6 +224,11 @@ class Topology(_OfVersion, frozen=True, omit_defaults=True):
     ``digest`` is over the content, without site, epoch and version. ``alarms`` are the newest of
     the epoch, oldest first. ``evidence``: before the first link between views, the share of its
     evidence that is there, which does not fall; None after it.
+
+    A *city* (`camtopod.city.merge`) has the topologies of its districts in ``parts``, whole, and by
+    camera the site of the district that owns it in ``owners``. Its own cameras, zones, links and
+    pairs are the map of all parts together; it has no figures for prediction
+    (`camtopod.predict.CityPredictor` asks the parts), and its ``digest`` is over theirs.
     """
 
     cameras: list[Camera]
@@ -234,6 +239,8 @@ class Topology(_OfVersion, frozen=True, omit_defaults=True):
     alarms: list[Alarm] | None = None
     score: SelfScore | None = None
     evidence: Share | None = None
+    parts: list[Topology] | None = None
+    owners: dict[CameraId, str] | None = None
 
     def __post_init__(self) -> None:
         if self.schema != TOPOLOGY_SCHEMA:

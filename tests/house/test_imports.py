@@ -50,7 +50,7 @@ FLOORS = (
     "vision",
     "vision.show",
     "config",
-    "keys",
+    "keys city",
     "serve.runtime",
     "serve.bus serve.storage",
     "serve.outbox",
@@ -62,7 +62,7 @@ FLOORS = (
     "cli.terminal",
     "cli.common",
     "cli.events cli.generated cli.cameras",
-    "cli.commands cli.operator",
+    "cli.commands cli.operator cli.city",
     "cli",
     "__main__",
 )
@@ -83,6 +83,7 @@ HOMES = {
     "starlette": ("web.app", "web.api", "web.guards", "web.login"),
     "uvicorn": ("web.app", "web.connections"),
     "rich": ("cli.commands.watch",),
+    "pymetis": ("city.partition",),
     "onnxruntime": ("vision.detector.engines",),
     "cv2": ("vision", "sim", "export"),
     "sqlite3": (

@@ -19,7 +19,9 @@ from camtopod.config import (
     ConfigError,
     config_file,
     detector_line,
+    districts_file,
     key_lines,
+    owners_of,
     secret_files,
     without_source,
 )
@@ -40,7 +42,8 @@ def add_parser(add: Any) -> None:
         nargs="?",
         type=Path,
         metavar="CONFIG",
-        help="the configuration file (default: that of --config, else the one that is found)",
+        help="the configuration file, or one of districts (default: that of --config, else the one "
+        "that is found)",
     )
     parser.add_argument(
         "--example",
@@ -75,6 +78,12 @@ def run(args: argparse.Namespace) -> int:
         )
     try:
         raw = path.read_bytes()
+        if districts_file.is_districts(raw):
+            districts = districts_file.load(path, raw)
+            cameras = counted(len(owners_of(districts)), "camera")
+            count = counted(len(districts), "district")
+            print(f"{path}: no mistakes; {count}, {cameras}", file=sys.stderr)
+            return exits.DONE
         config = with_options(args, config_file.load(path, raw))
     except ConfigError as error:
         print(error, file=sys.stderr)

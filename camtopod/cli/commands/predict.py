@@ -20,7 +20,7 @@ from camtopod.cli.events.time_order import OrderedAnswers, Pipe
 from camtopod.cli.exits import InputError
 from camtopod.cli.terminal import Progress
 from camtopod.codec import to_json
-from camtopod.predict import Predictor, Walks
+from camtopod.predict import CityPredictor, CityWalks, Predictor, Walks
 from camtopod.records import Event, Kind, Match, Prediction, Topology
 
 AnswerT = TypeVar("AnswerT")
@@ -117,7 +117,7 @@ def predicting(topology: Topology) -> Callable[[list[Event]], list[Prediction | 
 
     Those of one moment become known when time has moved on.
     """
-    predictor = Predictor(topology)
+    predictor = CityPredictor(topology) if topology.parts else Predictor(topology)
 
     def answer(moment: list[Event]) -> list[Prediction | None]:
         answers = [predictor.predict(event) if event.kind == "exit" else None for event in moment]
@@ -133,7 +133,7 @@ def matching(topology: Topology) -> Callable[[list[Event]], list[Match | None]]:
 
     Of one moment, exits that end earlier passages count before entries.
     """
-    walks = Walks(topology)
+    walks = CityWalks(topology) if topology.parts else Walks(topology)
 
     def answer(moment: list[Event]) -> list[Match | None]:
         entry_tracks = {(event.camera, event.track) for event in moment if event.kind == "entry"}

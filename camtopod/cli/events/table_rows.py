@@ -59,7 +59,7 @@ class Rows:
             "seq": _count,
             **dict.fromkeys(("x", "y", "clock_sd"), number),
             "label": str,
-            "identity": name_of,
+            **dict.fromkeys(("identity", "district"), name_of),
         }
         self._columns = [
             (index, name, makers[name])

@@ -28,4 +28,5 @@ from camtopod.learn.zones.zone_map import (
     ZoneMap as ZoneMap,
     find_zones as find_zones,
     refresh_zones as refresh_zones,
+    same_places as same_places,
 )

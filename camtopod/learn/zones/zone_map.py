@@ -147,18 +147,8 @@ def match_zones(
     from ``next_number`` on, or above the numbers of ``old`` if that is more, in order of their
     position (y, then x).
 
-    Old and new zones are matched by the Hungarian method, which minimises the sum of their
-    distances (`_distances`, capped just above `FAR`). Zones further apart than
-    `FAR` are not matched.
     """
-    # Match new zones with old ones.
-    number: dict[int, int] = {}
-    if old and new:
-        distance = _distances(old, new)
-        cost = np.minimum(distance, FAR + 1.0)
-        for a, b in zip(*linear_sum_assignment(cost), strict=True):
-            if distance[a, b] <= FAR:
-                number[int(b)] = old[a].number
+    number = {k: old[at].number for k, at in same_places(old, new).items()}
 
     # Number the new zones that match no old one.
     next_number = max([next_number, *(zone.number + 1 for zone in old)])
@@ -176,7 +166,21 @@ def match_zones(
     return tuple(sorted(result, key=lambda zone: zone.number)), next_number
 
 
-def _distances(old: tuple[ZoneShape, ...], new: list[ZoneShape]) -> Floats:
+def same_places(old: Sequence[ZoneShape], new: Sequence[ZoneShape]) -> dict[int, int]:
+    """Return, by index of a zone of ``new``, that of the zone of ``old`` at its place, if any.
+
+    They are matched one to one by the Hungarian method, which minimises the sum of their distances
+    (`_distances`, capped just above `FAR`). Zones further apart than `FAR` are not matched.
+    """
+    if not (old and new):
+        return {}
+    distance = _distances(old, new)
+    rows, columns = linear_sum_assignment(np.minimum(distance, FAR + 1.0))
+    near = distance[rows, columns] <= FAR
+    return dict(zip(columns[near].tolist(), rows[near].tolist(), strict=True))
+
+
+def _distances(old: Sequence[ZoneShape], new: Sequence[ZoneShape]) -> Floats:
     """Return the distance (old, new) of every old zone from every new one, in standard deviations.
 
     The distance is the root of eight times the Bhattacharyya distance. For zones of the same

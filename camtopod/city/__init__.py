@@ -1,0 +1,9 @@
+"""Cities: sites too large for one learner, cut into districts, and their maps as one.
+
+Each district is a site with a learner of its own (`camtopod.config.districts_file`).
+
+Reading order: `neighbours` finds the cameras between which objects seem to go, by a coarse look at
+events. `partition` cuts the graph of such cameras into districts where few objects pass.
+`joined_map` makes one map of the topologies of all districts, and `merge` one topology that has
+them as parts, which `camtopod.predict.CityPredictor` asks.
+"""

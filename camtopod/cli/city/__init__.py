@@ -1,0 +1,1 @@
+"""The commands of a city: where to cut it, and one topology of its districts."""

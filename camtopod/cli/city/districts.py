@@ -1,0 +1,165 @@
+"""`camtopod districts`: cut a city into districts, each of which is a site.
+
+The cut follows from the passages between cameras: those of a topology, or of a coarse look at
+recorded events. A table says where to cut instead; what is heard beyond a border follows as before.
+"""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from collections import defaultdict
+from collections.abc import Iterator
+from typing import Any
+
+from msgspec import Struct
+
+from camtopod import codec
+from camtopod.city.neighbours import likely_neighbours
+from camtopod.cli.common import configuration, counted, open_output, topology_of
+from camtopod.cli.events.event_lines import LineReader, messages, open_input
+from camtopod.cli.events.recording import Times, recorded
+from camtopod.cli.exits import CommandError, InputError
+from camtopod.codec import Rejected
+from camtopod.config import districts_file, with_borders
+from camtopod.records import CameraId, Event, Topology
+from camtopod.topology import camera_of, likely_links, links_between_views
+
+CAMERAS_MAX = 25
+"""Most cameras of a district, by default (deploy/large.md has the measurements)."""
+CAMERAS_MAX_MIN = 10
+"""Least value of --cameras-max: smaller districts would mostly hear the cameras of others."""
+TOPOLOGY_START = b'{"schema":"camtopod/topology'
+"""First bytes of a topology, without white space."""
+START_BYTES = 64
+"""Bytes at the beginning of a file that tell what it is."""
+
+
+class _Row(Struct):
+    """A row of the table of districts."""
+
+    camera: CameraId
+    district: str
+
+
+def add_parser(add: Any) -> None:
+    """Add `districts`."""
+    parser = add(
+        description="Cuts a city into districts, each of which is a site with a learner of its "
+        "own: connected groups of cameras between which few objects pass. A district hears its "
+        "own cameras and their neighbours in other districts.",
+        epilog="example: camtopod districts events.jsonl --cameras-max 25 --out districts.toml",
+    )
+    parser.add_argument(
+        "source",
+        metavar="TOPOLOGY.json|EVENTS",
+        help="topology as `camtopod learn` or `merge` writes it, or recorded event lines ('-': "
+        "standard input)",
+    )
+    parser.add_argument(
+        "--cameras-max",
+        metavar="N",
+        type=_cameras_max,
+        default=CAMERAS_MAX,
+        help=f"most cameras of a district, {CAMERAS_MAX_MIN} at least (default: {CAMERAS_MAX})",
+    )
+    parser.add_argument(
+        "--table",
+        metavar="FILE.csv",
+        help="cut by this table with the columns camera and district",
+    )
+    parser.add_argument(
+        "--out", metavar="FILE", default="-", help="write to FILE (default: standard output)"
+    )
+
+
+def _cameras_max(text: str) -> int:
+    """Parse the value of --cameras-max."""
+    if not text.isdecimal() or not text.isascii() or int(text) < CAMERAS_MAX_MIN:
+        raise argparse.ArgumentTypeError(f"{text!r} is no whole number from {CAMERAS_MAX_MIN} on")
+    return int(text)
+
+
+def run(args: argparse.Namespace) -> None:
+    """Write the districts. Raises `OSError`, `CommandError`."""
+    cameras, passages = _passages(args)
+    if not cameras:
+        raise InputError(f"there are no cameras in {args.source}: nothing to cut")
+    if args.table is not None:
+        owners = owners_in(args.table)
+    else:
+        from camtopod.city.partition import partition
+
+        try:
+            owners = partition(cameras, passages, args.cameras_max)
+        except ValueError as error:
+            raise CommandError(f"{error}; --cameras-max takes more") from None
+    if strangers := sorted({*cameras} - owners.keys()):
+        raise InputError(f"{args.table} has no district for {', '.join(strangers[:20])}")
+    districts = with_borders(owners, passages)
+    if mistakes := [text for _, text in districts_file.mistakes(districts)]:
+        raise InputError(f"{args.table}: {'; '.join(mistakes)}")
+
+    with open_output(args.out) as file:
+        file.write(districts_file.to_toml(districts).encode())
+    crossing = sum(number for (a, b), number in passages.items() if owners[a] != owners[b])
+    share = crossing / max(sum(passages.values()), 1e-9)
+    largest = max(len(district.cameras) for district in districts.values())
+    heard_count = sum(len(district.hears) for district in districts.values())
+    print(
+        f"camtopod: {counted(len(districts), 'district')} of up to {counted(largest, 'camera')}, "
+        f"which hear {heard_count} of others; {share:.1%} of what "
+        "passes goes from one to another",
+        file=sys.stderr,
+    )
+
+
+def _passages(args: argparse.Namespace) -> tuple[list[str], dict[tuple[str, str], float]]:
+    """Return the cameras of the source, and how much passes between each two; sorted."""
+    with open_input(args.source) as file:
+        start = file.peek(START_BYTES)[:START_BYTES]
+        if b"".join(start.split()).startswith(TOPOLOGY_START):
+            topology = topology_of(args.source)
+            return [camera.id for camera in topology.cameras], passages_between(topology)
+
+    reader = LineReader()
+    cameras: set[str] = set()
+
+    def events() -> Iterator[Event]:
+        for line in recorded(reader, [args.source], Times()):
+            cameras.add(line.event.camera)
+            yield line.event
+
+    passages = likely_neighbours(events(), configuration(args).learner)
+    if (summary := reader.summary()) is not None:
+        print(f"camtopod: {summary}", file=sys.stderr)
+    return sorted(cameras), passages
+
+
+def passages_between(topology: Topology) -> dict[tuple[str, str], float]:
+    """Return the expected transitions between cameras, both ways together, by sorted pair.
+
+    Links with half of their evidence count, too.
+    """
+    result: dict[tuple[str, str], float] = defaultdict(float)
+    for link in (*links_between_views(topology), *likely_links(topology)):
+        a, b = sorted((camera_of(link.from_), camera_of(link.to)))
+        if a != b:
+            result[a, b] += link.transitions
+    return dict(result)
+
+
+def owners_in(path: str) -> dict[str, str]:
+    """Return the district of each camera in a table. Raises `InputError`."""
+    owners: dict[str, str] = {}
+    with open_input(path) as file:
+        for number, line in messages(path, file, ("camera", "district")):
+            try:
+                row = line if isinstance(line, Rejected) else codec.read(_Row, line)
+            except Rejected as error:
+                row = error
+            if isinstance(row, Rejected):
+                raise InputError(f"{path}:{number}: {row}")
+            if owners.setdefault(row.camera, row.district) != row.district:
+                raise InputError(f"{path}:{number}: {row.camera} has two districts")
+    return owners

@@ -1,0 +1,78 @@
+"""Predictions and matches in a city: of each camera by the part that owns it.
+
+A part of a city (`camtopod.records.Topology.parts`) is the topology of a district, which hears its
+own cameras and those beyond its border. Each event is observed by all parts that hear its camera,
+and what is asked of a camera is answered by its owner's part alone, as that district's daemon does.
+"""
+
+from __future__ import annotations
+
+from collections import defaultdict
+
+from camtopod.predict.predictor import Predictor
+from camtopod.predict.walks import Walks
+from camtopod.records import Event, Match, Prediction, Topology
+
+
+class CityPredictor:
+    """Predicts by the parts of a city, as a `Predictor` does by one topology.
+
+        >>> from camtopod import CityPredictor, Event, load_topology
+        >>> predictor = CityPredictor(load_topology("city.json"))
+        >>> predictor.predict(Event("lobby", "exit", 1_700_000_000.0)).candidates[0].zone
+        'hall/1'
+
+    Raises ValueError for a topology that is no city.
+    """
+
+    def __init__(self, city: Topology) -> None:
+        self._hearers = hearers_of(city)
+        self._predictors = [Predictor(part) for part in city.parts or ()]
+
+    def observe(self, event: Event) -> None:
+        """Observe an event; see `Predictor.observe`."""
+        for part in self._hearers.get(event.camera, ()):
+            self._predictors[part].observe(event)
+
+    def predict(self, event: Event, now: float | None = None) -> Prediction:
+        """Return the prediction of the owner's part; see `Predictor.predict`.
+
+        For a camera that no part has, the first part answers that nothing is known.
+        """
+        owner, *_ = self._hearers.get(event.camera, (0,))
+        return self._predictors[owner].predict(event, now)
+
+
+class CityWalks:
+    """Matches by the parts of a city, as `Walks` does by one topology.
+
+    A walk is named as by the owner's part alone: by its oldest passage in a camera that this part
+    hears.
+
+    Raises ValueError for a topology that is no city.
+    """
+
+    def __init__(self, city: Topology) -> None:
+        self._hearers = hearers_of(city)
+        self._walks = [Walks(part) for part in city.parts or ()]
+
+    def observe(self, event: Event) -> Match | None:
+        """Observe an event; return the match of an entry by its owner's part, None for an exit."""
+        parts = self._hearers.get(event.camera, (0,))
+        match, *_ = [self._walks[part].observe(event) for part in parts]
+        return match
+
+
+def hearers_of(city: Topology) -> dict[str, list[int]]:
+    """Return, by camera, the numbers of the parts that hear it, its owner's first.
+
+    Raises ValueError for a topology that is no city.
+    """
+    if not city.parts:
+        raise ValueError("the topology is no city: Predictor and Walks answer for it")
+    hearers: dict[str, list[int]] = defaultdict(list)
+    for number, part in enumerate(city.parts):
+        for camera in part.cameras:
+            is_owner = (city.owners or {}).get(camera.id) == part.site
+            hearers[camera.id].insert(0 if is_owner else len(hearers[camera.id]), number)
+    return dict(hearers)
