@@ -192,9 +192,9 @@ def test_of_an_unknown_camera_nothing_is_said() -> None:
 class Site:
     """A simulated site of 12 cameras, learned from 70 % of 48 minutes; the rest is associated."""
 
-    def __init__(self) -> None:
+    def __init__(self, seed: int) -> None:
         settings = SimSettings(
-            cameras=12, hours=0.8, seed=3, objects_per_second=0.12, overlap_share=0.0
+            cameras=12, hours=0.8, seed=seed, objects_per_second=0.12, overlap_share=0.0
         )
         events, truth = simulate(settings)
         cut = int(TRAIN_SHARE * len(events))
@@ -227,16 +227,25 @@ class Site:
 
 @pytest.fixture(scope="module")
 def site() -> Site:
-    return Site()
+    return Site(3)
 
 
 def test_association_beats_the_nearest_in_time(site: Site) -> None:
-    """It beats two simple methods, each with its best cutoff.
+    """It beats two simple methods, each with its best cutoff, in the mean over two sites.
 
     It is right for at least a quarter of the exits more than the nearest in time at a linked
-    camera, and not worse than the nearest to the learned median of the link.
+    camera, and not worse than the nearest to the learned median of the link. On one site, the
+    latter is decided by an exit or two.
     """
-    found = site.share_right(Gate(site.topology).affinity(site.exits, site.entries))
+    shares = np.mean([shares_right(site), shares_right(Site(4))], axis=0)
+    association, nearest, by_median = shares.tolist()
+    assert association >= nearest + 0.25, shares
+    assert association >= by_median, shares
+
+
+def shares_right(site: Site) -> tuple[float, float, float]:
+    """Return the share of exits that are right by association and by the two simple methods."""
+    association = site.share_right(Gate(site.topology).affinity(site.exits, site.entries))
 
     pairs = {frozenset(pair.cameras) for pair in site.topology.pairs}
     linked = np.array(
@@ -254,9 +263,7 @@ def test_association_beats_the_nearest_in_time(site: Site) -> None:
     usual = np.array([[median.get((a, b), np.inf) for b in came_to] for a in left])
     off = np.abs(site.lag - usual)
     by_median = max(site.share_right(cutoff - off) for cutoff in CUTOFFS_SECONDS)
-
-    assert found >= nearest + 0.25, (found, nearest)
-    assert found >= by_median, (found, by_median)
+    return association, nearest, by_median
 
 
 def test_labels_that_differ_speak_against_one_object() -> None:
