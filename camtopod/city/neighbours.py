@@ -23,12 +23,11 @@ from camtopod.arrays import Floats, Ints, Singles
 from camtopod.event_time import microseconds
 from camtopod.learn.association import Problem, Traffic
 from camtopod.learn.camera_zones import zones_of_cameras
-from camtopod.learn.lag_range import UNSEARCHED_SECONDS
+from camtopod.learn.lag_range import find_lag_bins
 from camtopod.learn.settings import Settings
 from camtopod.learn.traffic import label_events
 from camtopod.learn.window import Window
 from camtopod.records import Event
-from camtopod.topology import LagBins
 
 EVENTS_AT_ONCE = 10_000
 """Events that are put into the window together."""
@@ -62,10 +61,9 @@ def likely_neighbours(
     if scene is None or not (len(scene.departures.t) and len(scene.arrivals.t)):
         return {}
 
-    before, after = UNSEARCHED_SECONDS
-    problem = Problem(
-        scene.departures, scene.arrivals, LagBins(-before, after), len(scene.zones), scene.last
-    )
+    no_overlap = np.zeros((len(window.cameras), len(window.cameras)), np.bool_)
+    bins = find_lag_bins(scene, no_overlap)
+    problem = Problem(scene.departures, scene.arrivals, bins, len(scene.zones), scene.last)
     camera = np.array([zone.camera for zone in scene.zones], np.int32)
     excess = camera_excess(problem, camera)
     above = np.triu(excess > chance_excess(excess[np.triu_indices_from(excess, 1)]), 1)
