@@ -10,6 +10,7 @@ from pathlib import Path
 
 import pytest
 from fake_bus_daemon import LearnedDaemon
+from msgspec.structs import replace
 
 import camtopod
 from camtopod.codec import to_json
@@ -25,13 +26,19 @@ def examples(name: str) -> list[doctest.DocTest]:
 
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Return a folder with the topology that the example of `learn_topology` learns."""
+    """Return a folder with the topology that the example of `learn_topology` learns.
+
+    With it is a city of which that is the only part.
+    """
     path = tmp_path_factory.mktemp("front")
     [example] = examples("learn_topology")
     run = "".join(one.source for one in example.examples)
-    names: dict[str, object] = {}
+    names: dict[str, camtopod.Topology] = {}
     exec(f"{run}\ntopology = learn_topology(events)", names)
-    (path / "topology.json").write_bytes(to_json(names["topology"]))
+    topology = names["topology"]
+    owners = {camera.id: topology.site for camera in topology.cameras}
+    (path / "topology.json").write_bytes(to_json(topology))
+    (path / "city.json").write_bytes(to_json(replace(topology, parts=[topology], owners=owners)))
     return path
 
 
