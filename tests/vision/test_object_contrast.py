@@ -35,6 +35,12 @@ def test_the_fainter_objects_are_the_less_is_enough_within_bounds() -> None:
     assert CONTRAST_SHARE_MIN < seen(ObjectContrast(), 80, 1.0) < 1.0
 
 
+def test_what_the_setting_makes_up_for_is_not_made_up_for_again() -> None:
+    assert seen(ObjectContrast(sensitivity=2.0), 50, 1.0) == 1.0
+    assert seen(ObjectContrast(sensitivity=2.0), 30, 1.0) < 1.0
+    assert seen(ObjectContrast(sensitivity=0.5), 100, 1.0) == 1.0
+
+
 def test_a_clear_picture_is_noticed_at_once_and_haze_after_a_minute_of_objects() -> None:
     contrast = ObjectContrast()
     assert seen(contrast, 150, 60.0) == 1.0

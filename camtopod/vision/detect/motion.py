@@ -145,7 +145,7 @@ class MotionDetector:
         self._expected = self._background.image
         self.ready = True
         self._settled_mask: Luma = self.watched_mask.copy()
-        self._object_contrast = ObjectContrast()
+        self._object_contrast = ObjectContrast(self._settings.sensitivity)
         self._swaying = Swaying(frames[0].shape[:2])
         self._unclaimed_seconds: cv2.typing.MatLike = np.zeros(frames[0].shape, np.float32)
         self._changed_seconds = 0.0

@@ -32,7 +32,12 @@ takes three times as long.
 class ObjectContrast:
     """Differences of the confirmed objects of one scene, by grey level."""
 
-    def __init__(self) -> None:
+    def __init__(self, sensitivity: float = 1.0) -> None:
+        """Begin without objects.
+
+        sensitivity: the setting; above 1 it says that the usual contrast is less by this factor.
+        """
+        self._usual = USUAL_DIFFERENCE / max(sensitivity, 1.0)
         self._counts = np.zeros(256, np.float32)
 
     def add(self, difference: Luma, object_mask: Luma, dt: float) -> None:
@@ -56,4 +61,4 @@ class ObjectContrast:
         if not at_most[-1]:
             return 1.0
         strong = float(np.searchsorted(at_most, (1 - STRONG_SHARE) * at_most[-1]))
-        return min(max((strong / USUAL_DIFFERENCE) ** 2, CONTRAST_SHARE_MIN), 1.0)
+        return min(max((strong / self._usual) ** 2, CONTRAST_SHARE_MIN), 1.0)
