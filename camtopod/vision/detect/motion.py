@@ -261,8 +261,9 @@ class MotionDetector:
             cv2.subtract(free, cv2.dilate(motion.change_mask, _SQUARE)), self.watched_mask
         )
 
-        difference = cv2.absdiff(motion.frame, motion.expected)
-        self._object_contrast.add(difference, cv2.subtract(motion.moving_mask, free), dt)
+        if not motion.is_dim:  # what is faint in little light is not when a lamp goes on
+            difference = cv2.absdiff(motion.frame, motion.expected)
+            self._object_contrast.add(difference, cv2.subtract(motion.moving_mask, free), dt)
         self._swaying.learn(motion.differs, dt, free)
         self._background.learn(motion.frame, motion.expected, dt, self._settled_mask)
 

@@ -1,4 +1,4 @@
-"""Contrast of the objects of a view: haze, a soiled dome and little light take from it.
+"""Contrast of the objects of a view: haze and a soiled dome take from it.
 
 Whether a picture is hazy cannot be told from its grey levels: asphalt in the sun has as few. But
 the strongest differences of confirmed objects from the scene are much the same wherever the picture
