@@ -102,6 +102,17 @@ def test_any_noise(noise: float) -> None:
     recovers(lambda motion: setattr(motion, "noise", noise))
 
 
+@given(difference=st.integers(0, 255), count=st.floats(1.0, 1e6))
+@settings(max_examples=20, derandomize=True)
+def test_any_contrast_of_objects(difference: int, count: float) -> None:
+    """Up to what objects that fill the picture are counted as."""
+
+    def disturb(motion: MotionDetector) -> None:
+        motion._object_contrast._counts[difference] = count
+
+    recovers(disturb)
+
+
 @given(tone=st.floats(-60.0, 60.0))
 @settings(max_examples=20, derandomize=True)
 def test_a_background_in_another_tone(tone: float) -> None:

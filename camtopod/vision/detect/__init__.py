@@ -2,7 +2,7 @@
 
 In the order of use: `shrink` (working size), `wiener` (noise filter, thesis 4.1), `background`
 (model of the settled scene), `shake` (shift of the image), `swaying` (scenery that moves in place),
-`motion` (moving pixels), `blobs` (boxes with a foot point).
+`object_contrast` (haze), `motion` (moving pixels), `blobs` (boxes with a foot point).
 """
 
 from camtopod.vision.detect.background import Luma as Luma

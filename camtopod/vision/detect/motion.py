@@ -22,6 +22,7 @@ from camtopod.vision.boxes import Box, pixels
 from camtopod.vision.detect import shake
 from camtopod.vision.detect.background import MEDIAN_SAMPLES, Background, Luma
 from camtopod.vision.detect.blank_areas import blank_pixels, shown_part
+from camtopod.vision.detect.object_contrast import ObjectContrast
 from camtopod.vision.detect.swaying import Swaying
 from camtopod.vision.detect.wiener import NOISE_TO_FILTER, temporal_noise, wiener
 from camtopod.vision.settings import Polygon, VisionSettings
@@ -29,7 +30,7 @@ from camtopod.vision.settings import Polygon, VisionSettings
 DIFFERENCE_MIN = 15.0
 """Smallest difference (grey levels) of a moving pixel, in an image of medium grey without noise.
 
-In a darker image all contrasts are less in proportion.
+In a darker image all contrasts are less in proportion, and in haze (`object_contrast`).
 """
 EDGE_MIN = 18.0
 """Smallest step of the logarithmic difference between neighbours that light does not cause.
@@ -144,6 +145,7 @@ class MotionDetector:
         self._expected = self._background.image
         self.ready = True
         self._settled_mask: Luma = self.watched_mask.copy()
+        self._object_contrast = ObjectContrast(self._settings.sensitivity)
         self._swaying = Swaying(frames[0].shape[:2])
         self._unclaimed_seconds: cv2.typing.MatLike = np.zeros(frames[0].shape, np.float32)
         self._changed_seconds = 0.0
@@ -182,7 +184,7 @@ class MotionDetector:
         moments = cv2.meanStdDev(expected, mask=self.watched_mask)
         level, contrast = (float(moment[0, 0]) for moment in moments)
         light = min((level + _DARK) / (_DIM + _DARK), 1.0)
-        sensitivity = self._settings.sensitivity / light
+        sensitivity = self._settings.sensitivity / min(light, self._object_contrast.share)
         least = DIFFERENCE_MIN * max(1.0 / sensitivity, min(self.noise / NOISE_TO_FILTER, 1.0))
         differs = cv2.threshold(difference, least, 255, cv2.THRESH_BINARY)[1]
         differs = cv2.bitwise_and(differs, self.watched_mask)
@@ -259,6 +261,9 @@ class MotionDetector:
             cv2.subtract(free, cv2.dilate(motion.change_mask, _SQUARE)), self.watched_mask
         )
 
+        if not motion.is_dim:  # what is faint in little light is not when a lamp goes on
+            difference = cv2.absdiff(motion.frame, motion.expected)
+            self._object_contrast.add(difference, cv2.subtract(motion.moving_mask, free), dt)
         self._swaying.learn(motion.differs, dt, free)
         self._background.learn(motion.frame, motion.expected, dt, self._settled_mask)
 
