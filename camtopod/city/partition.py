@@ -53,8 +53,8 @@ def partition(
 def _graph(cameras: Sequence[str], passages: Mapping[tuple[str, str], float]) -> coo_array:
     """Return the symmetric matrix of weights between cameras, connected (sparse, by rows).
 
-    What is not connected is joined, each part by its first camera, with the least weight, as METIS
-    only keeps districts connected if the whole is.
+    METIS only keeps districts connected if the whole graph is. So its components are joined by
+    their first cameras, with the least weight.
     """
     index = {camera: k for k, camera in enumerate(cameras)}
     pairs = np.array([[index[a], index[b]] for a, b in passages], np.int32).reshape(-1, 2)

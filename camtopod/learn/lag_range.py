@@ -77,6 +77,7 @@ def find_lag_bins(scene: Scene, overlap: Bools, ranges: LagRanges | None = None)
     seconds = np.max(
         [extremes(problem, fit_jointly(problem, find_candidates(problem))) for problem in problems],
         axis=0,
+        initial=0.0,  # no part may have both departures and arrivals
     )
     shortest = np.array(SHORTEST_SECONDS)
     in_overlap = np.isin(scene.departures.camera, np.nonzero(overlap)[0])

@@ -2,7 +2,7 @@
 
 A part of a city (`camtopod.records.Topology.parts`) is the topology of a district, which hears its
 own cameras and those beyond its border. Each event is observed by all parts that hear its camera,
-and what is asked of a camera is answered by its owner's part alone, as that district's daemon does.
+and the owner's part alone answers a question about a camera, as that district's daemon does.
 """
 
 from __future__ import annotations

@@ -103,6 +103,19 @@ def test_the_range_of_a_large_site_is_that_of_its_ways(monkeypatch: pytest.Monke
     assert len(ways) >= 0.8 * len(true_ways)
 
 
+def test_a_large_site_without_ways_has_the_shortest_range(monkeypatch: pytest.MonkeyPatch) -> None:
+    """No part of it has both departures and arrivals."""
+    monkeypatch.setattr(lag_range, "PAIRS_FEW", 1)
+    monkeypatch.setattr(lag_range, "NEIGHBOURHOOD_ZONES_MAX", 1)
+    events = [
+        Event(camera, kind, T0 + 60.0 * k, 0.5, 0.5)
+        for k in range(200)
+        for camera, kind in (("a", "entry"), ("b", "exit"))
+    ]
+    shortest = lag_range.shortest_bins().lag_max
+    assert reach(learned_from(events)) == pytest.approx(shortest)
+
+
 def test_an_overlap_is_within_the_range_before_the_exit() -> None:
     chance, events = np.random.default_rng(3), list[Event]()
     for k, t in enumerate(np.sort(chance.uniform(T0, T0 + 2.0 * HOUR, 300)).tolist()):

@@ -1,7 +1,8 @@
 """`camtopod districts`: cut a city into districts, each of which is a site.
 
 The cut follows from the passages between cameras: those of a topology, or of a coarse look at
-recorded events. A table says where to cut instead; what is heard beyond a border follows as before.
+recorded events. With a table the cut is that of the table. The cameras beyond a border follow from
+the passages in both cases.
 """
 
 from __future__ import annotations
@@ -14,13 +15,11 @@ from typing import Any
 
 from msgspec import Struct
 
-from camtopod import codec
 from camtopod.city.neighbours import likely_neighbours
 from camtopod.cli.common import configuration, counted, open_output, topology_of
-from camtopod.cli.events.event_lines import LineReader, messages, open_input
+from camtopod.cli.events.event_lines import LineReader, open_input, table_rows_of
 from camtopod.cli.events.recording import Times, recorded
 from camtopod.cli.exits import CommandError, InputError
-from camtopod.codec import Rejected
 from camtopod.config import districts_file, with_borders
 from camtopod.records import CameraId, Event, Topology
 from camtopod.topology import camera_of, likely_links, links_between_views
@@ -152,14 +151,7 @@ def passages_between(topology: Topology) -> dict[tuple[str, str], float]:
 def owners_in(path: str) -> dict[str, str]:
     """Return the district of each camera in a table. Raises `InputError`."""
     owners: dict[str, str] = {}
-    with open_input(path) as file:
-        for number, line in messages(path, file, ("camera", "district")):
-            try:
-                row = line if isinstance(line, Rejected) else codec.read(_Row, line)
-            except Rejected as error:
-                row = error
-            if isinstance(row, Rejected):
-                raise InputError(f"{path}:{number}: {row}")
-            if owners.setdefault(row.camera, row.district) != row.district:
-                raise InputError(f"{path}:{number}: {row.camera} has two districts")
+    for number, row in table_rows_of(path, ("camera", "district"), _Row):
+        if owners.setdefault(row.camera, row.district) != row.district:
+            raise InputError(f"{path}:{number}: {row.camera} has two districts")
     return owners

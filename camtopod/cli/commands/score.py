@@ -16,15 +16,13 @@ from typing import Any, TypeVar
 
 from msgspec import Struct
 
-from camtopod import codec
 from camtopod.cli import exits
 from camtopod.cli.commands.predict import by_moment, matching, predicting
 from camtopod.cli.common import topology_of
-from camtopod.cli.events.event_lines import LineReader, messages, open_input
+from camtopod.cli.events.event_lines import LineReader, table_rows_of
 from camtopod.cli.events.recording import Times, fault_of, once_by_number, recorded
 from camtopod.cli.exits import InputError
 from camtopod.cli.terminal import Progress
-from camtopod.codec import Rejected
 from camtopod.records import Event, Match, Prediction, Topology
 from camtopod.topology import camera_of, links_between_views
 from camtopod.words import sum_by_camera
@@ -128,15 +126,8 @@ def _given(answers: Iterator[AnswerT | None], count: int, unit: str) -> Iterator
 def passages_of(events: Sequence[Event], path: str) -> dict[Key, TruePassage]:
     """Return the passages that have an identity in a file. Raises `InputError`."""
     identity: dict[tuple[str | None, str], str] = {}
-    with open_input(path) as file:
-        for number, line in messages(path, file, ("track", "identity")):
-            try:
-                row = line if isinstance(line, Rejected) else codec.read(_Identity, line)
-            except Rejected as error:
-                row = error
-            if isinstance(row, Rejected):
-                raise InputError(f"{path}:{number}: {row}")
-            identity[row.camera, row.track] = row.identity
+    for _, row in table_rows_of(path, ("track", "identity"), _Identity):
+        identity[row.camera, row.track] = row.identity
 
     # Passages, and those of each identity in order.
     passages: dict[Key, TruePassage] = {}

@@ -14,7 +14,7 @@ from collections import Counter
 from collections.abc import Iterable, Iterator, Sequence
 from functools import partial
 from io import BufferedReader
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, TypeVar
 
 from camtopod.adapt import LINE_BYTES_MAX, Adapter, frames
 from camtopod.cli import exits
@@ -22,10 +22,12 @@ from camtopod.cli.events import csv_rows, table_files
 from camtopod.cli.events.file_forms import PIECE_BYTES, Readable, pieces
 from camtopod.cli.events.table_rows import COLUMNS
 from camtopod.cli.exits import InputError
-from camtopod.codec import EVENT_BYTES_MAX, Rejected, event_from_json, to_json
+from camtopod.codec import EVENT_BYTES_MAX, Rejected, event_from_json, read, to_json
 from camtopod.records import Event
 from camtopod.redact import redact
 from camtopod.visible import visible
+
+RowT = TypeVar("RowT")
 
 log = logging.getLogger(__name__)
 
@@ -187,6 +189,26 @@ class LineReader:
 def say(message: str) -> None:
     """Print the first message of its kind to standard error."""
     print(f"camtopod: {visible(message)} (further ones are only counted)", file=sys.stderr)
+
+
+def table_rows_of(
+    path: str, columns: tuple[str, ...], kind: type[RowT]
+) -> Iterator[tuple[int, RowT]]:
+    """Yield each row of a table of other things than events, with its number.
+
+    columns: those that it needs. kind: the struct of a row.
+
+    Raises `InputError` for the first row that is none.
+    """
+    with open_input(path) as file:
+        for number, line in messages(path, file, columns):
+            try:
+                row = line if isinstance(line, Rejected) else read(kind, line)
+            except Rejected as error:
+                row = error
+            if isinstance(row, Rejected):
+                raise InputError(f"{path}:{number}: {row}")
+            yield number, row
 
 
 def messages(

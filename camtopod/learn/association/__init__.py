@@ -41,6 +41,9 @@ from camtopod.learn.association.joint_fit import (
     flatness as flatness,
     result as result,
 )
+from camtopod.learn.association.negative_lags import (
+    negative_without_overlap as negative_without_overlap,
+)
 from camtopod.learn.association.problem import (
     LagRanges as LagRanges,
     Problem as Problem,
@@ -53,7 +56,6 @@ from camtopod.learn.association.screening import (
     FollowedSources as FollowedSources,
     Traffic as Traffic,
     candidates_of_pairs as candidates_of_pairs,
-    negative_without_overlap as negative_without_overlap,
     place as place,
 )
 from camtopod.learn.association.speed_adjustment import adjust as adjust

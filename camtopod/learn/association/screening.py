@@ -21,7 +21,6 @@ from numpy.typing import NDArray
 from scipy.sparse import csr_matrix
 
 from camtopod.arrays import (
-    Bools,
     Floats,
     Indices,
     Ints,
@@ -34,7 +33,6 @@ from camtopod.arrays import (
 )
 from camtopod.learn.association.candidates import (
     CANDIDATES_AT_ONCE,
-    RESPONSIBILITY_MAX,
     Candidates,
     departures_in_reach,
     find_candidates,
@@ -65,8 +63,6 @@ WIDE_BINS = 4
 """Lag bins in a wide bin. A look compares every two wide bins in a row with the null model."""
 SOURCES_PER_ZONE_MAX = 32
 """Largest number of zones of departure that are followed for one zone of arrival."""
-OVERLAP_FALSE = 0.05
-"""Probability that `negative_without_overlap` finds any overlap on a site without overlaps."""
 LIKELY_MIN = 0.001
 """Probability up to which candidates are dropped or do not count."""
 LIKELY_MAX = 3_000_000
@@ -405,53 +401,6 @@ class Traffic:
             if edge < 0:
                 above[is_same_camera] = 0.0
             yield above
-
-
-def negative_without_overlap(
-    problem: Problem,
-    candidates: Candidates,
-    responsibility: Singles,
-    overlap: Bools,
-) -> NDArray[np.bool_]:
-    """Return a mask (M,) of candidates with a negative lag between views that do not overlap.
-
-    Such candidates are impossible: an object does not appear in the next view before it leaves the
-    first one. Two views are taken to overlap if the search for overlapping views has found it, or
-    if the candidates with a negative lag, over all zones of the two and in both directions, have
-    more evidence than the null model gives any pair of cameras with probability `OVERLAP_FALSE`.
-
-    responsibility (M,): probability that the candidate is of one object.
-    overlap (cameras, cameras): True where the search found an overlap.
-    """
-    # Number the pairs of cameras among the candidates with a negative lag.
-    cameras = len(overlap)
-    c = candidates
-    ahead = np.flatnonzero(c.lag < 0)
-    camera_left = problem.departures.camera[c.departure[ahead]]
-    camera_reached = problem.arrivals.camera[c.arrival[ahead]]
-    views = np.minimum(camera_left, camera_reached).astype(np.int64) * cameras + np.maximum(
-        camera_left, camera_reached
-    )
-    present, pair = np.unique(views, return_inverse=True)
-
-    # Responsibility of each arrival, added up over its candidates from one camera.
-    key, number = np.unique(
-        c.arrival[ahead].astype(np.int64) * cameras + camera_left, return_inverse=True
-    )
-    arrival_share = np.minimum(
-        np.bincount(number, responsibility[ahead], minlength=len(key)), RESPONSIBILITY_MAX
-    )
-
-    # Evidence of each pair of cameras, against a Bonferroni threshold over all pairs.
-    of_key = np.zeros(len(key), np.int64)
-    of_key[number] = pair
-    nats = np.bincount(of_key, -np.log1p(-arrival_share) - arrival_share, minlength=len(present))
-    overlaps = nats >= np.log(max(cameras * (cameras - 1) / 2, 1.0) / OVERLAP_FALSE)
-    overlaps |= (overlap | overlap.T)[present // cameras, present % cameras]
-
-    result = np.zeros(len(c.lag), bool)
-    result[ahead] = ~overlaps[pair]
-    return result
 
 
 Place = TypeVar("Place", int, Longs)

@@ -146,7 +146,6 @@ def match_zones(
     A new zone at the place of an old one takes the old one's number. Other new zones are numbered
     from ``next_number`` on, or above the numbers of ``old`` if that is more, in order of their
     position (y, then x).
-
     """
     number = {k: old[at].number for k, at in same_places(old, new).items()}
 

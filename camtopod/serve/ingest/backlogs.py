@@ -113,7 +113,7 @@ class Backlogs:
     def _is_waited_for(
         self, camera: CameraState, trial: Trial, is_held: bool, wall: float, now: float
     ) -> bool:
-        """Return True if a camera has older events to deliver, and gets on with it.
+        """Return True if a camera has older events to deliver, and delivers them fast enough.
 
         is_held: a request of it waits for the daemon, or is sure to come.
         """

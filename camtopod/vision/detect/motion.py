@@ -261,7 +261,7 @@ class MotionDetector:
             cv2.subtract(free, cv2.dilate(motion.change_mask, _SQUARE)), self.watched_mask
         )
 
-        if not motion.is_dim:  # what is faint in little light is not when a lamp goes on
+        if not motion.is_dim:  # contrasts in little light say nothing of brighter light
             difference = cv2.absdiff(motion.frame, motion.expected)
             self._object_contrast.add(difference, cv2.subtract(motion.moving_mask, free), dt)
         self._swaying.learn(motion.differs, dt, free)

@@ -54,8 +54,8 @@ class ObjectContrast:
     def share(self) -> float:
         """Share of the usual motion that is enough, `CONTRAST_SHARE_MIN` to 1.
 
-        It falls with the square of the contrast, since what is not to be mistaken for motion fades
-        as well: shadows, tremble, what compression leaves. It is 1 until there are objects.
+        It falls with the square of the contrast, since shadows, tremble and compression artefacts,
+        which are no motion, fade as well. It is 1 until there are objects.
         """
         at_most = np.cumsum(self._counts)
         if not at_most[-1]:

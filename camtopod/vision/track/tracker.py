@@ -122,7 +122,7 @@ class Tracker:
         """Assign one blob to each track at the least total cost; return the others.
 
         The tracks are those without a sighting at ``t``, seen within the patience. An object whose
-        middle is expected beyond the border has left: what is seen there comes in.
+        middle is expected beyond the border has left: a blob there is of another one that enters.
         """
         tracks = [
             track

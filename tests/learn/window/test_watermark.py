@@ -26,7 +26,7 @@ def defined(state: EventTimeState, lateness_us: int, apart_us: int) -> int | Non
 
 @pytest.mark.parametrize("seed", range(50))
 def test_the_watermark_is_that_of_its_definition(seed: int) -> None:
-    """Whoever is waited for, and whoever of them is forgotten."""
+    """Also while cameras are waited for, and after some of them are forgotten."""
     chance = random.Random(seed)
     time, now = EventTime(5.0, 60.0), 0
     for _ in range(200):
