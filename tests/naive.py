@@ -559,7 +559,7 @@ def standing_out(departures, arrivals, source, target, bins, exposure, chance, w
 
 
 def likely(departures, arrivals, followed, bins, exposure, chance, first, start_floor, least):
-    """Compute `camtopod.learn.association.screening._likely`: (departure, arrival) -> probability.
+    """Compute `camtopod.learn.association.weighing.likely`: (departure, arrival) -> probability.
 
     ``followed``: pairs of zones. ``first``: `excess` of a histogram.
     """

@@ -99,7 +99,7 @@ class Known(NamedTuple):
     sources_by_place: on a large site, the zones of departure that screening follows for each zone
         of arrival (`CandidateScreen`), by `place` of the zone of arrival; empty on a small site.
     events_learned: number of events learned so far.
-    everywhere: True to screen all zones of arrival now, because there is no later refit.
+    everywhere: True to look at all zones of arrival now and fit twice, as there is no later refit.
     exits: predictions of exits whose outcome is to be estimated, oldest first.
     declarations: what the user has declared of the cameras.
     """
@@ -298,20 +298,20 @@ def associate(
     problem = problem._replace(odds=declared_odds(knowledge.declarations, window.cameras))
     view = np.array([zone.camera for zone in scene.zones], np.int32)
     weights = zone_weights(knowledge.declarations, window.cameras, view)
-    places = [place(zone.camera, zone.number) for zone in scene.zones]
+    places = np.array([place(zone.camera, zone.number) for zone in scene.zones])
+    learned, everywhere = knowledge.events_learned, knowledge.everywhere
     screen = CandidateScreen(knowledge.sources_by_place)
-    candidates = screen.find(
-        problem,
-        np.array(places),
-        knowledge.events_learned,
-        settings.candidates_max,
-        everywhere=knowledge.everywhere,
-    )
+
+    candidates = screen.find(problem, places, learned, settings.candidates_max)
 
     # 4. The joint fits: each arrival has one cause at most, each departure one effect at most.
     on_step("joint fit")
     posterior, fit = fit_window(problem, candidates, overlap)
     del candidates
+    if screen.look_again(problem, fit, places, learned, everywhere) and everywhere:
+        candidates = screen.find(problem, places, learned, settings.candidates_max)
+        posterior, fit = fit_window(problem, candidates, overlap)
+        del candidates
 
     # 5. Evidence: each part of the window is judged by a fit of other parts.
     on_step("evidence")

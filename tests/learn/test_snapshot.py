@@ -140,7 +140,8 @@ def test_restored_anywhere_the_versions_are_the_same(name: str) -> None:
 def test_restored_with_screening_the_versions_are_the_same(monkeypatch: pytest.MonkeyPatch) -> None:
     """Candidates depend on when each zone was last screened; only a few zones are in each fit."""
     monkeypatch.setattr(screening, "LOOK_SHARE", 0.05)
-    monkeypatch.setattr(screening, "SOURCES_PER_ZONE_MAX", 3)
+    monkeypatch.setattr(screening, "SOURCES_MAX", 3)
+    monkeypatch.setattr(screening, "UNCONFIRMED_SOURCES_MAX", 2)
     rules = msgspec.structs.replace(SETTINGS, candidates_max=2_000, refit_share=0.3)
     events = events_of("usual")
 

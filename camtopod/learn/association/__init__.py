@@ -8,7 +8,8 @@ estimates responsibilities and hazards (rates of arrivals by lag, for each pair 
 expectation maximisation, whose E step is that of `sum_product`, with the additions of an
 `em_model`, and `joint_fit` runs it to find links. `flatness` tells how far a lag speaks for a
 transition. On large sites, which have too many candidates for one fit, `screening` selects the
-candidates first.
+candidates first: zones of departure that stand out (`traffic_excess`), and their probable
+candidates (`weighing`).
 """
 
 from camtopod.learn.association.candidates import (
@@ -50,12 +51,9 @@ from camtopod.learn.association.problem import (
     exposures as exposures,
 )
 from camtopod.learn.association.screening import (
-    LIKELY_MIN as LIKELY_MIN,
     PAIRS_FEW as PAIRS_FEW,
     CandidateScreen as CandidateScreen,
     FollowedSources as FollowedSources,
-    Traffic as Traffic,
-    candidates_of_pairs as candidates_of_pairs,
     place as place,
 )
 from camtopod.learn.association.speed_adjustment import adjust as adjust
@@ -63,4 +61,9 @@ from camtopod.learn.association.sum_product import (
     answers as answers,
     claims as claims,
     offers as offers,
+)
+from camtopod.learn.association.traffic_excess import Traffic as Traffic
+from camtopod.learn.association.weighing import (
+    LIKELY_MIN as LIKELY_MIN,
+    candidates_of_pairs as candidates_of_pairs,
 )

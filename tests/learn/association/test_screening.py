@@ -7,21 +7,17 @@ import numpy as np
 import pytest
 from hypothesis import given, settings, strategies as st
 
-from camtopod.learn.association import screening as module
+from camtopod.learn.association import screening, weighing
 from camtopod.learn.association.candidates import (
     Candidates,
     find_candidates,
 )
 from camtopod.learn.association.em import START_FLOOR
+from camtopod.learn.association.joint_fit import Fit, fit_jointly
 from camtopod.learn.association.problem import Problem
-from camtopod.learn.association.screening import (
-    CandidateScreen,
-    Traffic,
-    ZonePairs,
-    _likely,
-    candidates_of_pairs,
-    place,
-)
+from camtopod.learn.association.screening import CandidateScreen, place, unexplained
+from camtopod.learn.association.traffic_excess import WIDE_BINS, Traffic
+from camtopod.learn.association.weighing import ZonePairs, candidates_of_pairs, likely
 from camtopod.learn.lags import NOISE_SD, excess_over_null
 from camtopod.learn.learner import Learner
 from camtopod.learn.settings import Settings
@@ -122,8 +118,8 @@ def in_reach(departures: Departures, arrivals: Arrivals) -> int:
 def test_what_is_kept_are_candidates(seed: int, left: int, came: int, most: int) -> None:
     ends = anything(seed, left, came)
     with pytest.MonkeyPatch.context() as limits:
-        limits.setattr(module, "LIKELY_MAX", 0)
-        limits.setattr(module, "LIKELY_PER_ARRIVAL", most)
+        limits.setattr(weighing, "LIKELY_MAX", 0)
+        limits.setattr(weighing, "LIKELY_PER_ARRIVAL", most)
         found = found_by(CandidateScreen(), ends, in_reach(*ends) - 1, 6)
     assert len(found.lag) <= most * came
     rows = listed(found)
@@ -144,7 +140,7 @@ def true_ones(found: Candidates) -> list[bool]:
 
 def test_the_true_ones_among_many_are_kept(monkeypatch: pytest.MonkeyPatch) -> None:
     """Of 300,000 candidates nearly all are spurious."""
-    monkeypatch.setattr(module, "LIKELY_MAX", 0)
+    monkeypatch.setattr(weighing, "LIKELY_MAX", 0)
     ends = site(2)
     every, found = (
         find_candidates(problem_of(ends, 40)),
@@ -156,10 +152,10 @@ def test_the_true_ones_among_many_are_kept(monkeypatch: pytest.MonkeyPatch) -> N
 
 def test_a_zone_in_several_blocks_keeps_the_true_ones(monkeypatch: pytest.MonkeyPatch) -> None:
     """Each block has some of the arrivals at a zone, beside the null model of all of them."""
-    monkeypatch.setattr(module, "LIKELY_MAX", 0)
+    monkeypatch.setattr(weighing, "LIKELY_MAX", 0)
     ends = site(2)
     every = true_ones(find_candidates(problem_of(ends, 40)))
-    monkeypatch.setattr(module, "ZONE_WEIGHED_AT_ONCE", 8000)
+    monkeypatch.setattr(weighing, "ZONE_WEIGHED_AT_ONCE", 8000)
     found = found_by(CandidateScreen(), ends, in_reach(*ends) - 1, 40)
     assert sum(true_ones(found)) > 0.9 * sum(every)
 
@@ -175,7 +171,7 @@ def test_likely_ones_equal_their_slow_twin(seed: int, left: int, came: int) -> N
     traffic = Traffic(problem)
     target, source = np.nonzero(np.random.default_rng(seed).random((4, 4)) < 0.4)
     blocks = [
-        _likely(traffic, ZonePairs(problem, source, target), block)
+        likely(traffic, ZonePairs(problem, source, target), block)
         for block in ZonePairs(problem, source, target).blocks(10**6)
     ]
     slow = naive.likely(
@@ -187,7 +183,7 @@ def test_likely_ones_equal_their_slow_twin(seed: int, left: int, came: int) -> N
         traffic.null_model.rates_of,
         lambda seen, usual: excess_over_null(seen, usual, NOISE_SD),
         START_FLOOR,
-        module.LIKELY_MIN,
+        weighing.LIKELY_MIN,
     )
     found = [
         (int(d), int(block.arrivals[at]))
@@ -206,8 +202,8 @@ def test_blocks_have_every_candidate_once(seed: int, left: int, came: int, at_on
     problem = problem_of(anything(seed, left, came), 6)
     target, source = np.nonzero(np.random.default_rng(seed).random((6, 6)) < 0.5)
     with pytest.MonkeyPatch.context() as limits:
-        limits.setattr(module, "WEIGHED_AT_ONCE", 2 * at_once)
-        limits.setattr(module, "ZONE_WEIGHED_AT_ONCE", at_once)
+        limits.setattr(weighing, "WEIGHED_AT_ONCE", 2 * at_once)
+        limits.setattr(weighing, "ZONE_WEIGHED_AT_ONCE", at_once)
         blocks = list(ZonePairs(problem, source, target).blocks(10**6))
     found = [
         (int(block.arrivals[at]), int(d), int(source[pair]), int(target[pair]))
@@ -236,9 +232,7 @@ def test_what_stands_out_equals_its_slow_twin(seed: int, left: int, came: int, o
     ]
     slow = [
         [
-            naive.standing_out(
-                departures, arrivals, u, v, SHORT, traffic.exposure, rate, module.WIDE_BINS
-            )
+            naive.standing_out(departures, arrivals, u, v, SHORT, traffic.exposure, rate, WIDE_BINS)
             for v, rate in zip(targets.tolist(), rates[u], strict=True)
         ]
         for u in range(6)
@@ -250,25 +244,33 @@ def looked(screen: CandidateScreen, zones: int) -> list[int]:
     return [screen.sources_by_place[int(name)].looked for name in places_of(zones)]
 
 
-def test_looks_go_round(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Of known zones, the one examined longest ago comes first."""
-    monkeypatch.setattr(module, "LOOK_SHARE", 1 / 6)
-    ends, screen = anything(10, 200, 200), CandidateScreen()
-    for fit in range(1, 8):
-        found_by(screen, ends, 100, 6, fit)
-        assert sorted(looked(screen, 6)) == [1] * max(7 - fit, 0) + list(range(2, fit + 1))
-    assert looked(screen, 6) == list(range(2, 8))
-
-
-def test_where_there_is_no_other_fit_every_zone_is_looked_at(
-    monkeypatch: pytest.MonkeyPatch,
+def look_again(
+    screen: CandidateScreen, problem: Problem, learned: int, everywhere: bool = False
 ) -> None:
-    monkeypatch.setattr(module, "LOOK_SHARE", 0.0)
-    ends, screen = anything(10, 200, 200), CandidateScreen()
-    for fit in (1, 2):
-        found_by(screen, ends, 100, 6, fit)
+    """Screen a problem, fit it, and look at what the fit leaves unexplained."""
+    names = places_of(problem.zones)
+    fit = fit_jointly(problem, screen.find(problem, names, learned, 100))
+    assert screen.look_again(problem, fit, names, learned, everywhere)
+
+
+def test_looks_go_round(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A new zone is looked at before the fit; after it, that with the oldest look comes first."""
+    monkeypatch.setattr(screening, "LOOK_SHARE", 1 / 6)
+    problem, screen = problem_of(anything(10, 200, 200), 6), CandidateScreen()
+    for fit in range(1, 9):
+        look_again(screen, problem, fit)
+        assert sorted(looked(screen, 6)) == [1] * max(7 - fit, 0) + list(
+            range(max(2, fit - 5), fit + 1)
+        )
+
+
+def test_before_the_last_fit_every_zone_is_looked_at(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(screening, "LOOK_SHARE", 0.0)
+    problem, screen = problem_of(anything(10, 200, 200), 6), CandidateScreen()
+    for learned in (1, 2):
+        look_again(screen, problem, learned)
     assert looked(screen, 6) == [1] * 6
-    screen.find(problem_of(ends, 6), places_of(6), 3, 100, everywhere=True)
+    look_again(screen, problem, 3, everywhere=True)
     assert looked(screen, 6) == [3] * 6
 
 
@@ -278,22 +280,73 @@ def test_a_zone_that_is_no_more_is_forgotten_and_a_new_one_looked_at_first(
     ends, screen = site(12), CandidateScreen()
     most = in_reach(*ends) // 2
     names = places_of(40)
+    problem = problem_of(ends, 40)
 
     def find(learned: int) -> Candidates:
-        return screen.find(problem_of(ends, 40), names, learned, most)
+        return screen.find(problem, names, learned, most)
 
     assert {(3, 0), (17, 0)} <= {(u, v) for _, u, v in listed(find(1)).values()}
     old, names[3] = int(names[3]), place(99, 1)
-    monkeypatch.setattr(module, "LOOK_SHARE", 0.0)
-    named = {(u, v) for _, u, v in listed(find(2)).values()}
+    candidates = find(2)
+    named = {(u, v) for _, u, v in listed(candidates).values()}
     assert (3, 0) not in named, (
         "what left there went with the zone, and zone 0 has not been looked at again"
     )
     assert (17, 0) in named
     assert old not in screen.sources_by_place
     assert [screen.sources_by_place[int(name)].looked for name in names] == [1, 1, 1, 2, *[1] * 36]
-    monkeypatch.setattr(module, "LOOK_SHARE", 0.1)
+    monkeypatch.setattr(screening, "LOOK_SHARE", 0.1)
+    assert screen.look_again(problem, fit_jointly(problem, candidates), names, 2)
     assert (3, 0) in {(u, v) for _, u, v in listed(find(3)).values()}
+
+
+def chain(seed: int) -> tuple[Departures, Arrivals]:
+    """Return a street of nine zones with much traffic, and a way of little traffic to its end.
+
+    Objects pass zone after zone of 0 to 8, 5 s apart, so that departures from all of these precede
+    arrivals at 8. Every few minutes one goes from zone 9 to zone 8.
+    """
+    rng = np.random.default_rng(seed)
+    begin = np.sort(rng.uniform(0.0, 20_000.0, 2_000))
+    times = begin[:, None] + np.cumsum(rng.normal(5.0, 0.5, (len(begin), 9)), axis=1)
+    way = np.sort(rng.uniform(0.0, 20_000.0, 100))
+    left = np.concatenate((times[:, :-1].ravel(), way))
+    left_zone = np.concatenate((np.tile(np.arange(8), len(begin)), np.full(len(way), 9)))
+    came = np.concatenate((times[:, 1:].ravel() - 1.0, way + rng.normal(20.0, 3.0, len(way))))
+    came_zone = np.concatenate((np.tile(np.arange(1, 9), len(begin)), np.full(len(way), 8)))
+
+    order = np.argsort(left)
+    t, zone = left[order], left_zone[order].astype(np.int32)
+    nothing = np.full(len(t), np.nan)
+    departures = Departures.without_arrivals(t, zone, zone, t - 1.0, nothing)
+    order = np.argsort(came)
+    t, zone = came[order], came_zone[order].astype(np.int32)
+    return departures, Arrivals(t, zone, zone, local_rates(t, zone, 10), np.full(len(t), np.nan))
+
+
+def test_what_a_fit_explains_hides_no_other_link(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Six zones of a street stand out more than the source of a way of little traffic."""
+    monkeypatch.setattr(screening, "SOURCES_MAX", 6)
+    monkeypatch.setattr(screening, "UNCONFIRMED_SOURCES_MAX", 2)
+    problem, screen = problem_of(chain(1), 10), CandidateScreen()
+    names = np.array([place(zone, 1) for zone in range(10)])
+
+    def fitted() -> Fit:
+        return fit_jointly(problem, screen.find(problem, names, 1, 100))
+
+    def sources() -> list[int]:
+        return screen.sources_by_place[int(names[8])].sources.tolist()
+
+    first = fitted()
+    assert names[9] not in sources()
+    assert screen.look_again(problem, first, names, 1, everywhere=True)
+    assert {names[7], names[9]} <= set(sources())
+    assert len(sources()) <= 4
+    last = fitted()
+    pairs = set(zip(last.candidates.source.tolist(), last.candidates.target.tolist(), strict=True))
+    assert pairs >= {(9, 8)} | {(zone, zone + 1) for zone in range(8)}
+    rest = unexplained(problem, last)
+    assert len(rest.departures.t) < 0.05 * len(problem.departures.t)
 
 
 # --- all candidates of what was found ---
