@@ -3,9 +3,7 @@
 # any socket that does not say otherwise; a bus whose calls must not block would leave that as it
 # is.
 # What happens: zenoh sets SO_LINGER to ten seconds on each of its TCP connections, and its
-# configuration has no setting for it. While data is under way to a program that has stopped
-# reading, closing that connection keeps a thread of the bus for as long, and others get nothing
-# meanwhile.
+# configuration has no setting for it. So closing one may keep a thread of the bus for as long.
 # Version: eclipse-zenoh==1.10.2 for Python; Linux only (reads the options from /proc/self/fd).
 # Seen: two ends of one connection, each SO_LINGER on, 10 s.
 # camtopod: turns it off on all its sockets (camtopod/serve/bus/sockets.py).

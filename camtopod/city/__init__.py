@@ -2,8 +2,7 @@
 
 Each district is a site with a learner of its own (`camtopod.config.districts_file`).
 
-Reading order: `neighbours` finds the cameras between which objects seem to go, by a coarse look at
-events. `partition` cuts the graph of such cameras into districts where few objects pass.
+Reading order: `partition` cuts the graph of the cameras between which objects pass into districts.
 `joined_map` makes one map of the topologies of all districts, and `merge` one topology that has
 them as parts, which `camtopod.predict.CityPredictor` asks.
 """

@@ -45,7 +45,7 @@ def test_a_topology_is_cut_into_districts(folder: Path, capsys: pytest.CaptureFi
     assert f"{len(districts)} districts, 24 cameras" in capsys.readouterr().err
 
 
-def test_events_are_cut_by_a_coarse_look_at_them(folder: Path) -> None:
+def test_events_are_cut_by_the_links_that_they_tell(folder: Path) -> None:
     simulation = ["--cameras", "30", "--hours", "0.5", "--seed", "3"]
     assert main(["simulate", *simulation, "--events", "e.jsonl", "--truth", "t.json"]) == 0
 

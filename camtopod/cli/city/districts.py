@@ -1,6 +1,6 @@
 """`camtopod districts`: cut a city into districts, each of which is a site.
 
-The cut follows from the passages between cameras: those of a topology, or of a coarse look at
+The cut follows from the passages between cameras: those of a topology, which may be learned from
 recorded events. With a table the cut is that of the table. The cameras beyond a border follow from
 the passages in both cases.
 """
@@ -10,18 +10,18 @@ from __future__ import annotations
 import argparse
 import sys
 from collections import defaultdict
-from collections.abc import Iterator
 from typing import Any
 
 from msgspec import Struct
 
-from camtopod.city.neighbours import likely_neighbours
+from camtopod.cli.commands.learn import feed
 from camtopod.cli.common import configuration, counted, open_output, topology_of
 from camtopod.cli.events.event_lines import LineReader, open_input, table_rows_of
-from camtopod.cli.events.recording import Times, recorded
+from camtopod.cli.events.recording import Times
 from camtopod.cli.exits import CommandError, InputError
 from camtopod.config import districts_file, with_borders
-from camtopod.records import CameraId, Event, Topology
+from camtopod.learn.learner import Learner
+from camtopod.records import CameraId, Topology
 from camtopod.topology import camera_of, likely_links, links_between_views
 
 CAMERAS_MAX = 25
@@ -81,9 +81,10 @@ def _cameras_max(text: str) -> int:
 
 def run(args: argparse.Namespace) -> None:
     """Write the districts. Raises `OSError`, `CommandError`."""
-    cameras, passages = _passages(args)
-    if not cameras:
+    topology = _topology(args)
+    if topology is None or not topology.cameras:
         raise InputError(f"there are no cameras in {args.source}: nothing to cut")
+    cameras, passages = [camera.id for camera in topology.cameras], passages_between(topology)
     if args.table is not None:
         owners = owners_in(args.table)
     else:
@@ -113,26 +114,19 @@ def run(args: argparse.Namespace) -> None:
     )
 
 
-def _passages(args: argparse.Namespace) -> tuple[list[str], dict[tuple[str, str], float]]:
-    """Return the cameras of the source, and how much passes between each two; sorted."""
+def _topology(args: argparse.Namespace) -> Topology | None:
+    """Return the topology of the source; None without events."""
     with open_input(args.source) as file:
         start = file.peek(START_BYTES)[:START_BYTES]
         if b"".join(start.split()).startswith(TOPOLOGY_START):
-            topology = topology_of(args.source)
-            return [camera.id for camera in topology.cameras], passages_between(topology)
+            return topology_of(args.source)
 
     reader = LineReader()
-    cameras: set[str] = set()
-
-    def events() -> Iterator[Event]:
-        for line in recorded(reader, [args.source], Times()):
-            cameras.add(line.event.camera)
-            yield line.event
-
-    passages = likely_neighbours(events(), configuration(args).learner)
+    learner = Learner(configuration(args).learner, only_last=True)
+    feed(learner, reader, [args.source], Times())
     if (summary := reader.summary()) is not None:
         print(f"camtopod: {summary}", file=sys.stderr)
-    return sorted(cameras), passages
+    return learner.topology
 
 
 def passages_between(topology: Topology) -> dict[tuple[str, str], float]:

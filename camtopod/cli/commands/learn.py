@@ -81,7 +81,7 @@ def run(args: argparse.Namespace) -> int:
             config.learner, site=config.site.name, epoch=EPOCH, only_last=args.updates is None
         )
         updates = stack.enter_context(open_output(args.updates)) if args.updates else None
-        _feed(learner, reader, args.events, times, updates)
+        feed(learner, reader, args.events, times, updates)
         if (summary := reader.summary()) is not None:
             print(f"camtopod: {summary}", file=sys.stderr)
         if left_out := learner.statistics()["labels_left_out"]:
@@ -108,10 +108,14 @@ def run(args: argparse.Namespace) -> int:
     return exits.FAILED if fault else reader.status
 
 
-def _feed(
-    learner: Learner, reader: LineReader, paths: list[str], times: Times, updates: BinaryIO | None
+def feed(
+    learner: Learner,
+    reader: LineReader,
+    paths: list[str],
+    times: Times,
+    updates: BinaryIO | None = None,
 ) -> None:
-    """Pass every line to the learner, write each version, show progress."""
+    """Pass every line of a recording to the learner, write each version, show progress."""
     with Progress(lines=True) as progress:
 
         def say_step(step: str) -> None:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from typing import Any
 
 import numpy as np
@@ -64,25 +63,6 @@ class Traffic:
         The result is by zone of departure, in standard deviations of the null model at the lags
         with the largest excess (`excess_sd`), and at least 0.
         """
-        result = np.zeros((self.problem.zones, len(targets)), np.float32)
-        for above in self._excess_by_lag(targets):
-            np.maximum(result, above, out=result)
-        return result
-
-    def peaks(self, targets: Rows) -> tuple[Singles, NDArray[np.int16]]:
-        """Return the `excess`, and at which lags it is, as their number in order; (zones, k) each.
-
-        targets (k,): the zones of arrival.
-        """
-        result = np.zeros((self.problem.zones, len(targets)), np.float32)
-        peak = np.zeros(result.shape, np.int16)
-        for number, above in enumerate(self._excess_by_lag(targets)):
-            peak[above > result] = number
-            np.maximum(result, above, out=result)
-        return result, peak
-
-    def _excess_by_lag(self, targets: Rows) -> Iterator[Singles]:
-        """Yield the excess (zones, k) at the lags of every two wide bins in a row."""
         # For each arrival at any of these zones in turn, the number of earlier ones at each.
         departures, arrivals, _, zones, *_ = self.problem
         column = np.full(zones, -1)
@@ -107,9 +87,11 @@ class Traffic:
         # Before the exit, no object is in another view of the same camera.
         rates = self.null_model.rates_to(targets)
         is_same_camera = self._camera[:, None] == self._camera[targets]
+        result = np.zeros((zones, len(targets)), np.float32)
         for k, edge in enumerate(self._edges[:-2]):
             expected = rates * self._departure_seconds[:, k : k + 2].sum(axis=1, keepdims=True)
             above = excess_sd(before[k + 2] - before[k], expected)
             if edge < 0:
                 above[is_same_camera] = 0.0
-            yield above
+            np.maximum(result, above, out=result)
+        return result
