@@ -2,6 +2,7 @@
 
 An event is an entry into the view of a camera, or an exit. Of a recording:
 
+    events = camtopod.load_events("events.csv")    # event lines, tables
     topology = camtopod.learn_topology(events)     # or camtopod.load_topology(path)
     camtopod.Predictor(topology).predict(exit)     # where the object appears next: a Prediction
     camtopod.CityPredictor(city).predict(exit)     # of a city that `camtopod merge` has made
@@ -21,6 +22,7 @@ simulated sites.
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
+    from camtopod.cli.events.load import load_events
     from camtopod.client import Gate, Site, connect
     from camtopod.codec import load_topology
     from camtopod.learn.learner import Learner
@@ -29,6 +31,7 @@ if TYPE_CHECKING:
     from camtopod.records import Event, Prediction, Topology
 else:
     _HOMES = {
+        "camtopod.cli.events.load": ("load_events",),
         "camtopod.client": ("Gate", "Site", "connect"),
         "camtopod.codec": ("load_topology",),
         "camtopod.learn.learner": ("Learner",),
@@ -61,5 +64,6 @@ __all__ = [
     "Topology",
     "connect",
     "learn_topology",
+    "load_events",
     "load_topology",
 ]

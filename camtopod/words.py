@@ -20,6 +20,7 @@ if TYPE_CHECKING:  # which take their words from here
         DaemonStatus,
         InView,
         Look,
+        Match,
         NextCamera,
         Prediction,
         Status,
@@ -335,6 +336,15 @@ def headline(prediction: Prediction) -> Headline:
             outcomes[:2] = reversed(outcomes[:2])
     words = "; ".join(outcome.words for outcome in outcomes[:OUTCOMES_SAID])
     return replace(outcomes[0], words=hedge + words)
+
+
+def origin(match: Match) -> str:
+    """Return where the object of an entry may have come from, likeliest first."""
+    shares = [(match.new, "new here")]
+    shares += [(row.probability, f"from {row.camera}") for row in match.from_]
+    shares.sort(key=lambda share: -share[0])
+    said = [f"{text} {100 * share:.0f} %" for share, text in shares if share >= SHARE_SAID_MIN]
+    return "; ".join(said[:OUTCOMES_SAID])
 
 
 def _outcomes(prediction: Prediction) -> list[Headline]:

@@ -116,3 +116,6 @@ class Match(Struct, frozen=True, omit_defaults=True, rename={"from_": "from"}):
     new: float
     walk: str
     track: str | None = None
+
+    def __str__(self) -> str:
+        return words.origin(self)

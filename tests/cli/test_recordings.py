@@ -10,6 +10,7 @@ from pathlib import Path
 import pytest
 from msgspec.structs import replace
 
+from camtopod import load_events
 from camtopod.cli import exits
 from camtopod.cli.events import event_lines
 from camtopod.cli.events.event_lines import LineReader
@@ -41,6 +42,42 @@ def used(tmp_path: Path, events: Sequence[Event]) -> tuple[LineReader, list[Even
     path = written(tmp_path / "events.jsonl", events)
     lines = once_by_number(reader, recorded(reader, [str(path)], times))
     return reader, [line.event for line in lines], times
+
+
+# --- for programs ---
+
+
+def test_a_program_loads_a_recording(tmp_path: Path) -> None:
+    first = written(tmp_path / "a.jsonl", EVENTS[::2])
+    second = written(tmp_path / "b.jsonl", EVENTS[1::2] + EVENTS[:1])
+
+    with pytest.warns(UserWarning, match=f"1 of {len(EVENTS) + 1} lines are repeats"):
+        events = load_events(first, second)
+
+    assert [event.t for event in events] == sorted(event.t for event in EVENTS)
+    assert set(events) == set(EVENTS)
+
+
+@pytest.mark.parametrize(
+    ("text", "sentence"),
+    [
+        ("", "there are no events"),
+        ("camera,kind,t\na,enter,1.0\na,exit,2.0\n", "1 of 2 lines were rejected"),
+        (
+            "camera,kind,t\n" + "".join(f"a,entry,4524{k % 7}.{k}\n" for k in range(1000)),
+            "a spreadsheet",
+        ),
+    ],
+)
+def test_a_program_is_told_what_is_wrong_with_a_recording(
+    tmp_path: Path, text: str, sentence: str
+) -> None:
+    path = tmp_path / "events.csv"
+    path.write_text(text)
+    with pytest.raises(ValueError, match=sentence):
+        load_events(path)
+    with pytest.raises(ValueError, match=r"nowhere\.csv"):
+        load_events(tmp_path / "nowhere.csv")
 
 
 # --- order and repeats ---

@@ -73,6 +73,23 @@ def test_what_was_not_learned_is_scored_beside_the_oracle(
     assert right > 0.85 * said
 
 
+def test_a_simulated_site_is_scored_by_the_identities_of_the_simulation(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    recording = ["--events", "events.jsonl", "--identities", "identities.csv"]
+    assert main(["simulate", "--cameras", "4", "--hours", "0.5", "--seed", "1", *recording]) == 0
+    assert main(["learn", "events.jsonl", "--topology", "topology.json"]) == 0
+    capsys.readouterr()
+
+    out, err = score(tmp_path, capsys)
+
+    assert "0 false; precision 1.00" in out
+    top1 = [float(text) for text in re.findall(r"top-1 (\S+),", out)]
+    assert top1[0] > 0.9 * top1[1] > 0.5
+    assert "these events were learned" in err
+
+
 def test_a_wrong_topology_is_seen_to_be_wrong(
     folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

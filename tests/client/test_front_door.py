@@ -7,6 +7,7 @@ import subprocess
 import sys
 from functools import partial
 from pathlib import Path
+from typing import Any
 
 import pytest
 from fake_bus_daemon import LearnedDaemon
@@ -26,16 +27,17 @@ def examples(name: str) -> list[doctest.DocTest]:
 
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Return a folder with the topology that the example of `learn_topology` learns.
+    """Return a folder with the events and the topology of the example of `learn_topology`.
 
-    With it is a city of which that is the only part.
+    With them is a city of which that topology is the only part.
     """
     path = tmp_path_factory.mktemp("front")
     [example] = examples("learn_topology")
     run = "".join(one.source for one in example.examples)
-    names: dict[str, camtopod.Topology] = {}
+    names: dict[str, Any] = {}
     exec(f"{run}\ntopology = learn_topology(events)", names)
     topology = names["topology"]
+    (path / "events.jsonl").write_bytes(b"\n".join(map(to_json, names["events"])))
     owners = {camera.id: topology.site for camera in topology.cameras}
     (path / "topology.json").write_bytes(to_json(topology))
     (path / "city.json").write_bytes(to_json(replace(topology, parts=[topology], owners=owners)))

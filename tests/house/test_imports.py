@@ -62,7 +62,8 @@ FLOORS = (
     "cli.terminal",
     "cli.common",
     "cli.events cli.generated cli.cameras",
-    "cli.commands cli.operator cli.city",
+    "cli.commands cli.operator",
+    "cli.city",
     "cli",
     "__main__",
 )

@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 from msgspec.structs import replace
 
-from camtopod.records import InView, NextCamera, Prediction
+from camtopod.records import InView, Match, MatchedPassage, NextCamera, Prediction
 
 HALL = NextCamera("hall", "hall/2", 0.41, 6.2, 7.9, 10.4)
 
@@ -54,3 +54,11 @@ def test_an_object_may_come_back() -> None:
 
 def test_without_any_evidence_nothing_is_claimed() -> None:
     assert str(Prediction("lobby", None, 1.0, "17", 9, 1.0, [])) == "not known yet"
+
+
+def test_a_match_says_where_the_object_came_from() -> None:
+    passages = [MatchedPassage("yard", 1.0, 0.22), MatchedPassage("hall", 2.0, 0.15)]
+    rest = [MatchedPassage("bar", 3.0, 0.004), MatchedPassage("gate", 4.0, 0.1)]
+    match = Match("lobby", 9.0, 3, [*passages, *rest], 0.526, "yard:1")
+    assert str(match) == "new here 53 %; from yard 22 %; from hall 15 %"
+    assert str(replace(match, new=0.0, from_=passages[:1])) == "from yard 22 %"

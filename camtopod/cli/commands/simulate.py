@@ -9,7 +9,9 @@ from typing import Any
 from camtopod.cli import exits
 from camtopod.cli.common import open_output
 from camtopod.codec import to_json
+from camtopod.records import Event
 from camtopod.sim.simulation import SimSettings, simulate
+from camtopod.sim.truth import CLUTTER, Truth
 
 _NUMBERS = (
     ("cameras", int, "number of cameras"),
@@ -41,6 +43,11 @@ def add_parser(add: Any) -> None:
         help="write event lines to this file ('-': standard output)",
     )
     parser.add_argument("--truth", metavar="T.json", help="write the ground truth to this file")
+    parser.add_argument(
+        "--identities",
+        metavar="I.csv",
+        help="write the walker of each track to this file, which `camtopod score` reads",
+    )
     default = SimSettings()
     for name, kind, help_ in _NUMBERS:
         value = getattr(default, name)
@@ -67,6 +74,17 @@ def _shares(text: str) -> dict[str, float]:
     return {name.strip(): float(share) for name, _, share in pairs}
 
 
+def _identities(events: list[Event], truth: Truth) -> bytes:
+    """Return a table of the walker of each track that is not clutter, a row each, as CSV."""
+    rows = {
+        (event.camera, event.track): walker
+        for event, walker in zip(events, truth.identity, strict=True)
+        if walker != CLUTTER and event.track is not None
+    }
+    lines = [f"{camera},{track},{walker}" for (camera, track), walker in rows.items()]
+    return "\n".join(["camera,track,identity", *lines, ""]).encode()
+
+
 def run(args: argparse.Namespace) -> None:
     """Simulate and write the files.
 
@@ -85,6 +103,9 @@ def run(args: argparse.Namespace) -> None:
     if args.truth:
         with open_output(args.truth) as file:
             file.write(to_json(truth) + b"\n")
+    if args.identities:
+        with open_output(args.identities) as file:
+            file.write(_identities(events, truth))
 
     # Summarise.
     links = sum(link.relation != "visible" for link in truth.links)
