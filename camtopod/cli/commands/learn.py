@@ -12,6 +12,7 @@ from contextlib import ExitStack
 from typing import Any, BinaryIO
 
 from camtopod.cli import exits
+from camtopod.cli.city import learn_city
 from camtopod.cli.common import configuration, open_output
 from camtopod.cli.events.event_lines import LineReader
 from camtopod.cli.events.recording import Times, fault_of, recorded
@@ -61,6 +62,7 @@ def add_parser(add: Any) -> None:
         help="print the links between views, and those with half of their evidence; a terminal "
         "gets them anyway if no file is named",
     )
+    learn_city.add_options(parser)
 
 
 def run(args: argparse.Namespace) -> int:
@@ -68,6 +70,8 @@ def run(args: argparse.Namespace) -> int:
 
     A terminal gets its links as a table instead, as with ``--table``.
     """
+    if args.districts or args.scheduler or args.insecure:
+        return learn_city.run(args)
     config = configuration(args)
     reader = LineReader()
     times = Times()
