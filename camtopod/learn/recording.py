@@ -28,8 +28,15 @@ def learn_topology(
     The last window is learned in one fit, as `camtopod learn` does. Events that the learner does
     not take, such as duplicates, are left out. Raises ValueError if there are none.
     """
+    return learn_in_order(sorted(events, key=lambda event: event.t), settings, site)
+
+
+def learn_in_order(
+    events: Iterable[Event], settings: Settings | None = None, site: str = "site"
+) -> Topology:
+    """Learn as `learn_topology`, from events in order of time, which may be many."""
     learner = Learner(settings, site, "recording", only_last=True)
-    for event in sorted(events, key=lambda event: event.t):
+    for event in events:
         learner.receive(event)
     learner.flush()
     if learner.topology is None:

@@ -62,8 +62,8 @@ FLOORS = (
     "cli.terminal",
     "cli.common",
     "cli.events cli.generated cli.cameras",
-    "cli.commands cli.operator",
     "cli.city",
+    "cli.commands cli.operator",
     "cli",
     "__main__",
 )
@@ -85,6 +85,8 @@ HOMES = {
     "uvicorn": ("web.app", "web.connections"),
     "rich": ("cli.commands.watch",),
     "pymetis": ("city.partition",),
+    "distributed": ("city.cluster", "cli.city.learn_city"),
+    "threadpoolctl": ("city.cluster",),
     "onnxruntime": ("vision.detector.engines",),
     "cv2": ("vision", "sim", "export"),
     "sqlite3": (

@@ -1,1 +1,1 @@
-"""The commands of a city: where to cut it, and one topology of its districts."""
+"""The commands of a city: where to cut it, one topology of its districts, and all in one."""

@@ -14,9 +14,9 @@ from typing import Any
 
 from msgspec import Struct
 
-from camtopod.cli.commands.learn import feed
 from camtopod.cli.common import configuration, counted, open_output, topology_of
 from camtopod.cli.events.event_lines import LineReader, open_input, table_rows_of
+from camtopod.cli.events.learning import feed
 from camtopod.cli.events.recording import Times
 from camtopod.cli.exits import CommandError, InputError
 from camtopod.config import districts_file, with_borders

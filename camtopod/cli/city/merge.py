@@ -7,6 +7,7 @@ import sys
 from pathlib import Path
 from typing import Any
 
+from camtopod.city.joined_map import JoinedMap
 from camtopod.city.merge import merge
 from camtopod.cli.common import counted, districts_of, open_output, topology_of
 from camtopod.cli.exits import CommandError
@@ -44,11 +45,17 @@ def run(args: argparse.Namespace) -> None:
     districts = districts_of(args.districts)
     parts = [topology_of(path) for path in args.topologies]
     try:
-        city, zones, links = merge(parts, districts, args.site or "city")
+        city = merge(parts, districts, args.site or "city")
     except ValueError as error:
         raise CommandError(f"these are not the districts of one city:\n{error}") from None
-    with open_output(args.out) as file:
-        file.write(to_json(city) + b"\n")
+    write(city, args.out)
+
+
+def write(city: JoinedMap, out: str | Path) -> None:
+    """Write a city's topology to a file, and say what is not in its map. Raises `CommandError`."""
+    topology, zones, links = city
+    with open_output(out) as file:
+        file.write(to_json(topology) + b"\n")
     if zones:
         print(
             f"camtopod: {counted(zones, 'zone')} of cameras beyond a border are at no place that "

@@ -9,17 +9,19 @@ from __future__ import annotations
 import argparse
 import sys
 from contextlib import ExitStack
-from typing import Any, BinaryIO
+from typing import Any
 
 from camtopod.cli import exits
+from camtopod.cli.city import learn_city
 from camtopod.cli.common import configuration, open_output
 from camtopod.cli.events.event_lines import LineReader
-from camtopod.cli.events.recording import Times, fault_of, recorded
+from camtopod.cli.events.learning import feed
+from camtopod.cli.events.recording import Times, fault_of
 from camtopod.cli.exits import InputError
-from camtopod.cli.terminal import Progress, busiest_links, topology_lines
+from camtopod.cli.terminal import busiest_links, topology_lines
 from camtopod.codec import to_json
 from camtopod.labels import LABELS_MAX
-from camtopod.learn.learner import STEPS, Learner
+from camtopod.learn.learner import Learner
 from camtopod.records import Topology
 from camtopod.topology import lacks_in_words, likely_links
 
@@ -61,6 +63,7 @@ def add_parser(add: Any) -> None:
         help="print the links between views, and those with half of their evidence; a terminal "
         "gets them anyway if no file is named",
     )
+    learn_city.add_options(parser)
 
 
 def run(args: argparse.Namespace) -> int:
@@ -68,6 +71,8 @@ def run(args: argparse.Namespace) -> int:
 
     A terminal gets its links as a table instead, as with ``--table``.
     """
+    if args.districts or args.scheduler or args.insecure:
+        return learn_city.run(args)
     config = configuration(args)
     reader = LineReader()
     times = Times()
@@ -106,42 +111,6 @@ def run(args: argparse.Namespace) -> int:
     ):
         print(f"camtopod: {line}", file=sys.stderr)
     return exits.FAILED if fault else reader.status
-
-
-def feed(
-    learner: Learner,
-    reader: LineReader,
-    paths: list[str],
-    times: Times,
-    updates: BinaryIO | None = None,
-) -> None:
-    """Pass every line of a recording to the learner, write each version, show progress."""
-    with Progress(lines=True) as progress:
-
-        def say_step(step: str) -> None:
-            progress.show("step %d of %d: %s", STEPS.index(step) + 1, len(STEPS), step)
-
-        learner.on_step = say_step
-        for line in recorded(reader, paths, times):
-            verdict = learner.receive(line.event)
-            if verdict == "duplicate":
-                reader.repeat(line)
-            elif verdict == "refused":
-                reader.reject_event(
-                    verdict, f"{line.file}:{line.number}: more cameras than can be learned"
-                )
-            if progress.due:
-                progress.show("%d lines, %.0f %%", reader.lines_read, 100 * (reader.share() or 0.0))
-            _write(learner, updates)
-        learner.flush()
-        _write(learner, updates)
-
-
-def _write(learner: Learner, updates: BinaryIO | None) -> None:
-    """Take new versions from the learner, and write them if asked to."""
-    for topology in learner.updates():
-        if updates is not None:
-            updates.write(to_json(topology) + b"\n")
 
 
 def link_table(topology: Topology) -> list[str]:
