@@ -30,6 +30,7 @@ from camtopod.config.settings import (
     HealthSettings as HealthSettings,
     KeepSettings as KeepSettings,
     Limits as Limits,
+    OtherSite as OtherSite,
     SiteSettings as SiteSettings,
     StateSettings as StateSettings,
 )

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 import re
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 
 import msgspec
@@ -17,6 +17,7 @@ from camtopod.config.settings import (
     Config,
     ConfigError,
     MapSettings,
+    OtherSite,
     TlsSettings,
     WebSettings,
 )
@@ -60,15 +61,21 @@ def parse(text: str, name: str = "configuration") -> Config:
 def _parse(text: str, name: str) -> Config:
     data, text, problems = syntax(text.replace("\r\n", "\n"))
     reader = TableReader(TABLES, key_lines(text))
-    tables = data.pop("cameras", {})
+    tables = {}
+    for title, noun in (("cameras", "ID], one a camera"), ("sites", "NAME], one a site")):
+        tables[title] = data.pop(title, {})
+        if not isinstance(tables[title], dict):
+            reader.report((title,), f"expected tables [{title}.{noun}")
+            tables[title] = {}
     config = reader.table(Config(), data, ())
-    if not isinstance(tables, dict):
-        reader.report(("cameras",), "expected tables [cameras.ID], one a camera")
-        tables = {}
+    sites = {
+        name: reader.table(OtherSite(), value, ("sites", name))
+        for name, value in tables["sites"].items()
+    }
 
     # The cameras, each on top of [vision] and [detector].
     cameras = {}
-    for camera, value in tables.items():
+    for camera, value in tables["cameras"].items():
         defaults = config.new_camera
         if isinstance(value, dict):
             redact.remember(str(value.get("source", "")))  # hidden in all messages
@@ -76,7 +83,7 @@ def _parse(text: str, name: str) -> Config:
                 defaults = replace(defaults, detector=DetectorSettings())
                 del value["detector"]
         cameras[camera] = reader.table(defaults, value, ("cameras", camera))
-    config = replace(config, cameras=cameras)
+    config = replace(config, cameras=cameras, sites=sites)
 
     for path, mistake in _mistakes(config):
         reader.report(path, mistake)
@@ -120,6 +127,7 @@ def detector_line(text: str, camera: str, key: str) -> tuple[int, str]:
 def _mistakes(config: Config) -> Iterator[tuple[Keys, str]]:
     """Yield the errors of settings that are each valid but contradict each other."""
     yield from _mistakes_of_bus(config.bus)
+    yield from _mistakes_of_sites(config)
     yield from _mistakes_of_topology(config.topology)
     if config.web.token_file and not config.web.password_file:
         yield ("web", "token_file"), "password_file is missing: people cannot give a token"
@@ -151,6 +159,32 @@ def _mistakes(config: Config) -> Iterator[tuple[Keys, str]]:
                 yield (*path, "labels"), f"COCO has no {label!r}{hint}"
 
 
+def _mistakes_of_sites(config: Config) -> Iterator[tuple[Keys, str]]:
+    """Yield the errors of other sites, and of the cameras that deliver to them."""
+    own = config.site.name
+    for name, place in config.sites.items():
+        path: Keys = ("sites", name)
+        if not re.match(NAME_PATTERN, name):
+            yield path, "a site's name is 1 to 64 of the characters A-Z a-z 0-9 _ . -"
+        if name == own:
+            yield path, "this is the file's own site, [site] name: [bus] says where it is"
+        elif not place.connect:
+            yield path, "connect is missing: where is that site's router?"
+        elif config.bus.tls == TlsSettings() or place.tls != TlsSettings():
+            yield from _mistakes_of_bus(BusSettings(place.connect, tls=place.tls), path)
+        else:
+            yield from _not_tls(place.connect, (*path, "connect"), "bus.tls")
+    for camera, settings in config.cameras.items():
+        path = ("cameras", camera, "sites")
+        if settings.sites and settings.sites[0] != own:
+            yield path, f"the first one owns the camera and has to be this site, {own}"
+        if len({*settings.sites}) < len(settings.sites):
+            yield path, "a site is listed twice"
+        for name in settings.sites[1:]:
+            if name != own and name not in config.sites:
+                yield path, f"there is no table [sites.{name}] that says where {name} is"
+
+
 def _mistakes_of_topology(topology: TopologySettings) -> Iterator[tuple[Keys, str]]:
     """Yield the errors of pairs of cameras: of one camera, or in both lists."""
     for key in ("neighbours", "not_neighbours"):
@@ -163,24 +197,28 @@ def _mistakes_of_topology(topology: TopologySettings) -> Iterator[tuple[Keys, st
             yield ("topology", "not_neighbours"), f"{a} and {b} are among the neighbours, too"
 
 
-def _mistakes_of_bus(bus: BusSettings) -> Iterator[tuple[Keys, str]]:
+def _mistakes_of_bus(bus: BusSettings, table: Keys = ("bus",)) -> Iterator[tuple[Keys, str]]:
     """Yield the errors of certificates: they need all files, and tls/ endpoints."""
     if bus.tls == TlsSettings():
         return
     for key in ("ca", "certificate", "private_key"):
         if not getattr(bus.tls, key):
             mistake = f"{key} is missing; ca, certificate and private_key go together"
-            yield ("bus", "tls"), mistake
+            yield (*table, "tls"), mistake
     if not bus.tls.access and not bus.connect:
         mistake = (
             "access is missing: a daemon that is the meeting point has to know who may do what"
         )
-        yield ("bus", "tls"), mistake
+        yield (*table, "tls"), mistake
     for key in ("listen", "connect"):
-        for endpoint in getattr(bus, key):
-            if not endpoint.startswith("tls/"):
-                mistake = f"{endpoint!r} is not a tls/ endpoint, but [bus.tls] is set"
-                yield ("bus", key), mistake
+        yield from _not_tls(getattr(bus, key), (*table, key), ".".join((*table, "tls")))
+
+
+def _not_tls(endpoints: Sequence[str], path: Keys, tls: str) -> Iterator[tuple[Keys, str]]:
+    """Yield the endpoints at ``path`` that are not of TLS though the table ``tls`` is set."""
+    for endpoint in endpoints:
+        if not endpoint.startswith("tls/"):
+            yield path, f"{endpoint!r} is not a tls/ endpoint, but [{tls}] is set"
 
 
 def _with_absolute_paths(folder: Path, config: Config) -> Config:
@@ -192,7 +230,6 @@ def _with_absolute_paths(folder: Path, config: Config) -> Config:
     def located(path: str) -> str:
         return str(folder.absolute() / os.path.expandvars(path)) if path else ""
 
-    tls = config.bus.tls.with_paths(located)
     cameras = {
         camera: replace(
             settings,
@@ -204,8 +241,7 @@ def _with_absolute_paths(folder: Path, config: Config) -> Config:
     detector = replace(config.detector, model=located(config.detector.model))
     web = WebSettings(*(located(path) for path in msgspec.structs.astuple(config.web)))
     return replace(
-        config,
-        bus=replace(config.bus, tls=tls),
+        config.with_paths(located),
         cameras=cameras,
         detector=detector,
         web=web,

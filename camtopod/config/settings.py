@@ -93,6 +93,21 @@ class BusSettings(Struct, frozen=True, forbid_unknown_fields=True):
     """See [bus.tls]."""
 
 
+SITES_MAX = 16
+"""Most sites to which one camera delivers; each takes a session of its grabber."""
+
+
+class OtherSite(Struct, frozen=True, forbid_unknown_fields=True):
+    """``[sites.NAME]``: another site to which cameras of this one deliver, too."""
+
+    connect: Endpoints = ()
+    """Endpoints of that site's router or daemon. The certificate is that of [bus.tls], of an
+    authority for all sites; another one may stand in [sites.NAME.tls], with the same keys.
+    """
+    tls: TlsSettings = TlsSettings()
+    """See [bus.tls]."""
+
+
 class StateSettings(Struct, frozen=True, forbid_unknown_fields=True):
     """``[state]``: files that survive a restart."""
 
@@ -126,6 +141,13 @@ class CameraSettings(VisionSettings, frozen=True, forbid_unknown_fields=True, kw
     """
     realtime: bool = False
     """A file only: play it at its own speed, not as fast as it decodes."""
+    sites: Annotated[
+        tuple[Name, ...],
+        Meta(max_length=SITES_MAX, description=f"at most {SITES_MAX} names of sites"),
+    ] = ()
+    """All sites to which the camera delivers, its owner, this one, first; each other one has a
+    table [sites.NAME]. Empty: this one alone.
+    """
     page: Annotated[
         str,
         Meta(
@@ -244,6 +266,7 @@ class Config(Struct, frozen=True, forbid_unknown_fields=True):
     site: SiteSettings = SiteSettings()
     bus: BusSettings = BusSettings()
     state: StateSettings = StateSettings()
+    sites: dict[Name, OtherSite] = {}
     cameras: dict[Name, CameraSettings] = {}
     learn: LearnSettings = LearnSettings()
     topology: TopologySettings = TopologySettings()
@@ -295,29 +318,50 @@ class Config(Struct, frozen=True, forbid_unknown_fields=True):
         if any(redact.holds_secret(camera.source) for camera in self.cameras.values()):
             files.append(path)
         files += [Path(file) for file in (self.web.password_file, self.web.token_file) if file]
-        names = list(self.cameras) if "{camera}" in self.bus.tls.private_key else [""]
-        keys = [self.bus.tls.private_key.replace("{camera}", name) for name in names]
-        return files + [Path(key) for key in keys if key]
+        for tls in (self.bus.tls, *(place.tls for place in self.sites.values())):
+            names = list(self.cameras) if "{camera}" in tls.private_key else [""]
+            keys = [tls.private_key.replace("{camera}", name) for name in names]
+            files += [Path(key) for key in keys if key]
+        return files
 
     def joining(self, site: str | None, endpoints: Sequence[str]) -> Config:
         """Return the configuration for another site and other endpoints, where given.
 
-        Raises `ValueError`.
+        A camera delivers to another site alone, not to all that the file lists. Raises
+        `ValueError`.
         """
         config = self
         if site is not None:
             if not re.match(NAME_PATTERN, site):
                 raise ValueError(f"site {site!r}: 1 to 64 of the characters A-Z a-z 0-9 _ . -")
+            config = self.at(site) if site in self.sites else self
+            if site != self.site.name:
+                cameras = {name: replace(value, sites=()) for name, value in self.cameras.items()}
+                config = replace(config, cameras=cameras)
             config = replace(config, site=SiteSettings(site))
         for endpoint in endpoints:
             if not re.match(ENDPOINT_PATTERN, endpoint):
                 raise ValueError(f"connect {endpoint!r}: write it like {DEFAULT_ENDPOINT}")
-            if self.bus.tls.ca and not endpoint.startswith("tls/"):
+            if config.bus.tls.ca and not endpoint.startswith("tls/"):
                 raise ValueError(f"connect {endpoint!r}: write tls/..., as [bus.tls] is set")
         if endpoints:
-            bus = replace(self.bus, connect=tuple(endpoints), listen=())
+            bus = replace(config.bus, connect=tuple(endpoints), listen=())
             config = replace(config, bus=bus)
         return config
+
+    def at(self, site: str) -> Config:
+        """Return the configuration of a client of ``site``, this one or one of ``[sites.NAME]``."""
+        if site == self.site.name:
+            return self
+        place = self.sites[site]
+        tls = place.tls if place.tls.ca else replace(self.bus.tls, access="")
+        bus = replace(self.bus, connect=place.connect, listen=(), tls=tls)
+        return replace(self, site=SiteSettings(site), bus=bus)
+
+    def sites_of(self, camera: str) -> tuple[str, ...]:
+        """Return the sites to which a camera delivers; the first one, this one, owns it."""
+        settings = self.cameras.get(camera)
+        return (settings.sites if settings else ()) or (self.site.name,)
 
     @property
     def new_camera(self) -> CameraSettings:
@@ -350,8 +394,16 @@ class Config(Struct, frozen=True, forbid_unknown_fields=True):
 
     def certified(self, camera: str) -> Config:
         """Return the configuration with the certificate of ``camera``, for its publisher."""
-        tls = self.bus.tls.with_paths(lambda path: path.replace("{camera}", camera))
-        return replace(self, bus=replace(self.bus, tls=tls))
+        return self.with_paths(lambda path: path.replace("{camera}", camera))
+
+    def with_paths(self, change: Callable[[str], str]) -> Config:
+        """Return the configuration with each path of a certificate's files changed."""
+        sites = {
+            name: replace(place, tls=place.tls.with_paths(change))
+            for name, place in self.sites.items()
+        }
+        bus = replace(self.bus, tls=self.bus.tls.with_paths(change))
+        return replace(self, bus=bus, sites=sites)
 
 
 def _expanded(path: str) -> Path:
@@ -367,10 +419,10 @@ TABLES: dict[str, type[Struct]] = {
     **{
         field.name: field.type
         for field in msgspec.structs.fields(Config)
-        if field.name != "cameras"
+        if field.name not in ("sites", "cameras")
     },
 }
-"""The tables with fixed keys; all others are ``[cameras.ID]``."""
+"""The tables with fixed keys; all others are ``[sites.NAME]`` and ``[cameras.ID]``."""
 
 
 class ConfigError(Exception):

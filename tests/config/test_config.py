@@ -15,7 +15,7 @@ from camtopod.cli.generated import example
 from camtopod.cli.generated.example_config import attribute_docs
 from camtopod.config import fields, secret_files
 from camtopod.config.config_file import load, parse, without_source
-from camtopod.config.settings import TABLES, CameraSettings, Config, ConfigError
+from camtopod.config.settings import TABLES, CameraSettings, Config, ConfigError, OtherSite
 from camtopod.vision.settings import VisionSettings
 
 EXAMPLE = DEPLOY / "camtopod.toml"
@@ -219,6 +219,71 @@ def test_a_camera_has_the_settings_of_all_and_its_own() -> None:
     )
 
 
+SITES = """\
+[site]
+name = "north"
+[bus]
+connect = ["tls/north:7447"]
+[bus.tls]
+ca = "c/{camera}"
+certificate = "b/{camera}"
+private_key = "a/{camera}"
+[sites.south]
+connect = ["tls/south:7447"]
+[sites.west]
+connect = ["tls/west:7447"]
+tls = {ca = "w1", certificate = "w2", private_key = "w3"}
+[cameras.gate7]
+sites = ["north", "south", "west"]
+[cameras.lobby]
+"""
+
+
+def test_a_camera_of_several_sites_says_where_each_is(tmp_path: Path) -> None:
+    path = tmp_path / "c.toml"
+    path.write_text(SITES)
+    config = load(path)
+
+    assert config.sites_of("gate7") == ("north", "south", "west")
+    assert config.sites_of("lobby") == config.sites_of("another") == ("north",)
+    own = config.for_camera("gate7")
+    assert own.at("north") is own
+    south, west = own.at("south"), own.at("west")
+    assert (south.site.name, south.dials) == ("south", ("tls/south:7447",))
+    assert south.bus.tls == own.bus.tls
+    assert south.bus.tls.private_key == str(tmp_path / "a/gate7")
+    assert west.bus.tls.private_key == str(tmp_path / "w3")
+    assert {tmp_path / "a/gate7", tmp_path / "w3"} <= {*config.secrets(path)}
+
+    elsewhere = config.joining("south", ())
+    assert (elsewhere.dials, elsewhere.sites_of("gate7")) == (("tls/south:7447",), ("south",))
+    unknown = config.joining("east", ["tls/east:7447"])
+    assert (unknown.dials, unknown.sites_of("gate7")) == (("tls/east:7447",), ("east",))
+    same = config.joining("north", ())
+    assert (same.dials, same.sites_of("gate7")) == (config.dials, config.sites_of("gate7"))
+
+
+def test_sites_that_contradict_each_other() -> None:
+    text = SITES.replace("tls/south", "tcp/south").replace("tls/west", "tcp/west")
+    text += 'sites = ["south", "north", "east", "east"]\n[sites.north]\n[sites.up]\n[sites."a b"]\n'
+    assert mistakes(text) == [
+        (10, "sites.south.connect: 'tcp/south:7447' is not a tls/ endpoint, but [bus.tls] is set"),
+        (
+            12,
+            "sites.west.connect: 'tcp/west:7447' is not a tls/ endpoint, but [sites.west.tls] is "
+            "set",
+        ),
+        (17, "cameras.lobby.sites: a site is listed twice"),
+        (17, "cameras.lobby.sites: the first one owns the camera and has to be this site, north"),
+        (17, "cameras.lobby.sites: there is no table [sites.east] that says where east is"),
+        (18, "sites.north: this is the file's own site, [site] name: [bus] says where it is"),
+        (19, "sites.up: connect is missing: where is that site's router?"),
+        (20, "sites.a b: a site's name is 1 to 64 of the characters A-Z a-z 0-9 _ . -"),
+        (20, "sites.a b: connect is missing: where is that site's router?"),
+    ]
+    assert mistakes("sites = 5\n") == [(1, "sites: expected tables [sites.NAME], one a site")]
+
+
 def test_areas_and_doors_are_lists_of_points_or_texts() -> None:
     triangle = ((0.0, 0.0), (0.5, 0.0), (0.5, 1.0))
     for written in (
@@ -281,6 +346,6 @@ def test_the_example_is_right_and_says_every_default() -> None:
                 assert re.search(rf"(?m)^(# )?{field.name} = ", text), f"{name}.{field.name}"
 
 
-@pytest.mark.parametrize("kind", [*TABLES.values(), CameraSettings, VisionSettings])
+@pytest.mark.parametrize("kind", [*TABLES.values(), CameraSettings, OtherSite, VisionSettings])
 def test_every_setting_says_what_it_is(kind: type[msgspec.Struct]) -> None:
     assert set(attribute_docs(kind)) == set(kind.__struct_fields__)

@@ -11,7 +11,7 @@ from typing import Any
 
 from msgspec import Struct
 
-from camtopod.config import TABLES, CameraSettings, fields
+from camtopod.config import TABLES, CameraSettings, OtherSite, fields
 
 _HEAD = """\
 #:schema ./camtopod.schema.json
@@ -27,6 +27,8 @@ source = "rtsp://user:password@192.0.2.10:554/stream1"
 # min_height = 0.1
 # detector = false
 """
+_SITES = "# One table for each other site to which cameras of this one deliver, too.\n"
+_ANNEX = {"connect": ["tcp/192.0.2.20:7447"]}
 _HALL = {"source": "rtsp://user:password@192.0.2.11:554/stream1"}
 
 
@@ -34,6 +36,7 @@ def example() -> str:
     """Return a valid configuration file in which every setting is explained."""
     parts = [_HEAD, table("site", TABLES["site"], {"name": "hq"})]
     parts += [table(name, TABLES[name]) for name in ("bus", "bus.tls", "state", "keep")]
+    parts += [_SITES + table("sites.annex", OtherSite, _ANNEX)]
     parts += [_CAMERAS, table("cameras.hall", CameraSettings, _HALL)]
     names = ("vision", "detector", "learn", "topology", "limits", "health", "web", "map")
     parts += [table(name, TABLES[name]) for name in names]

@@ -14,7 +14,7 @@ from msgspec import Struct
 
 from camtopod import records
 from camtopod.cli.generated.example_config import attribute_docs
-from camtopod.config import TABLES, CameraSettings, Config, fields
+from camtopod.config import TABLES, CameraSettings, Config, OtherSite, fields
 from camtopod.records import (
     DELTA_SCHEMA,
     MODEL_SCHEMA,
@@ -50,7 +50,8 @@ _SCHEMAS = {
 NAMES = tuple(_TYPES_OF)
 """Names of the schemas."""
 _TABLES: dict[type[Struct], str] = {kind: name for name, kind in TABLES.items()} | {
-    CameraSettings: "cameras"
+    CameraSettings: "cameras",
+    OtherSite: "sites",
 }
 _OTHERS: list[type[Struct]] = [Hello, Batch, Answer, Config, *_TABLES]
 _KINDS: dict[str, type[Struct]] = vars(records) | {kind.__name__: kind for kind in _OTHERS}
