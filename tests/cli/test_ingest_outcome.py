@@ -6,7 +6,7 @@ import contextlib
 import re
 import sqlite3
 import threading
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 
 import msgspec
@@ -23,7 +23,7 @@ from camtopod.records import Event
 from camtopod.serve.bus import Bus, open_daemon_session
 from camtopod.serve.daemon import Daemon
 from camtopod.serve.ingest import backlogs
-from camtopod.serve.outbox import Publisher
+from camtopod.serve.outbox import Publisher, SiteDelivery, publisher
 from camtopod.serve.outbox.spool_files import open_ingest_spool
 
 
@@ -171,10 +171,10 @@ def test_cameras_too_many_end_it_and_left_events_of_them_hold_nothing_up(
         with contextlib.closing(open_ingest_spool(tmp_path / "here", "a", Limits())) as spool:
             spool.append([Event("invented", "entry", T0)])
             assert ingest(daemon, tmp_path, right, "--anew") == 0
-            assert (spool.waiting("lobby"), spool.waiting("invented")) == (0, 1)
+            assert (spool.queue().waiting("lobby"), spool.queue().waiting("invented")) == (0, 1)
         assert ingest(daemon, tmp_path, right, "--anew") == 0
         with contextlib.closing(open_ingest_spool(tmp_path / "here", "a", Limits())) as spool:
-            assert (spool.waiting("lobby"), spool.waiting("invented")) == (0, 1)
+            assert (spool.queue().waiting("lobby"), spool.queue().waiting("invented")) == (0, 1)
     assert stored(tmp_path, "a") == 30
 
 
@@ -186,18 +186,18 @@ def test_who_waits_for_a_daemon_that_takes_nothing_says_why(
     with site(tmp_path, "a") as daemon:
         assert ingest(daemon, tmp_path, first) == 0
 
-    class ToldWhy(Publisher):
-        """A publisher that has found the daemon, and been told a reason, however slow they are."""
+    class ToldWhy(SiteDelivery):
+        """A delivery that has found the daemon, and been told a reason, however slow they are."""
 
-        def attach(self, bus: Bus) -> None:
-            super().attach(bus)
+        def start(self, cameras: Sequence[str] = ()) -> None:
+            super().start(cameras)
             wait_for(lambda: self.sees_daemon, "the daemon to be visible")
 
         def own_reason(self) -> str:
             wait_for(lambda: bool(super(ToldWhy, self).own_reason()), "the daemon's reason")
             return super().own_reason()
 
-    monkeypatch.setattr(ingest_command, "Publisher", ToldWhy)
+    monkeypatch.setattr(publisher, "SiteDelivery", ToldWhy)
     monkeypatch.setattr(ingest_command, "PATIENCE_SECONDS", 0.4)
     with site(tmp_path, "a", now=T0) as daemon:
         says = ingest_command.log.warning

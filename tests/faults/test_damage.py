@@ -67,7 +67,7 @@ def spool_content(directory: Path) -> Content:
     rows: dict[object, object] = {}
     with contextlib.closing(Spool(directory / "spool.db", "boot-2", 10_000)) as spool:
         for camera in CAMERAS:
-            _, events = spool.next_batch(camera, 10_000) or ("", [])
+            _, events = spool.queue().next_batch(camera, 10_000) or ("", [])
             rows |= {(camera, seq): raw for seq, raw in events}
         reported = spool.statistics()["damaged_files"] > 0
     return Content(rows, reported)

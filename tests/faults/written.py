@@ -96,7 +96,7 @@ class WrittenSpool:
 
     def step(self, number: int) -> None:
         for (camera, boot), seq in self._have.items():  # after an error the daemon says it again
-            self.spool.have(camera, boot, seq)
+            self.spool.queue().have(camera, boot, seq)
         last = self.spool.append(events_of(number))[-1]
         if number % 5 != 0:
             self._have[last.camera, str(last.boot)] = last.seq or 0

@@ -96,7 +96,7 @@ class World:
         boot = f"b{next(self._boots)}"
         self.spool = Spool(self._path, boot, SPOOL_EVENTS, kept_max=KEPT_EVENTS)
         numbers = (f"n{self._grabber}-{count}" for count in itertools.count())
-        self.delivery = Delivery(CAMERA, self.spool, lambda: next(numbers))
+        self.delivery = Delivery(CAMERA, self.spool.queue(), lambda: next(numbers))
         self.look()
 
     def add(self) -> None:

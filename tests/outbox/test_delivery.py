@@ -23,7 +23,7 @@ class Grabber:
         self.now = 1000.0
         self.spool = Spool(folder / "spool.db", "b1", 1000)
         numbers = itertools.count(1)
-        self.delivery = Delivery("lobby", self.spool, lambda: f"n{next(numbers)}")
+        self.delivery = Delivery("lobby", self.spool.queue(), lambda: f"n{next(numbers)}")
         self.add(3)
 
     def add(self, count: int, boot: str | None = None, start: int = 1) -> None:

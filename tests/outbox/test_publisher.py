@@ -137,7 +137,7 @@ def test_damage_that_the_delivery_finds_ends_the_publisher(
 
     with publishing(tmp_path) as (one, spool):
         one.publish(*events(1))
-        monkeypatch.setattr(spool, "next_batch", finds)
+        monkeypatch.setattr(spool.queue(), "next_batch", finds)
         one.attach(bus)
         assert found.wait(30.0)
 

@@ -26,7 +26,7 @@ def events(count: int, camera: str = "lobby", start: int = 0) -> list[Event]:
 
 def seqs(spool: Spool, camera: str = "lobby", most: int = 10_000) -> tuple[str, list[int]]:
     """Return boot and numbers of the next batch; of none, no boot."""
-    batch = spool.next_batch(camera, most)
+    batch = spool.queue().next_batch(camera, most)
     return ("", []) if batch is None else (batch[0], [seq for seq, _ in batch[1]])
 
 
@@ -49,7 +49,7 @@ def test_each_camera_is_counted_from_one(spool: Spool) -> None:
         ("hall", "b1", 1),
         ("lobby", "b1", 2),
     ]
-    batch = spool.next_batch("lobby", 10)
+    batch = spool.queue().next_batch("lobby", 10)
     assert batch is not None
     assert [codec.event_from_msgpack(raw) for _, raw in batch[1]] == [numbered[0], numbered[2]]
 
@@ -59,10 +59,10 @@ def test_a_new_boot_begins_with_each_opening_and_older_ones_come_first(spool: Sp
 
     with contextlib.closing(reopened(spool)) as again:
         assert [(one.boot, one.seq) for one in again.append(events(1))] == [("b2", 1)]
-        assert again.boots("lobby") == ["b1", "b2"]
+        assert again.queue().boots("lobby") == ["b1", "b2"]
         assert (again.waiting(), again.waiting(own=True)) == (3, 1)
         assert seqs(again) == ("b1", [1, 2])
-        again.have("lobby", "b1", 2)
+        again.queue().have("lobby", "b1", 2)
         assert seqs(again) == ("b2", [1])
 
 
@@ -72,7 +72,7 @@ def test_a_batch_has_so_many_events_and_bytes_of_one_boot(spool: Spool) -> None:
 
     wide = [Event("hall", "entry", 1.0, track="\N{CAMERA}" * 128) for _ in range(300)]
     spool.append(wide)
-    batch = spool.next_batch("hall", 500)
+    batch = spool.queue().next_batch("hall", 500)
     assert batch is not None
     size = sum(len(raw) for _, raw in batch[1])
     assert BATCH_BYTES_MAX - 1000 < size <= BATCH_BYTES_MAX
@@ -80,15 +80,15 @@ def test_a_batch_has_so_many_events_and_bytes_of_one_boot(spool: Spool) -> None:
 
 def test_marks_go_forwards_and_backwards_and_survive_closing(spool: Spool) -> None:
     spool.append(events(5))
-    spool.have("lobby", "b1", 4)
-    assert (spool.waiting("lobby"), seqs(spool)) == (1, ("b1", [5]))
-    spool.have("lobby", "b1", 1)
-    assert (spool.waiting("lobby"), seqs(spool)) == (4, ("b1", [2, 3, 4, 5]))
-    spool.have("lobby", "of nobody", 7)
-    spool.have("lobby", "b1", 3)
+    spool.queue().have("lobby", "b1", 4)
+    assert (spool.queue().waiting("lobby"), seqs(spool)) == (1, ("b1", [5]))
+    spool.queue().have("lobby", "b1", 1)
+    assert (spool.queue().waiting("lobby"), seqs(spool)) == (4, ("b1", [2, 3, 4, 5]))
+    spool.queue().have("lobby", "of nobody", 7)
+    spool.queue().have("lobby", "b1", 3)
 
     with contextlib.closing(reopened(spool)) as again:
-        assert (again.mark("lobby", "b1"), seqs(again)) == (3, ("b1", [4, 5]))
+        assert (again.queue().mark("lobby", "b1"), seqs(again)) == (3, ("b1", [4, 5]))
 
 
 def test_numbers_of_their_own_stay_if_they_rise_and_count_once(spool: Spool) -> None:
@@ -109,7 +109,7 @@ def test_what_is_stored_already_does_not_wait_when_it_comes_again(tmp_path: Path
     recording = [Event("lobby", "entry", float(n), boot="file", seq=n) for n in range(1, 101)]
     with contextlib.closing(Spool(tmp_path / "spool.db", "b1", 1000, kept_max=10)) as spool:
         spool.append(recording)
-        spool.have("lobby", "file", 100)
+        spool.queue().have("lobby", "file", 100)
         spool.append(events(1))
         assert spool.statistics()["kept"] == 10
 
@@ -131,12 +131,12 @@ def test_what_the_daemon_would_reject_is_refused_with_the_reason(
 def test_another_boot_begins_with_what_waits(spool: Spool) -> None:
     spool.append(events(5))
     spool.append(events(2, "hall"))
-    spool.have("lobby", "b1", 2)
+    spool.queue().have("lobby", "b1", 2)
 
-    spool.begin_boot("lobby", "b2")
+    spool.queue().begin_boot("lobby", "b2")
 
-    assert spool.boots("lobby") == ["b1", "b2"]
-    batch = spool.next_batch("lobby", 10)
+    assert spool.queue().boots("lobby") == ["b1", "b2"]
+    batch = spool.queue().next_batch("lobby", 10)
     assert batch is not None
     found = [codec.event_from_msgpack(raw) for _, raw in batch[1]]
     assert [(one.boot, one.seq, one.t) for one in found] == [
@@ -144,7 +144,8 @@ def test_another_boot_begins_with_what_waits(spool: Spool) -> None:
         ("b2", 2, 3.0),
         ("b2", 3, 4.0),
     ]
-    assert spool.append(events(1))[0].seq == 4
+    assert spool.append(events(1))[0].seq == 6, "rows are not numbered anew"
+    assert seqs(spool) == ("b2", [1, 2, 3, 4])
     assert seqs(spool, "hall") == ("b1", [1, 2])
 
 
@@ -154,15 +155,15 @@ def test_another_boot_begins_with_what_waits(spool: Spool) -> None:
 def test_the_newest_stored_events_of_a_camera_are_kept(tmp_path: Path) -> None:
     with contextlib.closing(Spool(tmp_path / "spool.db", "b1", 1000, kept_max=80)) as spool:
         spool.append(events(1, "hall"))
-        spool.have("hall", "b1", 1)
+        spool.queue().have("hall", "b1", 1)
         for start in range(0, 300, 10):
             spool.append(events(10, start=start))
-            spool.have("lobby", "b1", start + 10)
+            spool.queue().have("lobby", "b1", start + 10)
 
         assert 80 < spool.statistics()["kept"] <= 101
-        spool.have("lobby", "b1", 0)
+        spool.queue().have("lobby", "b1", 0)
         assert seqs(spool)[1][-1] == 300
-        spool.have("hall", "b1", 0)
+        spool.queue().have("hall", "b1", 0)
         assert seqs(spool, "hall") == ("b1", [1])
 
 
@@ -172,7 +173,7 @@ def test_a_full_spool_drops_stored_events_first_then_the_oldest_and_says_so(
     with contextlib.closing(Spool(tmp_path / "spool.db", "b1", 20)) as spool:
         spool.append(events(5, "hall"))
         spool.append(events(15))
-        spool.have("lobby", "b1", 10)
+        spool.queue().have("lobby", "b1", 10)
         spool.append(events(8))
         assert (spool.dropped, spool.waiting(), spool.statistics()["kept"]) == (0, 18, 2)
 
@@ -227,7 +228,7 @@ def test_a_damaged_event_is_left_out_and_logged_once(
         batches = []
         while (batch := seqs(again))[1]:
             batches += batch[1]
-            again.have("lobby", *(batch[0], batch[1][-1]))
+            again.queue().have("lobby", *(batch[0], batch[1][-1]))
         assert batches == left
         assert again.waiting() == 0
     assert caplog.text.count("1 events of lobby are damaged") == ("boot" not in change)
@@ -238,7 +239,7 @@ def test_a_damaged_file_is_set_aside_and_what_can_be_read_goes_on(
 ) -> None:
     for start in range(0, 900, 100):
         spool.append(events(100, start=start))
-    spool.have("lobby", "b1", 10)
+    spool.queue().have("lobby", "b1", 10)
     spool.close()
     content = bytearray(spool.path.read_bytes())
     middle = len(content) // 2 // 4096 * 4096
@@ -249,7 +250,7 @@ def test_a_damaged_file_is_set_aside_and_what_can_be_read_goes_on(
         assert again.path.with_name("spool.db.damaged-1").read_bytes() == content
         left = again.waiting()
         assert 700 < left < 890
-        assert again.mark("lobby", "b1") == 10
+        assert again.queue().mark("lobby", "b1") == 10
         assert again.append(events(1))[0].seq == 1
     assert "is damaged" in caplog.text
     with contextlib.closing(Spool(spool.path, "b3", 1000)) as once_more:
@@ -294,7 +295,7 @@ def test_ingest_takes_a_free_spool_and_what_ended_processes_left(tmp_path: Path)
     second = open_ingest_spool(tmp_path, "hq", limits)
     assert first.path != second.path
     numbered = second.append(events(3))
-    second.have("lobby", str(numbered[0].boot), 1)
+    second.queue().have("lobby", str(numbered[0].boot), 1)
     second.close()
     elsewhere = open_ingest_spool(tmp_path, "other", limits)
     assert elsewhere.waiting() == 0

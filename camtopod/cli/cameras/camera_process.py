@@ -17,7 +17,7 @@ from typing import Any
 from camtopod.cli import exits
 from camtopod.cli.cameras.heartbeat import HeartbeatReceiver, state_of
 from camtopod.cli.common import counted
-from camtopod.config import CameraSettings
+from camtopod.config import CameraSettings, Config
 from camtopod.serve.runtime import SOCKET_VARIABLE, clock
 from camtopod.vision.source import kind_of
 
@@ -60,6 +60,12 @@ def camera_status(
         "last_end": last_end,
         "t": clock.wall(),
     }
+
+
+def site_status(config: Config, camera: str) -> dict[str, Any]:
+    """Return the further content that follows from the configuration: how often, and to whom."""
+    sites = config.sites_of(camera)
+    return {"status_seconds": config.limits.status_seconds, "owner": sites[0], "sites": sites}
 
 
 class ChildProcess:

@@ -13,7 +13,7 @@ import threading
 import time
 
 from camtopod.cli import exits
-from camtopod.cli.cameras.camera_process import STOP_SECONDS, CameraProcess
+from camtopod.cli.cameras.camera_process import STOP_SECONDS, CameraProcess, site_status
 from camtopod.cli.cameras.heartbeat import HeartbeatSender
 from camtopod.cli.common import SignalRequests, configuration
 from camtopod.cli.exits import CommandError
@@ -24,13 +24,13 @@ from camtopod.serve.storage import lock_reason
 
 log = logging.getLogger(__name__)
 
-_OF_ALL = ("site", "bus", "state", "limits")
+_OF_ALL = ("site", "sites", "bus", "state", "limits")
 """Tables that every camera's process reads: a change restarts all cameras.
 
 A change of ``[vision]`` restarts those whose own table does not override it.
 """
 
-_OF_CAMERAS = ("cameras", "vision", "detector")
+_OF_CAMERAS = ("sites", "cameras", "vision", "detector")
 """Tables that no process of `up` reads but the cameras'."""
 
 
@@ -156,13 +156,15 @@ class _Supervisor:
                 from camtopod.serve.bus import dial  # takes memory, and is seldom needed
 
                 camera = process.camera
-                try:
-                    # On a session of its own: the camera may have a certificate of its own.
-                    with dial(self._config.certified(camera)) as bus:
-                        status = {**process.summary(), "status_seconds": seconds}
-                        bus.publish(f"status/{camera}", status, "status")
-                except OSError as error:  # no bus, as the cameras' own processes report
-                    log.debug("camera %s: its status is not published: %s", camera, error)
+                config = self._config.certified(camera)
+                status = {**process.summary(), **site_status(config, camera)}
+                for site in config.sites_of(camera):
+                    try:
+                        # On a session of its own: the camera may have a certificate of its own.
+                        with dial(config.at(site)) as bus:
+                            bus.publish(f"status/{camera}", status, "status")
+                    except OSError as error:  # no bus, as the cameras' own processes report
+                        log.debug("camera %s: its status is not published: %s", camera, error)
 
 
 def command(process: CameraProcess, args: argparse.Namespace) -> list[str]:

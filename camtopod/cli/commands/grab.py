@@ -19,7 +19,6 @@ from typing import TYPE_CHECKING, Any, BinaryIO
 
 from camtopod import codec, redact
 from camtopod.cli import exits
-from camtopod.cli.cameras.camera_process import camera_status
 from camtopod.cli.cameras.heartbeat import HeartbeatSender
 from camtopod.cli.common import (
     SignalRequests,
@@ -39,8 +38,6 @@ from camtopod.vision.source import RETRY_SEPARATOR, captured_log, kind_of
 
 if TYPE_CHECKING:
     from camtopod.records import Event
-    from camtopod.serve.bus import Bus
-    from camtopod.serve.outbox import Publisher
     from camtopod.vision.detector.detector import Detector
     from camtopod.vision.grabber import Grabber
     from camtopod.vision.pipeline import Analysis, Observer
@@ -55,8 +52,6 @@ EVENTS_PER_MINUTE_MAX = 120
 """Events that people make within a minute at most: each second one enters and one leaves."""
 LEAVE_SECONDS = 4.0
 """Time that a blocking source may delay the end after a signal."""
-_DAEMON_LOOK_SECONDS = 2.0
-"""Interval at which it looks for the daemon."""
 
 
 def add_parser(add: Any) -> None:
@@ -327,14 +322,25 @@ def _to_bus(
     A supervised process waits for as long as it takes: it would be started again, and its events
     would count twice. Others wait for `DRAIN_SECONDS`.
     """
-    from camtopod.serve.outbox import Publisher, open_spool
+    from camtopod.cli.cameras.grabber_connection import GrabberConnection
+    from camtopod.serve.outbox import OWNER, Publisher, open_spool
 
+    names = config.sites_of(args.camera)
+    sites = {name if number else OWNER: name for number, name in enumerate(names)}
     with contextlib.ExitStack() as stack:
-        spool = open_spool(config.state_directory, config.site.name, args.camera, config.limits)
+        spool = open_spool(
+            config.state_directory, names[0], args.camera, config.limits, config.sites_of
+        )
         stack.callback(spool.close)
         publisher = Publisher(spool)
-        connection = _GrabberConnection(config, grabber, publisher, args)
-        stack.callback(connection.close)
+        connections = []
+        for site in sites:
+            connections.append(GrabberConnection(config, grabber, publisher, args, site))
+            stack.callback(connections[-1].close)
+
+        def publish_statuses() -> None:
+            for connection in connections:
+                connection.publish_status()
 
         # Publish events, and a status from time to time.
         next_status = 0.0
@@ -344,7 +350,7 @@ def _to_bus(
             publisher.retry()
             if time.monotonic() >= next_status:
                 next_status = time.monotonic() + config.limits.status_seconds
-                connection.publish_status()
+                publish_statuses()
 
         # Wait until all is stored.
         deadline = time.monotonic() + DRAIN_SECONDS
@@ -352,99 +358,16 @@ def _to_bus(
             deadline = math.inf
         while not stop.is_set():
             publisher.retry()
-            connection.publish_status()
+            publish_statuses()
             if publisher.wait_stored(0.2):
                 break
             backlog = publisher.waiting
             if time.monotonic() >= deadline:
+                away = [name for site, name in sites.items() if publisher.count_waiting(site=site)]
                 raise CommandError(
                     f"{backlog} events are not stored: is `camtopod run` running for site "
-                    f"{config.site.name}? They are kept in {spool.path} and published when this "
+                    f"{' and '.join(away)}? They are kept in {spool.path} and published when this "
                     "camera is grabbed again",
                     exits.BUS,
                 )
             heartbeats.beat(grabber.state, f"waiting for the daemon to store {backlog} events")
-
-
-class _GrabberConnection:
-    """Connection of the grabber to the bus, which is made in the background.
-
-    Until then events wait in the spool. It logs when the daemon is not there, and when it is again.
-    """
-
-    def __init__(
-        self, config: Config, grabber: Grabber, publisher: Publisher, args: argparse.Namespace
-    ) -> None:
-        self._config = config
-        self._grabber = grabber
-        self._publisher = publisher
-        self._args = args
-        self._is_there: bool | None = None
-        """Whether the daemon is there; None: not known yet. If it is not, the log says so."""
-        self._bus: Bus | None = None
-        self._stop = threading.Event()
-        threading.Thread(target=self._connect, name="connect", daemon=True).start()
-
-    def _connect(self) -> None:
-        """Connect, trying again until it succeeds, and publish from then on."""
-        from camtopod.cli.site_choice import right_site
-        from camtopod.serve.bus import BusError, dial
-
-        bus = None
-        while bus is None:
-            try:
-                bus = dial(self._config)
-            except BusError as error:
-                self._miss(str(error))
-            if self._stop.is_set():
-                return
-        self._publisher.attach(bus, [self._grabber.camera])
-        bus.answer_queries(f"status/{self._grabber.camera}", lambda *_: self.status(), "status")
-        bus.watch_alive("daemon", self._on_daemon)
-        self._bus = bus
-
-        # Look for the daemon once; from then on the bus tells when it appears or goes.
-        if not self._stop.wait(_DAEMON_LOOK_SECONDS) and self._is_there is None:
-            self._miss(
-                f"connected to the bus at {bus.endpoint}, but no daemon of site {bus.site} is there"
-                f"{right_site(bus, self._config)}"
-            )
-
-    def _on_daemon(self, name: str, alive: bool) -> None:
-        """Note that a daemon has appeared or gone."""
-        from camtopod.serve.bus import access
-
-        if not alive:
-            self._miss(f"the daemon has gone{access.ended_certificate(self._config)}")
-        elif self._is_there is False:
-            log.info("camera %s: connected to the daemon again", self._grabber.camera)
-        self._is_there = alive
-
-    def _miss(self, reason: str) -> None:
-        """Log once that the daemon is not there."""
-        if self._is_there is not False and not self._stop.is_set():
-            self._is_there = False
-            log.warning("camera %s: %s; events are kept in the spool", self._grabber.camera, reason)
-
-    def status(self) -> dict[str, Any]:
-        """Return the content of ``status/{camera}``."""
-        grabber = self._grabber
-        past = (self._args.restarts, self._args.last_end)
-        return {
-            **camera_status(grabber.camera, grabber.state, redact.redact(grabber.reason), *past),
-            "status_seconds": self._config.limits.status_seconds,
-            **grabber.statistics(),
-            **self._publisher.statistics(),
-        }
-
-    def publish_status(self) -> None:
-        """Publish the status if there is a connection."""
-        if self._bus is not None:
-            self._bus.publish(f"status/{self._grabber.camera}", self.status(), "status")
-
-    def close(self) -> None:
-        """End the delivery and close the bus, now or as soon as it is connected."""
-        self._stop.set()
-        self._publisher.close()
-        if self._bus is not None:
-            self._bus.close()

@@ -29,10 +29,13 @@ from camtopod.cli.terminal import Progress
 from camtopod.codec import to_json
 from camtopod.config import Config
 from camtopod.records import Event
-from camtopod.serve.bus import Bus, dial
+from camtopod.serve.bus import dial
 from camtopod.serve.outbox import (
+    OWNER,
     TRANSACTION_EVENTS_MAX,
     Publisher,
+    SiteDelivery,
+    SiteLink,
     Spool,
     open_ingest_spool,
 )
@@ -101,10 +104,13 @@ def run(args: argparse.Namespace) -> int:
         is_file = Path(args.file).is_file()
         status = exits.DONE
         if args.out is None:
-            spool = open_ingest_spool(config.state_directory, config.site.name, config.limits)
+            spool = open_ingest_spool(
+                config.state_directory, config.site.name, config.limits, config.sites_of
+            )
             stack.callback(spool.close)
             if is_file and not args.anew:
-                boots = {boot for camera in spool.cameras() for boot in spool.boots(camera)}
+                waiting = spool.queue()
+                boots = {boot for camera in waiting.cameras() for boot in waiting.boots(camera)}
                 source = numbered_by(boot_of(Path(args.file), boots), source)
             event_batches = batches(source, TRANSACTION_EVENTS_MAX, stop, tell)
             live = not (is_file or (args.file == "-" and Path("/dev/stdin").is_file()))
@@ -194,15 +200,27 @@ def _publish(
         publisher.publish(*batch)
         progress.show("%d events read", publisher.published)
     publisher.attach(bus)
+    all_sites = dict.fromkeys([OWNER])
+    for camera in config.cameras:
+        all_sites |= dict.fromkeys(config.sites_of(camera)[1:])
+    for site in [*all_sites][1:]:
+        stack.callback(SiteLink(config, publisher, (), site).close)
+    sites = [*all_sites]
     for batch in source:
         publisher.publish(*batch)
-        _wait(publisher, waiting_max, stop, bus, config, progress)
-    _wait(publisher, 0, stop, bus, config, progress)
+        for site, error in _wait(publisher, waiting_max, stop, config, progress, sites).items():
+            if site == OWNER:
+                raise error
+            sites.remove(site)
+            log.warning("the input does not wait for site %s: %s", site, error)
+    for error in _wait(publisher, 0, stop, config, progress, [*all_sites]).values():
+        raise error
 
     # Report the outcome.
     late, refusals = publisher.outcome()
     backlog = publisher.count_waiting(own=True)
-    stored_count = max(0, publisher.published - backlog - publisher.dropped)
+    lost_count = publisher.statistics()["dropped"]
+    stored_count = max(0, publisher.published - backlog - lost_count)
     log.info("%s", _outcome(stored_count, backlog, late, refusals))
     is_enough = stored_count - refusals >= ACCEPTED_MIN * stored_count
     return exits.DONE if is_enough else exits.FAILED
@@ -267,49 +285,75 @@ def _wait(
     publisher: Publisher,
     waiting_max: int,
     stop: threading.Event,
-    bus: Bus,
     config: Config,
     progress: Progress,
-) -> None:
-    """Wait until at most ``waiting_max`` of the events of this run are not stored.
+    sites: Collection[str],
+) -> dict[str, CommandError]:
+    """Wait until at most ``waiting_max`` of the events of this run wait for each site.
 
-    Raises `CommandError` if no daemon stores any, or if it does not take one of the cameras.
+    Returns why one is not waited for: no daemon of it stores any, or it does not take a camera.
     """
+    errors = {}
+    for site in sites:
+        try:
+            _wait_for_site(publisher, waiting_max, stop, config, progress, site)
+        except CommandError as error:
+            errors[site] = error
+    return errors
+
+
+def _wait_for_site(
+    publisher: Publisher,
+    waiting_max: int,
+    stop: threading.Event,
+    config: Config,
+    progress: Progress,
+    site: str,
+) -> None:
+    """Wait as `_wait` does, for one site. Raises `CommandError`."""
     patience = PATIENCE_SECONDS
     has_told = False
-    before = publisher.count_waiting(own=True)
+    before = publisher.count_waiting(own=True, site=site)
     while not stop.is_set():
         progress.show("%d events published, %d not yet stored", publisher.published, before)
-        if publisher.wait_stored(_TICK_SECONDS, waiting_max, own=True):
+        if publisher.wait_stored(_TICK_SECONDS, waiting_max, own=True, site=site):
             return
-        if reasons := publisher.own_cameras_without_room():
-            for camera in reasons:
-                publisher.drop(camera)
-            raise CommandError(
-                f"{next(iter(reasons.values()))}; {publisher.dropped} events of "
-                f"{counted(len(reasons), 'camera')} are dropped"
-            )
-        if silent_cameras := publisher.own_cameras_unanswered():
-            reason = f"camera {', '.join(silent_cameras)}: {publisher.unanswered_reason}"
-            raise CommandError(reason, exits.BUS)
+        delivery = publisher.at(site)
+        if delivery is not None:
+            _require_taken(publisher, delivery)
         publisher.retry()
-        now = publisher.count_waiting(own=True)
+        now = publisher.count_waiting(own=True, site=site)
         patience -= _TICK_SECONDS
         if now < before:
             patience = PATIENCE_SECONDS
-        elif patience <= 0 and publisher.sees_daemon:
+        elif patience <= 0 and delivery is not None and delivery.sees_daemon:
             patience = PATIENCE_SECONDS
             if not has_told:
                 has_told = True
-                reason = (
-                    publisher.own_reason() or "the daemon is busy: `camtopod doctor` tells more"
-                )
+                reason = delivery.own_reason() or "the daemon is busy: `camtopod doctor` tells more"
                 log.warning("still waiting, %d events are not stored: %s", now, reason)
         before = now
         if patience <= 0:
+            hint = ""
+            if delivery is not None:
+                hint = right_site(delivery.bus, config.at(delivery.bus.site))
             raise CommandError(
                 f"{now} events are not stored: is `camtopod run` running for site "
-                f"{bus.site}? They are kept in the spool and published with the next ingest of "
-                f"this site{right_site(bus, config)}",
+                f"{site or config.site.name}? They are kept in the spool and published with the "
+                f"next ingest of this site{hint}",
                 exits.BUS,
             )
+
+
+def _require_taken(publisher: Publisher, delivery: SiteDelivery) -> None:
+    """Raise `CommandError` if a site does not take one of this run's cameras."""
+    if reasons := delivery.own_cameras_without_room():
+        for camera in reasons:
+            publisher.drop(camera)
+        raise CommandError(
+            f"{next(iter(reasons.values()))}; {publisher.dropped} events of "
+            f"{counted(len(reasons), 'camera')} are dropped"
+        )
+    if silent_cameras := delivery.own_cameras_unanswered():
+        reason = f"camera {', '.join(silent_cameras)}: {delivery.unanswered_reason}"
+        raise CommandError(reason, exits.BUS)

@@ -1,4 +1,4 @@
-"""Delivery of one camera's events from its spool to the daemon, one request at a time.
+"""Delivery of one camera's events from its spool to the daemon of a site, one request at a time.
 
 The daemon's answers decide: they tell how far it has stored each boot, and the queue continues
 after that number, forwards or backwards. The next request is a hello at the start, when a daemon
@@ -12,7 +12,7 @@ import math
 from collections import Counter
 from collections.abc import Callable
 
-from camtopod.serve.outbox.spool import Spool
+from camtopod.serve.outbox.site_queue import SiteQueue
 from camtopod.serve.requests import ANSWER_SECONDS_MAX, Answer, Batch, Hello
 
 RETRY_SECONDS = 2.0
@@ -29,13 +29,13 @@ UNANSWERED_MAX = 3
 
 
 class Delivery:
-    """The requests for the events of ``camera`` in ``spool``; times are monotonic seconds.
+    """The requests for the events of ``camera`` in ``queue``; times are monotonic seconds.
 
     draw_number: returns a text that was never returned before, for a hello or a boot
         (`camtopod.serve.requests.Number`).
     """
 
-    def __init__(self, camera: str, spool: Spool, draw_number: Callable[[], str]) -> None:
+    def __init__(self, camera: str, queue: SiteQueue, draw_number: Callable[[], str]) -> None:
         self.camera = camera
         self.late = 0
         """Number of this process's events that came too late to be learned."""
@@ -45,7 +45,7 @@ class Delivery:
         """Why the daemon does not take this camera, which is one too many; "" if it does."""
         self.reason = ""
         """Why the daemon took nothing of the last request, in its words; "" if it did."""
-        self._spool = spool
+        self._queue = queue
         self._draw_number = draw_number
         self._number = ""
         self._sent_at = 0.0
@@ -73,7 +73,7 @@ class Delivery:
             self._request = self._next_batch()
         else:
             self._number = self._draw_number()
-            self._request = Hello(self._number, self._spool.boots(self.camera))
+            self._request = Hello(self._number, self._queue.boots(self.camera))
         self._sent_at = now
         return self._request
 
@@ -92,7 +92,7 @@ class Delivery:
 
         # Apply the answer.
         self._batch_max = answer.batch
-        if isinstance(request, Batch) and self._spool.is_own(self.camera, request.boot):
+        if isinstance(request, Batch) and self._queue.is_own(self.camera, request.boot):
             # Before who waits for the marks looks at it.
             self.late += answer.late
             self.refusals += answer.refused
@@ -116,7 +116,7 @@ class Delivery:
             self._has_greeting = answer.reason not in ("hello", "cameras")
             useful = not answer.reason and (progress or not request.events)
             if useful and slow:
-                self._empty = request.boot, self._spool.mark(self.camera, request.boot)
+                self._empty = request.boot, self._queue.mark(self.camera, request.boot)
         if not useful:
             self._wait(now)
 
@@ -125,34 +125,34 @@ class Delivery:
         """When to call `next_request` though nothing happens; infinite if not at all."""
         if self._request is not None:
             return self._sent_at + ANSWER_SECONDS_MAX
-        if not self._has_greeting or self._empty or self._spool.waiting(self.camera):
+        if not self._has_greeting or self._empty or self._queue.waiting(self.camera):
             return self._retry_at
         return math.inf
 
     def _next_batch(self) -> Batch | None:
         """Return the batch to send: the next events, or an empty one; None if none is due."""
         if self._empty is not None:
-            return Batch(self._number, *self._empty, [], self._spool.waiting(self.camera))
-        batch = self._spool.next_batch(self.camera, self._batch_max)
+            return Batch(self._number, *self._empty, [], self._queue.waiting(self.camera))
+        batch = self._queue.next_batch(self.camera, self._batch_max)
         if batch is None:
             return None
         boot, events = batch
-        if boot == self._spool.boot(self.camera):
+        if boot == self._queue.boot(self.camera):
             self._tops[boot] = max(events[-1][0], self._tops[boot])
-        after = min(self._spool.mark(self.camera, boot), events[0][0] - 1)
-        remainder = self._spool.waiting(self.camera) - len(events)
+        after = min(self._queue.mark(self.camera, boot), events[0][0] - 1)
+        remainder = self._queue.waiting(self.camera) - len(events)
         return Batch(self._number, boot, after, events, max(0, remainder))
 
     def _note_marks(self, request: Hello | Batch, answer: Answer) -> bool:
         """Move the marks to where the answer says; return True if that of the request has moved."""
-        boot = request.boot if isinstance(request, Batch) else self._spool.boot(self.camera)
-        before = self._spool.boot(self.camera), self._spool.mark(self.camera, boot)
+        boot = request.boot if isinstance(request, Batch) else self._queue.boot(self.camera)
+        before = self._queue.boot(self.camera), self._queue.mark(self.camera, boot)
         for name, have in answer.have.items():
-            if name == self._spool.boot(self.camera) and have > self._tops[name]:
+            if name == self._queue.boot(self.camera) and have > self._tops[name]:
                 # A machine that was set back has given these numbers before.
-                self._spool.begin_boot(self.camera, self._draw_number())
-            self._spool.have(self.camera, name, have)
-        return before != (self._spool.boot(self.camera), self._spool.mark(self.camera, boot))
+                self._queue.begin_boot(self.camera, self._draw_number())
+            self._queue.have(self.camera, name, have)
+        return before != (self._queue.boot(self.camera), self._queue.mark(self.camera, boot))
 
     def _wait(self, now: float) -> None:
         """Wait until the next request."""

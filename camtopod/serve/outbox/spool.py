@@ -1,12 +1,13 @@
-"""A publisher's spool: events wait here, on disk, until the daemon has stored them.
+"""A publisher's spool: events wait here, on disk, until the daemons of all sites have stored them.
 
-Each camera has one queue over all boots, in the order of storing. A new *boot* begins each time a
-spool is opened, and the events of each camera are numbered within it, so that a file restored from
-an older copy never gives the same number to a second event. Of each boot the spool keeps a mark:
-the number up to which the daemon has the events. It moves as the daemon says, forwards or
-backwards: the newest stored events are kept, for a daemon whose journal came back older.
+A new *boot* begins each time a spool is opened, and the events of each camera are numbered within
+it, so that a file restored from an older copy never gives the same number to a second event. Each
+site has a queue of each camera over all boots, in the order of storing (`site_queue`), with a mark
+of each boot: the number up to which its daemon has the events. It moves as the daemon says,
+forwards or backwards: the newest stored events are kept, for a daemon whose journal came back
+older.
 
-A spool belongs to one site.
+A spool belongs to the site that owns its cameras; others may hear some of them.
 """
 
 from __future__ import annotations
@@ -16,8 +17,8 @@ import logging
 import math
 import sqlite3
 import threading
-from collections import defaultdict
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from itertools import groupby
 from pathlib import Path
 
 from msgspec.structs import replace
@@ -26,7 +27,7 @@ from camtopod import codec
 from camtopod.config import Limits
 from camtopod.records import Event
 from camtopod.serve.outbox import spool_tables
-from camtopod.serve.requests import BATCH_BYTES_MAX, BOOTS_MAX
+from camtopod.serve.outbox.site_queue import Mark, SiteQueue
 from camtopod.serve.runtime import Rejects
 from camtopod.serve.storage import StateError, sqlite_file
 
@@ -36,13 +37,26 @@ KEPT_EVENTS_MAX = 10_000
 """Maximum number of stored events of one camera that are kept, the newest."""
 _DEFAULT = Limits()
 
-_LOAD = """
-SELECT event.camera, event.boot, COALESCE(have, 0)
-FROM event LEFT JOIN mark USING (camera, boot) GROUP BY camera, boot ORDER BY MIN(id)
-"""
+OWNER = ""
+"""Name, in a spool, of the site that owns its cameras."""
+SitesOf = Callable[[str], Sequence[str]]
+"""Function that returns the sites to which a camera delivers, its owner first."""
+
+_BOOTS = "SELECT camera, boot FROM event GROUP BY camera, boot ORDER BY MIN(id)"
+_MARKS = "SELECT camera, boot, site, name, base, last, have FROM mark ORDER BY 1, 2, 3, base, last"
+_FORGET = "DELETE FROM mark WHERE camera = ? AND boot = ? AND site = ?"
 _BOOT = "event WHERE camera = ? AND boot = ?"
-_WAITING = f"{_BOOT} AND seq > ?"
-_STORED = "SELECT id FROM event JOIN mark USING (camera, boot) WHERE seq <= have"
+_STORED = """
+SELECT id FROM event WHERE 0 = (
+    SELECT MAX(seq > have AND seq <= last) FROM mark
+    WHERE mark.camera = event.camera AND mark.boot = event.boot)
+"""
+"""Rows that all sites have stored, as each site of a camera has marks of all its boots."""
+
+
+def owner_alone(camera: str) -> Sequence[str]:
+    """Return the sites of a camera that delivers to its owner only."""
+    return (OWNER,)
 
 
 class Spool:
@@ -52,11 +66,13 @@ class Spool:
     events_max: maximum number of events in the file.
     bytes_max: largest size of the file, in bytes.
     kept_max: maximum number of stored events of one camera that are kept.
+    sites_of: returns the sites to which a camera delivers, its owner first.
 
-    A hundredth more may be in the file. When it is full the oldest stored events are deleted, then
-    the oldest that wait, counted in `dropped`. A damaged file is set aside, and its readable events
-    are copied to the new one. Raises `StateError` on opening, and `sqlite_file.Damaged` as soon as
-    damage shows; methods that read or write the file raise `sqlite3.Error`.
+    A hundredth more may be in the file. When it is full the oldest events that all sites have
+    stored are deleted, then the oldest, counted in the `dropped` of the sites for which they wait.
+    A damaged file is set aside, and its readable events are copied to the new one. Raises
+    `StateError` on opening, and `sqlite_file.Damaged` as soon as damage shows; methods that read or
+    write the file raise `sqlite3.Error`.
     """
 
     def __init__(
@@ -66,11 +82,12 @@ class Spool:
         events_max: int,
         bytes_max: int = _DEFAULT.spool_bytes_max,
         kept_max: int = KEPT_EVENTS_MAX,
+        sites_of: SitesOf = owner_alone,
     ) -> None:
         self.path = path
         """Path of the file."""
-        self.dropped = 0
-        """Events that were deleted before they were stored, since the start."""
+        self.boot = boot
+        """The boot in which this process numbers events."""
         self.damage_count = 0
         """Damaged events that were found, since the start."""
         self.rejects = Rejects()
@@ -78,17 +95,15 @@ class Spool:
         self._events_max = events_max
         self._bytes_max = bytes_max
         self._kept_max = kept_max
-        self._first_boot = boot
-        self._later_boots: dict[str, str] = {}
-        # Camera -> boot, oldest first -> number up to which the daemon has stored it.
-        self._marks: defaultdict[str, dict[str, int]] = defaultdict(dict)
-        self._unwritten: set[tuple[str, str]] = set()  # (camera, boot) of marks that have moved
+        self._sites_of = sites_of
+        # (camera, boot, site) of marks in the file without events, or of a site that was left out.
+        self._stale: list[tuple[str, str, str]] = []
+        self._queues = {OWNER: SiteQueue(self, OWNER)}
+        self._boots: set[tuple[str, str]] = set()  # (camera, boot) with events in the file
         # (camera, boot) of which this process was given events -> the highest number of them.
         self._tops: dict[tuple[str, str], int] = {}
         # (camera, boot) -> a number that none of the events in the file is above.
         self._ceilings: dict[tuple[str, str], int] = {}
-        # (camera, boot) -> number of events that wait, where it is known.
-        self._counts: dict[tuple[str, str], int] = {}
         self._additions = math.inf  # events since the limits were looked at
         self._mutex = threading.Lock()
         self._lock = sqlite_file.Lock(path.with_suffix(".lock"))
@@ -101,7 +116,7 @@ class Spool:
                     path, spool_tables.SCHEMA, spool_tables.FORMAT, needed_tables=("meta", "mark")
                 )
                 undo.callback(self._db.close)
-                with self._using():
+                with self.using():
                     spool_tables.rescue(self._db, path)
                     self._load()
             except sqlite3.Error as error:
@@ -119,46 +134,41 @@ class Spool:
 
         After an error the events may be stored or not, and the next call must repeat them first.
         """
-        with self._using():
+        with self.using():
             batch, rows, refusals = self._number(events)
-            self._counts.clear()  # after an error, too
+            boots = {(camera, boot) for camera, boot, *_ in rows}
+            for camera, boot in boots:
+                for site in self.sites(camera):
+                    self.queue(site).add(camera, boot)
+            for queue in self._queues.values():
+                queue.forget_counts()  # after an error, too
             with self._writing():
                 self._db.executemany(spool_tables.INSERT, rows)
                 drops = self._make_room(len(rows))
             for camera, boot, seq, *_ in rows:
-                self._marks[camera].setdefault(boot, 0)
                 self._tops[camera, boot] = seq
+            self._boots |= boots
 
         # Report the events that were left out.
         for camera, error in refusals:
             self.rejects.add(error.reason, f"event of {camera}", str(error))
-        if drops and not self.dropped:
-            log.error("the spool %s is full: its oldest events are dropped", self.path)
-        self.dropped += drops
+        for site, count in drops.items():
+            if not self.queue(site).dropped:
+                beginning = f"site {site}: " if site else ""
+                full = "the spool %s is full: its oldest events are dropped"
+                log.error(f"{beginning}{full}", self.path)
+            self.queue(site).dropped += count
         return batch
 
-    def boot(self, camera: str) -> str:
-        """Return the boot in which this process numbers the events of ``camera``."""
-        return self._later_boots.get(camera, self._first_boot)
+    def sites(self, camera: str) -> list[str]:
+        """Return the sites to which ``camera`` delivers: `OWNER`, and others by their names."""
+        return [OWNER, *self._sites_of(camera)[1:]]
 
-    def boots(self, camera: str) -> list[str]:
-        """Return the boots of ``camera`` in the spool, oldest first; the one it numbers is last.
-
-        At most `BOOTS_MAX`, the newest.
-        """
-        with self._using():
-            names = [name for name in self._marks[camera] if name != self.boot(camera)]
-            return [*names[1 - BOOTS_MAX :], self.boot(camera)]
-
-    def cameras(self) -> list[str]:
-        """Return the cameras with events in the spool."""
-        with self._using():
-            return [camera for camera, boots in self._marks.items() if boots]
-
-    def mark(self, camera: str, boot: str) -> int:
-        """Return the number up to which the daemon has stored a boot, as far as is known."""
-        with self._using():
-            return self._marks[camera].get(boot, 0)
+    def queue(self, site: str = OWNER) -> SiteQueue:
+        """Return what waits for a site."""
+        if site not in self._queues:
+            self._queues[site] = SiteQueue(self, site)
+        return self._queues[site]
 
     def is_own(self, camera: str, boot: str | None = None) -> bool:
         """Return True if this process was given events of a boot, or of any boot of a camera."""
@@ -166,105 +176,28 @@ class Spool:
             return any(name == camera for name, _ in self._tops.copy())
         return (camera, boot) in self._tops
 
-    def waiting(self, camera: str | None = None, own: bool = False) -> int:
-        """Return the number of events that are not stored by the daemon, as far as is known.
+    def waiting(self, own: bool = False) -> int:
+        """Return the number of events that some site has not stored, as far as is known.
+
+        Of each camera, those that wait for the site for which most wait.
 
         own: only those of boots of which this process was given events.
         """
-        with self._using():
-            total = 0
-            for name in self._marks if camera is None else [camera]:
-                for boot, have in self._marks[name].items():
-                    if own and (name, boot) not in self._tops:
-                        continue
-                    if (name, boot) not in self._counts:
-                        self._counts[name, boot] = self._count(_WAITING, name, boot, have)
-                    total += self._counts[name, boot]
-            return total
+        with self.using():
+            return sum(
+                max(self.queue(site).count(camera, own) for site in self.sites(camera))
+                for camera in self.queue().marked_cameras
+            )
 
-    def next_batch(self, camera: str, limit: int) -> tuple[str, list[tuple[int, bytes]]] | None:
-        """Return boot and (seq, bytes) of the events of ``camera`` to be sent next, by rising seq.
-
-        They are at most ``limit`` and `BATCH_BYTES_MAX`, of the oldest boot of which events wait. A
-        damaged event is logged and deleted. None if no event waits.
-        """
-        with self._using():
-            for boot, have in self._marks[camera].items():
-                events: list[tuple[int, bytes]] = []
-                bad_rows = []
-                size = 0
-                statement = f"SELECT id, seq, raw, crc FROM {_WAITING} ORDER BY seq"
-                for id_, seq, raw, crc in self._db.execute(statement, (camera, boot, have)):
-                    if crc != sqlite_file.crc(camera, boot, seq, raw):
-                        bad_rows.append((id_,))
-                        continue
-                    size += len(raw)
-                    if len(events) == limit or (events and size > BATCH_BYTES_MAX):
-                        break
-                    events.append((seq, raw))
-
-                if bad_rows:
-                    self._counts.clear()
-                    with sqlite_file.transaction(self._db):
-                        self._db.executemany("DELETE FROM event WHERE id = ?", bad_rows)
-                    self.damage_count += len(bad_rows)
-                    log.error("%s: %d events of %s are damaged", self.path, len(bad_rows), camera)
-                if events:
-                    return boot, events
-            return None
-
-    def have(self, camera: str, boot: str, seq: int) -> None:
-        """Note that the daemon has stored a boot up to ``seq``, and nothing beyond it.
-
-        This is written with the next events or on closing: after a kill the daemon says it again.
-        """
-        with self._using():
-            before = self._marks[camera].get(boot, seq)
-            if before == seq:
-                return
-            if before < seq and (camera, boot) in self._counts:
-                passed = self._count(f"{_WAITING} AND seq <= ?", camera, boot, before, seq)
-                self._counts[camera, boot] -= passed
-            else:
-                self._counts.pop((camera, boot), None)
-            self._marks[camera][boot] = seq
-            self._unwritten.add((camera, boot))
-
-    def begin_boot(self, camera: str, new: str) -> None:
-        """Begin the boot ``new`` for ``camera``, and number what waits of the present one in it.
-
-        Its name must never have been used: a machine that is set back again would repeat it.
-        """
-        with self._using():
-            old = self.boot(camera)
-            above = camera, old, self._marks[camera].get(old, 0)
-            rows = self._db.execute(f"SELECT * FROM {_WAITING} ORDER BY seq", above).fetchall()
-            good = [row for row in rows if sqlite_file.sound(row[1:])]
-            self._counts.clear()
-            with sqlite_file.transaction(self._db):
-                for seq, (id_, *_, raw, _) in enumerate(good, 1):
-                    event = replace(codec.event_from_bytes(raw), boot=new, seq=seq)
-                    self._db.execute(
-                        "UPDATE event SET boot = ?, seq = ?, raw = ?, crc = ? WHERE id = ?",
-                        (*spool_tables.row(event)[1:], id_),
-                    )
-            self._later_boots[camera] = new
-            self._tops[camera, new] = len(good)
-            self._marks[camera][new] = 0
-        log.error("%s: the daemon has later events of %s: a new boot begins", self.path, camera)
-
-    def drop(self, camera: str) -> None:
-        """Delete the events of ``camera`` that wait, and count them as dropped."""
-        with self._using():
-            self._counts.clear()
-            for boot, have in self._marks[camera].items():
-                parameters = (camera, boot, have)
-                self.dropped += self._db.execute(f"DELETE FROM {_WAITING}", parameters).rowcount
+    @property
+    def dropped(self) -> int:
+        """Events that were deleted before they were stored, since the start, by all sites."""
+        return sum(queue.dropped for queue in self._queues.values())
 
     def adopt(self, path: Path) -> None:
         """Move the events of another spool, which no process has open, into this one."""
-        source = Spool(path, self._first_boot, self._events_max)
-        with contextlib.closing(source), self._using():
+        source = Spool(path, self.boot, self._events_max, sites_of=self._sites_of)
+        with contextlib.closing(source), self.using():
             with self._writing():
                 spool_tables.copy(
                     self._db,
@@ -278,10 +211,10 @@ class Spool:
     def statistics(self) -> dict[str, int]:
         """Return counters for the status."""
         backlog = self.waiting()
-        with self._using():
+        with self.using():
             return {
                 "waiting": backlog,
-                "kept": self._count("event") - backlog,
+                "kept": self.count("event") - backlog,
                 "dropped": self.dropped,
                 "refused": self.rejects.counts.total(),
                 "damaged_events": self.damage_count,
@@ -290,35 +223,65 @@ class Spool:
 
     def close(self) -> None:
         """Close the file; its events stay for the next time. May be called twice."""
-        with contextlib.suppress(sqlite3.Error, StateError), self._using(), self._writing():
+        with contextlib.suppress(sqlite3.Error, StateError), self.using(), self._writing():
             pass
         self._db.close()
         self._lock.close()
 
+    # What follows is used within `using`, by this class and its queues.
+
     @contextlib.contextmanager
-    def _using(self) -> Iterator[None]:
+    def using(self) -> Iterator[sqlite3.Connection]:
+        """Return the database, which no other thread uses while the block runs."""
         with self._mutex, sqlite_file.damage_noticed(self.path):
-            yield
+            yield self._db
+
+    def count(self, rows: str, *parameters: str | int) -> int:
+        """Return the number of these rows."""
+        return int(self._db.execute(f"SELECT COUNT(*) FROM {rows}", parameters).fetchone()[0])
+
+    def has_boot(self, camera: str, boot: str, own: bool) -> bool:
+        """Return True if there are events of a boot, or, with ``own``, this process was given some."""
+        return (camera, boot) in (self._tops if own else self._boots)
+
+    def delete_damaged(self, camera: str, ids: Sequence[int]) -> None:
+        """Delete damaged rows of ``camera``."""
+        for queue in self._queues.values():
+            queue.forget_counts()
+        with sqlite_file.transaction(self._db):
+            self._db.executemany("DELETE FROM event WHERE id = ?", [(id_,) for id_ in ids])
+        self.damage_count += len(ids)
+        log.error("%s: %d events of %s are damaged", self.path, len(ids), camera)
 
     @contextlib.contextmanager
     def _writing(self) -> Iterator[None]:
         """Run the block in a transaction, which writes the marks that have moved, too."""
+        queues = list(self._queues.values())
         with sqlite_file.transaction(self._db):
-            for camera, boot in self._unwritten:
-                row = (camera, boot, self._marks[camera][boot])
-                self._db.execute(
-                    "INSERT OR REPLACE INTO mark VALUES (?, ?, ?, ?)", (*row, sqlite_file.crc(*row))
-                )
+            self._db.executemany(_FORGET, self._stale)
+            for queue in queues:
+                queue.write_marks(self._db)
             yield
-        self._unwritten.clear()
+        for queue in queues:
+            queue.forget_unwritten()
+        self._stale.clear()
 
     def _load(self) -> None:
         """Read which boots there are, and their marks."""
-        self._marks.clear()
-        self._counts.clear()
         self._ceilings.clear()
-        for camera, boot, have in self._db.execute(_LOAD):
-            self._marks[camera][boot] = have
+        for queue in self._queues.values():
+            queue.clear()
+        marks = {
+            key: {row[3]: Mark(key[1], *row[4:]) for row in rows}
+            for key, rows in groupby(self._db.execute(_MARKS).fetchall(), lambda row: row[:3])
+        }
+        boots = self._db.execute(_BOOTS).fetchall()
+        self._boots = {*boots}
+        for camera, boot in boots:
+            for site in self.sites(camera):
+                self.queue(site).restore(camera, marks.pop((camera, boot, site), {}))
+                self.queue(site).add(camera, boot)
+        self._stale = list(marks)
 
     def _number(
         self, events: Sequence[Event]
@@ -333,14 +296,14 @@ class Spool:
             camera, boot, seq = event.camera, event.boot, event.seq
             if boot and seq is not None:
                 if seq <= self._ceiling(camera, boot):
-                    count = self._count(f"{_BOOT} AND seq = ?", camera, boot, seq)
+                    count = self.count(f"{_BOOT} AND seq = ?", camera, boot, seq)
                     if count or (camera, boot, seq) in numbers:
                         self._tops.setdefault((camera, boot), 0)
                         continue
                 if seq <= tops.get((camera, boot), 0):
                     boot = None
             if not boot or seq is None:
-                boot = self.boot(camera)
+                boot = self.boot
                 seq = 1 + tops.get((camera, boot), 0)
             if event.spooled or (boot, seq) != (event.boot, event.seq):
                 event = replace(event, boot=boot, seq=seq, spooled=False)
@@ -366,18 +329,14 @@ class Spool:
             self._ceilings[camera, boot] = ceiling
         return ceiling
 
-    def _count(self, rows: str, *parameters: str | int) -> int:
-        """Return the number of these rows."""
-        return int(self._db.execute(f"SELECT COUNT(*) FROM {rows}", parameters).fetchone()[0])
-
-    def _make_room(self, additions: int) -> int:
-        """Delete surplus events, within a transaction; return how many of them waited.
+    def _make_room(self, additions: int) -> dict[str, int]:
+        """Delete surplus events, within a transaction; return how many waited for each site.
 
         additions: number of events just added. The limits are looked at now and then.
         """
         self._additions += additions
         if self._additions < min(self._events_max, 10 * self._kept_max) // 100:
-            return 0
+            return {}
 
         # Stored events of each camera beyond their limit, with some slack so that this is rare.
         large = "SELECT camera FROM event GROUP BY camera HAVING COUNT(*) > ?"
@@ -387,20 +346,21 @@ class Spool:
                 f" ({_STORED} AND camera = ? ORDER BY id DESC LIMIT -1 OFFSET ?)",
                 (camera, self._kept_max),
             )
-        self._db.execute(
-            "DELETE FROM mark WHERE NOT EXISTS (SELECT 1 FROM event"
-            " WHERE event.camera = mark.camera AND event.boot = mark.boot)"
-        )
         self._additions = 0
 
         # The oldest ones if there are too many events or bytes.
-        count = self._count("event")
+        count = self.count("event")
         size = sqlite_file.used_bytes(self._db)
         too_large = -(-count * (size - self._bytes_max) // size)
         surplus = min(count, max(count - self._events_max, too_large))
         if surplus <= 0:
-            return 0
-        delete = "DELETE FROM event WHERE id IN ({} ORDER BY id LIMIT ?)"
-        deletions = self._db.execute(delete.format(_STORED), (surplus,)).rowcount
-        parameters = (surplus - deletions,)
-        return self._db.execute(delete.format("SELECT id FROM event"), parameters).rowcount
+            return {}
+        delete = f"DELETE FROM event WHERE id IN ({_STORED} ORDER BY id LIMIT ?)"
+        surplus -= self._db.execute(delete, (surplus,)).rowcount
+        if surplus <= 0:
+            return {}
+        nth = self._db.execute("SELECT id FROM event ORDER BY id LIMIT 1 OFFSET ?", (surplus - 1,))
+        [last_id] = nth.fetchone()
+        drops = {site: queue.waiting_until(last_id) for site, queue in self._queues.items()}
+        self._db.execute("DELETE FROM event WHERE id <= ?", (last_id,))
+        return {site: number for site, number in drops.items() if number}

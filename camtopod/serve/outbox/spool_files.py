@@ -7,7 +7,7 @@ import sqlite3
 from pathlib import Path
 
 from camtopod.config import Limits
-from camtopod.serve.outbox.spool import Spool
+from camtopod.serve.outbox.spool import SitesOf, Spool, owner_alone
 from camtopod.serve.runtime import clock
 from camtopod.serve.storage import StateError, lock_reason
 
@@ -22,27 +22,35 @@ def spool_path(directory: Path, site: str, name: str) -> Path:
     return directory / f"spools-of-{site}" / f"{name}.db"
 
 
-def open_spool(directory: Path, site: str, name: str, limits: Limits) -> Spool:
-    """Open the spool of a publishing process, below the state directory. Raises `StateError`."""
+def open_spool(
+    directory: Path, site: str, name: str, limits: Limits, sites_of: SitesOf = owner_alone
+) -> Spool:
+    """Open the spool of a publishing process, below the state directory. Raises `StateError`.
+
+    sites_of: as for `Spool`.
+    """
     return Spool(
         spool_path(directory, site, name),
         clock.ulid(clock.wall()),
         limits.spool_events_max,
         limits.spool_bytes_max,
+        sites_of=sites_of,
     )
 
 
-def open_ingest_spool(directory: Path, site: str, limits: Limits) -> Spool:
+def open_ingest_spool(
+    directory: Path, site: str, limits: Limits, sites_of: SitesOf = owner_alone
+) -> Spool:
     """Open a spool for `camtopod ingest`, and move into it those of its processes that have ended.
 
-    Raises `StateError`.
+    Arguments are those of `open_spool`. Raises `StateError`.
     """
     # Take the first one that no other process has.
     names = ("ingest", *(f"ingest@{number}" for number in range(2, _INGEST_SPOOLS_MAX + 1)))
     paths = {name: spool_path(directory, site, name) for name in names}
     for name in names:
         try:
-            spool = open_spool(directory, site, name, limits)
+            spool = open_spool(directory, site, name, limits, sites_of)
             break
         except StateError:
             if name == names[-1] or not lock_reason(paths[name]):

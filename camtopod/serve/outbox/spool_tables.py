@@ -14,14 +14,15 @@ from camtopod.serve.storage import sqlite_file
 
 log = logging.getLogger(__name__)
 
-FORMAT = 3
+FORMAT = 4
 """Format of the tables; a spool of another format is refused."""
 SCHEMA = """
 CREATE TABLE meta (
     key TEXT PRIMARY KEY, value TEXT NOT NULL, crc INTEGER NOT NULL) WITHOUT ROWID;
 CREATE TABLE mark (
-    camera TEXT NOT NULL, boot TEXT NOT NULL, have INTEGER NOT NULL, crc INTEGER NOT NULL,
-    PRIMARY KEY (camera, boot)) WITHOUT ROWID;
+    camera TEXT NOT NULL, boot TEXT NOT NULL, site TEXT NOT NULL, name TEXT NOT NULL,
+    base INTEGER NOT NULL, last INTEGER NOT NULL, have INTEGER NOT NULL, crc INTEGER NOT NULL,
+    PRIMARY KEY (camera, boot, site, name)) WITHOUT ROWID;
 CREATE TABLE event (
     id INTEGER PRIMARY KEY, camera TEXT NOT NULL, boot TEXT NOT NULL, seq INTEGER NOT NULL,
     raw BLOB NOT NULL, crc INTEGER NOT NULL);
@@ -29,7 +30,7 @@ CREATE UNIQUE INDEX event_stream ON event (camera, boot, seq)
 """
 """The tables.
 
-mark: the highest number of each (camera, boot) that the daemon has stored.
+mark: how far each site has stored each (camera, boot): see `site_queue.Mark`.
 event: the events, in the order in which they came into the spool.
 """
 EventRow = tuple[str, str, int, bytes, int]
@@ -63,8 +64,8 @@ def copy(
         if len(columns) == 5 and sqlite_file.sound(columns):
             count += database.execute(INSERT, columns).rowcount
     for mark in marks:
-        if len(mark) == 4 and sqlite_file.sound(mark):
-            database.execute("INSERT OR IGNORE INTO mark VALUES (?, ?, ?, ?)", mark)
+        if len(mark) == 8 and sqlite_file.sound(mark):
+            database.execute("INSERT OR IGNORE INTO mark VALUES (?, ?, ?, ?, ?, ?, ?, ?)", mark)
     return count
 
 
