@@ -37,6 +37,7 @@ Covariance = Annotated[
     Meta(min_length=2, max_length=2),
 ]
 
+SiteName = Annotated[str, Meta(pattern=NAME_PATTERN)]
 CameraId = Annotated[str, Meta(pattern=CAMERA_PATTERN)]
 ZoneId = Annotated[str, Meta(pattern=ZONE_PATTERN)]
 Kind = Literal["entry", "exit"]

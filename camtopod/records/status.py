@@ -6,7 +6,7 @@ from typing import Annotated
 
 from msgspec import Struct
 
-from camtopod.records.field_types import metric
+from camtopod.records.field_types import SiteName, metric
 from camtopod.records.topology import Alarm, SelfScore
 
 
@@ -31,7 +31,15 @@ class Status(Struct, frozen=True):
 
 
 class GrabberStatus(Status, frozen=True):
-    """State of a grabber, as published on ``status/{camera}``; None: it does not say."""
+    """State of a grabber, as published on ``status/{camera}``; None: it does not say.
+
+    sites: all sites to which it delivers.
+    owner: the one that owns the camera. Of events, ``waiting`` and ``dropped`` are those of the
+        site on whose bus the status is.
+    """
+
+    sites: list[SiteName] = []
+    owner: SiteName | None = None
 
     restarts: Annotated[
         int | None, metric("grabber_restarts_total", "Restarts of the camera's process")

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import errno
+from collections import Counter
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any, ClassVar
@@ -11,12 +12,14 @@ from typing import Any, ClassVar
 import msgspec
 import pytest
 import serving
+from fake_bus_daemon import running
 from serving import T0, free_endpoint, small_config, wait_for
 
 from camtopod import files
 from camtopod.cli.cameras.heartbeat import HeartbeatReceiver, state_of
 from camtopod.cli.main import main
 from camtopod.codec import event_from_json
+from camtopod.config.config_file import load
 from camtopod.records import Event
 from camtopod.serve import bus as buses
 from camtopod.serve.daemon import Daemon
@@ -317,3 +320,52 @@ def test_events_wait_in_the_spool_while_the_bus_is_away(
     assert FakeGrabber.made[0].source == "rtsp://h/x"
     assert is_said("connected to the daemon again")
     daemon.stop()
+
+
+def test_a_camera_of_two_sites_delivers_to_both_and_says_so(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr("camtopod.cli.commands.grab.DRAIN_SECONDS", 0.05)
+    ends = {"north": free_endpoint(), "south": free_endpoint()}
+    path = tmp_path / "c.toml"
+    path.write_text(
+        f'[site]\nname = "north"\n[bus]\nconnect = ["{ends["north"]}"]\nconnect_seconds = 0.2\n'
+        f'[sites.south]\nconnect = ["{ends["south"]}"]\n'
+        '[cameras.lobby]\nsource = "x.mp4"\nsites = ["north", "south"]\n'
+        "[limits]\nstatus_seconds = 0.001\n"
+    )
+    grab = ["--config", str(path), "grab", "--camera", "lobby", "--state", str(tmp_path / "box")]
+    said: dict[str, dict[str, Any]] = {}
+    with contextlib.ExitStack() as stack:
+        north = stack.enter_context(running(tmp_path / "north", ends["north"], site="north"))
+        daemons = [north]
+        counts = Counter[Daemon]()
+
+        def between() -> None:
+            for daemon in daemons:
+                counts[daemon] += 1
+                wait_for(lambda one=daemon: one.status().events.stored >= counts[one], "the event")
+
+        monkeypatch.setattr(FakeGrabber, "between", staticmethod(between))
+        assert main(grab) == 69
+        assert (
+            "20 events are not stored: is `camtopod run` running for site south?"
+            in capsys.readouterr().err
+        )
+
+        monkeypatch.setattr("camtopod.cli.commands.grab.DRAIN_SECONDS", serving.WAIT_SECONDS)
+        south = stack.enter_context(running(tmp_path / "south", ends["south"], site="south"))
+        daemons.append(south)
+        for site in ends:
+            bus = stack.enter_context(buses.dial(load(path).at(site)))
+            bus.subscribe(
+                "status/lobby",
+                lambda _, raw, site=site: said.update({site: msgspec.msgpack.decode(raw)}),
+            )
+            assert bus.query("status/daemon", seconds=serving.WAIT_SECONDS, one=True)
+        assert main(grab) == 0
+        assert south.status().events.stored == north.status().events.stored == 2 * len(EVENTS)
+        wait_for(lambda: said.keys() == ends.keys(), "the statuses")
+    assert [(said[site]["owner"], said[site]["sites"]) for site in ends] == [
+        ("north", ["north", "south"])
+    ] * 2

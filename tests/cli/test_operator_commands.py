@@ -25,6 +25,8 @@ from serving import (
 
 from camtopod.cli import exits
 from camtopod.cli.main import main
+from camtopod.config.config_file import load
+from camtopod.records import GrabberStatus
 from camtopod.serve.bus import Bus, dial
 from camtopod.serve.daemon import Daemon
 from camtopod.serve.ingest import read_names
@@ -73,6 +75,41 @@ def test_the_commands_reach_the_daemon(
     epoch = daemon.epoch
     assert told(capsys, *hq, "reset", "--yes")[0] == 0
     wait_for(lambda: daemon.epoch > epoch and not cameras(daemon), "the reset")
+
+
+def test_the_commands_for_other_sites_are_printed(
+    daemon: Daemon, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Sites of the configuration, and those that a grabber's status names."""
+    config = tmp_path / "c.toml"
+    config.write_text(
+        f'[site]\nname = "hq"\n[bus]\nconnect = ["{daemon.endpoint}"]\n'
+        '[sites.annex]\nconnect = ["tcp/annex:7447"]\n[cameras.b]\nsites = ["hq", "annex"]\n'
+    )
+    status = GrabberStatus("running", camera="c", sites=["hq", "mill"], owner="hq")
+    last = "site {} is unchanged; with its certificate: camtopod {}"
+    hq = ("--config", str(config))
+    with dial(load(config)) as bus:
+        bus.answer_queries("status/c", lambda *_: status, "status")
+
+        def lines(*command: str) -> list[str]:
+            capsys.readouterr()
+            assert main([*hq, *command]) == 0
+            return capsys.readouterr().out.splitlines()[1:]
+
+        there = "--site annex --connect tcp/annex:7447"
+        assert lines("forget", "b") == [last.format("annex", f"{there} forget b")]
+        assert lines("forget", "b", "--take-back") == [
+            last.format("annex", f"{there} forget b --take-back")
+        ]
+        assert lines("rename", "c", "yard") == [
+            last.format("mill", "--site mill rename c yard"),
+        ]
+        assert lines("forget", "a") == []
+        assert lines("reset", "--yes") == [
+            last.format("annex", f"{there} reset"),
+            last.format("mill", "--site mill reset"),
+        ]
 
 
 def test_a_site_that_was_not_named_is_left_alone(

@@ -6,6 +6,8 @@
 from __future__ import annotations
 
 import argparse
+import contextlib
+import shlex
 from typing import Any
 
 from camtopod import codec
@@ -14,8 +16,10 @@ from camtopod.cli import exits
 from camtopod.cli.common import camera_id, configuration, start_logging
 from camtopod.cli.exits import CommandError
 from camtopod.cli.site_choice import right_site
+from camtopod.config import Config
+from camtopod.records import GrabberStatus
 from camtopod.serve.admin_queries import Done, parameters_of
-from camtopod.serve.bus import QueryError, dial
+from camtopod.serve.bus import Bus, QueryError, dial
 from camtopod.visible import visible
 
 ANSWER_SECONDS = 30.0
@@ -48,7 +52,7 @@ def run(args: argparse.Namespace) -> None:
 
 
 def carry_out(args: argparse.Namespace, command: Command) -> None:
-    """Send a command to the daemon, and print its answer.
+    """Send a command to the daemon; print its answer, and the command for other sites it concerns.
 
     The site is that of ``--site`` or of the configuration, never another one. Raises
     `CommandError`.
@@ -57,6 +61,7 @@ def carry_out(args: argparse.Namespace, command: Command) -> None:
     config = configuration(args)
     key, parameters = parameters_of(command)
     with dial(config) as bus:
+        sites = _other_sites(bus, config, parameters.get("camera") or parameters.get("old"))
         try:
             answers = bus.query(key, parameters, ANSWER_SECONDS, one=True)
         except QueryError as error:
@@ -71,3 +76,26 @@ def carry_out(args: argparse.Namespace, command: Command) -> None:
         print(visible(codec.read(Done, answers[0][1], pack=True).done))
     except codec.Rejected as error:
         raise CommandError(f"the answer of the daemon cannot be read: {error}") from None
+
+    # No site's certificate may act in another.
+    words = [args.command, *parameters.values()]
+    words += ["--take-back"] if isinstance(command, TakeBack) else []
+    for site in sites:
+        connect = config.sites[site].connect if site in config.sites else ()
+        options = ["--site", site, *(word for place in connect for word in ("--connect", place))]
+        print(f"site {site} is unchanged; with its certificate: ", end="")
+        print(shlex.join(["camtopod", *options, *words]))
+
+
+def _other_sites(bus: Bus, config: Config, camera: str | None) -> list[str]:
+    """Return the other sites to which ``camera``, or without one any camera of the site, delivers.
+
+    The configuration says so, and the statuses of the grabbers that run.
+    """
+    cameras = config.cameras if camera is None else [camera]
+    sites = {site for name in cameras for site in config.sites_of(name)}
+    with contextlib.suppress(QueryError):
+        for _, payload in bus.query(f"status/{camera or '*'}"):
+            with contextlib.suppress(codec.Rejected):
+                sites.update(codec.read(GrabberStatus, payload, pack=True).sites)
+    return sorted(sites - {bus.site})

@@ -241,7 +241,7 @@ class Spool:
         return int(self._db.execute(f"SELECT COUNT(*) FROM {rows}", parameters).fetchone()[0])
 
     def has_boot(self, camera: str, boot: str, own: bool) -> bool:
-        """Return True if there are events of a boot, or, with ``own``, this process was given some."""
+        """Return True if there are events of a boot; with ``own``, only if of this process."""
         return (camera, boot) in (self._tops if own else self._boots)
 
     def delete_damaged(self, camera: str, ids: Sequence[int]) -> None:
