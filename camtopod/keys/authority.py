@@ -1,9 +1,13 @@
 """The private authority of a site: its key signs the certificates of daemon, cameras and readers.
 
+It may be that of further sites, too, so that one certificate serves a camera that delivers to
+several. The common names of their daemons and readers carry the site, as each site's access list
+gives rights to names.
+
 One folder holds everything: ``authority/``, whose key never leaves it, and for each certificate a
-folder to be copied to where it is used. ``authority/issued.json`` is the ledger of all
-certificates. zenoh has no revocation lists, so a name is never issued twice: a replacement gets a
-new name, and the old name loses its rights.
+folder to be copied to where it is used; those of further sites are below ``site/NAME/``.
+``authority/issued.json`` is the ledger of all certificates. zenoh has no revocation lists, so a
+name is never issued twice: a replacement gets a new name, and the old name loses its rights.
 """
 
 from __future__ import annotations
@@ -100,7 +104,7 @@ class Authority:
             )
 
         # Start with empty folders.
-        for old in ("camera", "reader", "daemon"):
+        for old in ("camera", "reader", "daemon", "site"):
             shutil.rmtree(folder / old, ignore_errors=True)
         folder.parent.mkdir(parents=True, exist_ok=True)
         for private in (folder, secret, folder / "camera", folder / "reader"):
@@ -127,14 +131,24 @@ class Authority:
         return cls(folder, now)
 
     @property
-    def access(self) -> Access:
-        """The access list: all valid certificates."""
-        return Access(self.site, [entry.certificate for entry in self.entries if entry.valid])
+    def sites(self) -> list[str]:
+        """The authority's own site, and those further ones whose daemon has had a certificate."""
+        daemons = (entry.certificate for entry in self.entries if entry.of == DAEMON)
+        return [*dict.fromkeys([self.site, *(site for one in daemons for site in one.sites)])]
 
-    @property
-    def hosts(self) -> list[str]:
-        """Host names and addresses for which the daemon's certificate is valid."""
-        raw = (self.folder / DAEMON / CERTIFICATE).read_bytes()
+    def home(self, site: str) -> Path:
+        """Return the folder of a site's certificates, but for those of cameras."""
+        return self.folder if site == self.site else self.folder / "site" / site
+
+    def access(self, site: str | None = None) -> Access:
+        """Return the access list of a site, the own one by default: its valid certificates."""
+        site = site or self.site
+        certificates = [entry.certificate for entry in self.entries if entry.valid]
+        return Access(site, [one for one in certificates if site in (one.sites or [self.site])])
+
+    def hosts(self, site: str | None = None) -> list[str]:
+        """Return the host names and addresses for which the daemon's certificate is valid."""
+        raw = (self.home(site or self.site) / DAEMON / CERTIFICATE).read_bytes()
         extensions = x509.load_pem_x509_certificate(raw).extensions
         names = extensions.get_extension_for_class(x509.SubjectAlternativeName)
         return [str(name.value) for name in names.value]
@@ -147,56 +161,69 @@ class Authority:
         replace: bool = False,
         hosts: Sequence[str] = (),
         cameras: Sequence[str] = (),
+        sites: Sequence[str] = (),
     ) -> Path:
         """Make a key and a certificate; return their folder.
 
         replace: revoke the present certificate.
         hosts: host names and addresses of the daemon.
         cameras: cameras that the program called ``name`` publishes, if it is not a camera itself.
+        sites: the sites in which it has rights, the authority's by default; one if not of a camera.
 
-        Without hosts or cameras, those of the replaced certificate are used.
+        Without hosts, cameras or sites, those of the replaced certificate are used.
         """
         # There may be one valid certificate a name; a replacement gets a new common name.
-        old = [
-            entry for entry in self.entries if (entry.certificate.role, entry.of) == (role, name)
-        ]
+        site = "" if role == "camera" or [*sites] == [self.site] else "".join(sites[:1])
+        old = self._entries(role, name, site)
         if not replace and any(entry.valid for entry in old):
             raise KeysError(
                 f"{role} {name} has a certificate; --replace makes a new one and revokes it"
             )
         common_name = f"reader:{name}" if role == "reader" else name
+        common_name += f":{site}" if site else ""
         if old:
             common_name += f"~{len(old) + 1}"
             cameras = cameras or old[-1].certificate.cameras
+            sites = sites or old[-1].certificate.sites
         if len(common_name) > 64:
             raise KeysError(
                 f"{name!r} is too long for a certificate: {common_name!r} has over 64 characters"
             )
 
         # Sign and write the certificate.
-        folder = self.folder / role / name
+        folder = self.home(site or self.site) / role / name
         if role == "daemon":
-            folder = self.folder / DAEMON
-            hosts = [*(hosts or (self.hosts if old else ())), *LOCAL_HOSTS]
+            folder = folder.parent
+            hosts = [*(hosts or (self.hosts(site) if old else ())), *LOCAL_HOSTS]
         expires = self._sign(folder, common_name, days, hosts)
 
         # Replace the old certificate in the ledger.
         camera = name if role == "camera" and not cameras else ""
-        certificate = Certificate(common_name, role, expires, camera, list(cameras))
+        sites = [] if [*sites] == [self.site] else list(sites)
+        certificate = Certificate(common_name, role, expires, camera, list(cameras), sites)
         self._keep([*self._without(old), Issued(certificate, name)])
         return folder
 
-    def revoke(self, role: Role, name: str) -> None:
+    def revoke(self, role: Role, name: str, site: str = "") -> None:
         """Revoke the certificate of ``name``, also once more.
+
+        site: the further site of a reader.
 
         It takes effect when the daemon has the new access list.
         """
-        entries = [
-            entry for entry in self.entries if (entry.certificate.role, entry.of) == (role, name)
-        ]
+        entries = self._entries(role, name, site)
         if not entries:
             raise KeysError(f"{role} {name} has no certificate; `camtopod keys list` shows who has")
         self._keep(self._without(entries))
+
+    def _entries(self, role: Role, name: str, site: str) -> list[Issued]:
+        """Return the entries of a name; of a daemon or a reader, those of this further site."""
+        return [
+            entry
+            for entry in self.entries
+            if (entry.certificate.role, entry.of) == (role, name)
+            and (role == "camera" or entry.certificate.sites == ([site] if site else []))
+        ]
 
     def _without(self, entries: list[Issued]) -> list[Issued]:
         """Return the ledger's entries, those of ``entries`` no longer valid."""
@@ -311,6 +338,8 @@ def _host_name(host: str) -> x509.GeneralName:
 
 
 def _make_folder(folder: Path) -> None:
-    """Make a folder for its owner alone, or make an existing one so."""
+    """Make a folder for its owner alone, with those around it, or make an existing one so."""
+    if not folder.parent.exists():
+        _make_folder(folder.parent)
     folder.mkdir(mode=0o700, exist_ok=True)
     folder.chmod(0o700)

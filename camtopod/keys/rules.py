@@ -87,6 +87,8 @@ class Certificate(Struct, frozen=True, omit_defaults=True):
     """The camera whose events it may publish."""
     cameras: list[str] = []
     """Instead of one camera: those of another program that publishes several."""
+    sites: list[str] = []
+    """The sites in which it has these rights; empty: that of the authority."""
 
 
 class Access(Struct, frozen=True):

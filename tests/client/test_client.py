@@ -198,7 +198,7 @@ def test_a_reader_gets_in_with_its_certificate(tmp_path: Path) -> None:
     for role, name in (("daemon", "daemon"), ("reader", "wall")):
         authority.issue(role, name, 100)
     access = tmp_path / "access.json"
-    access.write_bytes(msgspec.json.encode(rules.Access("hq", authority.access.certificates)))
+    access.write_bytes(msgspec.json.encode(rules.Access("hq", authority.access().certificates)))
 
     def files(folder: str) -> list[str]:
         return [

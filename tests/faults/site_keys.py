@@ -63,7 +63,7 @@ class Keys:
         """Write an access list; the certificate named ``everything`` may do what the daemon may."""
         certificates = [
             msgspec.structs.replace(c, role="daemon") if c.name == everything else c
-            for c in self.authority.access.certificates
+            for c in self.authority.access().certificates
         ]
         path.write_bytes(msgspec.json.encode(rules.Access("hq", certificates)))
         return path

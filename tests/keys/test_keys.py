@@ -70,7 +70,7 @@ def test_certificates_say_who_and_for_what(authority: Authority) -> None:
     ]
     assert uses[0] == [ExtendedKeyUsageOID.CLIENT_AUTH, ExtendedKeyUsageOID.SERVER_AUTH]
     assert uses[1] == [ExtendedKeyUsageOID.CLIENT_AUTH], "a stolen box must not pass for the daemon"
-    assert authority.hosts == ["hub.example", "192.0.2.1", "localhost", "127.0.0.1", "::1"]
+    assert authority.hosts() == ["hub.example", "192.0.2.1", "localhost", "127.0.0.1", "::1"]
     assert camera.not_valid_after_utc.timestamp() == NOW + 1825 * DAY
     assert camera.not_valid_before_utc.timestamp() < NOW, "the clock of a box may be behind"
     for path in [authority.folder, *authority.folder.rglob("*")]:
@@ -105,21 +105,21 @@ def test_a_folder_of_somebody_else_is_left_alone(tmp_path: Path) -> None:
 def test_a_replaced_certificate_has_a_name_never_used_before(authority: Authority) -> None:
     for expected in ("lobby~2", "lobby~3"):
         authority.issue("camera", "lobby", 10, replace=True)
-        valid = {one.name: one.camera for one in authority.access.certificates if one.camera}
+        valid = {one.name: one.camera for one in authority.access().certificates if one.camera}
         assert valid == {expected: "lobby"}
     authority.revoke("camera", "lobby")
-    assert not [one for one in authority.access.certificates if one.camera]
+    assert not [one for one in authority.access().certificates if one.camera]
     authority.issue("camera", "lobby", 10)
     again = Authority(authority.folder, NOW)
-    assert [one.name for one in again.access.certificates] == ["daemon", "reader:wall", "lobby~4"]
+    assert [one.name for one in again.access().certificates] == ["daemon", "reader:wall", "lobby~4"]
 
 
 def test_a_new_certificate_of_the_daemon_is_good_for_the_same_hosts(authority: Authority) -> None:
-    before = authority.hosts
+    before = authority.hosts()
     authority.issue("daemon", "daemon", 10, replace=True)
-    assert authority.hosts == before, "or no box would find its daemon any more"
+    assert authority.hosts() == before, "or no box would find its daemon any more"
     authority.issue("daemon", "daemon", 10, replace=True, hosts=["other.example"])
-    assert authority.hosts == ["other.example", "localhost", "127.0.0.1", "::1"]
+    assert authority.hosts() == ["other.example", "localhost", "127.0.0.1", "::1"]
 
 
 def test_what_cannot_be_issued(authority: Authority, tmp_path: Path) -> None:
@@ -261,7 +261,7 @@ def test_a_certificate_for_several_cameras(
 
 
 def test_rules_name_exact_keys_only(authority: Authority) -> None:
-    control = rules.access_control(authority.access)["access_control"]
+    control = rules.access_control(authority.access())["access_control"]
     assert (control["enabled"], control["default_permission"]) == (True, "deny")
     assert {rule["permission"] for rule in control["rules"]} == {"allow"}
     of_camera = [rule for rule in control["rules"] if rule["id"].startswith("lobby ")]
@@ -283,7 +283,7 @@ def test_rules_name_exact_keys_only(authority: Authority) -> None:
     }
 
     # The file of a separate router has the same.
-    text = rules.router_json5(authority.access, ["tls/[::]:7447"], 1 << 24)
+    text = rules.router_json5(authority.access(), ["tls/[::]:7447"], 1 << 24)
     router = json.loads(text.partition("\n")[2])
     assert router["access_control"] == control
     assert router["transport"]["link"]["tls"]["enable_mtls"] is True
@@ -410,7 +410,7 @@ def test_the_access_list_is_checked(tmp_path: Path, authority: Authority) -> Non
     for content, why in (
         (None, "cannot read the access list"),
         (b"{}", "no access list"),
-        (msgspec.json.encode(authority.access), "is for site hq, but this is site site"),
+        (msgspec.json.encode(authority.access()), "is for site hq, but this is site site"),
     ):
         if content is not None:
             (tmp_path / "access.json").write_bytes(content)

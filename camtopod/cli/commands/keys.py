@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import json
 import re
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -34,7 +35,8 @@ SUBCOMMANDS = {
         "camtopod keys init --host 192.0.2.10",
     ),
     "daemon": (
-        "issue a new certificate for the daemon, or for a zenoh router",
+        "issue a new certificate for the daemon, or for a zenoh router; with --site, for that of a "
+        "further site of a city",
         "camtopod keys daemon --host 192.0.2.10 --replace",
     ),
     "camera": ("issue a certificate for each camera", "camtopod keys camera lobby hall"),
@@ -64,7 +66,7 @@ def add_parser(add: Any) -> list[argparse.ArgumentParser]:
         metavar="FOLDER",
         help="folder of the authority and the certificates (default: %(default)s)",
     )
-    parser.set_defaults(names=[DAEMON], role="daemon", host=[], cameras=[])
+    parser.set_defaults(names=[DAEMON], role="daemon", host=[], cameras=[], also=[])
     commands = parser.add_subparsers(dest="keys_command", metavar="WHAT", required=True)
     inner = {
         name: commands.add_parser(name, help=text, epilog=f"example: {example}")
@@ -94,6 +96,15 @@ def add_parser(add: Any) -> list[argparse.ArgumentParser]:
         type=camera_id,
         help="NAME is a program that publishes events of several cameras (`camtopod ingest`), and "
         "CAMERA is one of them; may be repeated",
+    )
+    inner["camera"].add_argument(
+        "--also",
+        action="append",
+        default=[],
+        metavar="SITE",
+        type=camera_id,
+        help="another site of this authority to which the camera delivers; may be repeated "
+        "(default: as before)",
     )
     for name in ("init", "daemon", "camera", "reader"):
         _add_certificate(inner[name], for_hosts=name in ("init", "daemon"))
@@ -165,10 +176,13 @@ def _run(args: argparse.Namespace, config: Config) -> None:
         )
     else:
         authority = Authority(args.keys, now)
-    if args.site not in (None, authority.site):
-        raise CommandError(
-            f"{args.keys} is the authority of site {authority.site}, not of {args.site}"
-        )
+    site = args.site or authority.site
+    for name in [site, *args.also] if subcommand != "daemon" else ():
+        if name not in authority.sites:
+            raise CommandError(
+                f"{args.keys} is the authority of site {' and '.join(authority.sites)}, not of "
+                f"{name}: `camtopod keys --site {name} daemon` adds a site"
+            )
     if args.cameras and len(args.names) > 1:
         raise CommandError("--for needs exactly one NAME: the program that publishes the events")
 
@@ -179,29 +193,36 @@ def _run(args: argparse.Namespace, config: Config) -> None:
             return
         for name in args.names:
             if subcommand == "revoke":
-                authority.revoke(args.role, name)
+                authority.revoke(args.role, name, "" if site == authority.site else site)
             else:
                 _issue(authority, args, config, name)
     finally:
         _write_access(authority, config, with_router=subcommand != "list")
     if args.role != "daemon":
-        say(f"now copy {args.keys / DAEMON / ACCESS} to the daemon and restart it")
+        for site in authority.sites:
+            path = authority.home(site) / DAEMON / ACCESS
+            of_site = f" of site {site}" if len(authority.sites) > 1 else ""
+            say(f"now copy {path} to the daemon{of_site} and restart it")
 
 
 def _issue(authority: Authority, args: argparse.Namespace, config: Config, name: str) -> None:
     """Issue one certificate, with an example configuration in its folder."""
     from camtopod.keys.authority import LOCAL_HOSTS, date_text
 
-    folder = authority.issue(args.role, name, args.days, args.replace, args.host, args.cameras)
+    site = args.site or authority.site
+    sites = [site, *args.also] if args.site or args.also or args.role != "camera" else []
+    folder = authority.issue(
+        args.role, name, args.days, args.replace, args.host, args.cameras, sites
+    )
     certificate = authority.entries[-1].certificate
-    example = _example(authority.site, config, certificate, folder.name)
+    example = _example(site, config, certificate, folder.name)
     secret_files.write(folder / "camtopod.toml", example.encode())
     say(
         f"{folder}: valid until {date_text(certificate.expires)}; copy this folder to the machine "
         f"that uses it (camtopod.toml in it is an example)"
     )
     if args.role == "daemon":
-        hosts = [host for host in authority.hosts if host not in LOCAL_HOSTS]
+        hosts = [host for host in authority.hosts(site) if host not in LOCAL_HOSTS]
         if hosts:
             say(f"valid for connections to {', '.join(hosts)}")
         else:
@@ -209,18 +230,19 @@ def _issue(authority: Authority, args: argparse.Namespace, config: Config, name:
 
 
 def _write_access(authority: Authority, config: Config, with_router: bool) -> None:
-    """Write the access list, if it has changed, and the same for a separate zenoh router."""
-    folder = authority.folder / DAEMON
-    access = msgspec.json.format(msgspec.json.encode(authority.access), indent=1)
+    """Write each site's access list, if it has changed, and the same for a separate router."""
     listen = [endpoint for endpoint in config.bus.listen if endpoint.startswith("tls/")]
-    text = rules.router_json5(
-        authority.access, listen or ["tls/[::]:7447"], config.bus.message_bytes_max
-    )
-    path = folder / ACCESS
-    if not path.exists() or path.read_bytes() != access:
-        secret_files.write(path, access)
-    if with_router:
-        secret_files.write(folder / "router.json5", text.encode())
+    for site in authority.sites:
+        folder = authority.home(site) / DAEMON
+        access = msgspec.json.format(msgspec.json.encode(authority.access(site)), indent=1)
+        text = rules.router_json5(
+            authority.access(site), listen or ["tls/[::]:7447"], config.bus.message_bytes_max
+        )
+        path = folder / ACCESS
+        if not path.exists() or path.read_bytes() != access:
+            secret_files.write(path, access)
+        if with_router:
+            secret_files.write(folder / "router.json5", text.encode())
 
 
 def _example(site: str, config: Config, certificate: rules.Certificate, folder: str) -> str:
@@ -238,10 +260,13 @@ def _example(site: str, config: Config, certificate: rules.Certificate, folder: 
         bus = 'listen = ["tls/0.0.0.0:7447"]   # or the address of one interface'
         tls.append(f'access = "{key_folder}/{ACCESS}"')
     if camera:
-        cameras = [
+        sites = certificate.sites[1:]
+        cameras = [f'\n[sites."{other}"]\nconnect = ["tls/ROUTER:7447"]' for other in sites]
+        cameras += [
             f'\n[cameras."{camera}"]',
             f'source_file = "secrets/{camera}"   # contains the rtsp:// URL; mode 600',
         ]
+        cameras += [f"sites = {json.dumps(certificate.sites)}"] if sites else []
     lines = [
         f'[site]\nname = "{site}"\n\n[bus]\n{bus}\n',
         "# The folders of `camtopod keys` are copied to keys/ beside this file.",
@@ -257,7 +282,9 @@ def _list(authority: Authority, now: float) -> None:
     from camtopod.keys.authority import date_text
 
     ending = [
-        certificate.name for certificate, _ in rules.expiring_certificates(authority.access, now)
+        certificate.name
+        for site in authority.sites
+        for certificate, _ in rules.expiring_certificates(authority.access(site), now)
     ]
     print(f"{'name':<20} {'role':<7} {'certificate':<24} {'until':<10} {'days':>6}")
     for entry in authority.entries:
@@ -267,6 +294,8 @@ def _list(authority: Authority, now: float) -> None:
         remark = ""
         if certificate.cameras:
             remark = f" for {', '.join(certificate.cameras)}"
+        if certificate.sites:
+            remark += f" in {', '.join(certificate.sites)}"
         if not entry.valid:
             remark += " revoked"
         elif certificate.name in ending:
