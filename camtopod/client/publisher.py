@@ -121,7 +121,7 @@ class Publisher(contextlib.AbstractContextManager["Publisher"]):
         self._closing.set()
         self._thread.join()
         for link in self._links:
-            link.request_end()
+            link.closing.set()
         for link in self._links:
             link.close()
         with self._mutex:

@@ -164,8 +164,6 @@ def _mistakes_of_sites(config: Config) -> Iterator[tuple[Keys, str]]:
     own = config.site.name
     for name, place in config.sites.items():
         path: Keys = ("sites", name)
-        if not re.match(NAME_PATTERN, name):
-            yield path, "a site's name is 1 to 64 of the characters A-Z a-z 0-9 _ . -"
         if name == own:
             yield path, "this is the file's own site, [site] name: [bus] says where it is"
         elif not place.connect:

@@ -4,15 +4,14 @@ from __future__ import annotations
 
 import argparse
 import logging
-import threading
 from typing import Any
 
 from camtopod import redact
 from camtopod.cli.cameras.camera_process import camera_status, site_status
 from camtopod.cli.site_choice import right_site
 from camtopod.config import Config
-from camtopod.serve.bus import Bus, BusError, access, dial
-from camtopod.serve.outbox import Publisher
+from camtopod.serve.bus import Bus, BusError, access
+from camtopod.serve.outbox import Publisher, SiteLink
 from camtopod.vision.grabber import Grabber
 
 log = logging.getLogger(__name__)
@@ -21,7 +20,7 @@ _DAEMON_LOOK_SECONDS = 2.0
 """Interval at which it looks for the daemon."""
 
 
-class GrabberConnection:
+class GrabberConnection(SiteLink):
     """Connection of the grabber to the bus of a site, which is made in the background.
 
     Until then events wait in the spool. It logs when the daemon is not there, and when it is again.
@@ -35,50 +34,39 @@ class GrabberConnection:
         args: argparse.Namespace,
         site: str,
     ) -> None:
-        self._config = config.at(site or config.site.name)
-        self._site = site
         self._grabber = grabber
-        self._publisher = publisher
         self._args = args
         self._is_there: bool | None = None
         """Whether the daemon is there; None: not known yet. If it is not, the log says so."""
-        self._bus: Bus | None = None
-        self._stop = threading.Event()
-        threading.Thread(target=self._connect, name="connect", daemon=True).start()
+        super().__init__(config, publisher, [grabber.camera], site)
 
-    def _connect(self) -> None:
-        """Connect, trying again until it succeeds, and publish from then on."""
-        bus = None
-        while bus is None:
-            try:
-                bus = dial(self._config)
-            except BusError as error:
-                self._miss(str(error))
-            if self._stop.is_set():
-                return
-        self._publisher.attach(bus, [self._grabber.camera], self._site)
+    def on_miss(self, error: BusError) -> None:
+        """Log that the bus cannot be reached."""
+        self._miss(str(error))
+
+    def on_bus(self, bus: Bus) -> None:
+        """Publish from now on."""
         bus.answer_queries(f"status/{self._grabber.camera}", lambda *_: self.status(), "status")
         bus.watch_alive("daemon", self._on_daemon)
-        self._bus = bus
 
         # Look for the daemon once; from then on the bus tells when it appears or goes.
-        if not self._stop.wait(_DAEMON_LOOK_SECONDS) and self._is_there is None:
+        if not self.closing.wait(_DAEMON_LOOK_SECONDS) and self._is_there is None:
             self._miss(
                 f"connected to the bus at {bus.endpoint}, but no daemon of site {bus.site} is there"
-                f"{right_site(bus, self._config)}"
+                f"{right_site(bus, self.config)}"
             )
 
     def _on_daemon(self, name: str, alive: bool) -> None:
         """Note that a daemon has appeared or gone."""
         if not alive:
-            self._miss(f"the daemon has gone{access.ended_certificate(self._config)}")
+            self._miss(f"the daemon has gone{access.ended_certificate(self.config)}")
         elif self._is_there is False:
             log.info("camera %s: connected to the daemon again", self._grabber.camera)
         self._is_there = alive
 
     def _miss(self, reason: str) -> None:
         """Log once that the daemon is not there."""
-        if self._is_there is not False and not self._stop.is_set():
+        if self._is_there is not False and not self.closing.is_set():
             self._is_there = False
             log.warning("camera %s: %s; events are kept in the spool", self._grabber.camera, reason)
 
@@ -88,19 +76,12 @@ class GrabberConnection:
         past = (self._args.restarts, self._args.last_end)
         return {
             **camera_status(grabber.camera, grabber.state, redact.redact(grabber.reason), *past),
-            **site_status(self._config, grabber.camera),
+            **site_status(self.config, grabber.camera),
             **grabber.statistics(),
             **self._publisher.statistics(self._site),
         }
 
     def publish_status(self) -> None:
         """Publish the status if there is a connection."""
-        if self._bus is not None:
-            self._bus.publish(f"status/{self._grabber.camera}", self.status(), "status")
-
-    def close(self) -> None:
-        """End the delivery and close the bus, now or as soon as it is connected."""
-        self._stop.set()
-        self._publisher.close()
-        if self._bus is not None:
-            self._bus.close()
+        if self.bus is not None:
+            self.bus.publish(f"status/{self._grabber.camera}", self.status(), "status")

@@ -336,7 +336,7 @@ def _to_bus(
         connections = []
         for site in sites:
             connections.append(GrabberConnection(config, grabber, publisher, args, site))
-            stack.callback(connections[-1].close)
+            stack.callback(connections[-1].close, wait=False)
 
         def publish_statuses() -> None:
             for connection in connections:

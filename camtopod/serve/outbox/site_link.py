@@ -26,35 +26,43 @@ class SiteLink:
     def __init__(
         self, config: Config, publisher: Publisher, cameras: Sequence[str] = (), site: str = OWNER
     ) -> None:
-        self._config = config.at(site or config.site.name)
+        self.config = config.at(site or config.site.name)
+        self.bus: Bus | None = None
+        """The session, once there is one."""
+        self.closing = threading.Event()
+        """Set it to end the attempts to connect; `close` waits for the present one."""
         self._publisher = publisher
         self._cameras = cameras
         self._site = site
-        self._bus: Bus | None = None
-        self._closing = threading.Event()
         self._thread = threading.Thread(target=self._join, name="link", daemon=True)
         self._thread.start()
 
-    def request_end(self) -> None:
-        """End the attempts to connect; `close` waits until the present one has ended."""
-        self._closing.set()
+    def close(self, wait: bool = True) -> None:
+        """End the delivery and leave the bus; without ``wait`` only if there is a session."""
+        self.closing.set()
+        if wait:
+            self._thread.join()
+        if (delivery := self._publisher.at(self._site)) is not None:
+            delivery.close()
+        if self.bus is not None:
+            self.bus.close()
 
-    def close(self) -> None:
-        """End the delivery and leave the bus."""
-        self.request_end()
-        self._thread.join()
-        if self._bus is not None:
-            if (delivery := self._publisher.at(self._site)) is not None:
-                delivery.close()
-            self._bus.close()
+    def on_miss(self, error: BusError) -> None:
+        """Take note that the site cannot be reached; it is tried again."""
+
+    def on_bus(self, bus: Bus) -> None:
+        """Take note of the session."""
+        log_other_sites(bus, sites_instead(bus, self.config))
 
     def _join(self) -> None:
-        while not self._closing.is_set():
+        while not self.closing.is_set():
             try:
-                self._bus = dial(self._config)
-            except BusError:  # the site is waited for
-                self._closing.wait(RETRY_SECONDS)
+                bus = dial(self.config)
+            except BusError as error:
+                self.on_miss(error)
+                self.closing.wait(RETRY_SECONDS)
                 continue
-            self._publisher.attach(self._bus, self._cameras, self._site)
-            log_other_sites(self._bus, sites_instead(self._bus, self._config))
+            self._publisher.attach(bus, self._cameras, self._site)
+            self.bus = bus
+            self.on_bus(bus)
             return

@@ -10,7 +10,6 @@ from __future__ import annotations
 import logging
 import sqlite3
 from collections import defaultdict
-from collections.abc import Mapping
 from typing import TYPE_CHECKING
 
 from msgspec import Struct
@@ -53,7 +52,8 @@ class Mark(Struct, frozen=True):
 class SiteQueue:
     """The queue of ``spool`` for ``site``, which `Spool.queue` makes. Thread-safe.
 
-    Methods that read or write the file raise `sqlite3.Error` and `sqlite_file.Damaged`.
+    Methods that read or write the file raise `sqlite3.Error` and `sqlite_file.Damaged`. The spool
+    itself uses `marks`, `unwritten`, `counts` and the last methods, within `Spool.using`.
     """
 
     def __init__(self, spool: Spool, site: str) -> None:
@@ -62,10 +62,10 @@ class SiteQueue:
         """Events that were deleted before the site had stored them, since the start."""
         self._spool = spool
         # Camera -> name of a boot at the site, oldest first.
-        self._marks: defaultdict[str, dict[str, Mark]] = defaultdict(dict)
-        self._unwritten: set[tuple[str, str]] = set()  # (camera, name) of marks that have moved
+        self.marks: defaultdict[str, dict[str, Mark]] = defaultdict(dict)
+        self.unwritten: set[tuple[str, str]] = set()  # (camera, name) of marks that have moved
         # (camera, name) -> number of events that wait, where it is known.
-        self._counts: dict[tuple[str, str], int] = {}
+        self.counts: dict[tuple[str, str], int] = {}
         self._later_names: dict[str, str] = {}
 
     def boot(self, camera: str) -> str:
@@ -78,24 +78,26 @@ class SiteQueue:
         At most `BOOTS_MAX`, the newest.
         """
         with self._spool.using():
-            names = [name for name in self._marks[camera] if name != self.boot(camera)]
+            names = [name for name in self.marks[camera] if name != self.boot(camera)]
             return [*names[1 - BOOTS_MAX :], self.boot(camera)]
 
     def cameras(self) -> list[str]:
         """Return the cameras with events in the spool that deliver to the site."""
         with self._spool.using():
-            return self.marked_cameras
+            return [camera for camera, marks in self.marks.items() if marks]
 
     def mark(self, camera: str, boot: str) -> int:
         """Return the number up to which the site has stored a boot, as far as is known."""
         with self._spool.using():
-            mark = self._marks[camera].get(boot)
+            mark = self.marks[camera].get(boot)
             return 0 if mark is None else mark.have - mark.base
 
     def is_own(self, camera: str, boot: str | None = None) -> bool:
         """Return True if this process was given events of a boot, or of any boot of a camera."""
-        mark = None if boot is None else self._marks[camera].get(boot)
-        return self._spool.is_own(camera, mark.boot if mark else boot)
+        if boot is None:
+            return any(name == camera for name, _ in self._spool.tops.copy())
+        mark = self.marks[camera].get(boot)
+        return (camera, mark.boot if mark else boot) in self._spool.tops
 
     def waiting(self, camera: str | None = None, own: bool = False) -> int:
         """Return the number of events that the site has not stored, as far as is known.
@@ -103,19 +105,8 @@ class SiteQueue:
         own: only those of boots of which this process was given events.
         """
         with self._spool.using():
-            cameras = list(self._marks) if camera is None else [camera]
+            cameras = list(self.marks) if camera is None else [camera]
             return sum(self.count(name, own) for name in cameras)
-
-    def count(self, camera: str, own: bool = False) -> int:
-        """Return `waiting` of a camera, within `Spool.using`."""
-        total = 0
-        for name, mark in self._marks[camera].items():
-            if not self._spool.has_boot(camera, mark.boot, own):
-                continue
-            if (camera, name) not in self._counts:
-                self._counts[camera, name] = self._spool.count(_WAITING, camera, *mark.waiting)
-            total += self._counts[camera, name]
-        return total
 
     def next_batch(self, camera: str, limit: int) -> tuple[str, list[tuple[int, bytes]]] | None:
         """Return boot and (seq, bytes) of the events of ``camera`` to be sent next, by rising seq.
@@ -124,7 +115,7 @@ class SiteQueue:
         damaged event is logged and deleted. None if no event waits.
         """
         with self._spool.using() as database:
-            for name, mark in self._marks[camera].items():
+            for name, mark in self.marks[camera].items():
                 events: list[tuple[int, bytes]] = []
                 bad_rows = []
                 size = 0
@@ -152,7 +143,7 @@ class SiteQueue:
         """Return an event that was just stored, with its boot and number at the site."""
         with self._spool.using():
             name = self.boot(event.camera)
-            mark = self._marks[event.camera].get(name)
+            mark = self.marks[event.camera].get(name)
         if event.seq is None or mark is None or name == event.boot != mark.boot:
             return event
         return replace(event, boot=name, seq=event.seq - mark.base)
@@ -163,19 +154,19 @@ class SiteQueue:
         This is written with the next events or on closing: after a kill the daemon says it again.
         """
         with self._spool.using():
-            mark = self._marks[camera].get(boot)
+            mark = self.marks[camera].get(boot)
             if mark is None:
                 return
             row = min(mark.base + seq, mark.last)
             if row == mark.have:
                 return
-            if mark.have < row and (camera, boot) in self._counts:
+            if mark.have < row and (camera, boot) in self.counts:
                 passed_rows = (camera, mark.boot, mark.have, row)
-                self._counts[camera, boot] -= self._spool.count(_WAITING, *passed_rows)
+                self.counts[camera, boot] -= self._spool.count(_WAITING, *passed_rows)
             else:
-                self._counts.pop((camera, boot), None)
-            self._marks[camera][boot] = replace(mark, have=row)
-            self._unwritten.add((camera, boot))
+                self.counts.pop((camera, boot), None)
+            self.marks[camera][boot] = replace(mark, have=row)
+            self.unwritten.add((camera, boot))
 
     def begin_boot(self, camera: str, new: str) -> None:
         """Name what waits of this process's boot, and what follows, ``new`` at the site.
@@ -184,65 +175,52 @@ class SiteQueue:
         """
         with self._spool.using() as database:
             old = self.boot(camera)
-            mark = self._marks[camera].get(old, Mark(self._spool.boot))
+            mark = self.marks[camera].get(old, Mark(self._spool.boot))
             marks = {old: replace(mark, last=mark.have), new: replace(mark, base=mark.have)}
             with sqlite_file.transaction(database):
                 for name, changed in marks.items():
                     self._write(database, camera, name, changed)
-            self._marks[camera].update(marks)
+            self.marks[camera].update(marks)
             self._later_names[camera] = new
-            self.forget_counts()
+            self.counts.clear()
         path = self._spool.path
         log.error("%s: the daemon has later events of %s: a new boot begins", path, camera)
 
     def drop(self, camera: str) -> None:
         """Delete the events of ``camera`` that wait, and count them as dropped."""
         with self._spool.using() as database:
-            self.forget_counts()
-            for mark in self._marks[camera].values():
+            self.counts.clear()
+            for mark in self.marks[camera].values():
                 rows = database.execute(f"DELETE FROM {_WAITING}", (camera, *mark.waiting))
                 self.dropped += rows.rowcount
 
-    # The rest is the spool's own, within `Spool.using`.
-
-    @property
-    def marked_cameras(self) -> list[str]:
-        """The cameras with marks."""
-        return [camera for camera, marks in self._marks.items() if marks]
-
-    def restore(self, camera: str, marks: Mapping[str, Mark]) -> None:
-        """Take the marks of a camera's boot that are in the file."""
-        self._marks[camera].update(marks)
+    def count(self, camera: str, own: bool) -> int:
+        """Return `waiting` of a camera."""
+        boots = self._spool.tops if own else self._spool.boots
+        total = 0
+        for name, mark in self.marks[camera].items():
+            if (camera, mark.boot) in boots:
+                if (camera, name) not in self.counts:
+                    self.counts[camera, name] = self._spool.count(_WAITING, camera, *mark.waiting)
+                total += self.counts[camera, name]
+        return total
 
     def add(self, camera: str, boot: str) -> None:
         """Take a boot that has events, of which nothing is stored, unless it is known."""
-        if not any(mark.boot == boot for mark in self._marks[camera].values()):
-            self._marks[camera][boot] = Mark(boot)
-            self._unwritten.add((camera, boot))
-
-    def clear(self) -> None:
-        """Forget all marks, which are in the file."""
-        self._marks.clear()
-        self.forget_counts()
+        if not any(mark.boot == boot for mark in self.marks[camera].values()):
+            self.marks[camera][boot] = Mark(boot)
+            self.unwritten.add((camera, boot))
 
     def write_marks(self, database: sqlite3.Connection) -> None:
-        """Write the marks that have moved, within a transaction; then call `forget_unwritten`."""
-        for camera, name in self._unwritten:
-            self._write(database, camera, name, self._marks[camera][name])
-
-    def forget_unwritten(self) -> None:
-        """Note that all marks are in the file."""
-        self._unwritten.clear()
-
-    def forget_counts(self) -> None:
-        """Count again, as the rows of the file have changed."""
-        self._counts.clear()
+        """Write the marks that have moved, within a transaction."""
+        for camera, name in self.unwritten:
+            self._write(database, camera, name, self.marks[camera][name])
 
     def waiting_until(self, id_: int) -> int:
         """Return the number of events that wait among the oldest rows, up to this id."""
         return sum(
             self._spool.count(f"{_WAITING} AND id <= ?", camera, *mark.waiting, id_)
-            for camera, marks in self._marks.items()
+            for camera, marks in self.marks.items()
             for mark in marks.values()
         )
 

@@ -99,9 +99,9 @@ class Spool:
         # (camera, boot, site) of marks in the file without events, or of a site that was left out.
         self._stale: list[tuple[str, str, str]] = []
         self._queues = {OWNER: SiteQueue(self, OWNER)}
-        self._boots: set[tuple[str, str]] = set()  # (camera, boot) with events in the file
+        self.boots: set[tuple[str, str]] = set()  # (camera, boot) with events in the file
         # (camera, boot) of which this process was given events -> the highest number of them.
-        self._tops: dict[tuple[str, str], int] = {}
+        self.tops: dict[tuple[str, str], int] = {}
         # (camera, boot) -> a number that none of the events in the file is above.
         self._ceilings: dict[tuple[str, str], int] = {}
         self._additions = math.inf  # events since the limits were looked at
@@ -141,13 +141,13 @@ class Spool:
                 for site in self.sites(camera):
                     self.queue(site).add(camera, boot)
             for queue in self._queues.values():
-                queue.forget_counts()  # after an error, too
+                queue.counts.clear()  # after an error, too
             with self._writing():
                 self._db.executemany(spool_tables.INSERT, rows)
                 drops = self._make_room(len(rows))
             for camera, boot, seq, *_ in rows:
-                self._tops[camera, boot] = seq
-            self._boots |= boots
+                self.tops[camera, boot] = seq
+            self.boots |= boots
 
         # Report the events that were left out.
         for camera, error in refusals:
@@ -170,12 +170,6 @@ class Spool:
             self._queues[site] = SiteQueue(self, site)
         return self._queues[site]
 
-    def is_own(self, camera: str, boot: str | None = None) -> bool:
-        """Return True if this process was given events of a boot, or of any boot of a camera."""
-        if boot is None:
-            return any(name == camera for name, _ in self._tops.copy())
-        return (camera, boot) in self._tops
-
     def waiting(self, own: bool = False) -> int:
         """Return the number of events that some site has not stored, as far as is known.
 
@@ -186,7 +180,7 @@ class Spool:
         with self.using():
             return sum(
                 max(self.queue(site).count(camera, own) for site in self.sites(camera))
-                for camera in self.queue().marked_cameras
+                for camera in list(self.queue().marks)
             )
 
     @property
@@ -240,14 +234,10 @@ class Spool:
         """Return the number of these rows."""
         return int(self._db.execute(f"SELECT COUNT(*) FROM {rows}", parameters).fetchone()[0])
 
-    def has_boot(self, camera: str, boot: str, own: bool) -> bool:
-        """Return True if there are events of a boot; with ``own``, only if of this process."""
-        return (camera, boot) in (self._tops if own else self._boots)
-
     def delete_damaged(self, camera: str, ids: Sequence[int]) -> None:
         """Delete damaged rows of ``camera``."""
         for queue in self._queues.values():
-            queue.forget_counts()
+            queue.counts.clear()
         with sqlite_file.transaction(self._db):
             self._db.executemany("DELETE FROM event WHERE id = ?", [(id_,) for id_ in ids])
         self.damage_count += len(ids)
@@ -263,23 +253,22 @@ class Spool:
                 queue.write_marks(self._db)
             yield
         for queue in queues:
-            queue.forget_unwritten()
+            queue.unwritten.clear()
         self._stale.clear()
 
     def _load(self) -> None:
         """Read which boots there are, and their marks."""
         self._ceilings.clear()
-        for queue in self._queues.values():
-            queue.clear()
+        self._queues = {OWNER: SiteQueue(self, OWNER)}
         marks = {
             key: {row[3]: Mark(key[1], *row[4:]) for row in rows}
             for key, rows in groupby(self._db.execute(_MARKS).fetchall(), lambda row: row[:3])
         }
         boots = self._db.execute(_BOOTS).fetchall()
-        self._boots = {*boots}
+        self.boots = {*boots}
         for camera, boot in boots:
             for site in self.sites(camera):
-                self.queue(site).restore(camera, marks.pop((camera, boot, site), {}))
+                self.queue(site).marks[camera].update(marks.pop((camera, boot, site), {}))
                 self.queue(site).add(camera, boot)
         self._stale = list(marks)
 
@@ -287,7 +276,7 @@ class Spool:
         self, events: Sequence[Event]
     ) -> tuple[list[Event], list[spool_tables.EventRow], list[tuple[str, codec.Rejected]]]:
         """Return the new events with boot and seq, their rows, and (camera, error) of bad ones."""
-        tops = self._tops.copy()
+        tops = self.tops.copy()
         batch: list[Event] = []
         rows: list[spool_tables.EventRow] = []
         numbers: set[tuple[str, str, int]] = set()
@@ -298,7 +287,7 @@ class Spool:
                 if seq <= self._ceiling(camera, boot):
                     count = self.count(f"{_BOOT} AND seq = ?", camera, boot, seq)
                     if count or (camera, boot, seq) in numbers:
-                        self._tops.setdefault((camera, boot), 0)
+                        self.tops.setdefault((camera, boot), 0)
                         continue
                 if seq <= tops.get((camera, boot), 0):
                     boot = None
