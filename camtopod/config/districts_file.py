@@ -133,6 +133,16 @@ def mistakes(districts: Districts) -> Iterator[tuple[Keys, str]]:
                 yield place, f"it hears {camera} of {owner}, which hears no camera of {name}"
 
 
+def camera_tables(districts: Districts) -> Iterator[str]:
+    """Yield, for each camera that other districts hear, its table in its owner's configuration."""
+    for owner, district in districts.items():
+        for camera in district.cameras:
+            hearers = [name for name, other in districts.items() if camera in other.hears]
+            if hearers:
+                sites = json.dumps([owner, *hearers])
+                yield f"[cameras.{json.dumps(camera)}]    # at {owner}\nsites = {sites}"
+
+
 def to_toml(districts: Districts) -> str:
     """Return the text of a file of districts."""
     return "\n".join(

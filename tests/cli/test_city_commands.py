@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import sys
+import tomllib
 from pathlib import Path
 
 import pytest
@@ -42,7 +43,10 @@ def test_a_topology_is_cut_into_districts(folder: Path, capsys: pytest.CaptureFi
     assert max(len(district.cameras) for district in districts.values()) <= 10
     assert f"{len(districts)} districts of up to" in capsys.readouterr().err
     assert main(["check", "cut.toml"]) == 0
-    assert f"{len(districts)} districts, 24 cameras" in capsys.readouterr().err
+    out, err = capsys.readouterr()
+    assert f"{len(districts)} districts, 24 cameras" in err
+    cameras = tomllib.loads(out)["cameras"]
+    assert cameras.keys() == {heard for one in districts.values() for heard in one.hears}
 
 
 def test_events_are_cut_by_the_links_that_they_tell(folder: Path) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import tomllib
 from pathlib import Path
 
 import pytest
@@ -33,6 +34,19 @@ def test_it_is_read_as_it_was_written(tmp_path: Path) -> None:
     assert districts_file.is_districts(text.encode())
     assert districts_file.is_districts(b"# a city\r\n\r\n" + text.encode())
     assert not districts_file.is_districts(b'[site]\nname = "x"\n' + text.encode())
+
+
+def test_the_tables_of_cameras_that_several_districts_hear() -> None:
+    owners = {"gate": "north", "hall": "north", "yard": "south", "shed": "west"}
+
+    tables = "\n".join(districts_file.camera_tables(with_borders(owners, NEIGHBOURS)))
+
+    sites = {name: camera["sites"] for name, camera in tomllib.loads(tables)["cameras"].items()}
+    assert sites == {
+        "hall": ["north", "south"],
+        "yard": ["south", "north", "west"],
+        "shed": ["west", "south"],
+    }
 
 
 SOUND = """\

@@ -34,7 +34,8 @@ def add_parser(add: Any) -> None:
     """Add `check`."""
     parser = add(
         description="Checks a configuration and lists all mistakes in one pass. If there are none, "
-        "it says for each camera which settings of vision are not the defaults.",
+        "it says for each camera which settings of vision are not the defaults. Of districts, it "
+        "prints the tables of the cameras that deliver to several.",
         epilog="example: camtopod check camtopod.toml --probe",
     )
     parser.add_argument(
@@ -80,6 +81,8 @@ def run(args: argparse.Namespace) -> int:
         raw = path.read_bytes()
         if districts_file.is_districts(raw):
             districts = districts_file.load(path, raw)
+            for table in districts_file.camera_tables(districts):
+                print(f"{table}\n")
             cameras = counted(len(owners_of(districts)), "camera")
             count = counted(len(districts), "district")
             print(f"{path}: no mistakes; {count}, {cameras}", file=sys.stderr)
