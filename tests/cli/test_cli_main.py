@@ -193,6 +193,7 @@ def test_check_says_what_holds_for_each_camera(
     path.write_text(
         "[vision]\nanalysed_fps = 9\n[cameras.a]\nsource = '0'\nanalysed_fps = 7\ndoors = [[0.5, 0.5]]\n"
         "ignore = [[[0, 0], [0.5, 0], [0.5, 1], [0, 1]]]\n[cameras.b]\nmin_height = 0.1\n"
+        "sites = ['site', 'annex']\n[sites.annex]\nconnect = ['tcp/h:1']\n"
     )
     assert main.main(["check", str(path)]) == 0
     lines = [line for line in capsys.readouterr().err.splitlines() if "authentication" not in line]
@@ -200,7 +201,7 @@ def test_check_says_what_holds_for_each_camera(
         f"{path}:8: warning: cameras.b: source is missing; add it, or source_file, or grab this"
         " camera with `camtopod grab --camera b SOURCE`",
         f"{path}:3: cameras.a: ignore: 1, doors: 1",
-        f"{path}:8: cameras.b: analysed_fps = 9.0, min_height = 0.1",
+        f"{path}:8: cameras.b: analysed_fps = 9.0, min_height = 0.1, delivers to site, annex",
         f"{path}: no mistakes; site site, 2 cameras",
     ]
 

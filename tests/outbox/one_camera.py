@@ -1,4 +1,4 @@
-"""A grabber of one camera and its daemon in simulated time, with faults on both sides."""
+"""A grabber of one camera and the daemons of its sites in simulated time, with faults everywhere."""
 
 from __future__ import annotations
 
@@ -55,69 +55,44 @@ SPOOL_EVENTS = 240
 KEPT_EVENTS = 60
 
 
-class World:
-    """One history: events, faults and everything that follows from them."""
+class Side:
+    """A site of the camera: its daemon, and the delivery to it."""
 
-    def __init__(self, seed: int, folder: Path, kinds: list[str] | None = None) -> None:
-        self.chance = random.Random(seed)
-        self.kinds = kinds or self.chance.sample(FAULTS, self.chance.randint(1, 5))
-        without = {kind for fault in self.kinds for kind in NOT_BESIDE.get(fault, ())}
-        self.kinds = [kind for kind in self.kinds if kind not in without]
-        self.lossy = self.chance.choice([0.0, 0.0, 0.02, 0.2])
-        self.now = 0.0
-        self.until = dict.fromkeys(("busy", "slow", "held", "slow network"), -1.0)
+    def __init__(self, world: World, site: str) -> None:
+        self.world = world
+        self.site = site
         self.linked = False
-        self.calm_at: float | None = None
-        self.requests = 0
-        self.uid = 0
-        self._dropped = 0  # events that the spool has deleted, as it was full
-        self._path = folder / "spool.db"
-        self._image = folder / "image.db"
-        self._boots = itertools.count(1)
-        self._heap: list[tuple[float, int, Callable[..., None], tuple[object, ...]]] = []
-        self._order = itertools.count()
-        self._grabber = 0
-        self.spool: Spool | None = None
+        self.until = world.until
+        self.chance = world.chance
+        self.at = world.at
         self.daemon: Any
 
-    def at(self, t: float, step: Callable[..., None], *given: object) -> None:
-        heapq.heappush(self._heap, (t, next(self._order), step, given))
+    @property
+    def now(self) -> float:
+        return self.world.now
 
-    def start_grabber(self, kill: bool = True) -> None:
-        """End the grabber, by force or not, and start it again."""
-        if self.spool is not None and kill:
-            self.spool._db.close()
-            self.spool._lock.close()
-        elif self.spool is not None:
-            self.spool.close()
-        if self.spool is not None:
-            self._dropped += self.spool.dropped
-        self._grabber += 1
-        boot = f"b{next(self._boots)}"
-        self.spool = Spool(self._path, boot, SPOOL_EVENTS, kept_max=KEPT_EVENTS)
-        numbers = (f"n{self._grabber}-{count}" for count in itertools.count())
-        self.delivery = Delivery(CAMERA, self.spool.queue(), lambda: next(numbers))
-        self.look()
-
-    def add(self) -> None:
-        """Let the grabber see one event more."""
-        assert self.spool is not None
-        self.uid += 1
-        self.spool.append([Event(CAMERA, "entry", float(self.uid), track=str(self.uid))])
+    def start_delivery(self) -> None:
+        """Deliver the present grabber's spool."""
+        assert self.world.spool is not None
+        numbers = (f"n{self.world.grabber}-{count}" for count in itertools.count())
+        queue = self.world.spool.queue(self.site)
+        self.delivery = Delivery(CAMERA, queue, lambda: next(numbers))
         self.look()
 
     def look(self) -> None:
         """Send what is to be sent now, and come again when the delivery asks for it."""
         request = self.delivery.next_request(self.now)
         if self.delivery.deadline < math.inf:
-            self.at(max(self.delivery.deadline, self.now + 0.001), self._look_again, self._grabber)
+            self.at(
+                max(self.delivery.deadline, self.now + 0.001), self._look_again, self.world.grabber
+            )
         if request is None:
             return
-        self.requests += 1
-        grabber, delivery = self._grabber, self.delivery
+        self.world.requests += 1
+        grabber, delivery = self.world.grabber, self.delivery
 
         def answered(answer: Answer | None) -> None:
-            if grabber == self._grabber:
+            if grabber == self.world.grabber:
                 delivery.on_answer(request, answer, self.now)
                 self.look()
 
@@ -132,11 +107,11 @@ class World:
             self.at(self._arrival(), self.daemon.receive, codec.to_msgpack(request), reply)
 
     def _look_again(self, grabber: int) -> None:
-        if grabber == self._grabber and self.now >= self.delivery.deadline:
+        if grabber == self.world.grabber and self.now >= self.delivery.deadline:
             self.look()
 
     def _loses(self) -> bool:
-        return self.now < FAULTS_SECONDS and self.chance.random() < self.lossy
+        return self.now < FAULTS_SECONDS and self.chance.random() < self.world.lossy
 
     def _arrival(self) -> float:
         slow = self.now < self.until["slow network"] and self.chance.random() < 0.3
@@ -149,6 +124,95 @@ class World:
             self.delivery.on_daemon(self.now)
             self.look()
 
+    @property
+    def is_calm(self) -> bool:
+        return self.daemon.up and self.linked and self.delivery.deadline == math.inf
+
+    def wrongs(self, dropped: int) -> list[str]:
+        """Return what went wrong here.
+
+        dropped: events that may be lost.
+        """
+        assert self.world.spool is not None
+        wrongs = []
+        stored = {uid for _, _, uid in self.daemon.journal}
+        rows = self.world.spool._db.execute("SELECT raw FROM event WHERE raw != x'00'")
+        spooled = [int(str(codec.event_from_bytes(raw).track)) for (raw,) in rows]
+        lost = [uid for uid in spooled if uid not in stored]
+        if len(lost) > dropped:
+            wrongs.append(f"{len(lost)} events lost {self.site}")
+        kept = Counter(uid for _, _, uid in self.daemon.kept)
+        for where, counts in (("in the journal", kept), ("learned", self.daemon.counted)):
+            if twice := [uid for uid, count in counts.items() if count > 1]:
+                wrongs.append(f"{len(twice)} events twice {where} {self.site}")
+        uids = list(dict.fromkeys(uid for _, _, uid in self.daemon.journal))
+        if uids != sorted(uids) and "older spool" not in self.world.kinds:
+            wrongs.append(f"order {self.site}")
+        return wrongs
+
+
+class World:
+    """One history: events, faults and everything that follows from them.
+
+    sites: the sites of the camera, as the spool names them.
+    """
+
+    def __init__(
+        self,
+        seed: int,
+        folder: Path,
+        kinds: list[str] | None = None,
+        sites: tuple[str, ...] = ("",),
+    ) -> None:
+        self.chance = random.Random(seed)
+        self.kinds = kinds or self.chance.sample(FAULTS, self.chance.randint(1, 5))
+        without = {kind for fault in self.kinds for kind in NOT_BESIDE.get(fault, ())}
+        self.kinds = [kind for kind in self.kinds if kind not in without]
+        self.lossy = self.chance.choice([0.0, 0.0, 0.02, 0.2])
+        self.now = 0.0
+        self.until = dict.fromkeys(("busy", "slow", "held", "slow network"), -1.0)
+        self.calm_at: float | None = None
+        self.requests = 0
+        self.uid = 0
+        self._dropped = 0  # events that the spool has deleted, as it was full
+        self._path = folder / "spool.db"
+        self._image = folder / "image.db"
+        self._boots = itertools.count(1)
+        self._heap: list[tuple[float, int, Callable[..., None], tuple[object, ...]]] = []
+        self._order = itertools.count()
+        self.grabber = 0
+        self.spool: Spool | None = None
+        self.sides = [Side(self, site) for site in sites]
+
+    def at(self, t: float, step: Callable[..., None], *given: object) -> None:
+        heapq.heappush(self._heap, (t, next(self._order), step, given))
+
+    def start_grabber(self, kill: bool = True) -> None:
+        """End the grabber, by force or not, and start it again."""
+        if self.spool is not None and kill:
+            self.spool._db.close()
+            self.spool._lock.close()
+        elif self.spool is not None:
+            self.spool.close()
+        if self.spool is not None:
+            self._dropped += self.spool.dropped
+        self.grabber += 1
+        boot = f"b{next(self._boots)}"
+        sites = [side.site for side in self.sides]
+        self.spool = Spool(
+            self._path, boot, SPOOL_EVENTS, kept_max=KEPT_EVENTS, sites_of=lambda camera: sites
+        )
+        for side in self.sides:
+            side.start_delivery()
+
+    def add(self) -> None:
+        """Let the grabber see one event more."""
+        assert self.spool is not None
+        self.uid += 1
+        self.spool.append([Event(CAMERA, "entry", float(self.uid), track=str(self.uid))])
+        for side in self.sides:
+            side.look()
+
     def fault(self) -> None:
         """Let one fault happen, and plan the next."""
         if self.now > FAULTS_SECONDS:
@@ -157,15 +221,16 @@ class World:
         chance = self.chance
         self.at(self.now + chance.expovariate(1 / 15), self.fault)
         kind = chance.choice(self.kinds)
-        rows = len(self.daemon.journal)
+        side = self.sides[0] if len(self.sides) == 1 else chance.choice(self.sides)
+        rows = len(side.daemon.journal)
         if kind in ("restart", "replay"):
-            self.daemon.stop(1.0)
+            side.daemon.stop(1.0)
         elif kind == "outage":
-            self.daemon.stop(chance.uniform(3, 90))
-        elif kind == "older journal" and self.daemon.up:
-            self.daemon.go_back(chance.randint(rows // 3, rows))
-        elif kind == "erased journal" and self.daemon.up:
-            self.daemon.go_back(0)
+            side.daemon.stop(chance.uniform(3, 90))
+        elif kind == "older journal" and side.daemon.up:
+            side.daemon.go_back(chance.randint(rows // 3, rows))
+        elif kind == "erased journal" and side.daemon.up:
+            side.daemon.go_back(0)
         elif kind == "new boot":
             self.start_grabber(kill=chance.random() < 0.5)
         elif kind == "flapping":
@@ -177,13 +242,13 @@ class World:
         elif kind == "burst":
             for _ in range(chance.randint(5, 60)):
                 self.add()
-        elif kind == "cut" and self.daemon.up and self.linked:
-            self.linked = False
-            self.at(self.now + chance.uniform(0.5, 20), self.appear)
+        elif kind == "cut" and side.daemon.up and side.linked:
+            side.linked = False
+            self.at(self.now + chance.uniform(0.5, 20), side.appear)
         elif kind == "older spool":
             self._restore()
-        elif kind == "lost number" and self.daemon.numbers and self.daemon.up:
-            self.daemon.lose_number(chance.choice(list(self.daemon.numbers)))
+        elif kind == "lost number" and side.daemon.numbers and side.daemon.up:
+            side.daemon.lose_number(chance.choice(list(side.daemon.numbers)))
         elif kind in self.until:
             self.until[kind] = self.now + chance.uniform(1, 60)
 
@@ -215,7 +280,8 @@ class World:
     def run(self) -> list[str]:
         """Run the history; return what went wrong."""
         self.start_grabber()
-        self.at(0.0, self.daemon.start)
+        for side in self.sides:
+            self.at(0.0, side.daemon.start)
         self.at(5.0, self.fault)
         self.at(0.0, self.live, self.chance.choice([0.02, 0.1, 0.5]), FAULTS_SECONDS)
         if self.chance.random() < 0.5:
@@ -234,29 +300,12 @@ class World:
 
     def _is_calm(self) -> bool:
         assert self.spool is not None
-        return (
-            self.daemon.up
-            and self.linked
-            and not self.spool.waiting()
-            and self.delivery.deadline == math.inf
-        )
+        return not self.spool.waiting() and all(side.is_calm for side in self.sides)
 
     def _wrongs(self) -> list[str]:
         assert self.spool is not None
         wrongs = []
         if left := self.spool.waiting():
             wrongs.append(f"{left} events wait at the end")
-        stored = {uid for _, _, uid in self.daemon.journal}
-        rows = self.spool._db.execute("SELECT raw FROM event WHERE raw != x'00'")
-        spooled = [int(str(codec.event_from_bytes(raw).track)) for (raw,) in rows]
-        lost = [uid for uid in spooled if uid not in stored]
-        if len(lost) > self._dropped * ("older spool" in self.kinds):  # a copy may still have them
-            wrongs.append(f"{len(lost)} events lost")
-        kept = Counter(uid for _, _, uid in self.daemon.kept)
-        for where, counts in (("in the journal", kept), ("learned", self.daemon.counted)):
-            if twice := [uid for uid, count in counts.items() if count > 1]:
-                wrongs.append(f"{len(twice)} events twice {where}")
-        uids = list(dict.fromkeys(uid for _, _, uid in self.daemon.journal))
-        if uids != sorted(uids) and "older spool" not in self.kinds:
-            wrongs.append("order")
-        return wrongs
+        dropped = self._dropped * ("older spool" in self.kinds)  # a copy may still have them
+        return wrongs + [wrong for side in self.sides for wrong in side.wrongs(dropped)]

@@ -11,7 +11,7 @@ from pathlib import Path
 import msgspec
 import pytest
 from intake_bench import LATENESS, IntakeBench
-from one_camera import CAMERA, World
+from one_camera import CAMERA, Side, World
 
 from camtopod import codec
 from camtopod.event_time import EventTime, microseconds
@@ -29,7 +29,7 @@ WALL = 1e6
 class RealDaemon:
     """The daemon of a history: the real path of an event and a real journal."""
 
-    def __init__(self, world: World, folder: Path) -> None:
+    def __init__(self, world: Side, folder: Path) -> None:
         self.world = world
         self.folder = folder
         self.bench: IntakeBench | None = None
@@ -150,15 +150,18 @@ class RealDaemon:
         bench.learned.clear()
 
 
-def history(seed: int, kinds: list[str] | None = None) -> tuple[list[str], World]:
+def history(
+    seed: int, kinds: list[str] | None = None, sites: tuple[str, ...] = ("",)
+) -> tuple[list[str], World]:
     """Run a history; return what went wrong."""
     folder = Path(tempfile.mkdtemp(dir="/dev/shm" if Path("/dev/shm").is_dir() else None))
     try:
-        world = World(seed, folder, kinds)
-        daemon = RealDaemon(world, folder / "state")
-        world.daemon = daemon
+        world = World(seed, folder, kinds, sites)
+        for side in world.sides:
+            side.daemon = RealDaemon(side, folder / f"state{side.site}")
         wrongs = world.run()
-        daemon.stop(0.0)
+        for side in world.sides:
+            side.daemon.stop(0.0)
         return wrongs, world
     finally:
         shutil.rmtree(folder)
@@ -170,9 +173,16 @@ def test_nothing_is_lost_and_nothing_counts_twice(seed: int) -> None:
     assert wrongs == [], f"seed {seed}, faults {world.kinds}"
 
 
+@pytest.mark.parametrize("seed", range(QUICK_HISTORIES))
+def test_a_site_with_faults_of_its_own_changes_nothing_for_another(seed: int) -> None:
+    wrongs, world = history(2000 + seed, sites=("", "south"))
+    assert wrongs == [], f"seed {2000 + seed}, faults {world.kinds}"
+
+
 @pytest.mark.campaign
 @pytest.mark.timeout(3600)
 def test_many_histories() -> None:
     for seed in range(1000, 1300):
-        wrongs, world = history(seed)
-        assert wrongs == [], f"seed {seed}, faults {world.kinds}"
+        for sites in (("",), ("", "south")):
+            wrongs, world = history(seed, sites=sites)
+            assert wrongs == [], f"seed {seed}, faults {world.kinds}, {len(sites)} sites"

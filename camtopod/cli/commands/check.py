@@ -162,5 +162,7 @@ def _camera_lines(path: Path, config: Config, text: str) -> Iterator[str]:
             words.append(f"detector {Path(camera.detector.model).name} ({labels})")
         elif config.detector.model:
             words.append("detector = false")
+        if camera.sites:
+            words.append(f"delivers to {', '.join(camera.sites)}")
         if words:
             yield f"{path}:{lines.get(('cameras', name), 1)}: cameras.{name}: {', '.join(words)}"
