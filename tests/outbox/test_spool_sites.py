@@ -80,6 +80,8 @@ def test_a_new_boot_at_one_site_is_a_name_there_and_renumbers_nothing(
     assert spool.queue().numbered(sixth) == sixth
     assert (named := spool.queue("south").numbered(sixth)).boot == "s1"
     assert named.seq == 4
+    foreign = Event("gate", "exit", 9.0, boot="file", seq=7)
+    assert spool.queue("south").numbered(foreign) == foreign
 
     def check(spool: Spool) -> None:
         assert batch(spool) == ("b1", [5, 6], [4.0, 5.0])

@@ -333,6 +333,7 @@ def _to_bus(
         )
         stack.callback(spool.close)
         publisher = Publisher(spool)
+        stack.callback(publisher.close)
         connections = []
         for site in sites:
             connections.append(GrabberConnection(config, grabber, publisher, args, site))

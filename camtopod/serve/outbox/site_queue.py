@@ -29,7 +29,7 @@ _WAITING = "event WHERE camera = ? AND boot = ? AND seq > ? AND seq <= ?"
 _WRITE = "INSERT OR REPLACE INTO mark VALUES (?, ?, ?, ?, ?, ?, ?, ?)"
 
 
-class Mark(Struct, frozen=True):
+class SiteMark(Struct, frozen=True):
     """Rows of a boot that a site knows by one name, and how far it has stored them.
 
     boot: the boot of the rows.
@@ -62,7 +62,7 @@ class SiteQueue:
         """Events that were deleted before the site had stored them, since the start."""
         self._spool = spool
         # Camera -> name of a boot at the site, oldest first.
-        self.marks: defaultdict[str, dict[str, Mark]] = defaultdict(dict)
+        self.marks: defaultdict[str, dict[str, SiteMark]] = defaultdict(dict)
         self.unwritten: set[tuple[str, str]] = set()  # (camera, name) of marks that have moved
         # (camera, name) -> number of events that wait, where it is known.
         self.counts: dict[tuple[str, str], int] = {}
@@ -144,7 +144,7 @@ class SiteQueue:
         with self._spool.using():
             name = self.boot(event.camera)
             mark = self.marks[event.camera].get(name)
-        if event.seq is None or mark is None or name == event.boot != mark.boot:
+        if event.seq is None or mark is None or event.boot != mark.boot:
             return event
         return replace(event, boot=name, seq=event.seq - mark.base)
 
@@ -175,7 +175,7 @@ class SiteQueue:
         """
         with self._spool.using() as database:
             old = self.boot(camera)
-            mark = self.marks[camera].get(old, Mark(self._spool.boot))
+            mark = self.marks[camera].get(old, SiteMark(self._spool.boot))
             marks = {old: replace(mark, last=mark.have), new: replace(mark, base=mark.have)}
             with sqlite_file.transaction(database):
                 for name, changed in marks.items():
@@ -208,7 +208,7 @@ class SiteQueue:
     def add(self, camera: str, boot: str) -> None:
         """Take a boot that has events, of which nothing is stored, unless it is known."""
         if not any(mark.boot == boot for mark in self.marks[camera].values()):
-            self.marks[camera][boot] = Mark(boot)
+            self.marks[camera][boot] = SiteMark(boot)
             self.unwritten.add((camera, boot))
 
     def write_marks(self, database: sqlite3.Connection) -> None:
@@ -224,6 +224,6 @@ class SiteQueue:
             for mark in marks.values()
         )
 
-    def _write(self, database: sqlite3.Connection, camera: str, name: str, mark: Mark) -> None:
+    def _write(self, database: sqlite3.Connection, camera: str, name: str, mark: SiteMark) -> None:
         row = (camera, mark.boot, self.site, name, mark.base, mark.last, mark.have)
         database.execute(_WRITE, (*row, sqlite_file.crc(*row)))

@@ -27,7 +27,7 @@ from camtopod import codec
 from camtopod.config import Limits
 from camtopod.records import Event
 from camtopod.serve.outbox import spool_tables
-from camtopod.serve.outbox.site_queue import Mark, SiteQueue
+from camtopod.serve.outbox.site_queue import SiteMark, SiteQueue
 from camtopod.serve.runtime import Rejects
 from camtopod.serve.storage import StateError, sqlite_file
 
@@ -105,7 +105,7 @@ class Spool:
         # (camera, boot) -> a number that none of the events in the file is above.
         self._ceilings: dict[tuple[str, str], int] = {}
         self._additions = math.inf  # events since the limits were looked at
-        self._mutex = threading.Lock()
+        self._mutex = threading.RLock()
         self._lock = sqlite_file.Lock(path.with_suffix(".lock"))
 
         # Open the file; release everything after an error.
@@ -166,9 +166,10 @@ class Spool:
 
     def queue(self, site: str = OWNER) -> SiteQueue:
         """Return what waits for a site."""
-        if site not in self._queues:
-            self._queues[site] = SiteQueue(self, site)
-        return self._queues[site]
+        with self._mutex:
+            if site not in self._queues:
+                self._queues[site] = SiteQueue(self, site)
+            return self._queues[site]
 
     def waiting(self, own: bool = False) -> int:
         """Return the number of events that some site has not stored, as far as is known.
@@ -261,7 +262,7 @@ class Spool:
         self._ceilings.clear()
         self._queues = {OWNER: SiteQueue(self, OWNER)}
         marks = {
-            key: {row[3]: Mark(key[1], *row[4:]) for row in rows}
+            key: {row[3]: SiteMark(key[1], *row[4:]) for row in rows}
             for key, rows in groupby(self._db.execute(_MARKS).fetchall(), lambda row: row[:3])
         }
         boots = self._db.execute(_BOOTS).fetchall()

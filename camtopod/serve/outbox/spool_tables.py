@@ -30,7 +30,7 @@ CREATE UNIQUE INDEX event_stream ON event (camera, boot, seq)
 """
 """The tables.
 
-mark: how far each site has stored each (camera, boot): see `site_queue.Mark`.
+mark: how far each site has stored each (camera, boot): see `site_queue.SiteMark`.
 event: the events, in the order in which they came into the spool.
 """
 EventRow = tuple[str, str, int, bytes, int]
