@@ -11,7 +11,8 @@ from pathlib import Path
 
 import msgspec
 import pytest
-from serving import T0, small_config, wait_for
+from fake_bus_daemon import running
+from serving import T0, free_endpoint, small_config, wait_for
 
 from camtopod import codec
 from camtopod.cli import exits
@@ -234,3 +235,36 @@ def test_an_older_daemon_is_said_to_be_older(
     said = capsys.readouterr().err
     assert "does not answer: it is older than this program, upgrade it" in said
     assert "certificate" not in said
+
+
+def test_another_site_that_is_away_delays_the_input_once_and_gets_the_events_later(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr(ingest_command, "PATIENCE_SECONDS", 0.4)
+    monkeypatch.setattr(ingest_command, "WAITING_EVENTS_MAX", 50)
+    monkeypatch.setattr(ingest_command, "TRANSACTION_EVENTS_MAX", 40)
+    ends = {"north": free_endpoint(), "south": free_endpoint()}
+    config = tmp_path / "c.toml"
+    config.write_text(
+        f'[site]\nname = "north"\n[bus]\nconnect = ["{ends["north"]}"]\nconnect_seconds = 0.2\n'
+        f'[sites.south]\nconnect = ["{ends["south"]}"]\n'
+        f'[cameras.gate]\nsites = ["north", "south"]\n[state]\ndirectory = "{tmp_path / "here"}"\n'
+    )
+    cameras = ("gate", "yard")
+    events = [Event(cameras[n % 2], "entry", T0 + n) for n in range(400)]
+    file = lines(tmp_path / "events.jsonl", events)
+    ingest = ["--config", str(config), "ingest", "jsonl", str(file)]
+
+    with running(tmp_path / "north", ends["north"], site="north") as north:
+        assert main(ingest) == exits.BUS
+        said = capsys.readouterr().err
+        assert said.count("the input does not wait for site south: ") == 1
+        assert "is `camtopod run` running for site south?" in said.splitlines()[-1]
+        assert north.status().events.stored == len(events)
+
+        with running(tmp_path / "south", ends["south"], site="south") as south:
+            monkeypatch.setattr(ingest_command, "PATIENCE_SECONDS", 60.0)
+            assert main(ingest) == exits.DONE
+            assert "0 events stored" in capsys.readouterr().err, "none of them is new"
+            wait_for(lambda: south.status().events.stored == 200, "those of the gate")
+        assert north.status().events.stored == len(events)
