@@ -17,13 +17,15 @@ from camtopod.serve.requests import Answer, Batch, Hello
 
 
 class Grabber:
-    """A spool with three events and its delivery, at a time of its own."""
+    """A spool with three events and its deliveries to two sites, at a time of its own."""
 
     def __init__(self, folder: Path) -> None:
         self.now = 1000.0
-        self.spool = Spool(folder / "spool.db", "b1", 1000)
+        sites = ("north", "south")
+        self.spool = Spool(folder / "spool.db", "b1", 1000, sites_of=lambda camera: sites)
         numbers = itertools.count(1)
         self.delivery = Delivery("lobby", self.spool.queue(), lambda: f"n{next(numbers)}")
+        self.south = Delivery("lobby", self.spool.queue("south"), lambda: f"s{next(numbers)}")
         self.add(3)
 
     def add(self, count: int, boot: str | None = None, start: int = 1) -> None:
@@ -128,6 +130,28 @@ def test_a_machine_that_was_set_back_begins_another_boot(grabber: Grabber) -> No
     assert third not in ("b1", boot)
 
 
+def test_a_new_boot_at_one_site_is_none_at_another(grabber: Grabber) -> None:
+    north, south = grabber.delivery, grabber.south
+    grabber.hello(Answer({"b1": 0}, batch=2))
+    assert grabber.batch()[:3] == ("b1", 0, [1, 2])
+    sent = grabber.request
+    grabber.delivery = south
+    grabber.hello(Answer({"b1": 7}, batch=5))  # before anything was sent there
+    (boot, *rest) = grabber.batch()
+    assert rest == [0, [1, 2, 3], 0]
+    assert boot != "b1"
+    grabber.answered(Answer({boot: 3}))
+
+    grabber.delivery = north
+    north.on_answer(sent, Answer({"b1": 2}, batch=5), grabber.now)
+    grabber.add(1)
+    assert grabber.batch() == ("b1", 2, [3, 4], 0)
+    grabber.delivery = south
+    assert grabber.batch() == (boot, 3, [4], 0)
+    assert grabber.spool.queue("south").boots("lobby") == ["b1", boot]
+    assert grabber.spool.queue().boots("lobby") == ["b1"]
+
+
 def test_the_boot_of_another_program_is_believed(grabber: Grabber) -> None:
     grabber.hello(Answer({"b1": 0}, batch=5))
     grabber.batch()
@@ -164,7 +188,7 @@ def test_a_token_ends_the_request_and_the_wait_and_a_late_answer_is_ignored(
     hello = grabber.next()
     assert isinstance(hello, Hello)
     grabber.answered(Answer({"b1": 3}))  # of the request that was ended
-    assert grabber.spool.waiting() == 3
+    assert grabber.spool.queue().waiting() == 3
 
     grabber.delivery.on_answer(hello, None, grabber.now)
     grabber.delivery.on_daemon(grabber.now)

@@ -213,8 +213,8 @@ def _publish(
                 raise error
             sites.remove(site)
             log.warning("the input does not wait for site %s: %s", site, error)
-    for error in _wait(publisher, 0, stop, config, progress, [*all_sites]).values():
-        raise error
+    if errors := _wait(publisher, 0, stop, config, progress, all_sites):
+        raise next(iter(errors.values()))
 
     # Report the outcome.
     late, refusals = publisher.outcome()
