@@ -161,10 +161,10 @@ def _mistakes(config: Config) -> Iterator[tuple[Keys, str]]:
 
 def _mistakes_of_sites(config: Config) -> Iterator[tuple[Keys, str]]:
     """Yield the errors of other sites, and of the cameras that deliver to them."""
-    own = config.site.name
+    owner = config.site.name
     for name, place in config.sites.items():
         path: Keys = ("sites", name)
-        if name == own:
+        if name == owner:
             yield path, "this is the file's own site, [site] name: [bus] says where it is"
         elif not place.connect:
             yield path, "connect is missing: where is that site's router?"
@@ -174,12 +174,12 @@ def _mistakes_of_sites(config: Config) -> Iterator[tuple[Keys, str]]:
             yield from _not_tls(place.connect, (*path, "connect"), "bus.tls")
     for camera, settings in config.cameras.items():
         path = ("cameras", camera, "sites")
-        if settings.sites and settings.sites[0] != own:
-            yield path, f"the first one owns the camera and has to be this site, {own}"
+        if settings.sites and settings.sites[0] != owner:
+            yield path, f"the first one owns the camera and has to be this site, {owner}"
         if len({*settings.sites}) < len(settings.sites):
             yield path, "a site is listed twice"
         for name in settings.sites[1:]:
-            if name != own and name not in config.sites:
+            if name != owner and name not in config.sites:
                 yield path, f"there is no table [sites.{name}] that says where {name} is"
 
 

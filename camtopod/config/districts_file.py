@@ -137,7 +137,7 @@ def camera_tables(districts: Districts) -> Iterator[str]:
     """Yield, for each camera that other districts hear, its table in its owner's configuration."""
     for owner, district in districts.items():
         for camera in district.cameras:
-            hearers = [name for name, other in districts.items() if camera in other.hears]
+            hearers = [name for name, hearer in districts.items() if camera in hearer.hears]
             if hearers:
                 sites = json.dumps([owner, *hearers])
                 yield f"[cameras.{json.dumps(camera)}]    # at {owner}\nsites = {sites}"

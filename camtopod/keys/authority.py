@@ -134,7 +134,7 @@ class Authority:
     def sites(self) -> list[str]:
         """The authority's own site, and those further ones whose daemon has had a certificate."""
         daemons = (entry.certificate for entry in self.entries if entry.of == DAEMON)
-        return [*dict.fromkeys([self.site, *(site for one in daemons for site in one.sites)])]
+        return [*dict.fromkeys([self.site, *(site for daemon in daemons for site in daemon.sites)])]
 
     def home(self, site: str) -> Path:
         """Return the folder of a site's certificates, but for those of cameras."""
@@ -143,8 +143,12 @@ class Authority:
     def access(self, site: str | None = None) -> Access:
         """Return the access list of a site, the own one by default: its valid certificates."""
         site = site or self.site
-        certificates = [entry.certificate for entry in self.entries if entry.valid]
-        return Access(site, [one for one in certificates if site in (one.sites or [self.site])])
+        certificates = [
+            entry.certificate
+            for entry in self.entries
+            if entry.valid and site in (entry.certificate.sites or [self.site])
+        ]
+        return Access(site, certificates)
 
     def hosts(self, site: str | None = None) -> list[str]:
         """Return the host names and addresses for which the daemon's certificate is valid."""

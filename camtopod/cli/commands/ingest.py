@@ -109,8 +109,10 @@ def run(args: argparse.Namespace) -> int:
             )
             stack.callback(spool.close)
             if is_file and not args.anew:
-                waiting = spool.queue()
-                boots = {boot for camera in waiting.cameras() for boot in waiting.boots(camera)}
+                owner_queue = spool.queue()
+                boots = {
+                    boot for camera in owner_queue.cameras() for boot in owner_queue.boots(camera)
+                }
                 source = numbered_by(boot_of(Path(args.file), boots), source)
             event_batches = batches(source, TRANSACTION_EVENTS_MAX, stop, tell)
             live = not (is_file or (args.file == "-" and Path("/dev/stdin").is_file()))

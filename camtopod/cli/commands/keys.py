@@ -261,7 +261,7 @@ def _example(site: str, config: Config, certificate: rules.Certificate, folder: 
         tls.append(f'access = "{key_folder}/{ACCESS}"')
     if camera:
         sites = certificate.sites[1:]
-        cameras = [f'\n[sites."{other}"]\nconnect = ["tls/ROUTER:7447"]' for other in sites]
+        cameras = [f'\n[sites."{site_name}"]\nconnect = ["tls/ROUTER:7447"]' for site_name in sites]
         cameras += [
             f'\n[cameras."{camera}"]',
             f'source_file = "secrets/{camera}"   # contains the rtsp:// URL; mode 600',

@@ -178,8 +178,8 @@ class SiteQueue:
             mark = self.marks[camera].get(old, SiteMark(self._spool.boot))
             marks = {old: replace(mark, last=mark.have), new: replace(mark, base=mark.have)}
             with sqlite_file.transaction(database):
-                for name, changed in marks.items():
-                    self._write(database, camera, name, changed)
+                for name, new_mark in marks.items():
+                    self._write(database, camera, name, new_mark)
             self.marks[camera].update(marks)
             self._later_names[camera] = new
             self.counts.clear()
