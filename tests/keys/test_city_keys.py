@@ -6,9 +6,10 @@ import contextlib
 from collections.abc import Iterator
 from pathlib import Path
 
+import msgspec
 import pytest
 from fake_bus_daemon import running
-from serving import T0, WAIT_SECONDS, free_endpoint, wait_for
+from serving import T0, WAIT_SECONDS, free_endpoint, small_config, wait_for
 
 from camtopod.cli import exits, main
 from camtopod.client import Publisher
@@ -17,7 +18,7 @@ from camtopod.config.config_file import load
 from camtopod.config.settings import StateSettings, TlsSettings
 from camtopod.keys import rules
 from camtopod.records import Event
-from camtopod.serve.bus import dial
+from camtopod.serve.bus import dial, open_daemon_session
 from camtopod.serve.daemon import Daemon
 
 FOLDERS = {"north": "daemon", "south": "site/south/daemon"}
@@ -103,7 +104,7 @@ def test_a_replacement_keeps_its_sites_and_a_site_that_is_none_is_refused(
 
 
 class City:
-    """The daemons of both sites, and configurations of programs with a certificate."""
+    """The daemons of both sites behind routers, and configurations of programs with a certificate."""
 
     def __init__(self, keys: Path, folder: Path, stack: contextlib.ExitStack) -> None:
         self.keys = keys
@@ -111,20 +112,18 @@ class City:
         self.endpoints = {
             site: free_endpoint().replace("tcp/", "tls/") for site in ("north", "south")
         }
-        self.daemons: dict[str, Daemon] = {
-            site: stack.enter_context(
-                running(
-                    folder / site,
-                    "",
-                    BusSettings(
-                        listen=(endpoint,),
-                        tls=self.tls(FOLDERS[site], keys / FOLDERS[site] / "access.json"),
-                    ),
-                    site,
-                )
+        self.daemons: dict[str, Daemon] = {}
+        for site, endpoint in self.endpoints.items():
+            own = FOLDERS[site]
+            access = self.tls(own, keys / own / "access.json")
+            router = msgspec.structs.replace(
+                small_config(folder),
+                site=SiteSettings(site),
+                bus=BusSettings(listen=(endpoint,), tls=access),
             )
-            for site, endpoint in self.endpoints.items()
-        }
+            stack.enter_context(open_daemon_session(router))
+            client = BusSettings(connect=(endpoint,), tls=self.tls(own))
+            self.daemons[site] = stack.enter_context(running(folder / site, "", client, site))
 
     def tls(self, own: str, access: Path | str = "") -> TlsSettings:
         files = [
@@ -159,9 +158,15 @@ def city(keys: Path, tmp_path_factory: pytest.TempPathFactory) -> Iterator[City]
 def test_a_camera_s_certificate_serves_in_its_sites_and_no_other(city: City) -> None:
     events = [Event("gate7", "entry", T0 + n) for n in range(20)]
     sites = ("north", "south")
+    live: set[str] = set()
+    for site, daemon in city.daemons.items():
+        daemon.bus.subscribe("event/gate7", lambda *_, site=site: live.add(site))
     with Publisher("gate7", config=city.config("camera/gate7"), sites=sites) as publisher:
-        publisher.publish(*events)
+        publisher.publish(*events[:-1])
         assert publisher.wait_stored(WAIT_SECONDS)
+        publisher.publish(events[-1])
+        assert publisher.wait_stored(WAIT_SECONDS)
+        wait_for(lambda: live == {*sites}, "the last event, published at both")
     before = {site: city.stored(site) for site in sites}
     assert before["north"] == before["south"] == len(events)
 
