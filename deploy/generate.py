@@ -1,5 +1,5 @@
-"""Writes the files that are made from the program's own commands and settings; run it after
-changing one of them.
+"""Writes the files that are made from the program's own commands, settings and templates; run it
+after changing one of them.
 
     .venv/bin/python deploy/generate.py
 
@@ -14,8 +14,10 @@ import textwrap
 from pathlib import Path
 
 from camtopod import __version__
+from camtopod.cli.city import deployment
 from camtopod.cli.generated import example, schema_text
 from camtopod.cli.main import COMMANDS, parser_of
+from camtopod.config import Limits
 
 ROOT = Path(__file__).parent.parent
 _DATE = "2026-11-22"
@@ -29,6 +31,23 @@ _STATUSES = {
     74: "the state directory cannot be written",
     78: "the configuration is wrong",
 }
+SITE = {
+    **deployment.demand(Limits().cameras_max),
+    "SITE": "SITE",
+    "DAEMON": "camtopod",
+    "ROUTER": "camtopod-router",
+    "LISTEN": "tcp/0.0.0.0:7447",
+    "HEAD": "# The daemon: one per site. systemctl enable --now camtopod\n"
+    "# With certificates: cp -r deploy/camtopod.service.d /etc/systemd/system/, see security.md.",
+    "TITLE": "camtopod daemon",
+    "AFTER": "",
+    "DAEMON_CONFIG": "camtopod",
+    "USER": "User=camtopod\n",
+    "STATE": "camtopod",
+    "GRABBER": "camtopod-grab",
+    "CONFIG": "camtopod",
+}
+"""What the templates of deployments have for a single site."""
 
 
 def files() -> dict[Path, str]:
@@ -38,6 +57,10 @@ def files() -> dict[Path, str]:
         deploy / "camtopod.toml": example(),
         deploy / "camtopod.schema.json": schema_text("configuration"),
         deploy / "camtopod.1": manual(),
+        deploy / "camtopod.service": deployment.filled("daemon.service", **SITE),
+        deploy / "camtopod-grab@.service": deployment.filled("grabber.service", **SITE),
+        deploy / "router.json5": deployment.filled("router.json5", **SITE),
+        deploy / "kubernetes.yaml": deployment.filled("kubernetes.yaml", **SITE),
     }
 
 
@@ -128,7 +151,8 @@ def _usage(action: argparse.Action) -> str:
     name = action.metavar or (
         "|".join(map(str, action.choices)) if action.choices else action.dest.upper()
     )
-    shown = rf"\fI{_escaped(str(name))}\fR"
+    names = name if isinstance(name, tuple) else (str(name),)
+    shown = " ".join(rf"\fI{_escaped(word)}\fR" for word in names)
     if action.option_strings:
         return shown
     return {"?": f"[{shown}]", "*": f"[{shown}]...", "+": f"{shown}..."}.get(

@@ -106,10 +106,13 @@ def topology_of(path: str) -> Topology:
         raise InputError(f"{path} is not a topology: {error}") from None
 
 
-def districts_of(path: Path) -> Districts:
-    """Return the districts of a file. Raises `OSError`, `CommandError`."""
+def districts_of(path: Path, raw: bytes | None = None) -> Districts:
+    """Return the districts of a file. Raises `OSError`, `CommandError`.
+
+    raw: content of the file, if it was read before.
+    """
     try:
-        return districts_file.load(path)
+        return districts_file.load(path, raw)
     except ConfigError as error:
         raise CommandError(f"the districts have mistakes:\n{error}", exits.CONFIG) from None
 

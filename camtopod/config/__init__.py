@@ -22,6 +22,7 @@ from camtopod.config.districts_file import (
 )
 from camtopod.config.settings import (
     DEFAULT_ENDPOINT as DEFAULT_ENDPOINT,
+    SITES_MAX as SITES_MAX,
     TABLES as TABLES,
     BusSettings as BusSettings,
     CameraSettings as CameraSettings,

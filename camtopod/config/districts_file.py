@@ -133,14 +133,20 @@ def mistakes(districts: Districts) -> Iterator[tuple[Keys, str]]:
                 yield place, f"it hears {camera} of {owner}, which hears no camera of {name}"
 
 
+def sites_by_camera(districts: Districts) -> dict[str, list[str]]:
+    """Return the sites to which each camera delivers, its owner first, by camera."""
+    sites = {camera: [owner] for camera, owner in owners_of(districts).items()}
+    for name, district in districts.items():
+        for camera in district.hears:
+            sites[camera].append(name)
+    return sites
+
+
 def camera_tables(districts: Districts) -> Iterator[str]:
     """Yield, for each camera that other districts hear, its table in its owner's configuration."""
-    for owner, district in districts.items():
-        for camera in district.cameras:
-            hearers = [name for name, hearer in districts.items() if camera in hearer.hears]
-            if hearers:
-                sites = json.dumps([owner, *hearers])
-                yield f"[cameras.{json.dumps(camera)}]    # at {owner}\nsites = {sites}"
+    for camera, sites in sites_by_camera(districts).items():
+        if len(sites) > 1:
+            yield f"[cameras.{json.dumps(camera)}]    # at {sites[0]}\nsites = {json.dumps(sites)}"
 
 
 def to_toml(districts: Districts) -> str:

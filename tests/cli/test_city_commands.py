@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 import json
 import sys
 import tomllib
@@ -26,6 +27,11 @@ def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     for site in DISTRICTS:
         (tmp_path / f"{site}.json").write_bytes(to_json(part_of(site)))
     return tmp_path
+
+
+def typed(content: bytes) -> io.TextIOWrapper:
+    """Return a standard input with a content."""
+    return io.TextIOWrapper(io.BufferedReader(io.BytesIO(content)))  # type: ignore[arg-type]
 
 
 @pytest.fixture
@@ -60,6 +66,17 @@ def test_events_are_cut_by_the_links_that_they_tell(folder: Path) -> None:
     pairs = [pair["cameras"] for pair in truth["pairs"]]
     assert owners.keys() == {*truth["cameras"]}
     assert sum(owners[a] == owners[b] for a, b in pairs) > 0.6 * len(pairs)
+
+
+def test_events_may_come_from_standard_input(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    simulation = ["--cameras", "12", "--hours", "0.1", "--seed", "3"]
+    assert main(["simulate", *simulation, "--events", "e.jsonl", "--truth", "t.json"]) == 0
+    assert main(["districts", "e.jsonl", "--out", "cut.toml"]) == 0
+
+    monkeypatch.setattr(sys, "stdin", typed((folder / "e.jsonl").read_bytes()))
+    assert main(["districts", "-", "--out", "again.toml"]) == 0
+
+    assert (folder / "again.toml").read_text() == (folder / "cut.toml").read_text()
 
 
 def test_a_table_says_where_to_cut(folder: Path) -> None:

@@ -1,1 +1,1 @@
-"""The commands of a city: where to cut it, one topology of its districts, and all in one."""
+"""The commands of a city: where to cut it, what runs it, one topology of it, and all in one."""

@@ -1,4 +1,4 @@
-"""`camtopod districts`: cut a city into districts, each of which is a site.
+"""`camtopod districts`: cut a city into districts, which are sites, and write what runs them.
 
 The cut follows from the passages between cameras: those of a topology, which may be learned from
 recorded events. With a table the cut is that of the table. The cameras beyond a border follow from
@@ -10,16 +10,18 @@ from __future__ import annotations
 import argparse
 import sys
 from collections import defaultdict
+from pathlib import Path
 from typing import Any
 
 from msgspec import Struct
 
-from camtopod.cli.common import configuration, counted, open_output, topology_of
+from camtopod.cli.city import deployment
+from camtopod.cli.common import configuration, counted, districts_of, open_output, topology_of
 from camtopod.cli.events.event_lines import LineReader, open_input, table_rows_of
 from camtopod.cli.events.learning import feed
 from camtopod.cli.events.recording import Times
-from camtopod.cli.exits import CommandError, InputError
-from camtopod.config import districts_file, with_borders
+from camtopod.cli.exits import USAGE, CommandError, InputError
+from camtopod.config import Districts, districts_file, with_borders
 from camtopod.learn.learner import Learner
 from camtopod.records import CameraId, Topology
 from camtopod.topology import camera_of, likely_links, links_between_views
@@ -30,7 +32,7 @@ CAMERAS_MAX_MIN = 10
 """Least value of --cameras-max: smaller districts would mostly hear the cameras of others."""
 TOPOLOGY_START = b'{"schema":"camtopod/topology'
 """First bytes of a topology, without white space."""
-START_BYTES = 64
+START_BYTES = 4096
 """Bytes at the beginning of a file that tell what it is."""
 
 
@@ -46,14 +48,15 @@ def add_parser(add: Any) -> None:
     parser = add(
         description="Cuts a city into districts, each of which is a site with a learner of its "
         "own: connected groups of cameras between which few objects pass. A district hears its "
-        "own cameras and their neighbours in other districts.",
+        "own cameras and their neighbours in other districts. With --deploy it writes what runs "
+        "them.",
         epilog="example: camtopod districts events.jsonl --cameras-max 25 --out districts.toml",
     )
     parser.add_argument(
         "source",
         metavar="TOPOLOGY.json|EVENTS",
         help="topology as `camtopod learn` or `merge` writes it, or recorded event lines ('-': "
-        "standard input)",
+        "standard input); with --deploy also a file of districts, which is not cut again",
     )
     parser.add_argument(
         "--cameras-max",
@@ -70,6 +73,13 @@ def add_parser(add: Any) -> None:
     parser.add_argument(
         "--out", metavar="FILE", default="-", help="write to FILE (default: standard output)"
     )
+    parser.add_argument(
+        "--deploy",
+        nargs=2,
+        metavar=("kubernetes|systemd", "DIR"),
+        help="write into a new folder the manifests of all districts for Kubernetes, or units and "
+        "configurations for this machine, and the configurations of the grabbers",
+    )
 
 
 def _cameras_max(text: str) -> int:
@@ -80,8 +90,27 @@ def _cameras_max(text: str) -> int:
 
 
 def run(args: argparse.Namespace) -> None:
-    """Write the districts. Raises `OSError`, `CommandError`."""
-    topology = _topology(args)
+    """Write the districts, or what runs them. Raises `OSError`, `CommandError`."""
+    if args.deploy and args.deploy[0] not in deployment.KINDS:
+        raise CommandError(f"--deploy takes {' or '.join(deployment.KINDS)}, and a folder", USAGE)
+    with open_input(args.source) as file:
+        start = file.peek(START_BYTES)[:START_BYTES]
+        if not districts_file.is_districts(start):
+            districts = _cut(args, start)
+        elif args.deploy and not args.table:
+            districts = districts_of(Path(args.source), file.read())
+        else:
+            raise CommandError(f"{args.source} is cut already: give --deploy, no --table", USAGE)
+    if args.deploy:
+        deployment.write(districts, *args.deploy)
+
+
+def _cut(args: argparse.Namespace, start: bytes) -> Districts:
+    """Cut, write the districts, and return them. Raises `OSError`, `CommandError`.
+
+    start: the first bytes of the source.
+    """
+    topology = _topology(args, start)
     if topology is None or not topology.cameras:
         raise InputError(f"there are no cameras in {args.source}: nothing to cut")
     cameras, passages = [camera.id for camera in topology.cameras], passages_between(topology)
@@ -112,14 +141,13 @@ def run(args: argparse.Namespace) -> None:
         "passes goes from one to another",
         file=sys.stderr,
     )
+    return districts
 
 
-def _topology(args: argparse.Namespace) -> Topology | None:
+def _topology(args: argparse.Namespace, start: bytes) -> Topology | None:
     """Return the topology of the source; None without events."""
-    with open_input(args.source) as file:
-        start = file.peek(START_BYTES)[:START_BYTES]
-        if b"".join(start.split()).startswith(TOPOLOGY_START):
-            return topology_of(args.source)
+    if b"".join(start.split()).startswith(TOPOLOGY_START):
+        return topology_of(args.source)
 
     reader = LineReader()
     learner = Learner(configuration(args).learner, only_last=True)
