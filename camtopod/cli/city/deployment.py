@@ -92,7 +92,7 @@ def names_by_label(districts: Districts) -> dict[str, str]:
         if not LABEL.fullmatch(label) or names.setdefault(label, name) != name:
             raise CommandError(
                 f"district {name}: its name in Kubernetes and systemd would be {label}, which must "
-                "be of 1 to 43 letters, digits and '-', but at its ends, and no other district's"
+                "have 1 to 43 letters, digits and '-', no '-' at an end, and be no other's"
             )
         if len(district.cameras) + len(district.hears) > Limits().cameras_max:
             raise CommandError(f"district {name} hears more than {Limits().cameras_max} cameras")
