@@ -26,7 +26,7 @@ from camtopod.learn.learner import Learner
 from camtopod.records import CameraId, Topology
 from camtopod.topology import camera_of, likely_links, links_between_views
 
-CAMERAS_MAX = 25
+CAMERAS_MAX = 100
 """Most cameras of a district, by default (deploy/large.md has the measurements)."""
 CAMERAS_MAX_MIN = 10
 """Least value of --cameras-max: smaller districts would mostly hear the cameras of others."""
@@ -50,7 +50,7 @@ def add_parser(add: Any) -> None:
         "own: connected groups of cameras between which few objects pass. A district hears its "
         "own cameras and their neighbours in other districts. With --deploy it writes what runs "
         "them.",
-        epilog="example: camtopod districts events.jsonl --cameras-max 25 --out districts.toml",
+        epilog="example: camtopod districts events.jsonl --cameras-max 100 --out districts.toml",
     )
     parser.add_argument(
         "source",
