@@ -2,12 +2,13 @@
 
 Stress majorisation (Gansner, Koren & North 2004) of each connected part; the parts are packed
 beside each other. Deterministic, and stable: the search starts from the previous positions, so a
-small change of the network moves cameras a little.
+small change of the network moves cameras a little. `large_layout` does the same for large parts.
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,6 +18,7 @@ from scipy.sparse.csgraph import connected_components, shortest_path
 from scipy.spatial.distance import cdist
 
 from camtopod.arrays import Floats
+from camtopod.export.large_layout import large_places
 
 Place = tuple[float, float]
 """Position (x, y), in lengths of an unseen path."""
@@ -25,6 +27,8 @@ OVERLAPPED_LENGTH = 0.7
 """Length of an edge between overlapping views; an unseen path has length 1."""
 MARGIN = 0.8
 """Space around a connected part."""
+DENSE_MAX = 1_000
+"""Cameras of a connected part of which all distances count."""
 
 
 def places(
@@ -48,8 +52,7 @@ def places(
     at = np.zeros((len(order), 2))
     parts = sorted((np.flatnonzero(part == k) for k in range(count)), key=len, reverse=True)
     for members in parts:
-        apart = shortest_path(graph[members][:, members], directed=False)
-        at[members] = _one_part(apart, start[members])
+        at[members] = _one_part(graph[members][:, members], start[members])
     _put_on_shelves(at, parts)
 
     # Keep the cameras of before in place on the whole, even if a part grew to the left.
@@ -59,26 +62,32 @@ def places(
     return {name: (x, y) for name, (x, y) in zip(order, np.round(at, 3).tolist(), strict=True)}
 
 
-def _one_part(apart: Floats, start: Floats) -> Floats:
+def _one_part(graph: Any, start: Floats) -> Floats:
     """Return positions (n, 2) of a connected part.
 
-    apart (n, n): graph distances.
+    graph (n, n): sparse, the length of each edge.
     start (n, 2): previous positions, or nan.
     """
-    n = len(apart)
+    n = len(start)
     if n == 1:
         return np.zeros((1, 2))
     turn = 2.4 * np.arange(n)
     aside = np.column_stack([np.cos(turn), np.sin(turn)])
+    apart = shortest_path(graph, directed=False) if n <= DENSE_MAX else None
 
     # From the previous positions, if half of them are known; new cameras start near neighbours.
     is_old = ~np.isnan(start[:, 0])
     if is_old.sum() * 2 >= n:
         at = start.copy()
-        for k in np.flatnonzero(~is_old):
-            near = is_old & (apart[k] <= apart[k][is_old].min() + 1e-9)
+        new = np.flatnonzero(~is_old)
+        for k, row in zip(new, shortest_path(graph, directed=False, indices=new), strict=True):
+            near = is_old & (row <= row[is_old].min() + 1e-9)
             at[k] = start[near].mean(0) + 0.3 * aside[k]
+        if apart is None:
+            return large_places(graph, at, aside, rounds=25)
         return _majorised(apart, at, rounds=25)
+    if apart is None:
+        return large_places(graph, None, 0.05 * aside, rounds=60)
 
     # Else from classical scaling: the two widest dimensions of the distances, the wider across.
     squares = apart**2

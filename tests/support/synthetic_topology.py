@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import math
 import random
 
@@ -53,6 +54,9 @@ def synthetic_topology(
         _zone(names[k], way, chance) for k in range(cameras) for way in sorted(sides[k] or {0})
     ]  # a camera without streets has one zone
     exits = {zone.id: zone.exits for zone in zones}
+    zones_of: dict[str, list[str]] = {name: [] for name in names}
+    for zone in zones:
+        zones_of[zone.camera].append(zone.id)
     links, pairs = [], []
     for a, b, way in streets:
         overlapped = chance.random() < 0.2
@@ -74,10 +78,7 @@ def synthetic_topology(
         as_of,
         400 * cameras,
         "",
-        [
-            Camera(name, [zone.id for zone in zones if zone.camera == name], 0.0, 0.1)
-            for name in names
-        ],
+        [Camera(name, zones_of[name], 0.0, 0.1) for name in names],
         zones,
         sorted(links, key=lambda x: (x.from_, x.to, x.relation)),
         pairs,
@@ -97,16 +98,22 @@ def made_link(
 ) -> Link:
     """Return a link with a bell-shaped histogram about ``middle`` seconds."""
     sd = 0.5 + 0.15 * abs(middle)
+    transit = Transit(middle, middle, sd, middle - 1.28 * sd, middle, middle + 1.28 * sd, 0.1, 0.1)
+    relation = "visible" if visible else "overlapped" if overlapped else "unseen"
+    histogram = _histogram(middle, sd, transitions)
+    return Link(from_, to, relation, SHARE, round(transitions, 1), transit, 1e-12, 0.02, histogram)  # type: ignore[arg-type]
+
+
+@functools.lru_cache(maxsize=16)
+def _histogram(middle: float, sd: float, transitions: float) -> Histogram:
+    """Return a bell; those of visible links are all the same."""
     bell = [
         math.exp(-0.5 * ((x - middle) / sd) ** 2) * w
         for x, w in zip(BINS.centres.tolist(), BINS.widths.tolist(), strict=True)
     ]
     kept = [k for k, value in enumerate(bell) if value > 0.01 * max(bell)]
     mass = [round(transitions * bell[k] / sum(bell), 2) for k in kept]
-    transit = Transit(middle, middle, sd, middle - 1.28 * sd, middle, middle + 1.28 * sd, 0.1, 0.1)
-    relation = "visible" if visible else "overlapped" if overlapped else "unseen"
-    histogram = Histogram(BINS.first + kept[0], mass)
-    return Link(from_, to, relation, SHARE, round(transitions, 1), transit, 1e-12, 0.02, histogram)  # type: ignore[arg-type]
+    return Histogram(BINS.first + kept[0], mass)
 
 
 def _zone(camera: str, way: int, chance: random.Random) -> Zone:

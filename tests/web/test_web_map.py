@@ -10,7 +10,7 @@ from model_rows import with_rows
 from msgspec.structs import replace
 from synthetic_topology import made_link, synthetic_topology
 
-from camtopod.export import Place, places
+from camtopod.export import Place, large_layout, layout, places
 from camtopod.records import Lacks
 from camtopod.web.map_data import MapEdge, draw, map_edges
 
@@ -98,3 +98,32 @@ def test_a_small_change_moves_little() -> None:
 
     assert max(shift) < 0.5, "those that were there stay about where they were"
     assert apart(after["new"], after["0505"]) < 1.6
+
+
+def test_a_large_site_is_placed_by_few_of_its_distances_and_about_as_well(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    joined = grid(14)
+    monkeypatch.setattr(layout, "DENSE_MAX", 100)
+    monkeypatch.setattr(large_layout, "PIVOTS_MAX", 20)  # of 196 cameras
+    at = places(names_of(joined), joined, {})
+
+    assert all(0.6 < apart(at[a], at[b]) < 1.6 for a, b in joined)
+    assert min(apart(at[a], at[b]) for a in at for b in at if a < b) > 0.5
+    corners = apart(at["0000"], at["1313"]), apart(at["0013"], at["1300"])
+    assert min(corners) > 14, "it is unfolded"
+
+    more = {**joined, ("1313", "new"): False}
+    after = places(names_of(more), more, at)
+    assert max(apart(after[name], at[name]) for name in at) < 0.6
+    assert apart(after["new"], after["1313"]) < 1.6
+
+
+def test_cameras_with_the_same_neighbours_lie_apart_on_a_large_site(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr(layout, "DENSE_MAX", 3)
+    star = {("middle", name): False for name in ("a", "b", "c", "d", "e")}
+    at = places(names_of(star), star, {})
+
+    assert min(apart(at[a], at[b]) for a in at for b in at if a < b) > 0.5
