@@ -18,9 +18,16 @@ const PLACES = Array.from({ length: 81 }, (_, k) => [k % 9, Math.floor(k / 9)].m
 
 // Tell each node its nearest ones; the radius of circles so that hardly any two touch; it and `hop` in units of the map.
 export function findNear(nodes, hop) {
+  const side = NEAR_HOPS * hop; // of the squares of a grid
+  const squares = new Map();
+  const square = (column, row) => squares.get(`${column} ${row}`) ?? [];
+  const placeOf = ({ x, y }) => [Math.floor(x / side), Math.floor(y / side)];
+  for (const node of nodes) squares.set(placeOf(node).join(" "), [...square(...placeOf(node)), node]);
   for (const node of nodes) {
     const apart = ({ x, y }) => Math.hypot(x - node.x, y - node.y);
-    const others = nodes.filter((other) => other !== node && apart(other) < NEAR_HOPS * hop);
+    const [column, row] = placeOf(node);
+    const around = [-1, 0, 1].flatMap((right) => [-1, 0, 1].flatMap((down) => square(column + right, row + down)));
+    const others = around.filter((other) => other !== node && apart(other) < side);
     node.near = others.sort((one, other) => apart(one) - apart(other)).slice(0, NEAR_MAX);
     node.apart = node.near.length ? apart(node.near[0]) : Infinity;
   }

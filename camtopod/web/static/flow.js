@@ -64,6 +64,7 @@ export class Flow {
   #begin(layer, look, from, to, more) {
     const [a, b] = [this.map.nodes.get(from), this.map.nodes.get(to)];
     if (!a || !b || a === b || document.hidden || this.#dots.length >= UNDER_WAY_MAX) return null;
+    if (!this.map.sight.follows(a) && !this.map.sight.follows(b)) return null;
     const dot = { element: s("circle", { class: look }), from: a, to: b, ...more };
     layer.append(dot.element);
     this.#dots.push(dot);
@@ -86,7 +87,7 @@ export class Flow {
 
   #step() {
     const now = performance.now() / 1000;
-    this.#drop((dot) => now - dot.started > dot.until || !dot.to.element.isConnected);
+    this.#drop((dot) => now - dot.started > dot.until || this.map.nodes.get(dot.to.id) !== dot.to);
     for (const dot of this.#dots) {
       const since = now - dot.started;
       const top = (node) => node.y - (dot.walk ? this.map.halves(node)[1] / this.map.view.scale : 0); // beside its count

@@ -5,6 +5,7 @@ import { s } from "./dom.js";
 import { seconds } from "./words.js";
 
 const NAMES_MAX = 160;
+const NAMES_TRIED_MAX = 800; // of busy cameras; where so many are in sight, the others have no room
 const TIMES_MAX = 80;
 const AIR_PIXELS = 3; // on either side of a text
 const MEASURED_MAX = 10_000; // texts whose size is remembered
@@ -26,7 +27,7 @@ const SIDES = [
 export class Labels {
   #pool = [];
   #measured = new Map(); // class and text -> its size
-  #probe = s("text", { "text-anchor": "middle", visibility: "hidden" });
+  #pens = new Map(); // class -> a canvas with its font, which measures without a layout of the page
 
   constructor(layer) {
     this.layer = layer;
@@ -48,15 +49,22 @@ export class Labels {
   measure(text, kind) {
     const key = `${kind} ${text}`;
     if (this.#measured.has(key)) return this.#measured.get(key);
-    this.layer.append(this.#probe);
-    this.#probe.setAttribute("class", kind);
-    this.#probe.textContent = text;
-    const { y, width, height } = this.#probe.getBBox();
-    this.#probe.remove();
-    const size = { half: width / 2 + AIR_PIXELS, height, above: -y };
+    if (!this.#pens.has(kind)) this.#pens.set(kind, this.#pen(kind));
+    const { width, fontBoundingBoxAscent: above, fontBoundingBoxDescent: below } = this.#pens.get(kind).measureText(text);
+    const size = { half: width / 2 + AIR_PIXELS, height: above + below, above };
     if (this.#measured.size >= MEASURED_MAX) this.#measured.clear();
-    if (width) this.#measured.set(key, size); // not while the map is hidden
+    this.#measured.set(key, size);
     return size;
+  }
+
+  #pen(kind) {
+    const probe = s("text", { class: kind });
+    this.layer.append(probe);
+    const pen = document.createElement("canvas").getContext("2d");
+    const { fontWeight, fontSize, fontFamily } = getComputedStyle(probe);
+    pen.font = `${fontWeight} ${fontSize} ${fontFamily}`;
+    probe.remove();
+    return pen;
   }
 
   #show(wanted) {
@@ -92,20 +100,18 @@ export function findSides({ nodes, edges }) {
 }
 
 function placeNames(map, chosen, found, taken, measure) {
-  const { clientWidth: width, clientHeight: height } = map.svg;
+  const { width, height } = map;
   const wanted = [];
   const inSight = [];
-  for (const node of map.nodes.values()) {
+  for (const node of map.sight.nodes) {
     const [x, y] = map.view.toScreen(node.x, node.y);
-    if (x < -40 || y < -20 || x > width + 40 || y > height + 20) continue;
-    inSight.push({ node, x, y });
+    const { entries, exits } = node.camera;
+    inSight.push({ node, x, y, rank: (chosen.has(node.id) ? 1e13 : found.has(node.id) ? 1e12 : 0) + entries + exits });
     const [wide, high] = map.halves(node);
     taken.add(x - wide, y - high, x + wide, y + high);
   }
-  const rank = ({ node }) =>
-    (chosen.has(node.id) ? 1e13 : found.has(node.id) ? 1e12 : 0) + node.camera.entries + node.camera.exits;
-  inSight.sort((one, other) => rank(other) - rank(one));
-  for (const { node, x, y } of inSight) {
+  inSight.sort((one, other) => other.rank - one.rank);
+  for (const { node, x, y } of inSight.slice(0, NAMES_TRIED_MAX)) {
     if (wanted.length >= NAMES_MAX) break;
     const kind = chosen.has(node.id) || found.has(node.id) ? "name first" : "name";
     const text = node.camera.new ? `${node.id}: new, no version yet` : node.id;
@@ -125,7 +131,7 @@ function placeNames(map, chosen, found, taken, measure) {
 }
 
 function placeTimes(map, chosen, taken, measure) {
-  const { clientWidth: width, clientHeight: height } = map.svg;
+  const { width, height } = map;
   const lines = [];
   for (const { key, a, b, edge, width: thick } of map.edges.values()) {
     const [ax, ay] = map.view.toScreen(a.x, a.y);

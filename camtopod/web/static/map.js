@@ -6,6 +6,7 @@ import { Flow } from "./flow.js";
 import { Labels, findSides } from "./labels.js";
 import { go } from "./place.js";
 import { Pulses } from "./pulses.js";
+import { Sight } from "./sight.js";
 import { edgeTip, nodeTip } from "./tips.js";
 import { View, fromLine } from "./view.js";
 import { plural } from "./words.js";
@@ -36,6 +37,11 @@ export class NetworkMap {
   #ill = new Set(); // ids of those that need attention
   #gone = new Set(); // ids of those without grabber and events for long
   #found = null; // ids that match the search, or null
+  #chosenEdges = [];
+  #pointed = null; // the node or edge under the pointer
+  #styles = new Map(); // properties of the style of all that is drawn
+  width = 0; // of the screen, in pixels, as drawn last
+  height = 0;
   pictures = new Map(); // camera -> address of its picture
   plan = null; // the floor plan beneath the map
   shot = 0; // side of a square as large as most pictures, in pixels; 0 while cameras are circles
@@ -77,6 +83,7 @@ export class NetworkMap {
       (x, y) => this.#grab(x, y),
     );
     this.labels = new Labels(this.labelLayer);
+    this.sight = new Sight(this.edgeLayer, this.nodeLayer);
     this.flow = new Flow(this.flowLayer, this.liveLayer, this);
     this.pulses = new Pulses(this.liveLayer, this);
     this.svg.addEventListener("pointermove", (event) => this.#hover(event));
@@ -142,7 +149,9 @@ export class NetworkMap {
           element.remove();
           held.delete(key);
         }
+    if (this.#pointed && !this.nodes.has(this.#pointed.id) && !this.edges.has(this.#pointed.key)) this.#pointed = null;
     findSides(this);
+    this.sight.use(this.nodes, this.edges);
     this.#circle = findNear([...this.nodes.values()], UNIT);
     this.nothing.hidden = this.nodes.size > 0;
     if (this.#focused === null || !this.nodes.has(this.#focused)) this.#roam(this.nodes.keys().next().value ?? null);
@@ -215,14 +224,17 @@ export class NetworkMap {
   focus(id) {
     if (!this.nodes.has(id)) return;
     this.#roam(id);
+    this.sight.add(this.nodes.get(id));
     this.nodes.get(id).element.focus({ preventScroll: true });
   }
 
   // Mark who is not well, now and on maps to come.
   health(ill, gone) {
-    this.#ill = ill;
-    this.#gone = gone;
-    for (const node of this.nodes.values()) this.tell(node);
+    const before = [this.#ill, this.#gone];
+    [this.#ill, this.#gone] = [ill, gone];
+    for (const node of this.nodes.values())
+      if ([ill, gone].some((ids, k) => ids.has(node.id) !== before[k].has(node.id))) this.tell(node);
+    this.redraw();
   }
 
   // Show how many objects are between cameras; pairs: as in the daemon's status.
@@ -255,7 +267,8 @@ export class NetworkMap {
   redraw() {
     this.#frame ||= requestAnimationFrame(() => {
       this.#frame = 0;
-      const { clientWidth: width, clientHeight: height } = this.svg;
+      const { clientWidth: width, clientHeight: height } = this.svg; // before anything is written, which is dear to ask after
+      Object.assign(this, { width, height });
       if (this.#fitting && this.nodes.size && width)
         this.view.put(...fitted((scale) => this.#boxes(scale), width, height, this.#covered));
       this.#fitting = false;
@@ -264,14 +277,28 @@ export class NetworkMap {
       const near = Math.min(1, scale / NEAR_SCALE);
       this.#grow(scale);
       const { radius } = this;
-      this.world.style.setProperty("--radius", `${radius / scale}px`);
-      this.world.style.setProperty("--pixel", `${1 / scale}px`);
-      this.world.style.setProperty("--thin", Math.max(0.4, near).toFixed(2));
-      this.world.style.setProperty("--dot", `${Math.min(DOT_PIXELS[1], Math.max(DOT_PIXELS[0], 0.55 * radius)) / scale}px`);
-      this.world.style.setProperty("--ring", `${(0.25 * radius).toFixed(2)}px`);
+      this.#style("--radius", `${radius / scale}px`);
+      this.#style("--pixel", `${1 / scale}px`);
+      this.#style("--thin", Math.max(0.4, near).toFixed(2));
+      this.#style("--dot", `${Math.min(DOT_PIXELS[1], Math.max(DOT_PIXELS[0], 0.55 * radius)) / scale}px`);
+      this.#style("--ring", `${(0.25 * radius).toFixed(2)}px`);
+      this.sight.draw(this, width, height, this.#marked());
       this.#showPictures();
       this.labels.draw(this, new Set(this.#chosen), new Set(this.#found), this.#covered);
     });
+  }
+
+  // A property of the style of all that is drawn, set only if it is another, as each of them is looked at then.
+  #style(name, value) {
+    if (this.#styles.get(name) === value) return;
+    this.#styles.set(name, value);
+    this.world.style.setProperty(name, value);
+  }
+
+  // Nodes and edges that are drawn wherever they are, the most important ones first.
+  #marked() {
+    const ids = [this.#focused, ...this.#chosen, ...(this.#found ?? []), ...this.#ill];
+    return [this.#pointed, ...this.#chosenEdges, ...ids.map((id) => this.nodes.get(id))].filter(Boolean);
   }
 
   // Half the width and half the height of a camera as drawn, in pixels.
@@ -322,7 +349,6 @@ export class NetworkMap {
     this.nodes.set(id, node);
     node.element.append(node.entered);
     node.element.addEventListener("focus", () => this.#focusedNode(node));
-    this.nodeLayer.append(node.element);
   }
 
   #join(key, edge) {
@@ -331,16 +357,15 @@ export class NetworkMap {
     if (!drawn) {
       drawn = { key, element: s("line", { data: { key } }) };
       this.edges.set(key, drawn);
-      this.edgeLayer.append(drawn.element);
     }
     const share = Math.sqrt(edge.transitions / this.traffic);
     const width = edge.published ? WIDTH_PIXELS[0] + (WIDTH_PIXELS[1] - WIDTH_PIXELS[0]) * share : LIKELY_PIXELS;
-    Object.assign(drawn, { a, b, edge, width });
+    const look = `${edge.relation}${!edge.published ? " likely" : edge.provisional ? " provisional" : ""}`;
+    Object.assign(drawn, { a, b, edge, width, look });
     for (const [name, value] of Object.entries({ x1: a.x, y1: a.y, x2: b.x, y2: b.y }))
       drawn.element.setAttribute(name, value.toFixed(1));
     drawn.element.style.setProperty("--width", width.toFixed(2));
-    const look = !edge.published ? " likely" : edge.provisional ? " provisional" : "";
-    drawn.element.setAttribute("class", `edge ${edge.relation}${look}`);
+    drawn.element.setAttribute("class", `edge ${look}`);
   }
 
   #mark() {
@@ -350,9 +375,13 @@ export class NetworkMap {
       element.classList.toggle("chosen", chosen.has(id));
       element.classList.toggle("faint", Boolean(found && !found.has(id)));
     }
-    for (const { element, a, b } of this.edges.values()) {
+    this.#chosenEdges = [];
+    for (const drawn of this.edges.values()) {
+      const { element, a, b } = drawn;
       const both = chosen.has(a.id) && chosen.has(b.id);
-      element.classList.toggle("chosen", both || (chosen.size === 1 && (chosen.has(a.id) || chosen.has(b.id))));
+      const isChosen = both || (chosen.size === 1 && (chosen.has(a.id) || chosen.has(b.id)));
+      if (isChosen) this.#chosenEdges.push(drawn);
+      element.classList.toggle("chosen", isChosen);
       element.classList.toggle("faint", Boolean(found && !found.has(a.id) && !found.has(b.id)));
     }
   }
@@ -414,10 +443,12 @@ export class NetworkMap {
 
   #point(hit, x, y) {
     this.svg.classList.toggle("over", Boolean(hit));
-    for (const old of this.svg.querySelectorAll(".pointed")) old.classList.remove("pointed");
+    this.#pointed?.element.classList.remove("pointed");
+    this.#pointed = hit?.node ?? hit?.drawn ?? null;
     this.tip.hidden = !hit;
     if (!hit) return;
-    (hit.node ?? hit.drawn).element.classList.add("pointed");
+    this.#pointed.element.classList.add("pointed");
+    this.sight.add(this.#pointed);
     fill(this.tip, hit.node ? nodeTip(hit.node) : edgeTip(hit.drawn));
     const left = Math.min(x + 16, this.svg.clientWidth - this.tip.offsetWidth - 8);
     this.tip.style.transform = `translate(${Math.max(8, left)}px, ${y + 18 + this.tip.offsetHeight > this.svg.clientHeight ? y - this.tip.offsetHeight - 12 : y + 18}px)`;

@@ -13,7 +13,7 @@ export class Pulses {
 
   show({ camera, kind, x, y }) {
     const node = this.map.nodes.get(camera);
-    if (!node || document.hidden || this.layer.childElementCount >= PULSES_MAX) return;
+    if (!node || document.hidden || !this.map.sight.follows(node) || this.layer.childElementCount >= PULSES_MAX) return;
     const [wide, high] = this.map.halves(node).map((half) => (2 * half) / this.map.view.scale);
     const element = s("circle", {
       class: `pulse ${kind}`,

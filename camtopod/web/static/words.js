@@ -22,9 +22,11 @@ export function percent(share) {
   return `${(100 * share).toFixed(share > 0 && share < 0.0995 ? 1 : 0)} %`;
 }
 
+const whole = new Intl.NumberFormat("en"); // much faster than toLocaleString()
+
 export function count(value) {
   if (value === null || value === undefined) return "–";
-  return Math.abs(value) < 9.5 && !Number.isInteger(value) ? value.toFixed(1) : Math.round(value).toLocaleString("en");
+  return Math.abs(value) < 9.5 && !Number.isInteger(value) ? value.toFixed(1) : whole.format(Math.round(value));
 }
 
 export function plural(value, one, many = `${one}s`) {
