@@ -9,7 +9,8 @@ does the work and returns the exit status, or None for 0.
 The common options are added here, before and after the command's name, and arrive as
 ``args.config`` (path or None; without --config the first of `PLACES`), ``args.site`` (str or
 None), ``args.connect`` (list of endpoints, maybe empty), ``args.log_format`` and
-``args.log_level``. `camtopod.cli.common` has functions that several commands share.
+``args.log_level``. Commands of `OF_SITES` take several sites: then ``args.sites`` has them, and
+``args.site`` is None. `camtopod.cli.common` has functions that several commands share.
 """
 
 from __future__ import annotations
@@ -83,6 +84,8 @@ With another number of threads the same events give results that differ in the l
 """
 _STATUS_OF_ERROR = {"SourceError": exits.INPUT, "BusError": exits.BUS, "StateError": exits.STATE}
 """Class of an OSError of camtopod -> exit status; the classes' own modules take long to import."""
+OF_SITES = ("watch", "web")
+"""Commands that show several sites as one."""
 _COMMON: dict[str, dict[str, Any]] = {
     "--config": {
         "metavar": "FILE",
@@ -91,7 +94,9 @@ _COMMON: dict[str, dict[str, Any]] = {
     },
     "--site": {
         "metavar": "NAME",
-        "help": "name of the site, the second part of every key on the bus",
+        "action": "append",
+        "help": "name of the site, the second part of every key on the bus; web and watch show "
+        "several as one map, each with --site",
     },
     "--connect": {
         "metavar": "ENDPOINT",
@@ -241,8 +246,12 @@ def _parse(arguments: list[str]) -> tuple[argparse.Namespace, Any]:
     args, unknown = parser.parse_known_args(arguments)
     if unknown:
         args.parser.error(f"unrecognized arguments: {' '.join(unknown)}")
+    if len(set(args.site or ())) > 1 and args.command not in OF_SITES:
+        args.parser.error(f"{args.command} is for one site: only one --site")
     del args.parser
     args.connect = args.connect or []
+    args.sites = list(dict.fromkeys(args.site or ()))
+    args.site = args.sites[0] if len(args.sites) == 1 else None
     args.config_found = args.config is None
     if args.config is None:
         args.config = next(filter(Path.exists, PLACES), None)

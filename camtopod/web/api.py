@@ -19,6 +19,7 @@ from starlette.routing import Route
 from camtopod import codec
 from camtopod.records import Match, Prediction
 from camtopod.serve.bus import JSON, Bus, QueryError
+from camtopod.serve.city_bus import CityBus
 from camtopod.topology import UnknownPlace
 from camtopod.web.feed import Feed
 from camtopod.web.outbox import PageQueues
@@ -72,7 +73,7 @@ class Api:
         carry a token.
     """
 
-    def __init__(self, bus: Bus, feed: Feed, is_open: bool) -> None:
+    def __init__(self, bus: Bus | CityBus, feed: Feed, is_open: bool) -> None:
         self._bus = bus
         self._feed = feed
         self._is_open = is_open

@@ -24,6 +24,7 @@ from starlette.staticfiles import StaticFiles
 
 from camtopod.config import CameraSettings, Config
 from camtopod.serve.bus import Bus
+from camtopod.serve.city_bus import CityBus
 from camtopod.serve.runtime import STALL_SECONDS, Beat, Clock, Progress
 from camtopod.web.api import Api, Asking, content, error, streamed
 from camtopod.web.connections import Connection
@@ -53,7 +54,7 @@ class Routes:
         pictures: Path | None,
         config: Config,
         has_login: bool,
-        bus: Bus,
+        bus: Bus | CityBus,
     ) -> None:
         self._feed = feed
         self._page_queues = page_queues
@@ -222,7 +223,7 @@ def application(
 
 @contextlib.contextmanager
 def serving(
-    bus: Bus,
+    bus: Bus | CityBus,
     listener: socket.socket,
     names: Collection[str],
     pictures: Path | None,

@@ -17,6 +17,7 @@ import msgspec
 from camtopod import codec
 from camtopod.records import Look, Match, Prediction, Recent, Topology
 from camtopod.serve.bus import Bus, QueryError, TopologySubscriber
+from camtopod.serve.city_bus import CityBus
 from camtopod.serve.runtime import Beat, Clock, no_beat
 from camtopod.statuses import Statuses
 from camtopod.web.explanations import Explanations
@@ -91,9 +92,9 @@ class PerSecond:
 
 
 class Feed:
-    """Follower of one site's bus; run `follow` in a thread."""
+    """Follower of one site's bus, or of several sites'; run `follow` in a thread."""
 
-    def __init__(self, bus: Bus, page_queues: PageQueues, clock: Clock) -> None:
+    def __init__(self, bus: Bus | CityBus, page_queues: PageQueues, clock: Clock) -> None:
         self._bus = bus
         self._page_queues = page_queues
         self._clock = clock
@@ -102,7 +103,7 @@ class Feed:
         self._limits = {"prediction": PerSecond(), "match": PerSecond()}
         self._matches = RecentMatches()
         """Those since this server began."""
-        self._view = TopologySubscriber(bus)
+        self._view = bus if isinstance(bus, CityBus) else TopologySubscriber(bus)
         self._asked_at = 0.0
         """When the daemon was asked for its newest events."""
         self._answered_at = math.inf

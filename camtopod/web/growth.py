@@ -11,6 +11,7 @@ from msgspec import Struct
 from camtopod import codec
 from camtopod.records import PairRelation, Topology
 from camtopod.serve.bus import Bus, QueryError
+from camtopod.serve.city_bus import CityBus
 
 STEPS_MAX = 40
 """Versions that are shown, evenly among all."""
@@ -39,7 +40,7 @@ def thinned(versions: Sequence[_T]) -> list[_T]:
     return [versions[round(k * (len(versions) - 1) / max(1, count - 1))] for k in range(count)]
 
 
-def steps(bus: Bus, newest: Topology) -> list[Step]:
+def steps(bus: Bus | CityBus, newest: Topology) -> list[Step]:
     """Return the steps to the newest version; those that the daemon has not kept are missing.
 
     It takes as long as the daemon needs to read up to `STEPS_MAX` versions. If it does not answer,

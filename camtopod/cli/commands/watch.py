@@ -19,7 +19,7 @@ from collections.abc import Callable, Iterator
 from typing import Any
 
 from camtopod.cli.common import configuration, start_logging, until_signal
-from camtopod.cli.site_choice import dial_as_reader
+from camtopod.cli.site_choice import add_districts, dial_sites
 from camtopod.cli.terminal import (
     LINKS_SHOWN,
     SiteState,
@@ -30,7 +30,9 @@ from camtopod.cli.terminal import (
 )
 from camtopod.records import Topology
 from camtopod.serve.bus import TopologySubscriber
+from camtopod.serve.city_bus import CityBus
 from camtopod.serve.runtime import clock
+from camtopod.topology import camera_of
 from camtopod.visible import visible
 
 log = logging.getLogger(__name__)
@@ -44,9 +46,10 @@ def add_parser(add: Any) -> None:
     parser = add(
         description="Shows cameras, the learned topology and predictions as they arrive, until "
         "interrupted or, on the screen, q is pressed: on the whole screen with rich ([terminal]), "
-        "else as lines.",
+        "else as lines. Several sites are one map, and lines have the site that owns the camera.",
         epilog="example: camtopod --site hq watch",
     )
+    add_districts(parser)
     parser.add_argument("--once", action="store_true", help="show the state once and end")
 
 
@@ -54,13 +57,13 @@ def run(args: argparse.Namespace) -> None:
     """Show the site until SIGTERM or SIGINT."""
     start_logging(args)
     config = configuration(args)
-    bus, config = dial_as_reader(args, config)
-    site = SiteState(config.site.name)
+    bus, config = dial_sites(args, config)
+    site = SiteState(bus.site, owner=bus.owner if isinstance(bus, CityBus) else None)
     with bus, until_signal() as stop:
         # Subscribe first, then ask for the newest statuses.
         bus.subscribe("status/*", site.on_status)
         bus.subscribe("prediction/*", site.on_prediction)
-        subscriber = TopologySubscriber(bus)
+        subscriber = bus if isinstance(bus, CityBus) else TopologySubscriber(bus)
         for key, payload in bus.query("status/*"):
             site.on_status(key, payload)
 
@@ -147,16 +150,17 @@ def parts(site: SiteState, topology: Topology | None, now: float) -> list[str]:
     if alarms := alarm_lines(topology, now):
         state += ["", "ALARMS", *alarms]
     cameras = [
-        f"  {'CAMERA':<20} {'STATE':<13} {'EVENTS':>8} {'LAST':>9}  REASON",
+        f"  {site.beginning()}{'CAMERA':<20} {'STATE':<13} {'EVENTS':>8} {'LAST':>9}  REASON",
         *site.camera_lines(topology, now),
     ]
     links = [
-        f"  {'FROM':<20} {'TO':<20} {'RELATION':<10} {'SHARE':>6} {'TRANSIT (q10 to q90)':>23}"
+        f"  {site.beginning()}{'FROM':<20} {'TO':<20} {'RELATION':<10} {'SHARE':>6} "
+        f"{'TRANSIT (q10 to q90)':>23}"
     ]
     if topology is not None:
         links += [
-            f"  {link.from_:<20} {link.to:<20} {link.relation:<10} "
-            f"{link.probability:>6.2f} {transit(link):>23}"
+            f"  {site.beginning(camera_of(link.from_))}{link.from_:<20} {link.to:<20} "
+            f"{link.relation:<10} {link.probability:>6.2f} {transit(link):>23}"
             for link in busiest_links(topology)[:LINKS_SHOWN]
         ]
     predictions = ["PREDICTIONS", *site.prediction_lines()]

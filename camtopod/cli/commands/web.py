@@ -21,7 +21,7 @@ from camtopod.cli.common import (
     until_signal,
 )
 from camtopod.cli.exits import CommandError, InputError
-from camtopod.cli.site_choice import dial_as_reader
+from camtopod.cli.site_choice import add_districts, dial_sites
 from camtopod.config import Config, secret_files
 from camtopod.serve.bus import access
 from camtopod.serve.runtime import Progress, clock
@@ -41,10 +41,12 @@ def add_parser(add: Any) -> None:
     """Add `web`."""
     parser = add(
         description="Serves a web page with the learned topology and with predictions as they "
-        "arrive. The page is read-only and loads nothing from other sites.",
+        "arrive. The page is read-only and loads nothing from other sites. Several sites are one "
+        "map: what is shown of a camera comes from the site that owns it.",
         epilog="example: camtopod --config camtopod.toml web --listen 127.0.0.1:8780",
     )
     add_address(parser)
+    add_districts(parser)
 
 
 def add_address(parser: argparse.ArgumentParser) -> None:
@@ -88,7 +90,7 @@ def run(args: argparse.Namespace) -> None:
         stop = stack.enter_context(until_signal())
         stack.enter_context(ends_within(stop, LEAVE_SECONDS, args.with_parent))
         listener = stack.enter_context(listening(host, port))
-        bus, config = dial_as_reader(args, config)
+        bus, config = dial_sites(args, config)
         stack.enter_context(bus)
         progress = Progress()
         is_running = stack.enter_context(

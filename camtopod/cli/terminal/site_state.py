@@ -22,24 +22,43 @@ ALARMS_SHOWN = 5
 LINKS_SHOWN = 20
 """Busiest links that are shown."""
 
+SITE_WIDTH = 12
+"""Width of the column of sites, if there are several, characters."""
+
 
 class SiteState:
     """Collects statuses and predictions as they arrive; each is replaced as a whole.
 
     site: its name.
     steady: monotonic clock in seconds, to notice senders that are silent.
+    owner: returns the site of a camera, for its lines, if there are several sites.
     """
 
-    def __init__(self, site: str, steady: Callable[[], float] = time.monotonic) -> None:
+    def __init__(
+        self,
+        site: str,
+        steady: Callable[[], float] = time.monotonic,
+        owner: Callable[[str], str | None] | None = None,
+    ) -> None:
         self._site = site
         self._statuses = Statuses(steady)
         self.on_status = self._statuses.on_status
+        self._owner = owner
         self._predictions: deque[Prediction] = deque(maxlen=8)
 
     def on_prediction(self, key: str, payload: bytes) -> None:
         """Store a prediction published on ``prediction/{camera}``; a malformed one is ignored."""
         with contextlib.suppress(codec.Rejected):
             self._predictions.append(codec.read(Prediction, payload, pack=True))
+
+    def beginning(self, camera: str = "") -> str:
+        """Return the site that owns a camera, as the first column of a line; "" if it is one site.
+
+        camera: "" for the column's head.
+        """
+        if self._owner is None:
+            return ""
+        return f"{(self._owner(camera) or '') if camera else 'SITE':<{SITE_WIDTH}} "
 
     def daemon_line(self, topology: Topology | None) -> str:
         """Return one line with site, state and counters of the daemon."""
@@ -65,15 +84,16 @@ class SiteState:
                 last = f"{now - camera.newest:.0f} s"
             mark = "!" if camera.look == "bad" else " "
             lines.append(
-                f"{mark} {camera.id:<20} {camera.state:<13} {camera.events or 0:>8}"
-                f" {last:>9}  {camera.reason}"
+                f"{mark} {self.beginning(camera.id)}{camera.id:<20} {camera.state:<13}"
+                f" {camera.events or 0:>8} {last:>9}  {camera.reason}"
             )
         return lines
 
     def prediction_lines(self) -> list[str]:
         """Return the predictions in words, newest first."""
         return [
-            f"{prediction.zone or prediction.camera} -> {prediction}"
+            f"{self.beginning(prediction.camera)}{prediction.zone or prediction.camera} -> "
+            f"{prediction}"
             for prediction in reversed([*self._predictions])
         ]
 
