@@ -2,8 +2,9 @@
 
 `graph` reduces a topology to directed edges between cameras, which the drawing and graph formats
 share: `dot` (Graphviz), `graphml`, `json_graph` (node-link JSON of networkx and D3), `svg`.
-`layout` places cameras, for `svg` and for the page's map. `aicity` writes the AI City challenge's
-camera link model, `homeassistant` the MQTT messages for Home Assistant (`Arrivals` is its memory).
+`layout` places cameras, for `svg` and for the page's map, and `large_layout` those of large sites.
+`aicity` writes the AI City challenge's camera link model, `homeassistant` the MQTT messages for
+Home Assistant (`Arrivals` is its memory).
 """
 
 from __future__ import annotations

@@ -43,6 +43,8 @@ STATUS_SECONDS = 0.5
 """Shortest time between two statuses of all daemons together."""
 JOIN_SECONDS = 5.0
 """Shortest time between two maps of all sites together."""
+NAMED_MAX = 4
+"""Sites that are named in the name of all together."""
 HOUR_SECONDS = 3600.0
 
 
@@ -88,7 +90,7 @@ class CityBus(contextlib.AbstractContextManager["CityBus"]):
     """
 
     def __init__(self, configs: Mapping[str, Config], owners: Mapping[str, str]) -> None:
-        self.site = ", ".join(configs)
+        self.site = ", ".join(configs) if len(configs) <= NAMED_MAX else f"{len(configs)} sites"
         self.endpoint = ", ".join(config.dials[0] for config in configs.values())
         self.topology: Topology | None = None
         """The newest map of all sites."""
@@ -99,6 +101,8 @@ class CityBus(contextlib.AbstractContextManager["CityBus"]):
         self._status_after = self._join_after = 0.0
         self._parts: list[Topology] = []
         """Of the newest map."""
+        self._left_out = (0, 0)
+        """Zones and links that are not on it."""
         self._threads = [
             threading.Thread(target=self._follow, args=[name], name="site", daemon=True)
             for name in self._sites
@@ -106,7 +110,7 @@ class CityBus(contextlib.AbstractContextManager["CityBus"]):
         for thread in self._threads:
             thread.start()
         for site in self._sites.values():
-            site.ready.wait()
+            site.ready.wait(site.config.bus.connect_seconds + 2 * FIRST_SECONDS)
 
     def __exit__(self, *_: object) -> None:
         self._closing.set()
@@ -149,7 +153,7 @@ class CityBus(contextlib.AbstractContextManager["CityBus"]):
         answers: list[tuple[str, bytes]] = []
         for name, site in self._sites.items():
             for answer in site.ask(key, {}):
-                self._receive(name, lambda *own: answers.append(own), *answer)
+                self._receive(name, lambda *message: answers.append(message), *answer)
         return [*answers, (STATUS, codec.to_msgpack(self._status()))]
 
     def update(self) -> Topology | None:
@@ -167,17 +171,14 @@ class CityBus(contextlib.AbstractContextManager["CityBus"]):
             for part in parts
             for camera in part.cameras
         }
-        joined = joined_map(parts, owners)
-        log.info(
-            "one map of %d sites: %d zones match none of their camera's owner; %d links to them "
-            "are left out",
-            len(parts),
-            joined.zones_unmatched,
-            joined.links_left_out,
-        )
+        city_map = joined_map(parts, owners)
+        if city_map[1:] != self._left_out:
+            self._left_out = city_map[1:]
+            text = "%d zones match none of their camera's owner; %d links to them are left out"
+            log.info(text, *self._left_out)
         heads = [replace(part, version=0, digest="") for part in parts]
         self.topology = replace(
-            joined.topology,
+            city_map.topology,
             site=self.site,
             epoch=digest_of(heads, {}).removeprefix("sha256:")[:EPOCH_DIGITS],
             version=sum(part.version for part in parts),
@@ -211,16 +212,16 @@ class CityBus(contextlib.AbstractContextManager["CityBus"]):
         states = [(name, site.state) for name, site in self._sites.items()]
         words = ["running" for _, state in states if state == "running"][:1]
         words += [f"{name} {state}" for name, state in states if state != "running"]
-        every = [*statuses.values()]
+        daemons = [*statuses.values()]
         return DaemonStatus(
             state=", ".join(words),
             reason="; ".join(f"{name}: {s.reason}" for name, s in statuses.items() if s.reason),
-            t=max(status.t for status in every),
-            status_seconds=max(status.status_seconds or 0.0 for status in every),
+            t=max(status.t for status in daemons),
+            status_seconds=max(status.status_seconds or 0.0 for status in daemons),
             site=self.site,
             events=EventCounts(
-                stored=sum(status.events.stored for status in every),
-                waiting=sum(status.events.waiting for status in every),
+                stored=sum(status.events.stored for status in daemons),
+                waiting=sum(status.events.waiting for status in daemons),
             ),
             rejects={
                 f"{name}, {reason}": number
@@ -228,18 +229,18 @@ class CityBus(contextlib.AbstractContextManager["CityBus"]):
                 for reason, number in status.rejects.items()
             },
             learner=LearnerCounts(
-                late=sum(status.learner.late for status in every),
-                learned=sum(status.learner.learned for status in every),
+                late=sum(status.learner.late for status in daemons),
+                learned=sum(status.learner.learned for status in daemons),
             ),
             catching_up=max(
-                (status.catching_up for status in every if status.catching_up),
+                (status.catching_up for status in daemons if status.catching_up),
                 key=lambda behind: behind.seconds,
                 default=None,
             ),
-            predictions=sum(status.predictions for status in every),
+            predictions=sum(status.predictions for status in daemons),
             names=NamesStatus(
-                {name: n for status in every for name, n in status.names.forgotten.items()},
-                {old: name for status in every for old, name in status.names.renamed.items()},
+                {name: n for status in daemons for name, n in status.names.forgotten.items()},
+                {old: name for status in daemons for old, name in status.names.renamed.items()},
             ),
             cameras={
                 camera: figures
@@ -252,11 +253,11 @@ class CityBus(contextlib.AbstractContextManager["CityBus"]):
 
     def _recent(self, parameters: Mapping[str, object]) -> list[tuple[str, bytes]]:
         """Return the answers of all sites with their own cameras' events, as one."""
-        wanted = {key: value for key, value in parameters.items() if key != "format"}
+        question = {key: value for key, value in parameters.items() if key != "format"}
         recents: dict[str, Recent] = {}
         for name, site in self._sites.items():
             with contextlib.suppress(QueryError, codec.Rejected):
-                for _, payload in site.ask("recent", wanted):
+                for _, payload in site.ask("recent", question):
                     recents[name] = codec.read(Recent, payload, pack=True)
         if not recents:
             return []
@@ -266,23 +267,26 @@ class CityBus(contextlib.AbstractContextManager["CityBus"]):
             for event in recent.events
             if self.owner(event.camera) in (name, None)
         ]
-        every = {name: recent.hours for name, recent in recents.items() if recent.hours}
-        first = min((hours.first for hours in every.values()), default=0.0)
-        hours = EventHours(
-            max((hours.since for hours in every.values()), default=0.0),
-            first,
-            {
-                camera: [[0, 0]] * round((hours.first - first) / HOUR_SECONDS) + counts
-                for name, hours in every.items()
-                for camera, counts in hours.cameras.items()
-                if self.owner(camera) in (name, None)
-            },
+        answer = Recent(
+            max(recent.t for recent in recents.values()),
+            sorted(events, key=lambda event: event.t),
+            self._hours({name: recent.hours for name, recent in recents.items() if recent.hours}),
         )
-        newest = max(recent.t for recent in recents.values())
-        events.sort(key=lambda event: event.t)
-        answer = Recent(newest, events, hours if every else None)
         encode = codec.to_json if parameters.get("format") == JSON else codec.to_msgpack
         return [("recent", encode(answer))]
+
+    def _hours(self, hours: Mapping[str, EventHours]) -> EventHours | None:
+        """Return the hours of all sites from the earliest on; None without any."""
+        if not hours:
+            return None
+        first = min(counts.first for counts in hours.values())
+        cameras = {
+            camera: [[0, 0]] * round((counts.first - first) / HOUR_SECONDS) + camera_counts
+            for name, counts in hours.items()
+            for camera, camera_counts in counts.cameras.items()
+            if self.owner(camera) in (name, None)
+        }
+        return EventHours(max(counts.since for counts in hours.values()), first, cameras)
 
     def _follow(self, name: str) -> None:
         """Reach a site, and follow its topology; in a thread of its own."""

@@ -8,6 +8,7 @@ from pathlib import Path
 
 import pytest
 from fake_bus_daemon import NOW
+from msgspec.structs import replace
 from serving import wait_for
 from two_sites import NAMES, OWNERS, TwoSites
 
@@ -171,3 +172,25 @@ def test_a_site_that_is_away_is_named_and_the_other_goes_on(tmp_path: Path) -> N
             lambda: status_of(city).state == "running, south cannot be reached", "that it has gone"
         )
         assert city.connected
+
+
+def test_what_is_not_on_the_map_is_counted(
+    sites: TwoSites,
+    city: CityBus,
+    monkeypatch: pytest.MonkeyPatch,
+    caplog: pytest.LogCaptureFixture,
+) -> None:
+    south = sites.daemons["south"].topology
+    assert south is not None
+    elsewhere = [
+        replace(zone, x=1.0 - zone.x, y=0.01) if zone.camera == "border" and zone.x else zone
+        for zone in south.zones
+    ]
+    monkeypatch.setattr(city._sites["south"], "topology", replace(south, zones=elsewhere))
+
+    with caplog.at_level("INFO"):
+        topology = city.update()
+
+    assert topology is not None
+    assert ("border", "gate") not in {pair.cameras for pair in topology.pairs}
+    assert "2 zones match none of their camera's owner" in caplog.text

@@ -9,7 +9,15 @@ from types import MappingProxyType
 
 from fake_bus_daemon import NOW, running
 from msgspec.structs import replace
-from serving import closing_event, free_endpoint, numbered, small_config, wait_for, walkers
+from serving import (
+    all_out,
+    closing_event,
+    free_endpoint,
+    numbered,
+    small_config,
+    wait_for,
+    walkers,
+)
 
 from camtopod.config import BusSettings, Config, SiteSettings
 from camtopod.records import Event
@@ -58,16 +66,17 @@ class TwoSites:
                 is_guest = site == "south" and endpoint == self.endpoints["north"]
                 bus = BusSettings(connect=(endpoint,)) if is_guest else None
                 self.daemons[site] = stack.enter_context(running(folder, endpoint, bus, site))
-            for site in sites:
                 self.put(site, *self.events(site))
             for site in sites:
-                wait_for(lambda site=site: self.pairs(site) == 2, f"two pairs of {site}")  # type: ignore[misc]
-            yield
-
-    def pairs(self, site: str) -> int:
-        """Return the number of pairs that a site has learned."""
-        topology = self.daemons[site].topology
-        return len(topology.pairs) if topology is not None else 0
+                wait_for(
+                    lambda site=site: all_out(self.daemons[site], len(self.events(site))),  # type: ignore[misc]
+                    f"the events of {site} to be learned",
+                )
+            try:
+                yield
+            finally:
+                for site in sites:
+                    del self.daemons[site]
 
     def events(self, site: str) -> list[Event]:
         """Return what the cameras of a site see."""
