@@ -17,6 +17,8 @@ from camtopod.cli.main import main
 from camtopod.config import District
 from camtopod.config.districts_file import to_toml
 
+LEARNED = ("border", "gate", "hall", "ramp", "yard")
+
 
 @pytest.fixture(scope="module")
 def sites(tmp_path_factory: pytest.TempPathFactory) -> Iterator[TwoSites]:
@@ -65,9 +67,6 @@ def test_watch_has_a_line_a_camera_with_the_site_that_owns_it(
     }
     assert re.search(r"(?m)^  north +gate/\d+ +border/\d+ +unseen", text)
     assert re.search(r"(?m)^  south +border/\d+ +yard/\d+ +unseen", text)
-
-
-LEARNED = ("border", "gate", "hall", "ramp", "yard")
 
 
 def test_without_districts_a_camera_is_of_the_first_site_that_has_it(
@@ -121,3 +120,26 @@ def test_web_serves_one_page_of_both(sites: TwoSites, districts: str) -> None:
         process.terminate()
         assert process.wait(30) == 0
         process.stderr.close()
+
+
+def test_the_configuration_says_where_sites_are(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    apart = TwoSites(tmp_path)
+    config = tmp_path / "camtopod.toml"
+    config.write_text(
+        '[site]\nname = "north"\n'
+        f'[bus]\nconnect = ["{apart.endpoints["north"]}"]\nconnect_seconds = 1\n'
+        f'[sites.south]\nconnect = ["{apart.endpoints["south"]}"]\n'
+    )
+    command = ["--config", str(config), "--site", "south", "--site", "north", "watch", "--once"]
+    with apart.running("north"):
+        with apart.running("south"):
+            assert main(command) == 0
+            assert set(owners_shown(capsys.readouterr().out)) >= set(LEARNED)
+
+        assert main(command) == 0
+        said = capsys.readouterr()
+        assert said.out.startswith("site south, north: daemon running, south cannot be reached")
+        assert "site south: cannot reach the bus at" in said.err
+        assert owners_shown(said.out)["gate"] == "north"
