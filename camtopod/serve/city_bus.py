@@ -41,8 +41,8 @@ FIRST_SECONDS = 2.0
 """Longest wait for the first version of a daemon that is there."""
 STATUS_SECONDS = 0.5
 """Shortest time between two statuses of all daemons together."""
-JOIN_SECONDS = 5.0
-"""Shortest time between two maps of all sites together."""
+JOIN_SECONDS = 0.01
+"""Shortest time between two maps of all sites together, a camera: pages fetch each one whole."""
 NAMED_MAX = 4
 """Sites that are named in the name of all together."""
 HOUR_SECONDS = 3600.0
@@ -70,12 +70,6 @@ class _Site:
             return "cannot be reached"
         silent = time.monotonic() - self.heard_at > silent_after(self.status, self.status)
         return "is silent" if silent else self.status.state or "says nothing yet"
-
-    def ask(self, key: str, parameters: Mapping[str, object]) -> list[tuple[str, bytes]]:
-        """Return the answers to a query, none without a connection. Raises `QueryError`."""
-        if self.bus is None or not self.bus.connected:
-            return []
-        return self.bus.query(key, parameters, one="*" not in key)
 
 
 class CityBus(contextlib.AbstractContextManager["CityBus"]):
@@ -120,7 +114,12 @@ class CityBus(contextlib.AbstractContextManager["CityBus"]):
     @property
     def connected(self) -> bool:
         """True if any of the sites is connected now."""
-        return any(site.bus is not None and site.bus.connected for site in self._sites.values())
+        return bool(self._sessions())
+
+    def _sessions(self) -> dict[str, Bus]:
+        """Return the sessions that are connected now, by site."""
+        sites = self._sites.items()
+        return {name: site.bus for name, site in sites if site.bus and site.bus.connected}
 
     def owner(self, camera: str) -> str | None:
         """Return the site that owns a camera; None if no site has learned of it."""
@@ -144,15 +143,15 @@ class CityBus(contextlib.AbstractContextManager["CityBus"]):
         """
         kind, _, camera = key.partition("/")
         if kind == "predict":
-            owner = self.owner(camera) or next(iter(self._sites))
-            return self._sites[owner].ask(key, parameters or {})
+            bus = self._sessions().get(self.owner(camera) or next(iter(self._sites)))
+            return bus.query(key, parameters, one=one) if bus else []
         if kind == "recent":
             return self._recent(parameters or {})
         if kind != "status":
             raise QueryError("of several sites together older maps are not kept")
         answers: list[tuple[str, bytes]] = []
-        for name, site in self._sites.items():
-            for answer in site.ask(key, {}):
+        for name, bus in self._sessions().items():
+            for answer in bus.query(key):
                 self._receive(name, lambda *message: answers.append(message), *answer)
         return [*answers, (STATUS, codec.to_msgpack(self._status()))]
 
@@ -165,12 +164,12 @@ class CityBus(contextlib.AbstractContextManager["CityBus"]):
         from camtopod.city.merge import EPOCH_DIGITS, digest_of
 
         self._parts = parts
-        self._join_after = time.monotonic() + JOIN_SECONDS
         owners = {
             camera.id: self.owner(camera.id) or part.site
             for part in parts
             for camera in part.cameras
         }
+        self._join_after = time.monotonic() + JOIN_SECONDS * len(owners)
         city_map = joined_map(parts, owners)
         if city_map[1:] != self._left_out:
             self._left_out = city_map[1:]
@@ -255,9 +254,9 @@ class CityBus(contextlib.AbstractContextManager["CityBus"]):
         """Return the answers of all sites with their own cameras' events, as one."""
         question = {key: value for key, value in parameters.items() if key != "format"}
         recents: dict[str, Recent] = {}
-        for name, site in self._sites.items():
+        for name, bus in self._sessions().items():
             with contextlib.suppress(QueryError, codec.Rejected):
-                for _, payload in site.ask("recent", question):
+                for _, payload in bus.query("recent", question, one=True):
                     recents[name] = codec.read(Recent, payload, pack=True)
         if not recents:
             return []

@@ -361,7 +361,10 @@ export class NetworkMap {
     const share = Math.sqrt(edge.transitions / this.traffic);
     const width = edge.published ? WIDTH_PIXELS[0] + (WIDTH_PIXELS[1] - WIDTH_PIXELS[0]) * share : LIKELY_PIXELS;
     const look = `${edge.relation}${!edge.published ? " likely" : edge.provisional ? " provisional" : ""}`;
-    Object.assign(drawn, { a, b, edge, width, look });
+    const drawing = [a.x, a.y, b.x, b.y, width, look].join(" ");
+    const same = drawn.drawing === drawing;
+    Object.assign(drawn, { a, b, edge, width, look, drawing });
+    if (same) return;
     for (const [name, value] of Object.entries({ x1: a.x, y1: a.y, x2: b.x, y2: b.y }))
       drawn.element.setAttribute(name, value.toFixed(1));
     drawn.element.style.setProperty("--width", width.toFixed(2));
