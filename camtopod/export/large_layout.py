@@ -42,11 +42,11 @@ def large_places(graph: Any, start: Floats | None, aside: Floats, rounds: int) -
         weight[:, k] *= np.searchsorted(np.sort(column[region == k]), column / 2, "right")
 
     # Near cameras: neighbours, and their neighbours at the mean length of the ways there.
-    both = (graph + graph.T).tocsr()
-    ways = both.sign()
-    beyond = (both @ ways + ways @ both).multiply((ways @ ways).power(-1)).tocsr()
+    edges = (graph + graph.T).tocsr()
+    ways = edges.sign()
+    beyond = (edges @ ways + ways @ edges).multiply((ways @ ways).power(-1)).tocsr()
     beyond.setdiag(0)
-    near = (both + beyond - beyond.multiply(ways)).tocoo()
+    near = (edges + beyond - beyond.multiply(ways)).tocoo()
     near.eliminate_zeros()
     pull = 1.0 / near.data
     total = weight.sum(1) + np.bincount(near.row, pull / near.data, len(apart))
@@ -70,6 +70,6 @@ def _pivot_places(apart: Floats) -> Floats:
     squares = apart**2
     inner = squares.mean(0) + squares.mean(1)[:, None] - squares - squares.mean()
     _, _, axes = np.linalg.svd(inner, full_matrices=False)
-    places = inner @ axes[:2].T
-    scaled: Floats = places * (apart.std() / places.std())
-    return scaled
+    places: Floats = inner @ axes[:2].T
+    places *= apart.std() / places.std()
+    return places

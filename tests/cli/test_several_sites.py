@@ -13,6 +13,7 @@ import pytest
 from serving import camtopod, wait_for
 from two_sites import NAMES, OWNERS, TwoSites
 
+from camtopod import codec
 from camtopod.cli.main import main
 from camtopod.config import District
 from camtopod.config.districts_file import to_toml
@@ -104,9 +105,12 @@ def test_web_serves_one_page_of_both(sites: TwoSites, districts: str) -> None:
             said = process.stderr.readline()
             assert said, "it has ended"
 
-        def asked(path: str) -> dict[str, object]:
+        def read(path: str) -> bytes:
             with urllib.request.urlopen(address[1] + path, timeout=20) as answer:
-                return dict(json.loads(answer.read()) or {})
+                return bytes(answer.read())
+
+        def asked(path: str) -> dict[str, object]:
+            return dict(json.loads(read(path)) or {})
 
         wait_for(lambda: asked("data/map").get("site") == "north, south", "the map")
         cameras = asked("data/map")["cameras"]
@@ -115,6 +119,11 @@ def test_web_serves_one_page_of_both(sites: TwoSites, districts: str) -> None:
         assert asked("data/pair/border/gate")["cameras"] == ["border", "gate"]
         assert asked("data/camera/border")["zones"]
         assert asked("data/health")["live"]
+        assert codec.decode_topology(read("api/topology")).site == "north, south"
+        answer = asked("api/predict?camera=border&x=0.9&y=0.5")
+        assert {one["camera"] for one in answer["next"]} & {"yard", "ramp"}  # type: ignore[attr-defined]
+        assert [step["cameras"] for step in json.loads(read("data/growth"))] == [sorted(LEARNED)]
+        assert b"border" in read("report.html")
         assert set(asked("data/hours")["hours"]["cameras"]) >= {"gate", "yard"}  # type: ignore[index]
     finally:
         process.terminate()

@@ -70,6 +70,17 @@ def test_cameras_in_need_are_marked_among_all(browser: Browser, city: Shown) -> 
     assert browser.count(".far.core") > 0
 
 
+def test_what_is_found_stands_out_among_all(browser: Browser, city: Shown) -> None:
+    browser.run("document.querySelector('.search input').focus()")
+    browser.press("cam012")
+    found = {f"cam012{digit}" for digit in range(10)}
+    browser.wait(lambda: found <= names(browser), "the cameras found")
+
+    opacity = "return getComputedStyle(document.querySelector(arguments[0])).opacity"
+    assert float(browser.run(opacity, ".far.core")) < 0.5
+    assert float(browser.run(opacity, '.node[data-id="cam0120"]')) == 1
+
+
 def test_what_is_near_is_drawn_and_nothing_outside(browser: Browser, city: Shown) -> None:
     near(browser)
 

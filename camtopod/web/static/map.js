@@ -374,6 +374,7 @@ export class NetworkMap {
   #mark() {
     const chosen = new Set(this.#chosen);
     const found = this.#found && new Set(this.#found);
+    this.svg.classList.toggle("searched", Boolean(found));
     for (const [id, { element }] of this.nodes) {
       element.classList.toggle("chosen", chosen.has(id));
       element.classList.toggle("faint", Boolean(found && !found.has(id)));
