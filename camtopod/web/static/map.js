@@ -1,6 +1,7 @@
 // The network map: cameras as nodes, black edges overlap, grey edges are unseen paths; dashed while provisional.
 
 import { fill, h, s, say } from "./dom.js";
+import { drawEdge, openPicture, pick } from "./elements.js";
 import { fitted, findNear, grow } from "./fit.js";
 import { Flow } from "./flow.js";
 import { Labels, findSides } from "./labels.js";
@@ -8,20 +9,17 @@ import { go } from "./place.js";
 import { Pulses } from "./pulses.js";
 import { Sight } from "./sight.js";
 import { edgeTip, nodeTip } from "./tips.js";
-import { View, fromLine } from "./view.js";
+import { View } from "./view.js";
 import { plural } from "./words.js";
 
 const UNIT = 110; // pixels of the map a hop, at scale 1
 const DOT_PIXELS = [2.6, 6];
 const NEAR_SCALE = 0.8;
-const PICK_PIXELS = 14;
 const MARGIN_PIXELS = 60; // so far from the edge is a camera that has the focus
-const WIDTH_PIXELS = [1.2, 7]; // of an edge, by traffic
 const SHOT_RATIO = 16 / 9; // width by height of a picture that is not there yet
 const SHOTS_MAX = 60; // pictures in sight; more take too much memory
 const STEP_PIXELS = 5; // that a key moves a camera on a plan
 const TURNED_RATIO = 1.2; // height by width of a screen from which a wide map is turned
-const LIKELY_PIXELS = 2.2; // width of an edge that is not published
 const NAME_PIXELS = 22; // below and above a camera when all of it is shown
 const EDGE_PIXELS = 6; // the same beside it and its name
 const PLAN_PIXELS = 8; // the same of a floor plan
@@ -314,25 +312,10 @@ export class NetworkMap {
     this.svg.classList.toggle("with-shots", this.shot > 0);
     if (!this.shot) return;
     for (const node of inSight) {
-      node.shot ??= this.#openPicture(node);
+      node.shot ??= openPicture(node, this.pictures.get(node.id), () => this.#settle());
       for (const [k, name] of ["--wide", "--high"].entries())
         node.element.style.setProperty(name, `${((2 * this.halves(node)[k]) / this.view.scale).toFixed(2)}px`);
     }
-  }
-
-  // All of a camera's picture, as wide and as high as it is, in a frame.
-  #openPicture(node) {
-    const shot = s("rect", { class: "shot" });
-    node.element.classList.add("pictured");
-    node.entered.before(shot);
-    const image = new Image();
-    image.addEventListener("load", () => {
-      node.ratio = image.naturalWidth / image.naturalHeight;
-      shot.before(s("image", { href: image.src, preserveAspectRatio: "none" }));
-      this.#settle();
-    });
-    image.src = this.pictures.get(node.id);
-    return shot;
   }
 
   #place(id, camera, at, held) {
@@ -352,23 +335,11 @@ export class NetworkMap {
   }
 
   #join(key, edge) {
-    let drawn = this.edges.get(key);
     const [a, b] = key.split(" ").map((id) => this.nodes.get(id));
-    if (!drawn) {
-      drawn = { key, element: s("line", { data: { key } }) };
-      this.edges.set(key, drawn);
-    }
-    const share = Math.sqrt(edge.transitions / this.traffic);
-    const width = edge.published ? WIDTH_PIXELS[0] + (WIDTH_PIXELS[1] - WIDTH_PIXELS[0]) * share : LIKELY_PIXELS;
-    const look = `${edge.relation}${!edge.published ? " likely" : edge.provisional ? " provisional" : ""}`;
-    const drawing = [a.x, a.y, b.x, b.y, width, look].join(" ");
-    const same = drawn.drawing === drawing;
-    Object.assign(drawn, { a, b, edge, width, look, drawing });
-    if (same) return;
-    for (const [name, value] of Object.entries({ x1: a.x, y1: a.y, x2: b.x, y2: b.y }))
-      drawn.element.setAttribute(name, value.toFixed(1));
-    drawn.element.style.setProperty("--width", width.toFixed(2));
-    drawn.element.setAttribute("class", `edge ${look}`);
+    const drawn = this.edges.get(key) ?? { key, element: s("line", { data: { key } }) };
+    this.edges.set(key, drawn);
+    Object.assign(drawn, { a, b, edge });
+    drawEdge(drawn, Math.sqrt(edge.transitions / this.traffic));
   }
 
   #mark() {
@@ -390,27 +361,6 @@ export class NetworkMap {
     }
   }
 
-  // The node or edge at a place on the screen, nodes first.
-  #at(px, py) {
-    const { x, y, scale } = this.view;
-    const [mx, my, near] = [(px - x) / scale, (py - y) / scale, PICK_PIXELS / scale];
-    let best = null;
-    let least = near;
-    for (const node of this.nodes.values()) {
-      const [wide, high] = this.halves(node);
-      if (Math.abs(node.x - mx) * scale < wide && Math.abs(node.y - my) * scale < high) return { node };
-      const apart = Math.hypot(node.x - mx, node.y - my);
-      if (apart < least) [best, least] = [{ node }, apart];
-    }
-    if (best) return best;
-    least = 0.7 * near;
-    for (const drawn of this.edges.values()) {
-      const apart = fromLine(mx, my, drawn.a, drawn.b);
-      if (apart < least) [best, least] = [{ drawn }, apart];
-    }
-    return best;
-  }
-
   #inSight(ids, margin = 0) {
     const { clientWidth: width, clientHeight: height } = this.svg;
     return ids.every((id) => {
@@ -421,7 +371,7 @@ export class NetworkMap {
   }
 
   #tap(x, y) {
-    const hit = this.#at(x, y);
+    const hit = pick(this, x, y);
     if (hit?.node) go("camera", hit.node.id);
     else if (hit?.drawn) go("pair", hit.drawn.a.id, hit.drawn.b.id);
     else if (this.#chosen.length) go("map");
@@ -429,7 +379,7 @@ export class NetworkMap {
 
   // While cameras are placed on a plan: what moves the one at (x, y).
   #grab(x, y) {
-    const node = this.plan?.placing ? this.#at(x, y)?.node : null;
+    const node = this.plan?.placing ? pick(this, x, y)?.node : null;
     return node && ((...at) => this.#move(node.id, this.view.fromScreen(...at)));
   }
 
@@ -442,7 +392,7 @@ export class NetworkMap {
   #hover(event) {
     if (event.pointerType === "touch" || event.buttons) return;
     const [x, y] = this.view.local(event);
-    this.#point(this.#at(x, y), x, y);
+    this.#point(pick(this, x, y), x, y);
   }
 
   #point(hit, x, y) {
