@@ -3,8 +3,8 @@
     python -m bench predict --base FOLDER [--cameras 12] [--events 1000000] [--rounds 1]
         [--answers predictions,walks] [--inputs file,pipe] [--json FILE]
 
-The recording is that of a simulated site, of which the first tenth has been learned. In each round
-both checkouts answer it, in turns, as a file and as a pipe that is filled as fast as it is read.
+The recording is that of a simulated site, of which each checkout has learned the first tenth. In
+each round both answer it, in turns, as a file and as a pipe that is filled as fast as it is read.
 Measured are the processor time of the process, its peak memory (VmHWM, fifty times a second), and
 the seconds from its start to the first line of output. FOLDER is another checkout, made by
 ``git worktree add FOLDER COMMIT``.
@@ -62,13 +62,17 @@ def main(argv: Sequence[str]) -> int:
     checkouts = {BASE: given.base.resolve(), HERE: Path(bench.__path__[0]).parent}
     tables = []
     with tempfile.TemporaryDirectory() as name:
-        topology, events = prepare(Path(name), checkouts[HERE], given.cameras, given.events)
+        events, beginning = prepare(Path(name), given.cameras, given.events)
+        topologies = {
+            each: learn(checkout, beginning, Path(name, f"{each}.json"))
+            for each, checkout in checkouts.items()
+        }
         for answers in given.answers.split(","):
             for source in given.inputs.split(","):
                 runs: dict[str, list[Taken]] = {each: [] for each in checkouts}
-                arguments = [*OPTIONS[answers], topology]
                 for number in range(given.rounds):
                     for each in (BASE, HERE) if number % 2 == 0 else (HERE, BASE):
+                        arguments = [*OPTIONS[answers], topologies[each]]
                         runs[each].append(measure(checkouts[each], arguments, events, source))
                 made = tables_of(f"{answers} of a {source}", runs)
                 print("\n".join(line for table in made for line in ratios.lines(table)), flush=True)
@@ -91,24 +95,28 @@ def _parse(argv: Sequence[str]) -> argparse.Namespace:
     return parser.parse_args(argv)
 
 
-def prepare(folder: Path, checkout: Path, cameras: int, count: int) -> tuple[str, Path]:
-    """Write a recording and a topology to a folder; return the paths of topology and recording."""
-    events, topology = folder / "events.jsonl", folder / "topology.json"
+def prepare(folder: Path, cameras: int, count: int) -> tuple[Path, Path]:
+    """Write a recording, and its beginning, to a folder; return both paths."""
+    events, beginning = folder / "events.jsonl", folder / "beginning.jsonl"
     lines = [
         to_json(event) + b"\n"
         for event in traffic(cameras, LEARNED_PER_SECOND_PER_CAMERA * cameras, count)
     ]
     events.write_bytes(b"".join(lines))
-    beginning = folder / "beginning.jsonl"
     beginning.write_bytes(b"".join(lines[: max(int(LEARNED_SHARE * count), 1)]))
+    return events, beginning
+
+
+def learn(checkout: Path, events: Path, topology: Path) -> str:
+    """Have a checkout learn a recording; return the path of its topology."""
     subprocess.run(
-        _command("learn", str(beginning), "--topology", str(topology)),
+        _command("learn", str(events), "--topology", str(topology)),
         cwd=checkout,
         env=_environment(checkout),
         stderr=subprocess.DEVNULL,
         check=True,
     )
-    return str(topology), events
+    return str(topology)
 
 
 def measure(checkout: Path, arguments: list[str], events: Path, source: str) -> Taken:
