@@ -1,9 +1,9 @@
 """The fits of districts as tasks of a Dask cluster, by the extra ``[city]``.
 
 Workers get names and settings; events and topologies are files on a path that all of them see, as
-what a worker holds is lost with it. A worker has one thread, so a task alone is what ends its
-worker, and one thread of linear algebra, so digests are the same everywhere. Packages that differ
-can leave tasks waiting without a word, so they are compared first.
+a worker's memory is lost with it. A worker has one thread, so only its own task can end it, and one
+thread of linear algebra, so digests are the same everywhere. Packages that differ can leave tasks
+waiting without a word, so they are compared first.
 """
 
 from __future__ import annotations
@@ -54,7 +54,7 @@ def learn_city(
 
 
 def submitting(client: Client) -> Callable[..., Future[None]]:
-    """Return what has a function done by a worker.
+    """Return a function that submits a call to the workers, and returns its future.
 
     Raises CityError if a process of the cluster is not as this one, and TimeoutError if there is no
     worker.

@@ -29,13 +29,13 @@ from camtopod.learn.settings import Settings
 from camtopod.records import Event
 
 TRIES_MAX = 3
-"""Fits of a district, in one run, that may end with their process."""
+"""Largest number of fits of a district, in one run, during which the process ends."""
 QUIET_SECONDS_MAX = 3600.0
 """Longest time in which no district is done: a large one takes minutes."""
 PROGRESS_SECONDS = 0.5
 """Interval between two reports of progress."""
 NOTE = "note"
-"""Name of the file with what is kept beside the events."""
+"""Name of the file of remarks beside the events."""
 
 
 class CityError(RuntimeError):
@@ -54,7 +54,7 @@ def learn_city(
 ) -> JoinedMap:
     """Learn a city from a recording, each district with one fit.
 
-    submit: has a function done, as that of `concurrent.futures.Executor`.
+    submit: submits a call of a function, as `concurrent.futures.Executor.submit`.
     events, folder, note: as `split`; a folder that is there has them from an earlier run.
     on_progress: called with the number of districts that are done, now and then.
 
@@ -94,7 +94,7 @@ def split(
     """Write the events that each district hears into a file of its own, in a new folder.
 
     events: in order of time, each once. Those of cameras that no district owns are left out.
-    note: what is kept beside them, asked for when all events have been read.
+    note: returns remarks to keep beside them; called when all events have been read.
     """
     writers = defaultdict(list)
     with (

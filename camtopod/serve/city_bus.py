@@ -1,7 +1,7 @@
 """The daemons of several sites as one, for programs that show them: a session with each.
 
-What is said of a camera is taken from its owner, one of the sites; sites that hear it as well are
-not listened to. A site that cannot be reached is tried again, and the other sites go on.
+Messages about a camera are taken from its owner, one of the sites, and from no other site that
+hears it. A site that cannot be reached is tried again, and the other sites go on.
 """
 
 from __future__ import annotations
@@ -49,9 +49,9 @@ HOUR_SECONDS = 3600.0
 
 
 class _Site:
-    """A site: its session, once there is one, and the newest of what its daemon has said.
+    """A site: its session, once there is one, and the newest status and map of its daemon.
 
-    ready: set once it has been tried to reach it.
+    ready: set after the first attempt to reach it.
     """
 
     def __init__(self, config: Config) -> None:
@@ -251,7 +251,7 @@ class CityBus(contextlib.AbstractContextManager["CityBus"]):
         )
 
     def _recent(self, parameters: Mapping[str, object]) -> list[tuple[str, bytes]]:
-        """Return the answers of all sites with their own cameras' events, as one."""
+        """Return one answer with the events of all sites' own cameras."""
         question = {key: value for key, value in parameters.items() if key != "format"}
         recents: dict[str, Recent] = {}
         for name, bus in self._sessions().items():

@@ -63,7 +63,7 @@ def camera_status(
 
 
 def site_status(config: Config, camera: str) -> dict[str, Any]:
-    """Return the further content that follows from the configuration: how often, and to whom."""
+    """Return the part of a status that follows from the configuration: interval and sites."""
     sites = config.sites_of(camera)
     return {"status_seconds": config.limits.status_seconds, "owner": sites[0], "sites": sites}
 

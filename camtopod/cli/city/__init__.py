@@ -1,1 +1,1 @@
-"""The commands of a city: where to cut it, what runs it, one topology of it, and all in one."""
+"""The commands of a city: its districts, the files that run them, and their joint topology."""

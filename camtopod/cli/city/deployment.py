@@ -21,15 +21,15 @@ from camtopod.cli.exits import CommandError
 from camtopod.config import SITES_MAX, Districts, Limits, districts_file
 
 MEASURED = {"cameras": (100, 1_000), "cpu_seconds": (82.0, 303.0), "memory_gb": (0.37, 0.97)}
-"""What daemons took of a processor in an hour, seconds, and their peak memory, GB, by the number of
-cameras of their site (deploy/large.md).
+"""Processor time of daemons in an hour, and their peak memory, by the number of cameras of their
+site (deploy/large.md).
 """
 MARGIN = 2.0
-"""What a daemon may take, in shares of what was measured."""
+"""Limit of a daemon, in multiples of the measured figures."""
 ROUTER_PORT = 7447
 """Port of the router of the first district on a machine; each further one has the next."""
 LABEL = re.compile("[a-z0-9]([a-z0-9-]{0,41}[a-z0-9])?")
-"""A name in Kubernetes (DNS-1123), with space for what is put before and behind it."""
+"""A name in Kubernetes (DNS-1123), with space for a prefix and a suffix."""
 KINDS = {
     "kubernetes": (
         {"{}.yaml": "kubernetes.yaml", "{}.toml": "district.toml"},
@@ -49,7 +49,7 @@ KINDS = {
         "     systemctl daemon-reload && systemctl enable --now {units}",
     ),
 }
-"""Kind -> template of each file, in whose name {} is the district's, and what to do with them."""
+"""Kind -> template of each file, in whose name {} is the district's, and the steps that follow."""
 
 
 def filled(template: str, **values: str) -> str:
@@ -69,7 +69,7 @@ def filled(template: str, **values: str) -> str:
 
 
 def demand(cameras: int) -> dict[str, str]:
-    """Return what the daemon of a site asks of Kubernetes: processor and memory.
+    """Return the requests and limits of a site's daemon in Kubernetes: processor and memory.
 
     cameras: number of cameras that the site hears.
     """
@@ -149,7 +149,7 @@ def texts_of(kind: str, districts: Districts) -> dict[str, str]:
 
 
 def write(districts: Districts, kind: str, folder: str) -> None:
-    """Write the files into a new folder, and say what to do with them. Raises `CommandError`."""
+    """Write the files into a new folder, and print the next steps. Raises `CommandError`."""
     texts = texts_of(kind, districts)
     with writing(folder):
         Path(folder).mkdir(parents=True, exist_ok=True)

@@ -1,4 +1,4 @@
-"""`camtopod districts`: cut a city into districts, which are sites, and write what runs them.
+"""`camtopod districts`: cut a city into districts, which are sites; write the files to run them.
 
 The cut follows from the passages between cameras: those of a topology, which may be learned from
 recorded events. With a table the cut is that of the table. The cameras beyond a border follow from
@@ -90,7 +90,7 @@ def _cameras_max(text: str) -> int:
 
 
 def run(args: argparse.Namespace) -> None:
-    """Write the districts, or what runs them. Raises `OSError`, `CommandError`."""
+    """Write the districts, or the files that run them. Raises `OSError`, `CommandError`."""
     if args.deploy and args.deploy[0] not in deployment.KINDS:
         raise CommandError(f"--deploy takes {' or '.join(deployment.KINDS)}, and a folder", USAGE)
     with open_input(args.source) as file:

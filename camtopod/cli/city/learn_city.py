@@ -128,7 +128,7 @@ def is_private(address: str) -> bool:
 
 @contextmanager
 def _submitting(scheduler: str | None) -> Iterator[Callable[..., Future[None]]]:
-    """Return what has a function done: by a process a core, or by the workers of a scheduler."""
+    """Yield a function that submits a call: to a process a core, or to a scheduler's workers."""
     if scheduler is None:
         with ThreadPoolExecutor(len(os.sched_getaffinity(0))) as threads:
             yield lambda *task: threads.submit(recordings.in_process, *task)

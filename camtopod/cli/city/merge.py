@@ -52,7 +52,7 @@ def run(args: argparse.Namespace) -> None:
 
 
 def write(city: JoinedMap, out: str | Path) -> None:
-    """Write a city's topology to a file, and say what is not in its map. Raises `CommandError`."""
+    """Write a city's topology, and count what its map leaves out. Raises `CommandError`."""
     topology, zones, links = city
     with open_output(out) as file:
         file.write(to_json(topology) + b"\n")

@@ -1,4 +1,4 @@
-"""Deliver what waits in a spool to the daemon of one site, on a session and a thread of its own."""
+"""Delivery of a spool's events to the daemon of one site, by a session and a thread of its own."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ class SiteDelivery:
         self.queue = queue
         self.bus = bus
         self.damage: StateError | None = None
-        """Damage of the spool that was found; what was to be sent is not."""
+        """Damage of the spool, if there is any; then nothing more is sent of that camera."""
         self._rejects = rejects
 
         # What callbacks leave for the delivering thread.
@@ -100,7 +100,7 @@ class SiteDelivery:
     def own_cameras_unanswered(self) -> list[str]:
         """Return this process's cameras for which a daemon that is there does not answer.
 
-        Where programs have certificates, this one's is not for these cameras.
+        With certificates the reason is that this program's is not for these cameras.
         """
         silent = [
             delivery.camera for delivery in self._own() if delivery.failures >= UNANSWERED_MAX

@@ -1,4 +1,4 @@
-"""What of a spool's events waits for one site: how far it has stored each boot, and what is next.
+"""The queue of a spool for one site: how far the site has stored each boot, and the next events.
 
 The rows of a spool are never renumbered. A site knows those of a boot by the boot's name and their
 numbers, unless the machine was set back: then the rows that it had not stored, and those that
@@ -169,7 +169,7 @@ class SiteQueue:
             self.unwritten.add((camera, boot))
 
     def begin_boot(self, camera: str, new: str) -> None:
-        """Name what waits of this process's boot, and what follows, ``new`` at the site.
+        """Name the waiting events of this process's boot, and later ones, ``new`` at the site.
 
         The name must never have been used: a machine that is set back again would repeat it.
         """

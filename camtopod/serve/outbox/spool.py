@@ -165,7 +165,7 @@ class Spool:
         return [OWNER, *self._sites_of(camera)[1:]]
 
     def queue(self, site: str = OWNER) -> SiteQueue:
-        """Return what waits for a site."""
+        """Return the queue of events that wait for a site."""
         with self._mutex:
             if site not in self._queues:
                 self._queues[site] = SiteQueue(self, site)
