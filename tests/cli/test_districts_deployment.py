@@ -1,4 +1,4 @@
-"""`camtopod districts --deploy`: what runs the districts of a city, in Kubernetes or by systemd."""
+"""`camtopod districts --deploy`: files that run a city, in Kubernetes or by systemd."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Several sites as one: their map, and what is said of a camera, from its owner alone."""
+"""Several sites as one: their map, and the data of a camera, from its owner alone."""
 
 from __future__ import annotations
 

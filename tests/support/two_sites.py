@@ -79,7 +79,7 @@ class TwoSites:
                     del self.daemons[site]
 
     def events(self, site: str) -> list[Event]:
-        """Return what the cameras of a site see."""
+        """Return the events of a site's cameras."""
         seed = len(site) + ord(site[0])
         events = [*walkers(60, seed), closing_event()]
         return numbered([replace(event, camera=NAMES[site][event.camera]) for event in events])

@@ -1,4 +1,4 @@
-"""The live page of a city's cameras, in a real browser: what is drawn is what is on the screen."""
+"""The live page of a city's cameras, in a real browser: the part on the screen is drawn."""
 
 from __future__ import annotations
 

@@ -48,7 +48,7 @@ def add_parser(add: Any) -> None:
     parser = add(
         description="Cuts a city into districts, each of which is a site with a learner of its "
         "own: connected groups of cameras between which few objects pass. A district hears its "
-        "own cameras and their neighbours in other districts. With --deploy it writes what runs "
+        "own cameras and their neighbours in other districts. With --deploy it writes files to run "
         "them.",
         epilog="example: camtopod districts events.jsonl --cameras-max 100 --out districts.toml",
     )

@@ -42,7 +42,7 @@ def add_parser(add: Any) -> None:
     parser = add(
         description="Serves a web page with the learned topology and with predictions as they "
         "arrive. The page is read-only and loads nothing from other sites. Several sites are one "
-        "map: what is shown of a camera comes from the site that owns it.",
+        "map: a camera's data comes from the site that owns it.",
         epilog="example: camtopod --config camtopod.toml web --listen 127.0.0.1:8780",
     )
     add_address(parser)

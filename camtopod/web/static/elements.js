@@ -1,4 +1,4 @@
-// Nodes and edges of the network map: what they look like, and which one is at a place.
+// Nodes and edges of the network map: their look, and the one at a place.
 
 import { s } from "./dom.js";
 import { fromLine } from "./view.js";

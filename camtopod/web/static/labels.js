@@ -5,7 +5,7 @@ import { s } from "./dom.js";
 import { seconds } from "./words.js";
 
 const NAMES_MAX = 160;
-const NAMES_TRIED_MAX = 800; // of busy cameras; where so many are in sight, the others have no room
+const NAMES_TRIED_MAX = 800; // of the busiest cameras in sight; more names have no room
 const TIMES_MAX = 80;
 const AIR_PIXELS = 3; // on either side of a text
 const MEASURED_MAX = 10_000; // texts whose size is remembered

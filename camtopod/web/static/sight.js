@@ -20,7 +20,7 @@ export class Sight {
     this.cores = s("g", {});
     this.nodes = []; // on the screen
     this.far = false; // they are too many
-    this.large = false; // there are so many on the map
+    this.large = false; // more cameras than that are on the map
   }
 
   // Take a map: its nodes and edges.
@@ -43,7 +43,7 @@ export class Sight {
     for (const { layer, look, segments } of paths.values()) layer.append(s("path", { class: `far ${look}`, d: segments.join("") }));
   }
 
-  // Draw what is on a screen so large, and of `marked`, nodes and edges that are chosen or in need, the first ones.
+  // Draw the nodes and edges on a screen of this size, and the first of `marked`, those that are chosen or in need.
   draw({ nodes, edges, view }, width, height, marked) {
     const [left, top] = view.fromScreen(-AIR_PIXELS, -AIR_PIXELS);
     const [right, bottom] = view.fromScreen(width + AIR_PIXELS, height + AIR_PIXELS);
