@@ -123,8 +123,10 @@ class CandidateScreen:
         fit: the fit of its candidates.
         everywhere: True to look at every zone now, as there is one more fit only.
         """
+        if not self.sources_by_place:
+            return False
         rest = unexplained(problem, fit)
-        if not (self.sources_by_place and len(rest.departures.t) and len(rest.arrivals.t)):
+        if not (len(rest.departures.t) and len(rest.arrivals.t)):
             return False
         share = int(np.ceil((1.0 if everywhere else LOOK_SHARE) * len(places)))
         targets = np.argsort(self._last_looks(), kind="stable")[:share]
