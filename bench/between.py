@@ -25,6 +25,7 @@ import numpy as np
 from msgspec import Struct
 
 from bench.real import networks_parser
+from bench.support.figures import line_of
 from bench.support.jobs import map_tasks
 from bench.support.recordings import Recording, load
 from camtopod.arrays import Floats
@@ -77,6 +78,8 @@ def main(argv: Sequence[str]) -> int:
         print("".join(f"{figure:11.2f}" for figure in one.error + one.coverage))
     figures = np.array([one.error + one.coverage for one in results])
     print(f"{'mean':46}" + "".join(f"{mean:11.2f}" for mean in figures.mean(axis=0)))
+    means = zip(("error", "balance", "zero", "coverage"), figures.mean(axis=0)[:4], strict=True)
+    print("\n".join(line_of(title, float(mean)) for title, mean in means))
     if len(results) > 1:
         errors = figures.std(axis=0, ddof=1) / np.sqrt(len(results))
         print(f"{'standard error':46}" + "".join(f"{error:11.2f}" for error in errors))

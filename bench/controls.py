@@ -24,6 +24,7 @@ from pathlib import Path
 from msgspec import Struct
 
 from bench.support.control_recordings import LIGHTS, Control, Street, Traffic, TwoSites
+from bench.support.figures import line_of
 from bench.support.jobs import map_tasks
 from bench.support.recordings import CameraPair, load
 from camtopod.learn.learner import Learner
@@ -148,6 +149,8 @@ def main(argv: Sequence[str]) -> int:
     outcomes = map_tasks(run, tasks, arguments.jobs)
 
     print("\n".join(_table(tasks, outcomes)))
+    print(line_of("recordings", len(outcomes)))
+    print(line_of("false links", sum(len(outcome.false) for outcome in outcomes)))
     return 0
 
 

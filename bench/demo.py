@@ -20,6 +20,7 @@ from pathlib import Path
 import numpy as np
 
 from bench.scenes.drawn_plan import drawn_plan
+from bench.support.figures import line_of
 from bench.support.measure import harmonic_mean
 from camtopod.cli.commands.demo import MINUTES, WALKERS_PER_SECOND
 from camtopod.learn.learner import Learner
@@ -70,6 +71,7 @@ def main(argv: list[str]) -> int:
             if not good:
                 print("\n".join(wrong_zones(topology.zones, truth)), flush=True)
     print(f"{right} of {len(sites)} sites with all zones right")
+    print(line_of("sites", len(sites)), line_of("sites with all zones right", right), sep="\n")
     return 0
 
 

@@ -49,6 +49,7 @@ from msgspec import Struct
 
 from bench.support import clip_kinds
 from bench.support.clip_variants import with_variants
+from bench.support.figures import line_of
 from bench.support.truth_clips import Clip, TruthError, clip_of, clips_in
 from bench.support.watched_clips import HERE, VTEST, one_by_one
 from camtopod.records import Event
@@ -321,6 +322,14 @@ def summary(scores: Sequence[Score]) -> list[str]:
         lines.append(line + f"{mean(score.load for score in some):.3f} CPU s/s")
         if len(f1 := f1_by_kind(some)) > 1:
             lines.append(clip_kinds.by_kind(f1))
+        kinds = {kind: mean(values) for kind, values in f1.items()}
+        name = variant or "clips"
+        lines += [line_of(f"{name}, {kind}", value) for kind, value in kinds.items()]
+        if len(kinds) > 1:
+            error = standard_error(list(kinds.values()))
+            lines.append(line_of(f"{name}, mean over kinds", mean(kinds.values()), error))
+        lines += [line_of(f"{score.clip}, {name}", score.f1) for score in busy]
+        lines.append(line_of(f"{name}, false events without any", sum(map(_false, quiet))))
     return lines
 
 

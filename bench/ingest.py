@@ -29,6 +29,7 @@ import msgspec
 import bench
 from bench.support import ratios
 from bench.support.clients import client, ready_at, result, status_of, write_events
+from bench.support.figures import line_of
 from bench.support.site import PROGRAM, in_checkout, peak_memory, running, traffic
 from camtopod.codec import to_json
 
@@ -90,7 +91,7 @@ def main(argv: list[str]) -> int:
         tables.append(ratios.compare(f"{way}: memory", "MB", megabytes, pair[0], {way: MEMORY_MAX}))
     print("\n".join(line for table in tables for line in ratios.lines(table)))
     for row in tables[0].rows:
-        print(f"  {row.name}: {1e6 / row.cost.median:,.0f} events/s")
+        print(line_of(f"events/s, {row.name}", 1e6 / row.cost.median))
     if given.json:
         ratios.write(given.json, "ingest", tables, cameras=given.cameras, events=given.events)
     return 0

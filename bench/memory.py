@@ -21,6 +21,7 @@ from typing import NamedTuple
 
 from bench.support import ratios
 from bench.support.clients import client, learned_status, result, write_events
+from bench.support.figures import line_of
 from bench.support.ratios import Row, Spread, Table
 from bench.support.site import (
     LEARNED_PER_SECOND_PER_CAMERA,
@@ -69,6 +70,7 @@ def main(argv: list[str]) -> int:
         sizes = f"{taken.most:10.0f}{taken.added:15.0f}{taken.settled:12.0f}"
         figures = f"{sizes}{taken.events:9}{taken.versions:10}"
         print(f"{cameras:8}{figures}{wanted:>16}", flush=True)
+        print(line_of(f"{cameras} cameras", taken.most))
         share = taken.most / (allowed or taken.most)
         once = Spread(taken.most, taken.settled, taken.added)
         rows.append(

@@ -39,7 +39,7 @@ import msgspec
 
 from bench.support.measure import GROUPS, Record, measure
 from bench.support.regimes import REGIMES
-from bench.support.table import tables
+from bench.support.table import figure_lines, tables
 from camtopod.codec import read, to_json
 from camtopod.learn.settings import Settings
 from camtopod.records import Event, Pair
@@ -111,7 +111,7 @@ def main(argv: list[str]) -> int:
     # Measure and print.
     done = _measured(_tasks(arguments, names, data), arguments.jobs, arguments.json)
     records = [record for one in done for record in one.records]
-    print("\n".join([*tables(records, names), *notes]))
+    print("\n".join([*tables(records, names), *figure_lines(records, names), *notes]))
     return 0
 
 

@@ -39,6 +39,7 @@ from bench.support.beside import (
     following_figures,
     mined_figures,
 )
+from bench.support.figures import line_of
 from bench.support.jobs import map_tasks
 from bench.support.match_figures import who_figures
 from bench.support.real_figures import (
@@ -247,10 +248,11 @@ def _links(results: Sequence[Result]) -> list[str]:
         sum(getattr(f, name) for f in every)
         for name in ("right", "false", "true", "relations_right", "relations")
     )
-    told = []
+    told, shares = [], []
     for least in TELLABLE_NATS:
         found, can = sum(f.found[least] for f in every), sum(f.can_be_told[least] for f in every)
         told.append(f"{found} of {can}: {found / max(can, 1):.2f}")
+        shares.append(line_of(f"links of those at {least:g} nats", found / max(can, 1)))
     found_of_all = f"{right}: {right / max(true, 1):.2f}"
     lines.append(
         _row("all", true, found_of_all, false, *told, f"{relations_right} of {relations_all}", "")
@@ -259,6 +261,10 @@ def _links(results: Sequence[Result]) -> list[str]:
     # Beside it the cross-correlation.
     precision, recall = best_correlation(results)
     lines += [
+        line_of("links published", right + false),
+        line_of("false links", false),
+        line_of("links of all", right / max(true, 1)),
+        *shares,
         f"precision {right / max(right + false, 1):.2f}",
         f"cross-correlation at its best threshold: recall {recall:.2f}, precision {precision:.2f}",
     ]
@@ -336,6 +342,8 @@ def _prediction_means(
     ]
     off = [abs(ours.leaving - ours.left) for _, ours, _ in judged]
     return [
+        line_of("log loss above the oracle", float(above)),
+        line_of("leaving off by", float(np.mean(off))),
         f"log loss above the oracle's {above:.3f}, of it leaving {leave:.3f}",
         f"probability of leaving, mean of a network: off by {np.mean(off):.2f}, at most "
         f"{max(off, default=float('nan')):.2f}",

@@ -19,6 +19,7 @@ import time
 from collections.abc import Sequence
 from pathlib import Path
 
+from bench.support.figures import line_of
 from camtopod.codec import to_json, to_msgpack
 from camtopod.learn.learner import Learner
 from camtopod.learn.settings import Settings
@@ -61,6 +62,7 @@ def main(argv: list[str]) -> int:
         f"ready after {statistics.median(seconds):.2f} s (median of {len(seconds)}), "
         f"{max(seconds):.2f} s at most"
     )
+    print(line_of("ready after", statistics.median(seconds)))
     return 0
 
 

@@ -30,6 +30,7 @@ from typing import Any
 import msgspec
 from msgspec import Struct
 
+from bench.support.figures import line_of
 from bench.support.site import resident
 from camtopod.config.settings import BusSettings, Config, KeepSettings, Limits, StateSettings
 from camtopod.learn.learner import Learner
@@ -131,6 +132,7 @@ def growth_violations(days: Sequence[Day]) -> Iterator[str]:
         most = max(days[since:], key=lambda day: int(getattr(day, name)))
         size = getattr(most, name)
         print(f"{name}: {size / before - 1.0:+.1%} at most since day {since}, on day {most.day}")
+        print(line_of(f"growth of {name}", size / before - 1.0))
         if size > (1.0 + GROWTH_MAX) * before:
             yield f"{name} has grown by more than {GROWTH_MAX:.0%}"
 

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from scipy.special import gammaincinv
 
 from bench.support import thesis_tables as thesis
+from bench.support.figures import line_of
 from bench.support.overlap_rows import overlap_rows
 from camtopod.arrays import Floats
 from camtopod.learn.zones.cells import cell_sums, fixed_point
@@ -134,6 +135,7 @@ def figure_4_4(seeds: int) -> bool:
         for name, networks in shares.items():
             whole = np.mean([all(values) for values in networks])
             print(f"    {name:34s} networks {whole:.2f}, cameras {np.mean(networks):.2f}")
+            print(line_of(f"clutter {clutter:.0%}, {name}", float(whole) * seeds))
         good &= all(all(values) for values in shares["camtopod"])
     return good
 

@@ -29,6 +29,7 @@ from msgspec import Struct
 from scipy.optimize import linear_sum_assignment
 
 from bench.real import networks_parser
+from bench.support.figures import line_of
 from bench.support.jobs import map_tasks
 from bench.support.match_figures import oracle_odds
 from bench.support.real_figures import calibration_error
@@ -89,6 +90,9 @@ def main(argv: Sequence[str]) -> int:
                 f"{f.recall:6.2f}",
                 flush=True,
             )
+        for way, f in one.ways.items():
+            print(line_of(f"{one.name}, {way}, said", f.said))
+            print(line_of(f"{one.name}, {way}, right", f.right))
     return 0
 
 

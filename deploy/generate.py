@@ -13,6 +13,7 @@ import argparse
 import textwrap
 from pathlib import Path
 
+from bench.support import figures
 from camtopod import __version__
 from camtopod.cli.city import deployment
 from camtopod.cli.generated import example, schema_text
@@ -54,6 +55,7 @@ def files() -> dict[Path, str]:
     """Every file with what belongs into it."""
     deploy = ROOT / "deploy"
     return {
+        **figures.pages(figures.read()),
         deploy / "camtopod.toml": example(),
         deploy / "camtopod.schema.json": schema_text("configuration"),
         deploy / "camtopod.1": manual(),

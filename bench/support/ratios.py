@@ -19,6 +19,8 @@ from typing import Any
 
 from msgspec import Struct, to_builtins
 
+from bench.support.figures import line_of
+
 WARM_ROUNDS = 1
 """Rounds that are measured first and dropped: they fill file caches and load libraries."""
 
@@ -120,6 +122,11 @@ def lines(table: Table) -> list[str]:
         result.append(
             f"  {row.name:50}{_cell(row.cost, 3):>30}{_cell(row.ratio, 2):>30}{wanted:>14}"
         )
+    for row in table.rows:
+        title = f"{table.title}, {row.name}"
+        result.append(line_of(title, row.cost.median))
+        if row.name != table.baseline:
+            result.append(line_of(f"{title} / {table.baseline}", row.ratio.median))
     return result
 
 

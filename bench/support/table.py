@@ -10,6 +10,7 @@ import numpy as np
 
 from bench.baselines.closest import LITERAL
 from bench.baselines.findings import Ranked, Tuned, at, tune
+from bench.support.figures import line_of
 from bench.support.measure import CLOCK_SECONDS_MAX, OURS, Record
 from bench.support.targets import LINKED, TARGETS, Target
 from camtopod.arrays import Floats
@@ -77,6 +78,27 @@ def tables(records: Sequence[Record], regimes: Sequence[str]) -> list[str]:
     return [*lines, *_overview(records, regimes), "", *_targets(records), "", *_seconds(records)]
 
 
+def figure_lines(records: Sequence[Record], regimes: Sequence[str]) -> list[str]:
+    """Return the lines of `bench.support.figures`: each mean of each regime and mode."""
+    lines = []
+    for regime in regimes:
+        here = [record for record in records if record.regime == regime]
+        for method in OURS:
+            for name in ROWS:
+                values = np.array(_values(here, method, name), dtype=float)
+                values = values[np.isfinite(values)]
+                if len(values):
+                    lines.append(
+                        line_of(f"{regime}, {method}, {name}", float(values.mean()), _error(values))
+                    )
+    return lines
+
+
+def _error(values: Floats) -> float:
+    """Return the standard error of a mean; nan for a single value."""
+    return float(values.std(ddof=1)) / math.sqrt(len(values)) if len(values) > 1 else math.nan
+
+
 def mean_and_error(values: Sequence[float] | Floats) -> str:
     """Return mean and standard error of the known values, as ``0.982 ±0.004``; ``-`` for none."""
     known = np.array(values, dtype=float)
@@ -84,7 +106,7 @@ def mean_and_error(values: Sequence[float] | Floats) -> str:
     if not len(known):
         return "-"
     digits = 0 if abs(known.mean()) >= 100 else 3
-    error = f" ±{known.std(ddof=1) / math.sqrt(len(known)):.{digits}f}" if len(known) > 1 else ""
+    error = f" ±{_error(known):.{digits}f}" if len(known) > 1 else ""
     return f"{known.mean():.{digits}f}{error}"
 
 

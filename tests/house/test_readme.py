@@ -59,7 +59,7 @@ def ids(page: Path) -> str:
 def test_readme_is_short() -> None:
     lines = README.splitlines()
     assert len(lines) <= LINES_MAX
-    assert [line for line in lines if len(line) > COLUMNS_MAX] == []
+    assert [line for line in lines if len(line) > COLUMNS_MAX and line[0] != "|"] == []
 
 
 def test_every_page_is_listed() -> None:
