@@ -1,16 +1,15 @@
 """Measure zones, links and predictions of camtopod and of the baselines; print one table.
 
     python -m bench quality [--seeds N] [--first-seed S] [--regimes a,b] [--jobs 2]
-                            [--json FILE] [--data FOLDER] [--no-baselines]
+                            [--json FILE] [--no-baselines]
 
 camtopod is measured in three modes: ``online``, fed as `camtopod learn --updates` is, with an extra
 version at 70 % of the events (for the predictions of the rest) and one at the end; ``live``, where
 each exit of the rest is predicted by the newest version that had fallen due, as in the daemon; and
 ``batch``, the one fit of `camtopod learn` without ``--updates``. Each network is simulated from its
 seed (`support.regimes`). The learner was developed with seeds 0 to 9; ``--first-seed 1000`` gives
-networks unused in development. ``campus-auditorium`` is a real recording, skipped where its folder
-is missing (``--data`` or CAMTOPOD_TEST_DATA). Each figure is a mean over networks with its standard
-error.
+networks unused in development. ``auditorium`` is the real recording that comes with the package.
+Each figure is a mean over networks with its standard error.
 
 With ``--json`` every result is appended to a file as soon as it is there. A run that finds results
 in the file measures only the missing ones. Results of an older learner have to be deleted by hand.
@@ -43,11 +42,12 @@ from bench.support.table import figure_lines, tables
 from camtopod.codec import read, to_json
 from camtopod.learn.settings import Settings
 from camtopod.records import Event, Pair
+from camtopod.sim import AUDITORIUM
 from camtopod.sim.truth import CLUTTER, TRUTH_SCHEMA, Truth
 
-CAMPUS = "campus-auditorium"
+REAL = "auditorium"
 """Name of the real recording."""
-CAMPUS_PAIRS = (
+AUDITORIUM_PAIRS = (
     Pair(("HC3", "HC4"), "overlapped"),
     Pair(("HC3", "IP5"), "unseen_path"),
     Pair(("IP2", "IP5"), "overlapped"),
@@ -62,7 +62,6 @@ class Task(NamedTuple):
     seed: int
     group: str
     scale: float
-    data: str | None
 
     @property
     def key(self) -> tuple[str, int, str, float]:
@@ -91,7 +90,7 @@ def main(argv: list[str]) -> int:
     os.environ.setdefault(
         "OMP_NUM_THREADS", "1"
     )  # inherited by the workers: two of them share two cores
-    known = [*REGIMES, CAMPUS]
+    known = [*REGIMES, REAL]
     names = arguments.regimes.split(",") if arguments.regimes else known
     unknown = [name for name in names if name not in known]
     if unknown:
@@ -101,34 +100,27 @@ def main(argv: list[str]) -> int:
         )
         return 2
 
-    # The real recording, where its data is.
-    data = arguments.data or os.environ.get("CAMTOPOD_TEST_DATA")
-    notes = []
-    if CAMPUS in names and not (data and (Path(data) / CAMPUS / "events.jsonl").is_file()):
-        names.remove(CAMPUS)
-        notes.append(f"{CAMPUS}: skipped, its folder is missing (set --data or CAMTOPOD_TEST_DATA)")
-
     # Measure and print.
-    done = _measured(_tasks(arguments, names, data), arguments.jobs, arguments.json)
+    done = _measured(_tasks(arguments, names), arguments.jobs, arguments.json)
     records = [record for one in done for record in one.records]
-    print("\n".join([*tables(records, names), *figure_lines(records, names), *notes]))
+    print("\n".join([*tables(records, names), *figure_lines(records, names)]))
     return 0
 
 
-def _tasks(arguments: argparse.Namespace, names: Sequence[str], data: str | None) -> list[Task]:
+def _tasks(arguments: argparse.Namespace, names: Sequence[str]) -> list[Task]:
     """Return all tasks, seed by seed, so that an interrupted run has results of every regime."""
     seeds = range(arguments.first_seed, arguments.first_seed + arguments.seeds)
     groups = [group for group in GROUPS if group in arguments.methods.split(",")]
     if arguments.no_baselines:
         groups = [group for group in groups if group != "baselines"]
     made = [
-        Task(n, seed, g, arguments.scale, None)
+        Task(n, seed, g, arguments.scale)
         for seed in seeds
         for n in names
-        if n != CAMPUS
+        if n != REAL
         for g in groups
     ]
-    return made + [Task(CAMPUS, 0, group, 1.0, data) for group in groups if CAMPUS in names]
+    return made + [Task(REAL, 0, group, 1.0) for group in groups if REAL in names]
 
 
 def _measured(tasks: Sequence[Task], jobs: int, path: Path | None) -> list[Done]:
@@ -180,11 +172,6 @@ def _parse(argv: list[str]) -> argparse.Namespace:
         metavar="FILE",
         help="append results to this file, and reuse those in it",
     )
-    parser.add_argument(
-        "--data",
-        metavar="FOLDER",
-        help="folder with campus-auditorium (default CAMTOPOD_TEST_DATA)",
-    )
     return parser.parse_args(argv)
 
 
@@ -210,15 +197,15 @@ def _results(tasks: Sequence[Task], jobs: int) -> Iterator[Done]:
 
 def run(task: Task) -> Done:
     """Simulate (or read) the network of a task and measure it."""
-    if task.regime == CAMPUS:
-        (events, truth), settings = campus(Path(task.data or "") / CAMPUS), Settings()
+    if task.regime == REAL:
+        (events, truth), settings = recorded(AUDITORIUM), Settings()
     else:
         regime = REGIMES[task.regime]
         (events, truth), settings = regime.make(task.seed, task.scale), regime.learning(task.scale)
     return Done(*task.key, measure(task.group, task.regime, task.seed, events, truth, settings))
 
 
-def campus(folder: Path) -> tuple[list[Event], Truth]:
+def recorded(folder: Path) -> tuple[list[Event], Truth]:
     """Return the events and the ground truth of the recording, which lacks zones and links."""
     events = [read(Event, line) for line in (folder / "events.jsonl").read_bytes().splitlines()]
     events.sort(key=lambda event: event.t)
@@ -239,7 +226,7 @@ def campus(folder: Path) -> tuple[list[Event], Truth]:
         cameras=sorted({event.camera for event in events}),
         zones=[],
         links=[],
-        pairs=list(CAMPUS_PAIRS),
+        pairs=list(AUDITORIUM_PAIRS),
         identity=who,
         passage=number,
         zone=[CLUTTER] * len(events),

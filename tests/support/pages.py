@@ -18,6 +18,7 @@ PAGES = (
     TESTS / "faults" / "README.md",
     ROOT / "camtopod" / "ARCHITECTURE.md",
     ROOT / "camtopod" / "learn" / "METHOD.md",
+    ROOT / "camtopod" / "sim" / "auditorium" / "SOURCE.md",
 )
 """All pages, the main one first."""
 FENCED = re.compile(r"^ *```(\w*)\n(.*?)^ *```$", re.DOTALL | re.MULTILINE)
