@@ -364,6 +364,10 @@ def _beside(results: Sequence[Result]) -> list[str]:
     lines = [_row("correlation miner", "true", "found", "false", "mean way off by")]
     mined = [(one.name, one.mined) for one in results if one.mined is not None]
     lines += [_row(name, f.true, f.right, f.false, f"{f.transit_error:.1f} s") for name, f in mined]
+    lines += [
+        line_of("miner, links right", sum(f.right for _, f in mined)),
+        line_of("miner, false links", sum(f.false for _, f in mined)),
+    ]
     if not mined:
         lines.append("skipped: the miner is pm4py's (AGPL), pip install -e '.[bench]'")
 
@@ -381,6 +385,11 @@ def _beside(results: Sequence[Result]) -> list[str]:
     ]
     said = "; ".join(f"{who} {n} of {len(asked)}" for who, n in zip(others, lower, strict=True))
     lines.append(f"networks on which the log loss is lower than that of {ours}: {said}")
+    lines.append(line_of("networks asked", len(asked)))
+    lines += [
+        line_of(f"networks with lower log loss, {who}", n)
+        for who, n in zip(others, lower, strict=True)
+    ]
     return lines
 
 

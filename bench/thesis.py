@@ -20,6 +20,9 @@ from camtopod.learn.zones.cells import cell_sums, fixed_point
 from camtopod.learn.zones.daspec import bandwidth, data_spectroscopy
 from camtopod.learn.zones.zone_map import find_zones
 
+HDBSCAN_SHARE_MIN = 0.02
+"""Least share of a camera's events in a zone of HDBSCAN."""
+
 
 def main(argv: list[str]) -> int:
     """Print all figures; return 0 if they are as printed in the thesis."""
@@ -127,6 +130,7 @@ def figure_4_4(seeds: int) -> bool:
                 right.setdefault("camtopod", []).append(found == k)
                 plain = data_spectroscopy(sums[0], bandwidth(sums[0])).groups
                 right.setdefault("plain DaSpec", []).append(plain == k)
+                right.setdefault("HDBSCAN", []).append(hdbscan_zones(place) == k)
                 for name, value in k_means(place, truth).items():
                     right.setdefault(name, []).append(value)
             for name, values in right.items():
@@ -138,6 +142,15 @@ def figure_4_4(seeds: int) -> bool:
             print(line_of(f"clutter {clutter:.0%}, {name}", float(whole) * seeds))
         good &= all(all(values) for values in shares["camtopod"])
     return good
+
+
+def hdbscan_zones(place: Floats) -> int:
+    """Return the number of zones that HDBSCAN finds, each of 2 % of the events or more."""
+    from sklearn.cluster import HDBSCAN
+
+    least = max(int(HDBSCAN_SHARE_MIN * len(place)), 2)
+    labels = HDBSCAN(min_cluster_size=least, copy=True).fit_predict(place)
+    return int(labels.max()) + 1
 
 
 def k_means(place: Floats, truth: NDArray[np.intp]) -> dict[str, bool]:
