@@ -27,50 +27,49 @@ FOLDERS = ("real", "clips", "base")
 def main(argv: Sequence[str]) -> int:
     """Measure, write the results and the pages; return the exit status."""
     given = _parse(argv)
-    rows = figures.read()
-    stale = [
-        row
-        for row in rows
-        if (given.only in row.command if given.only else given.all)
-        or (not given.only and figures.age(row.commit) > AGE_COMMITS_MAX)
-    ]
+    stale = [row for row in figures.read() if _is_asked(row, given)]
     if given.check:
         for row in stale:
             print(f"{figures.age(row.commit)} commits ago: {row.what}")
         return 1 if stale else 0
+    if _git("status", "--porcelain", "camtopod"):
+        print("bench refresh: camtopod has changes; commit them, then measure", file=sys.stderr)
+        return 2
 
-    # Each command once.
+    # Each command once. The rows are read anew, as another run may have renewed some meanwhile.
     commit = _git("rev-parse", "--short=7", "HEAD")
     status = 0
     for command in dict.fromkeys(row.command for row in stale):
-        of_command = [row for row in stale if row.command == command and row.template]
-        folder = getattr(given, of_command[0].data, None) if of_command else None
-        if not of_command or (of_command[0].data in FOLDERS and folder is None):
-            why = DATA[of_command[0].data] if of_command else "renewed by hand"
-            print(f"left out ({why}): {command}")
+        row = next(row for row in stale if row.command == command)
+        folder = getattr(given, row.data, None)
+        if not row.template or (row.data in FOLDERS and folder is None):
+            print(f"left out ({DATA[row.data] if row.template else 'renewed by hand'}): {command}")
             continue
-        if not measure(command.replace("FOLDER", str(folder)), of_command, commit):
+        began = time.monotonic()
+        printed = figures.run(command.replace("FOLDER", str(folder)))
+        minutes = (time.monotonic() - began) / 60.0
+        rows = figures.read()
+        of_command = [row for row in rows if row.command == command]
+        try:
+            texts = [figures.filled(row.template, printed) for row in of_command]
+        except KeyError as error:
+            print(f"no figure {error}", file=sys.stderr)
             status = 1
-    figures.write(rows)
-    figures.write_pages(rows)
+            continue
+        for row, text in zip(of_command, texts, strict=True):
+            row.figure, row.commit, row.minutes = text, commit, round(minutes, 1)
+            row.date = datetime.date.today().isoformat()
+            print(f"  {row.what}: {text}", flush=True)
+        figures.write(rows)
+        figures.write_pages(rows)
     return status
 
 
-def measure(command: str, rows: Sequence[Row], commit: str) -> bool:
-    """Run a command and renew its rows in place; return True if all figures were printed."""
-    began = time.monotonic()
-    printed = figures.run(command)
-    minutes = (time.monotonic() - began) / 60.0
-    for row in rows:
-        try:
-            row.figure = figures.filled(row.template, printed)
-        except KeyError as error:
-            print(f"no figure {error}: {row.what}", file=sys.stderr)
-            return False
-        row.commit, row.date = commit, datetime.date.today().isoformat()
-        row.minutes = round(minutes, 1)
-        print(f"  {row.what}: {row.figure}", flush=True)
-    return True
+def _is_asked(row: Row, given: argparse.Namespace) -> bool:
+    """Return True if a row is to be measured by the options."""
+    if given.only:
+        return given.only in row.command
+    return given.all or figures.age(row.commit) > AGE_COMMITS_MAX
 
 
 def _git(*arguments: str) -> str:
