@@ -144,12 +144,8 @@ def tables(rows: Sequence[Row]) -> dict[str, str]:
         section: "\n".join([*head, *(_line(row) for row in rows if row.section == section)])
         for section in SECTIONS
     }
-    head = ["| what | figure | command | minutes |", "|" + " --- |" * 4]
-    lines = [
-        f"| {row.readme} | {row.figure} | `{row.command}` | {_minutes(row)} |"
-        for row in rows
-        if row.readme and not row.data
-    ]
+    head = ["| what | figure |", "|" + " --- |" * 2]
+    lines = [f"| {row.readme} | {row.figure} |" for row in rows if row.readme and not row.data]
     texts["README"] = "\n".join([*head, *lines])
     texts["README, with data"] = "\n".join(
         textwrap.fill(f"- {row.readme}: {row.figure}", 100, subsequent_indent="  ")
