@@ -306,8 +306,18 @@ class Config(Struct, frozen=True, forbid_unknown_fields=True):
     @property
     def dials(self) -> tuple[str, ...]:
         """Endpoints to which all programs but the daemon connect."""
-        # This machine reaches itself at its own address where it listens on all interfaces.
-        return self.bus.connect or tuple(
+        return self.bus.connect or self._own_endpoints
+
+    @property
+    def peers(self) -> tuple[str, ...]:
+        """Endpoints to which the daemon connects: without its own, to which its clients do."""
+        own = (*self.listens, *self._own_endpoints)
+        return tuple(endpoint for endpoint in self.bus.connect if endpoint not in own)
+
+    @property
+    def _own_endpoints(self) -> tuple[str, ...]:
+        """Where this machine reaches itself, also if it listens on all interfaces."""
+        return tuple(
             endpoint.replace("/0.0.0.0:", "/127.0.0.1:").replace("/[::]:", "/[::1]:")
             for endpoint in self.listens
         )

@@ -49,6 +49,11 @@ def test_what_is_said_is_used() -> None:
     dialling = parse('[bus]\nconnect = ["tls/hub:7447"]')
     assert (dialling.listens, dialling.dials) == ((), ("tls/hub:7447",))
 
+    # One file for the daemon and its clients: the daemon does not connect to itself.
+    clients = '"tcp/127.0.0.1:7000", "tcp/hub:7447"'
+    shared = parse(f'[bus]\nlisten = ["tcp/0.0.0.0:7000"]\nconnect = [{clients}]')
+    assert (shared.peers, len(shared.dials)) == (("tcp/hub:7447",), 2)
+
 
 WRONG = """\
 [site]

@@ -54,7 +54,7 @@ def open_daemon_session(config: Config) -> Bus:
     access.check_files(config)
     values = access.settings(config, "router", access.read_access(config, clock.wall))
     try:
-        bus = open_session(config, values, connect=config.bus.connect, listen=endpoints)
+        bus = open_session(config, values, connect=config.peers, listen=endpoints)
     except NotOpened as error:
         raise BusError(
             f"cannot listen at {', '.join(endpoints)}: another daemon may be running there; "
