@@ -46,7 +46,7 @@ SAME_SECONDS = 1e-6
 """Difference of two times below which they are the same: a time has microseconds."""
 FAULT_EVENTS_MIN = 50
 """Least number of events whose times are judged together."""
-FAULT_RATE = 5.0
+FAULT_RATE = 50.0
 """Events per second and camera that no camera has over a whole recording."""
 FAULT_STEP = 20.0
 """Whole minutes and hundreds of seconds are multiples of it, in seconds."""
