@@ -79,6 +79,7 @@ function placed(boxes, width, height, covers) {
   const [right, bottom] = [2, 3].map((k) => boxes.reduce((far, box) => Math.max(far, box[k]), -Infinity));
   const [beside, above] = [width - (right - left), height - (bottom - top)];
   if (beside < 0 || above < 0) return null;
+  /** @type {(place: number[]) => boolean} */
   const free = ([x, y]) =>
     boxes.every((box) =>
       covers.every((one) => box[2] + x <= one[0] || box[0] + x >= one[2] || box[3] + y <= one[1] || box[1] + y >= one[3]),
@@ -86,6 +87,7 @@ function placed(boxes, width, height, covers) {
   return PLACES.map(([along, down]) => [along * beside - left, down * above - top]).find(free) ?? null;
 }
 
+/** @param {number[]} place */
 function off([along, down]) {
   return Math.hypot(along - 0.5, down - 0.5);
 }

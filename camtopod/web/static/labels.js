@@ -94,6 +94,7 @@ export function findSides({ nodes, edges }) {
     towards.get(b.id).push([-dx, -dy]);
   }
   for (const [id, node] of nodes) {
+    /** @type {(side: number[]) => number} */
     const crowd = ([x, y]) => Math.max(0, ...towards.get(id).map(([dx, dy]) => dx * x + dy * y));
     node.side = SIDES.reduce((best, side) => (crowd(side) < crowd(best) - 0.15 ? side : best));
   }
@@ -121,6 +122,7 @@ function placeNames(map, chosen, found, taken, measure) {
       const [mx, my] = [x + dx * (wide + half + 2), y + dy * (high + tall / 2 + 3)];
       return [mx - half, my - tall / 2, mx + half, my + tall / 2];
     });
+    /** @type {(box: number[]) => boolean} */
     const inside = ([left, top, right, bottom]) => left >= 0 && top >= 0 && right <= width && bottom <= height;
     const box = places.find((one) => inside(one) && taken.free(...one)) ?? (chosen.has(node.id) ? places[0] : null);
     if (!box) continue;
@@ -153,6 +155,7 @@ function placeTimes(map, chosen, taken, measure) {
     const { half, height: tall, above } = measure(text, kind);
     const [on, beside, further] = placesOf(line, half, tall, map);
     const boxAt = ([x, y]) => [x - half, y - tall / 2, x + half, y + tall / 2];
+    /** @type {(box: number[]) => boolean} */
     const inside = ([left, top, right, bottom]) => left > 0 && top > 0 && right < width && bottom < height;
     const free = (place) => inside(boxAt(place)) && taken.free(...boxAt(place));
     const clearOf = (others) => (place) =>
@@ -223,6 +226,7 @@ function edgeText({ a, edge, dx, dy }) {
 export class Taken {
   #cells = new Map();
 
+  /** @param {number[]} box */
   add(...box) {
     for (const cell of this.#covered(box)) cell.push(box);
   }
@@ -235,6 +239,7 @@ export class Taken {
     );
   }
 
+  /** @param {number[]} box */
   #covered([left, top, right, bottom]) {
     const cells = [];
     for (let column = Math.floor(left / CELL); column <= Math.floor(right / CELL); column += 1) {

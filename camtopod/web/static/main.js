@@ -67,6 +67,7 @@ class App {
     this.walks = new Walks();
     this.replay = new Replay(this);
     this.overlays = new Overlays(this.stage, this);
+    /** @type {Record<string, any>} */
     this.views = { links: new LinkTable(), versions: new Versions(this) };
     if (this.source.live) this.views.health = new Health(this);
     addEventListener("hashchange", () => this.route());

@@ -42,6 +42,7 @@ export class NetworkMap {
   height = 0;
   pictures = new Map(); // camera -> address of its picture
   plan = null; // the floor plan beneath the map
+  radius = 0; // of cameras that are circles, in pixels
   shot = 0; // side of a square as large as most pictures, in pixels; 0 while cameras are circles
   #map = null; // what is shown
   #circle = 0; // radius of cameras without picture, in units of the map

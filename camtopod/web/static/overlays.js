@@ -12,6 +12,7 @@ const LIST_MILLISECONDS = 700; // no list is read that changes faster
 const NARROW = matchMedia("(max-width: 720px)");
 
 // What the legend explains while it is in use: look, words, and whether `used` has it.
+/** @type {[string, string, (used: any) => any][]} */
 const SIGNS = [
   ["stroke overlapped", "views overlap", (used) => used.overlapped],
   ["stroke unseen", "unseen path", (used) => used.unseen],

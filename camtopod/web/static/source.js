@@ -5,10 +5,11 @@ export class NotThere extends Error {}
 // The server is not reached, or cannot answer now.
 export class Away extends Error {}
 
-// The report that is part of this page, or the server.
+// The report that is part of this page, which lacks what only a live source has, or the server.
+/** @returns {Server} */
 export function openSource() {
   const held = document.getElementById("report");
-  return held ? new Report(JSON.parse(held.textContent)) : new Server();
+  return held ? /** @type {any} */ (new Report(JSON.parse(held.textContent))) : new Server();
 }
 
 class Server {

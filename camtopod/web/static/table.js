@@ -5,6 +5,7 @@ import { link } from "./place.js";
 import { count, percent, plural, seconds, span } from "./words.js";
 
 const ROWS = 200;
+/** @type {[string, (way: any) => any][]} */
 const COLUMNS = [
   ["From", (way) => way.from],
   ["To", (way) => way.to],
