@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import doctest
 import itertools
 import math
 from collections import defaultdict
@@ -18,12 +17,6 @@ from camtopod.records import Event
 
 SIZE = (200, 100)
 BOX = [10, 20, 30, 60]
-
-
-def test_the_documentation_runs() -> None:
-    result = doctest.testmod(tracks)
-    assert result.attempted > 0
-    assert result.failed == 0
 
 
 def fed(frames: list[tuple[float, dict[Any, list[float]]]], **options: Any) -> list[Event]:

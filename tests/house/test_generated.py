@@ -36,8 +36,6 @@ def test_the_manual_has_every_command_and_every_option() -> None:
                     action.dest,
                 )
 
-    assert "--beat-fd" not in page, "it is for a camera's process only"
-
 
 @pytest.mark.parametrize("reader", ["mandoc -T lint", "groff -man -ww -T utf8 -z"])
 def test_a_reader_of_manuals_has_nothing_to_say(reader: str) -> None:
