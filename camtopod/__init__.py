@@ -6,6 +6,7 @@ An event is an entry into the view of a camera, or an exit. Of a recording:
     topology = camtopod.learn_topology(events)     # or camtopod.load_topology(path)
     camtopod.Predictor(topology).predict(exit)     # where the object appears next: a Prediction
     camtopod.CityPredictor(city).predict(exit)     # of a city that `camtopod merge` has made
+    camtopod.score(topology, events, identities)   # how it fares; identities by camera and track
     camtopod.Gate(topology).affinity(exits, entries)  # which exit and entry are of one object
 
 Of a running daemon, `connect` gives a `Site`; `Learner` learns from a stream. Each name is loaded
@@ -29,6 +30,7 @@ if TYPE_CHECKING:
     from camtopod.learn.recording import learn_topology
     from camtopod.predict import CityPredictor, Predictor
     from camtopod.records import Event, Prediction, Topology
+    from camtopod.scoring import score
 else:
     _HOMES = {
         "camtopod.cli.events.load": ("load_events",),
@@ -38,6 +40,7 @@ else:
         "camtopod.learn.recording": ("learn_topology",),
         "camtopod.predict": ("CityPredictor", "Predictor"),
         "camtopod.records": ("Event", "Prediction", "Topology"),
+        "camtopod.scoring": ("score",),
     }
 
     def __getattr__(name):
@@ -66,4 +69,5 @@ __all__ = [
     "learn_topology",
     "load_events",
     "load_topology",
+    "score",
 ]

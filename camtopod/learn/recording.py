@@ -20,8 +20,8 @@ def learn_topology(
         >>> events, t = [], 1_700_000_000.0
         >>> for number in range(200):
         ...     t += random.expovariate(1 / 60)
-        ...     events.append(Event("lobby", "exit", t))
-        ...     events.append(Event("hall", "entry", t + random.gauss(8, 1)))
+        ...     events.append(Event("lobby", "exit", t, track=str(number)))
+        ...     events.append(Event("hall", "entry", t + random.gauss(8, 1), track=str(number)))
         >>> [(link.from_, link.to) for link in learn_topology(events).links]
         [('lobby/1', 'hall/1')]
 

@@ -13,7 +13,13 @@ cameras. `city` asks the predictor, or the walks, of the district that owns a ca
 """
 
 from camtopod.predict.between import BetweenCameras as BetweenCameras
-from camtopod.predict.city import CityPredictor as CityPredictor, CityWalks as CityWalks
+from camtopod.predict.city import (
+    CityPredictor as CityPredictor,
+    CityWalks as CityWalks,
+    by_moment as by_moment,
+    matching as matching,
+    predicting as predicting,
+)
 from camtopod.predict.outlook import (
     Departure as Departure,
     Outlook as Outlook,

@@ -3,15 +3,21 @@
 A part of a city (`camtopod.records.Topology.parts`) is the topology of a district, which hears its
 own cameras and those beyond its border. Each event is observed by all parts that hear its camera,
 and the owner's part alone answers a question about a camera, as that district's daemon does.
+`predicting` and `matching` answer the events of a recording, by a city or by one site.
 """
 
 from __future__ import annotations
 
+import itertools
 from collections import defaultdict
+from collections.abc import Callable, Iterable, Iterator
+from typing import TypeVar
 
 from camtopod.predict.predictor import Predictor
 from camtopod.predict.walks import Walks
 from camtopod.records import Event, Match, Prediction, Topology
+
+AnswerT = TypeVar("AnswerT")
 
 
 class CityPredictor:
@@ -76,3 +82,51 @@ def hearers_of(city: Topology) -> dict[str, list[int]]:
             is_owner = (city.owners or {}).get(camera.id) == part.site
             hearers[camera.id].insert(0 if is_owner else len(hearers[camera.id]), number)
     return dict(hearers)
+
+
+def predicting(topology: Topology) -> Callable[[list[Event]], list[Prediction | None]]:
+    """Return what answers the events of one moment after the other: the exits with predictions.
+
+    Those of one moment become known when time has moved on.
+    """
+    predictor = CityPredictor(topology) if topology.parts else Predictor(topology)
+
+    def answer(moment: list[Event]) -> list[Prediction | None]:
+        answers = [predictor.predict(event) if event.kind == "exit" else None for event in moment]
+        for event in moment:
+            predictor.observe(event)
+        return answers
+
+    return answer
+
+
+def matching(topology: Topology) -> Callable[[list[Event]], list[Match | None]]:
+    """Return what answers the events of one moment after the other: the entries with matches.
+
+    Of one moment, exits that end earlier passages count before entries.
+    """
+    walks = CityWalks(topology) if topology.parts else Walks(topology)
+
+    def answer(moment: list[Event]) -> list[Match | None]:
+        entry_tracks = {(event.camera, event.track) for event in moment if event.kind == "entry"}
+        ending = [
+            event.kind == "exit" and (event.camera, event.track) not in entry_tracks
+            for event in moment
+        ]
+        for event, first in zip(moment, ending, strict=True):
+            if first:
+                walks.observe(event)
+        return [
+            None if first else walks.observe(event)
+            for event, first in zip(moment, ending, strict=True)
+        ]
+
+    return answer
+
+
+def by_moment(
+    answer: Callable[[list[Event]], Iterable[AnswerT]], events: Iterable[Event]
+) -> Iterator[AnswerT]:
+    """Yield the answers to events, which are in order of time."""
+    for _, moment in itertools.groupby(events, key=lambda event: event.t):
+        yield from answer(list(moment))

@@ -33,6 +33,7 @@ FLOORS = (
     "topology",
     "statuses",
     "predict",
+    "scoring",
     "learn.settings learn.limits learn.lags",
     "learn.zones",
     "learn.window",

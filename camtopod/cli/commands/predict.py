@@ -6,10 +6,8 @@ With ``--walks``: for each entry, tell which earlier passages it may continue.
 from __future__ import annotations
 
 import argparse
-import itertools
 import sys
-from collections.abc import Callable, Iterable, Iterator
-from typing import Any, TypeVar
+from typing import Any
 
 from msgspec.structs import replace
 
@@ -20,10 +18,8 @@ from camtopod.cli.events.time_order import OrderedAnswers, Pipe
 from camtopod.cli.exits import InputError
 from camtopod.cli.terminal import Progress
 from camtopod.codec import to_json
-from camtopod.predict import CityPredictor, CityWalks, Predictor, Walks
+from camtopod.predict import matching, predicting
 from camtopod.records import Event, Kind, Match, Prediction, Topology
-
-AnswerT = TypeVar("AnswerT")
 
 
 def add_parser(add: Any) -> None:
@@ -110,54 +106,6 @@ def run(args: argparse.Namespace) -> int:
     if reader.lines_read and not reader.events:
         raise InputError(f"no event lines in {args.events}: nothing to predict")
     return reader.status
-
-
-def predicting(topology: Topology) -> Callable[[list[Event]], list[Prediction | None]]:
-    """Return what answers the events of one moment after the other: the exits with predictions.
-
-    Those of one moment become known when time has moved on.
-    """
-    predictor = CityPredictor(topology) if topology.parts else Predictor(topology)
-
-    def answer(moment: list[Event]) -> list[Prediction | None]:
-        answers = [predictor.predict(event) if event.kind == "exit" else None for event in moment]
-        for event in moment:
-            predictor.observe(event)
-        return answers
-
-    return answer
-
-
-def matching(topology: Topology) -> Callable[[list[Event]], list[Match | None]]:
-    """Return what answers the events of one moment after the other: the entries with matches.
-
-    Of one moment, exits that end earlier passages count before entries.
-    """
-    walks = CityWalks(topology) if topology.parts else Walks(topology)
-
-    def answer(moment: list[Event]) -> list[Match | None]:
-        entry_tracks = {(event.camera, event.track) for event in moment if event.kind == "entry"}
-        ending = [
-            event.kind == "exit" and (event.camera, event.track) not in entry_tracks
-            for event in moment
-        ]
-        for event, first in zip(moment, ending, strict=True):
-            if first:
-                walks.observe(event)
-        return [
-            None if first else walks.observe(event)
-            for event, first in zip(moment, ending, strict=True)
-        ]
-
-    return answer
-
-
-def by_moment(
-    answer: Callable[[list[Event]], Iterable[AnswerT]], events: Iterable[Event]
-) -> Iterator[AnswerT]:
-    """Yield the answers to events, which are in order of time."""
-    for _, moment in itertools.groupby(events, key=lambda event: event.t):
-        yield from answer(list(moment))
 
 
 def shortened(answer: Prediction | Match, count_max: int | None) -> Prediction | Match:
