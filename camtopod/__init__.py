@@ -26,6 +26,7 @@ if TYPE_CHECKING:
     from camtopod.cli.events.load import load_events
     from camtopod.client import Gate, Site, connect
     from camtopod.codec import load_topology
+    from camtopod.export import export_topology
     from camtopod.learn.learner import Learner
     from camtopod.learn.recording import learn_topology
     from camtopod.predict import CityPredictor, Predictor
@@ -36,6 +37,7 @@ else:
         "camtopod.cli.events.load": ("load_events",),
         "camtopod.client": ("Gate", "Site", "connect"),
         "camtopod.codec": ("load_topology",),
+        "camtopod.export": ("export_topology",),
         "camtopod.learn.learner": ("Learner",),
         "camtopod.learn.recording": ("learn_topology",),
         "camtopod.predict": ("CityPredictor", "Predictor"),
@@ -66,6 +68,7 @@ __all__ = [
     "Site",
     "Topology",
     "connect",
+    "export_topology",
     "learn_topology",
     "load_events",
     "load_topology",

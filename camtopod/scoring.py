@@ -10,7 +10,7 @@ import math
 from collections import Counter, defaultdict
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from itertools import pairwise
-from typing import TypeVar
+from typing import Any, TypeVar
 
 from msgspec import Struct
 
@@ -37,8 +37,8 @@ Key = tuple[str, str]
 """Camera and track of a passage."""
 Pairs = dict[tuple[str, str], int]
 """Pairs of cameras (from, to), and the number of true transitions between them."""
-Identities = Mapping[tuple[str | None, str | int | None], object]
-"""Identity of the object of each camera and track."""
+Identities = Mapping[Any, object]
+"""Identity of the object of each (camera, track)."""
 OnEvent = Callable[[int, str], object]
 """Called with a number of events and what has become of them, ``predicted`` or ``matched``."""
 
@@ -128,8 +128,8 @@ def score(
 
     events: the recording, in any order; those after the learned ones are scored, or all if there
         are none.
-    identities: who the object of each camera and track is, any value; if tracks differ between
-        cameras, None in place of the camera. Clutter has none.
+    identities: by (camera, track), who the object is, any value; if tracks differ between cameras,
+        None in place of the camera. Clutter has none.
     on_event: is told how far it is.
 
     Links, the next camera of each exit, and the earlier passage of each entry are scored. Raises
@@ -149,12 +149,10 @@ def score(
     by_exit = _given(by_moment(predicting(topology), recording), "predicted", on_event)
     by_entry = _given(by_moment(matching(topology), recording), "matched", on_event)
     matches = [match for match in by_entry if match.t > begin]
-    return RecordingScore(
-        *_link_score(topology, passages.values()),
-        *_prediction_score(list(by_exit), passages, begin, end),
-        *_match_score(matches, passages, window),
-        is_learned,
-    )
+    links, missing, false = _link_score(topology, passages.values())
+    exits, predictions = _prediction_score(list(by_exit), passages, begin, end)
+    counts = _match_score(matches, passages, window)
+    return RecordingScore(links, missing, false, exits, predictions, *counts, is_learned)
 
 
 def _given(
@@ -191,8 +189,8 @@ def passages_of(events: Iterable[Event], identities: Identities) -> dict[Key, Tr
     return passages
 
 
-def _link_score(topology: Topology, passages: Iterable[TruePassage]) -> Iterator[Pairs]:
-    """Yield the true links that the topology has, those that it has not, and its false ones."""
+def _link_score(topology: Topology, passages: Iterable[TruePassage]) -> list[Pairs]:
+    """Return the true links that the topology has, those that it has not, and its false ones."""
     transitions = Counter(
         (passage.key[0], passage.outcome)
         for passage in passages
@@ -210,8 +208,8 @@ def _link_score(topology: Topology, passages: Iterable[TruePassage]) -> Iterator
         (camera_of(link.from_), camera_of(link.to)) for link in links_between_views(topology)
     }
     false = {pair for pair in published_pairs if transitions[pair] <= SPURIOUS_TRANSITIONS_MAX}
-    for pairs in (published_pairs & true, true - published_pairs, false):
-        yield {pair: transitions[pair] for pair in pairs}
+    groups = (published_pairs & true, true - published_pairs, false)
+    return [{pair: transitions[pair] for pair in group} for group in groups]
 
 
 def _prediction_score(

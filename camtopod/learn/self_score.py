@@ -18,9 +18,10 @@ from msgspec import Struct
 from camtopod.event_time import MICROSECONDS
 from camtopod.learn.outcomes import Happened, ScoredPrediction
 from camtopod.learn.prediction_model import SHARE_MIN
+from camtopod.markov_chain import estimate_markov_chain
 from camtopod.predict import Predictor, PredictorState
 from camtopod.records import Event, SelfScore, Topology
-from camtopod.topology import estimate_markov_chain, weak_links
+from camtopod.topology import weak_links
 from camtopod.words import sum_by_camera
 
 EXITS_PER_VERSION = 100

@@ -75,6 +75,8 @@ from camtopod.records.status import (
 from camtopod.records.topology import (
     DELTA_SCHEMA as DELTA_SCHEMA,
     LAG_BINS_MAX as LAG_BINS_MAX,
+    LAG_SCALE_SECONDS as LAG_SCALE_SECONDS,
+    LAG_STEP as LAG_STEP,
     MODEL_SCHEMA as MODEL_SCHEMA,
     TOPOLOGY_SCHEMA as TOPOLOGY_SCHEMA,
     Alarm as Alarm,
@@ -85,6 +87,7 @@ from camtopod.records.topology import (
     Link as Link,
     Pair as Pair,
     SelfScore as SelfScore,
+    ShareMatrix as ShareMatrix,
     Topology as Topology,
     Transit as Transit,
     VersionModel as VersionModel,

@@ -7,11 +7,14 @@ parts.
 
 from __future__ import annotations
 
-from typing import Annotated
+import math
+from typing import Annotated, Any, NamedTuple
 
 from msgspec import Meta, Struct, field
+from msgspec.structs import asdict
 
 from camtopod import words
+from camtopod.markov_chain import estimate_markov_chain
 from camtopod.records.field_types import (
     CameraId,
     Count,
@@ -34,6 +37,10 @@ MODEL_SCHEMA = "camtopod/topology-model/1"
 DELTA_SCHEMA = "camtopod/topology-delta/1"
 """`Delta.schema` of the deltas that this program reads and writes."""
 
+LAG_SCALE_SECONDS = 4.0
+"""Lag, in seconds, around which bins change from constant width to a constant share of the lag."""
+LAG_STEP = 0.1
+"""Width of a bin in asinh(lag / scale): about 0.4 s near zero, a tenth of the lag far from zero."""
 LAG_BINS_MAX = 1_000
 """Most lag bins that a model may have; learned topologies have about 90."""
 
@@ -105,6 +112,15 @@ class Histogram(Struct, frozen=True, omit_defaults=True):
     unit: Number = 1.0
     delay: Duration = 0.0
 
+    @property
+    def edges(self) -> list[float]:
+        """Edges of the n bins of ``mass``, (n + 1, seconds), delay included.
+
+        They are those of all topologies that this program learns: `LAG_SCALE_SECONDS`, `LAG_STEP`.
+        """
+        numbers = range(self.first, self.first + len(self.mass) + 1)
+        return [self.delay + LAG_SCALE_SECONDS * math.sinh(LAG_STEP * k) for k in numbers]
+
 
 class Lacks(Struct, frozen=True):
     """Evidence that a weak link still needs to be published.
@@ -142,6 +158,14 @@ class Link(Struct, frozen=True, omit_defaults=True, rename={"from_": "from"}):
     lacks: Lacks | None = None
     provisional: str = ""
     contradicted: bool = False
+
+    def times(self) -> tuple[list[float], list[float]]:
+        """Return the histogram of transit times: n + 1 edges, seconds, and n masses.
+
+        A mass is the expected number of transitions in its bin; n is 0 without a histogram.
+        """
+        histogram = self.histogram or Histogram(0, [])
+        return histogram.edges, [histogram.unit * mass for mass in histogram.mass]
 
 
 class Pair(Struct, frozen=True, omit_defaults=True):
@@ -213,13 +237,36 @@ class _OfVersion(Struct, frozen=True, omit_defaults=True):
     digest: str
 
 
+class ShareMatrix(NamedTuple):
+    """Next cameras of the objects that leave each camera, by the published links.
+
+    cameras (n): order of rows and columns.
+    probability (n rows of n): of the objects that leave the camera of the row, the share that
+        appears next in that of the column, which may be the same one.
+    unlinked (n): the share that leaves the site, or appears where no link tells.
+    """
+
+    cameras: list[str]
+    probability: list[list[float]]
+    unlinked: list[float]
+
+
 class Topology(_OfVersion, frozen=True, omit_defaults=True):
     """One version of the learned topology.
 
         >>> from camtopod import load_topology
-        >>> for link in load_topology("topology.json").links:
+        >>> topology = load_topology("topology.json")
+        >>> for link in topology.links:
         ...     print(link.from_, link.to, link.relation, round(link.transit.q50))
         lobby/1 hall/1 unseen 8
+        >>> edges, mass = topology.link("lobby", "hall").times()  # histogram, edges in seconds
+        >>> len(edges) - len(mass), round(sum(mass))
+        (1, 200)
+        >>> cameras, probability, unlinked = topology.matrix()
+        >>> cameras, [round(share, 1) for share in probability[1]]
+        (['hall', 'lobby'], [1.0, 0.0])
+        >>> topology.links_table()[0]["q50"] == topology.links[0].transit.q50
+        True
 
     ``digest`` is over the content, without site, epoch and version. ``alarms`` are the newest of
     the epoch, oldest first. ``evidence``: before the first link between views, the share of its
@@ -245,6 +292,45 @@ class Topology(_OfVersion, frozen=True, omit_defaults=True):
     def __post_init__(self) -> None:
         if self.schema != TOPOLOGY_SCHEMA:
             raise ValueError(f"schema is {self.schema!r}; this program reads {TOPOLOGY_SCHEMA!r}")
+
+    def link(self, from_: str, to: str) -> Link:
+        """Return the link with most transitions between two places, each a zone or a camera.
+
+        Raises KeyError if there is none.
+        """
+        cameras = {zone.id: zone.camera for zone in self.zones}
+        links = [
+            link
+            for link in self.links
+            if from_ in (link.from_, cameras[link.from_]) and to in (link.to, cameras[link.to])
+        ]
+        if not links:
+            raise KeyError(f"version {self.version} has no link from {from_} to {to}")
+        return max(links, key=lambda link: link.transitions)
+
+    def links_table(self) -> list[dict[str, Any]]:
+        """Return a row for each published link, for ``pandas.DataFrame``.
+
+        The columns are fields of `Link` and `Transit`, and the two cameras.
+        """
+        cameras = {zone.id: zone.camera for zone in self.zones}
+        columns = ("relation", "probability", "transitions", "q_value", "provisional")
+        return [
+            {
+                **{"from": link.from_, "to": link.to},
+                **{"from_camera": cameras[link.from_], "to_camera": cameras[link.to]},
+                **{name: getattr(link, name) for name in columns},
+                **asdict(link.transit),
+            }
+            for link in self.links
+        ]
+
+    def matrix(self) -> ShareMatrix:
+        """Return the next cameras as a matrix: the Markov chain over cameras (thesis 4.6)."""
+        names = [camera.id for camera in self.cameras]
+        chain = estimate_markov_chain(self.zones, self.links)
+        rows = [[chain.get(a, {}).get(b, 0.0) for b in names] for a in names]
+        return ShareMatrix(names, rows, [max(1.0 - sum(row), 0.0) for row in rows])
 
 
 class VersionModel(Struct, frozen=True):

@@ -3,8 +3,8 @@
 The records of a topology are in `camtopod.records`. Reading order: `lag_bins` (bins for transit
 times), `histograms` (transit-time histograms as a version stores them), `grid` (image positions as
 integers, and blocks of the image), `student_t` (lags of a path) and `shared_constants`.
-`declared_pairs` has what a user has declared. `camera_pairs` (overlapped views or unseen paths) and
-`markov_chain` (the chain over cameras) are computed from links. `site_names` has cameras' names
+`declared_pairs` has what a user has declared. `camera_pairs` (overlapped views or unseen paths) are
+computed from links. `site_names` has cameras' names
 within ids. `versions` has digests of versions and the deltas between them. `named_figures`
 has weak links and what else a model says by name, and `first_links` says what a site without links
 waits for. `places` finds cameras and zones by name.
@@ -54,7 +54,6 @@ from camtopod.topology.lag_bins import (
     offset_bins as offset_bins,
     smooth as smooth,
 )
-from camtopod.topology.markov_chain import estimate_markov_chain as estimate_markov_chain
 from camtopod.topology.named_figures import (
     by_name as by_name,
     last_events as last_events,

@@ -16,11 +16,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from camtopod.arrays import Floats, row_slices
+from camtopod.records import LAG_SCALE_SECONDS as LAG_SCALE_SECONDS, LAG_STEP as LAG_STEP
 
-LAG_SCALE_SECONDS = 4.0
-"""Lag, in seconds, around which bins change from constant width to a constant share of the lag."""
-LAG_STEP = 0.1
-"""Width of a bin in asinh(lag / scale): about 0.4 s near zero, a tenth of the lag far from zero."""
 LAGS_AT_ONCE = 1 << 15
 """Number of lags whose bins are looked up at one time, few enough for a processor's cache."""
 OFFSET_SECONDS_MAX = 600.0

@@ -17,6 +17,7 @@ import camtopod
 from camtopod.codec import to_json
 
 NAMES = sorted(camtopod.__all__)
+SCIPY = ("Learner", "export_topology", "learn_topology")
 
 
 def examples(name: str) -> list[doctest.DocTest]:
@@ -58,11 +59,11 @@ def test_the_example_of_a_name_runs(
 
 
 @pytest.mark.parametrize("name", NAMES)
-def test_only_the_learner_needs_scipy(name: str) -> None:
+def test_only_the_learner_and_the_layout_need_scipy(name: str) -> None:
     code = f"import sys, camtopod; from camtopod import {name}; print('scipy' in sys.modules)"
     said = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=60)
 
-    assert said.stdout.strip() == str(name in ("Learner", "learn_topology")), said.stderr
+    assert said.stdout.strip() == str(name in SCIPY), said.stderr
 
 
 def test_a_name_that_does_not_exist_is_named() -> None:

@@ -28,7 +28,7 @@ PACKAGES = sorted(
 
 FLOORS = (
     "records",
-    "files words admin arrays columns older redact visible soundness sound_columns codec "
+    "files words markov_chain admin arrays columns older redact visible soundness sound_columns codec "
     "event_time publishers mqtt untrusted_xml",
     "topology",
     "statuses",

@@ -18,11 +18,11 @@ from camtopod.codec import read, to_json
 from camtopod.learn.due_versions import REFIT_EVENTS_MIN
 from camtopod.learn.learner import STEPS, Learner
 from camtopod.learn.settings import Settings
+from camtopod.markov_chain import estimate_markov_chain
 from camtopod.records import Event, Link, Topology
 from camtopod.sim.scoring import score
 from camtopod.sim.simulation import SimSettings, simulate
 from camtopod.topology import weak_links
-from camtopod.topology.markov_chain import estimate_markov_chain
 from camtopod.topology.versions import digest_of, make_delta, map_of
 
 QUICK = Settings(version_seconds=10.0, refit_share=0.3)

@@ -7,7 +7,7 @@ import sys
 from typing import Any
 
 from camtopod.cli.common import open_output, topology_of
-from camtopod.export import FORMATS, camera_numbers, with_weak_links
+from camtopod.export import FORMATS, camera_numbers, export_topology
 
 
 def add_parser(add: Any) -> None:
@@ -33,10 +33,9 @@ def add_parser(add: Any) -> None:
 def run(args: argparse.Namespace) -> None:
     """Write the export. Raises `exits.InputError` if the topology cannot be read."""
     topology = topology_of(args.topology)
-    if args.weak:
-        topology = with_weak_links(topology)
+    text = export_topology(topology, args.format, weak=args.weak)
     with open_output(args.out) as file:
-        file.write(FORMATS[args.format](topology).encode())
+        file.write(text.encode())
     if args.format == "aicity":
         numbers = camera_numbers(topology).items()
         numbering = ", ".join(f"{number} is {name}" for name, number in numbers)

@@ -19,7 +19,7 @@ from camtopod.cli.exits import InputError
 from camtopod.cli.terminal import Progress
 from camtopod.codec import to_json
 from camtopod.predict import matching, predicting
-from camtopod.records import Event, Kind, Match, Prediction, Topology
+from camtopod.records import Event, Kind, Match, Prediction
 
 
 def add_parser(add: Any) -> None:

@@ -20,10 +20,10 @@ from camtopod.learn.links.link_table import (
 )
 from camtopod.learn.links.publishing import PublishingRule
 from camtopod.learn.settings import Settings
+from camtopod.markov_chain import estimate_markov_chain
 from camtopod.records import Link, Transit, Zone
 from camtopod.topology.camera_pairs import find_camera_pairs, sum_rule
 from camtopod.topology.lag_bins import LagBins
-from camtopod.topology.markov_chain import estimate_markov_chain
 
 BINS = LagBins(-20.0, 120.0)
 RULE = PublishingRule(Settings(publish_q_max=0.01, publish_probability_min=0.03))

@@ -7,8 +7,10 @@ from __future__ import annotations
 
 from collections import defaultdict
 from collections.abc import Iterable
+from typing import TYPE_CHECKING
 
-from camtopod.records import Link, Zone
+if TYPE_CHECKING:  # which have the chain as a matrix
+    from camtopod.records import Link, Zone
 
 
 def estimate_markov_chain(
