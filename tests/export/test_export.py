@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import io
 import json
+import math
 import re
 import shutil
 import subprocess
@@ -12,6 +13,7 @@ from xml.etree import ElementTree
 
 import msgspec
 import networkx as nx
+import numpy as np
 import pytest
 from model_rows import with_rows
 from synthetic_topology import synthetic_topology
@@ -19,7 +21,7 @@ from synthetic_topology import synthetic_topology
 from camtopod.cli.main import main
 from camtopod.codec import to_json
 from camtopod.export import FORMATS, camera_numbers
-from camtopod.export.graph import edges
+from camtopod.export.graph import edges, seconds
 from camtopod.records import Camera, Lacks
 
 TOPOLOGY = synthetic_topology(7)
@@ -89,7 +91,7 @@ def test_weak_links_are_drawn_dashed_if_asked_for(
         assert "dash" not in without
 
     assert drawn["dot"].count('style="dashed"') == 1
-    assert drawn["svg"].count("stroke-dasharray") == 1
+    assert drawn["svg"].count("stroke-dasharray") == 2, "the line, and the legend's"
     graphs = [nx.node_link_graph(json.loads(drawn["json"]), edges="edges")]
     graphs.append(nx.read_graphml(io.StringIO(drawn["graphml"])))
     for graph in graphs:
@@ -125,7 +127,8 @@ def test_svg_is_xml_with_black_and_grey_edges() -> None:
     site = "a<b & c"
     root = ElementTree.fromstring(FORMATS["svg"](msgspec.structs.replace(TOPOLOGY, site=site)))
 
-    _, _, width, height = map(float, root.attrib["viewBox"].split())
+    left, top, width, height = map(float, root.attrib["viewBox"].split())
+    assert (float(root.attrib["width"]), float(root.attrib["height"])) == (width, height)
     titled = [group for group in root.findall("s:g", SVG) if group.find("s:title", SVG) is not None]
     strokes = [line.attrib["stroke"] for group in titled for line in group.findall("s:line", SVG)]
     titles = {str(one.findtext("s:title", namespaces=SVG)).split(",")[0] for one in titled}
@@ -134,8 +137,8 @@ def test_svg_is_xml_with_black_and_grey_edges() -> None:
     assert set(CAMERAS) <= titles
     assert site in (root.findtext("s:title", namespaces=SVG) or "")
     for circle in root.findall("s:g/s:circle", SVG):
-        assert 11 <= float(circle.attrib["cx"]) <= width - 11
-        assert 11 <= float(circle.attrib["cy"]) <= height - 11
+        assert 11 <= float(circle.attrib["cx"]) - left <= width - 11
+        assert 11 <= float(circle.attrib["cy"]) - top <= height - 11
 
 
 def test_svg_writes_names_and_times_where_they_hit_nothing() -> None:
@@ -145,16 +148,42 @@ def test_svg_writes_names_and_times_where_they_hit_nothing() -> None:
         (float(one.attrib["cx"]), float(one.attrib["cy"]))
         for one in root.findall("s:g/s:circle", SVG)
     ]
+    lines = [
+        np.linspace(*(np.array([line.attrib[f"x{k}"], line.attrib[f"y{k}"]], float) for k in "12"))
+        for line in root.findall("s:g/s:line", SVG)
+    ]
     texts = [
         (float(one.attrib["x"]), float(one.attrib["y"]) - 4.5, len(str(one.text)) * 5.5)
         for one in root.findall("s:text", SVG)
-        if one.attrib.get("class") != "title"
+        if one.attrib.get("text-anchor") == "middle"
     ]
     assert len(texts) > len(CAMERAS), "names, and times of paths"
     for k, (x, y, width) in enumerate(texts):
         assert all(abs(x - cx) > width / 2 or abs(y - cy) > 8 for cx, cy in circles)
+        for line in lines:
+            assert (abs(line - (x, y)) > (width / 2, 6)).any(axis=1).all()
         for other_x, other_y, other_width in texts[:k]:
             assert abs(x - other_x) > (width + other_width) / 2 or abs(y - other_y) > 12
+
+
+def test_svg_gives_each_time_an_arrow_in_its_direction() -> None:
+    root = ElementTree.fromstring(FORMATS["svg"](TOPOLOGY))
+    at = {
+        str(group.findtext("s:title", namespaces=SVG)).split(",")[0]: [
+            float(circle.attrib[name]) for name in ("cx", "cy")
+        ]
+        for group in root.findall("s:g", SVG)
+        if (circle := group.find("s:circle", SVG)) is not None
+    }
+    said = "".join(str(one.text) for one in root.findall("s:text[@class='time']", SVG))
+    arrows = {}
+    for edge in edges(TOPOLOGY):
+        x, y = (b - a for a, b in zip(at[edge.from_], at[edge.to], strict=True))
+        arrow = "→↘↓↙←↖↑↗"[round(math.atan2(y, x) / (math.pi / 4)) % 8]
+        if not edge.overlapped:
+            arrows[f"{arrow} {seconds(edge.transit.mode)}"] = edge
+    assert len(arrows) > 2
+    assert all(text in said for text in arrows)
 
 
 def test_aicity_lines_are_read_as_the_challenge_code_reads_them() -> None:
