@@ -54,6 +54,7 @@ COMMANDS = {
     "watch": "show cameras, topology and predictions live in the terminal",
     "web": "serve a web page: map, cameras, links, versions and health",
     "export": "convert a topology to a picture or an exchange format",
+    "plot": "draw a figure of a topology for a paper",
     "report": "write the web page of one topology to a file",
     "ingest": "publish events from other programs",
     "bridge": "show cameras, alarms and predictions in Home Assistant, through MQTT",
