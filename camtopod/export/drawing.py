@@ -34,7 +34,7 @@ ARROWS = "→↘↓↙←↖↑↗"
 """Directions by eighths of a turn, y downwards."""
 
 
-class Line(NamedTuple):
+class PairLine(NamedTuple):
     """The line of a pair of cameras, ``a`` and another one: from ``start`` to ``start + way``."""
 
     a: str
@@ -70,7 +70,7 @@ class Drawing(NamedTuple):
     """
 
     points: dict[str, Floats]
-    lines: list[Line]
+    lines: list[PairLine]
     texts: list[Text]
     low: Floats
     high: Floats
@@ -94,7 +94,7 @@ def draw(topology: Topology) -> Drawing:
     for a, b in sorted(numbers, key=lambda pair: -numbers[pair]):
         share = math.sqrt(numbers[a, b] / max(*numbers.values(), 1e-9))
         width = WIDTHS[0] + (WIDTHS[1] - WIDTHS[0]) * share
-        lines.append(Line(a, points[a], points[b] - points[a], width, pairs[a, b]))
+        lines.append(PairLine(a, points[a], points[b] - points[a], width, pairs[a, b]))
 
     # Times, then names, for which there are more places, where they hit nothing.
     texts = _Texts(lines, points.values())
@@ -111,7 +111,7 @@ class _Texts:
     What a text may hit are segments with a reach around them: lines, circles, and the texts.
     """
 
-    def __init__(self, lines: Sequence[Line], points: Iterable[Floats]) -> None:
+    def __init__(self, lines: Sequence[PairLine], points: Iterable[Floats]) -> None:
         rows = [(*line.start, *line.way, line.width / 2) for line in lines]
         rows += [(*point, 0.0, 0.0, RADIUS) for point in points]
         self._segments = np.array(rows or [(0.0,) * 5]).T
@@ -125,7 +125,7 @@ class _Texts:
         if not self._write(name, "name", middles):
             self._write(name, "name", middles, self._line_count)
 
-    def write_times(self, line: Line) -> None:
+    def write_times(self, line: PairLine) -> None:
         """Write the most frequent times of unseen paths beside their line, each with its arrow."""
         eighth = round(math.atan2(line.way[1], line.way[0]) / (math.pi / 4))
         text = " ".join(

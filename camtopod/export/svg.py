@@ -7,7 +7,7 @@ from xml.sax.saxutils import escape
 import numpy as np
 
 from camtopod.arrays import Floats
-from camtopod.export.drawing import LETTERS, RADIUS, ROW, Line, draw
+from camtopod.export.drawing import LETTERS, RADIUS, ROW, PairLine, draw
 from camtopod.export.graph import seconds
 from camtopod.records import Topology
 from camtopod.visible import visible
@@ -71,7 +71,7 @@ def _shown(text: str) -> str:
     return escape(visible(text))
 
 
-def _drawn(line: Line) -> str:
+def _drawn(line: PairLine) -> str:
     """Return the line between two cameras, with both directions in its tooltip."""
     tooltip = "; ".join(
         f"{edge.from_} → {edge.to} "
