@@ -358,9 +358,9 @@ def aims(topology: Topology, predictions: Sequence[Prediction]) -> tuple[list[st
     pairs = {frozenset(pair.cameras) for pair in topology.pairs if pair.relation == "unseen_path"}
     dots, rings = [], []
     for one in predictions:
-        if not one.candidates:
+        if not one.next:
             continue
-        aim = one.candidates[0]
+        aim = one.next[0]
         begin, first, last = (at(one.t + s) for s in (0.0, aim.q10, aim.q90))
         if aim.probability < 0.3 or frozenset((one.camera, aim.camera)) not in pairs:
             continue
@@ -398,9 +398,7 @@ def captions(
         said.append((at(until), f"minute {minute}: {count} anonymous entries and exits{known}"))
     said.append((at(START + LEARNED), "each exit is predicted:"))
     said += [
-        (at(one.t), f"{one.camera} → {str(one).split('; ')[0]}")
-        for one in predictions
-        if one.candidates
+        (at(one.t), f"{one.camera} → {str(one).split('; ')[0]}") for one in predictions if one.next
     ]
     ends = [*(begin for begin, _ in said[1:]), 1.0]
     return [

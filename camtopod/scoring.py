@@ -240,7 +240,7 @@ def _prediction_score(
                 name: (other_counts[name] + BACKING_EXITS * baseline[name]) / total
                 for name in outcomes
             }
-        predicted_shares = sum_by_camera(prediction.candidates)
+        predicted_shares = sum_by_camera(prediction.next)
         for name, shares in (
             ("camtopod", predicted_shares | {LEAVES: prediction.leave}),
             ("told", baseline),

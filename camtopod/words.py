@@ -350,7 +350,7 @@ def origin(match: Match) -> str:
 def _outcomes(prediction: Prediction) -> list[Headline]:
     """Return the outcomes that are said, likeliest first, but who is in view now before all."""
     views = seen_now(prediction)
-    shares = sum_by_camera(prediction.candidates) | views | {LEAVES: prediction.leave}
+    shares = sum_by_camera(prediction.next) | views | {LEAVES: prediction.leave}
     outcomes = []
     for place, share in shares.items():
         words = f"{place} {100 * share:.0f} %"
@@ -359,7 +359,7 @@ def _outcomes(prediction: Prediction) -> list[Headline]:
         if place in views:
             words += ", in view now"
         elif place != LEAVES:
-            rows = [row for row in prediction.candidates if row.camera == place]
+            rows = [row for row in prediction.next if row.camera == place]
             words += f", {when(min(rows, key=lambda row: row.prior))}"
         if share >= SHARE_SAID_MIN:
             outcomes.append(Headline(place, share, words))

@@ -89,7 +89,7 @@ def following_figures(
 def _ours(prediction: Prediction, cameras: Sequence[str]) -> dict[str, float]:
     """Return our probability of each other camera, given that the object appears at one."""
     weight = {name: OURS_LEAST for name in cameras if name != prediction.camera}
-    for way in prediction.candidates:
+    for way in prediction.next:
         if way.camera in weight:
             weight[way.camera] += way.probability
     total = sum(weight.values())

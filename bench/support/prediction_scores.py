@@ -177,7 +177,7 @@ def _calibration_error(guesses: Sequence[_Guess]) -> float:
 def _by_camera(prediction: Prediction) -> dict[str, float]:
     """Return camera -> probability of being next."""
     result: dict[str, float] = {}
-    for choice in prediction.candidates:
+    for choice in prediction.next:
         result[choice.camera] = result.get(choice.camera, 0.0) + choice.probability
     return result
 
@@ -188,7 +188,7 @@ def _within(prediction: Prediction, entry: Event, zone: str | None) -> list[bool
 
     Without a zone it is the window of the camera's likeliest zone.
     """
-    named = [choice for choice in prediction.candidates if choice.camera == entry.camera]
+    named = [choice for choice in prediction.next if choice.camera == entry.camera]
     for choice in [choice for choice in named if choice.zone == zone] or named:
         return [choice.q10 <= entry.t - prediction.t <= choice.q90]
     return []

@@ -216,8 +216,8 @@ def prediction_figures(
             happened.append(passage)
             ours.append(
                 Guess(
-                    {LEAVE: one.leave} | sum_by_camera(one.candidates),
-                    [(w.camera, w.probability, (w.q10, w.q50, w.q90)) for w in one.candidates],
+                    {LEAVE: one.leave} | sum_by_camera(one.next),
+                    [(w.camera, w.probability, (w.q10, w.q50, w.q90)) for w in one.next],
                 )
             )
             told.append(chain.guess(zone, one.camera))
@@ -354,7 +354,7 @@ def look_figures(predictions: Sequence[Prediction], recording: Recording) -> tup
                 of_zone[one.zone or ""][camera] += 1
                 of_zone[f"{one.camera}/"][camera] += 1
             continue
-        looks = one.candidates if one.look is None else one.look
+        looks = one.next if one.look is None else one.look
         shares = sum_by_camera(way for way in looks if way.camera != one.camera)
         frequent = of_zone.get(one.zone or "") or of_zone[f"{one.camera}/"]
         ours.append(bool(shares) and max(shares, key=lambda camera: shares[camera]) in right)

@@ -131,7 +131,7 @@ class Arrivals:
             prediction = departure.prediction
             remainder = max(0.0, 1.0 - sum(departure.seen.values()))
             shares: dict[str, float] = defaultdict(float)
-            for row in prediction.candidates:
+            for row in prediction.next:
                 from_, until = prediction.t + row.q10, prediction.t + row.q90
                 if not now <= until:
                     continue
@@ -157,7 +157,7 @@ class Arrivals:
         looks: dict[str, Awaited] = {}
         for (camera, t), departure in self._exits.items():
             look, sees = look_at(departure.prediction)
-            rows = [row for row in departure.prediction.candidates if row.camera == look]
+            rows = [row for row in departure.prediction.next if row.camera == look]
             from_ = t
             until = t + max([LOOK_SECONDS, *(row.q90 for row in rows[:1])])
             for (place, begin), probability in departure.seen.items():
@@ -173,6 +173,6 @@ def look_at(prediction: Prediction) -> tuple[str, float]:
 
     With its probability; "none" and 0 if there is no such camera.
     """
-    looks = prediction.look or prediction.candidates  # without overlapping views
+    looks = prediction.look or prediction.next  # without overlapping views
     shares = sum_by_camera(row for row in looks if row.camera != prediction.camera)
     return max(shares.items(), key=lambda item: item[1], default=("none", 0.0))

@@ -184,7 +184,7 @@ def prediction_state(topics: Topics, prediction: Prediction) -> Messages:
     """
     answer = headline(prediction)
     nouns = {prediction.camera: "returns", LEAVES: "leaves", UNKNOWN: "unknown"}
-    rows = [row for row in prediction.candidates if row.camera == answer.place and not row.prior]
+    rows = [row for row in prediction.next if row.camera == answer.place and not row.prior]
     times = (rows[0].q10, rows[0].q90) if rows else (math.nan, math.nan)
     from_, until = (_iso(prediction.t + max(t, 0.0)) for t in times)
     look, sees = look_at(prediction)

@@ -106,7 +106,7 @@ class Scorer:
                 state.exits += 1
                 if state.exits % state.stride == 0 and predictor.zone_of(event) is not None:
                     prediction = predictor.predict(event)
-                    shares = {"": prediction.leave, **sum_by_camera(prediction.candidates)}
+                    shares = {"": prediction.leave, **sum_by_camera(prediction.next)}
                     baseline = state.baseline.get(event.camera, {"": 1.0})
                     version = predictor.version
                     state.waiting.append(

@@ -55,7 +55,7 @@ class _PendingExit:
     """
 
     def __init__(self, prediction: Prediction, number: Callable[[str], int]) -> None:
-        rows = [row for row in prediction.candidates if row.probability >= PROBABILITY_MIN]
+        rows = [row for row in prediction.next if row.probability >= PROBABILITY_MIN]
         self.t = prediction.t
         self.camera = number(prediction.camera)
         self.to = np.array([number(row.camera) for row in rows], np.intp)

@@ -25,7 +25,7 @@ class CityPredictor:
 
         >>> from camtopod import CityPredictor, Event, load_topology
         >>> predictor = CityPredictor(load_topology("city.json"))
-        >>> predictor.predict(Event("lobby", "exit", 1_700_000_000.0)).candidates[0].zone
+        >>> predictor.predict(Event("lobby", "exit", 1_700_000_000.0)).next[0].zone
         'hall/1'
 
     Raises ValueError for a topology that is no city.

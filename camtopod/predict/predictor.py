@@ -59,7 +59,7 @@ class Predictor:
         >>> from camtopod import Event, Predictor, load_topology
         >>> predictor = Predictor(load_topology("topology.json"))
         >>> left = Event("lobby", "exit", 1_700_000_000.0)
-        >>> likeliest = predictor.predict(left).candidates[0]
+        >>> likeliest = predictor.predict(left).next[0]
         >>> likeliest.zone, round(likeliest.q50)
         ('hall/1', 8)
         >>> predictor.observe(left)

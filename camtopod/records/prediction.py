@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import warnings
+
 from msgspec import Struct
 
 from camtopod import words
@@ -47,26 +49,26 @@ class InView(Struct, frozen=True):
     probability: float
 
 
-class Prediction(Struct, frozen=True, omit_defaults=True, rename={"candidates": "next"}):
+class Prediction(Struct, frozen=True, omit_defaults=True):
     """Where an object that has left the view of ``camera`` at ``t`` appears next.
 
         >>> from camtopod import Event, Predictor, load_topology
         >>> predictor = Predictor(load_topology("topology.json"))
         >>> prediction = predictor.predict(Event("lobby", "exit", 1_700_000_000.0))
-        >>> prediction.candidates[0].camera, prediction.candidates[0].when
+        >>> prediction.next[0].camera, prediction.next[0].when
         ('hall', 'in 6 to 10 s')
         >>> print(prediction)
         hall 98 %, in 6 to 10 s; leaves the site 2 %
 
     zone: zone where it left; None if the camera has no zone yet.
     version: version of the topology that was used.
-    leave: probability that it leaves the site; with those of ``candidates``, and with ``others`` if
+    leave: probability that it leaves the site; with those of ``next``, and with ``others`` if
         that is there, it sums to 1.
-    candidates: possible next appearances, by falling probability; a zone may be there more than
-        once, for other times. The JSON key is ``next``.
+    next: possible next appearances, by falling probability; a zone may be there more than once, for
+        other times.
     look, in_view: only if other views overlap: cameras that may see the object now or next, whose
         probabilities may sum to more than 1, and passages under way that may be of it.
-    others: sum of the probabilities that are left out of ``candidates``; None if it has all.
+    others: sum of the probabilities that are left out of ``next``; None if it has all.
     prior: True if it is not learned yet where objects of the zone go.
     """
 
@@ -76,11 +78,17 @@ class Prediction(Struct, frozen=True, omit_defaults=True, rename={"candidates": 
     track: str | None
     version: int
     leave: float
-    candidates: list[NextCamera]
+    next: list[NextCamera]
     look: list[Look] | None = None
     in_view: list[InView] | None = None
     others: float | None = None
     prior: bool = False
+
+    @property
+    def candidates(self) -> list[NextCamera]:
+        """Earlier name of ``next``."""
+        warnings.warn("Prediction.candidates is next", DeprecationWarning, stacklevel=2)
+        return self.next
 
     def __str__(self) -> str:
         return words.headline(self).words

@@ -60,7 +60,7 @@ def shown(prediction: Prediction) -> dict[str, Any]:
         "place": answer.place,
         "words": answer.words,
         "now": [Look(*item) for item in seen_now(prediction).items()],
-        "next": prediction.candidates[:NEXT_SHOWN],
+        "next": prediction.next[:NEXT_SHOWN],
     }
 
 

@@ -146,7 +146,7 @@ def test_the_told_chain_counts_with_a_part_of_a_count_for_everything() -> None:
     )
 
     assert here.leave == pytest.approx((1 + 0.5) / (4 + 1.0))
-    assert [(c.camera, c.probability) for c in here.candidates] == [("b", pytest.approx(3.5 / 5.0))]
+    assert [(c.camera, c.probability) for c in here.next] == [("b", pytest.approx(3.5 / 5.0))]
     assert elsewhere.leave == here.leave  # nothing was ever seen to leave b: as all together
 
 

@@ -178,7 +178,7 @@ def test_the_links_are_a_table_with_the_weak_ones_last(run: Run, topology: Path)
     status, printed, _ = run("learn", "-", "--table", stdin=lines(EVENTS))
 
     first, *rows = printed.decode().splitlines()
-    assert (status, first.split()[:4]) == (0, ["FROM", "TO", "RELATION", "SHARE"])
+    assert (status, first.split()[:4]) == (0, ["FROM", "TO", "RELATION", "PROBABILITY"])
     told = {tuple(row.split()[:3]): row for row in rows}
     for link in links:
         assert f"{link.transit.q90:.1f}  q = " in told[link.from_, link.to, link.relation]
@@ -233,10 +233,10 @@ def test_the_likeliest_and_the_sum_of_the_others(run: Run, topology: Path, recor
     _, short, _ = run("predict", topology, recording, "--top", "2")
 
     for all_, few in zip(predictions(printed), predictions(short), strict=True):
-        assert few.candidates == all_.candidates[:2]
+        assert few.next == all_.next[:2]
         assert all_.others is None
-        assert (few.others is None) == (len(all_.candidates) <= 2)
-        shown = [few.leave, *(one.probability for one in few.candidates), few.others or 0.0]
+        assert (few.others is None) == (len(all_.next) <= 2)
+        shown = [few.leave, *(one.probability for one in few.next), few.others or 0.0]
         assert sum(shown) == pytest.approx(1.0, abs=1e-9)
     assert any(prediction.others for prediction in predictions(short))
 

@@ -97,7 +97,7 @@ def test_versions_come_by_themselves(tmp_path: Path) -> None:
         )
 
     assert [one.version for one in site.versions()] == [], "closed"
-    assert site.predict(**LEFT).candidates, "what is held stays usable"
+    assert site.predict(**LEFT).next, "what is held stays usable"
     assert site.stale_since is not None
 
 
@@ -129,16 +129,12 @@ def test_a_prediction_is_the_daemons(learned_daemon: LearnedDaemon, site: Site) 
     asked = read(Prediction, answer[1], pack=True)
 
     assert (said.camera, said.t, said.track, said.version) == ("a", NOW, "7", site.version)
-    assert [one.zone for one in said.candidates[:2]] == [one.zone for one in asked.candidates[:2]]
-    assert {one.camera for one in said.candidates[:2]} == {"b", "c"}
-    assert said.candidates[0].probability == pytest.approx(
-        asked.candidates[0].probability, abs=0.01
-    )
-    assert 7 < said.candidates[0].q50 < 11
+    assert [one.zone for one in said.next[:2]] == [one.zone for one in asked.next[:2]]
+    assert {one.camera for one in said.next[:2]} == {"b", "c"}
+    assert said.next[0].probability == pytest.approx(asked.next[0].probability, abs=0.01)
+    assert 7 < said.next[0].q50 < 11
     by_zone = site.predict("a", NOW, zone=said.zone)
-    assert by_zone.candidates[0].probability == pytest.approx(
-        said.candidates[0].probability, abs=0.05
-    )
+    assert by_zone.next[0].probability == pytest.approx(said.next[0].probability, abs=0.05)
 
 
 def test_how_many_are_between_cameras_is_what_the_daemon_says(

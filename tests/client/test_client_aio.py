@@ -15,7 +15,7 @@ def test_asyncio_has_the_same(learned_daemon: LearnedDaemon) -> None:
     async def main() -> None:
         async with aio.Site.connect(connect=learned_daemon.daemon.endpoint) as site:
             assert site.stale_since is None
-            assert site.predict(**LEFT).candidates
+            assert site.predict(**LEFT).next
             assert await site.wait_for(1, 0.0) is site.current
             with pytest.raises(TimeoutError, match="no version 1000000"):
                 await site.wait_for(10**6, 0.05)

@@ -204,7 +204,7 @@ def test_a_camera_is_not_its_own_next_one_and_nobody_comes_before_leaving() -> N
     """Where views overlap, objects are seen before they leave."""
     back = shown(to_hall(0.1, ("lobby", 0.9)))
     over = msgspec.structs.replace(
-        to_hall(0.1), candidates=[NextCamera("hall", "hall/1", 0.9, -18.0, -17.0, -16.0)]
+        to_hall(0.1), next=[NextCamera("hall", "hall/1", 0.9, -18.0, -17.0, -16.0)]
     )
 
     assert back["next"] == "returns"

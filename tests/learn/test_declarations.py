@@ -112,7 +112,7 @@ def test_who_cannot_go_somewhere_is_hardly_expected_there() -> None:
         topology = learned(events, not_neighbours=apart)
         prediction = Predictor(topology).predict(Event("a", "exit", events[-1].t + 3600.0))
         by_camera = dict.fromkeys(NAMES, 0.0)
-        for one in prediction.candidates:
+        for one in prediction.next:
             by_camera[one.camera] += one.probability
         chance[apart] = by_camera
     assert chance[("a", "d"),]["d"] < 0.5 * chance[()]["d"]
@@ -132,7 +132,7 @@ def test_who_does_not_leave_is_somewhere() -> None:
     for event, now in ((left, None), (left, left.t + 30.0), (left, left.t + 4000.0)):
         prediction = predictor.predict(replace(event, camera="a"), now)
         assert prediction.leave <= LEAVE_FLOOR + 1e-9
-        assert prediction.leave + sum(one.probability for one in prediction.candidates) == (
+        assert prediction.leave + sum(one.probability for one in prediction.next) == (
             pytest.approx(1.0, abs=2e-3)
         )
 

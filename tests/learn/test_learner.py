@@ -318,9 +318,9 @@ def test_odd_recordings(name: str) -> None:
         predictor = learner.predictor()
         for event in events[-10:]:
             prediction = predictor.predict(replace(event, kind="exit"))
-            assert prediction.leave + sum(
-                n.probability for n in prediction.candidates
-            ) == pytest.approx(1.0)
+            assert prediction.leave + sum(n.probability for n in prediction.next) == pytest.approx(
+                1.0
+            )
             predictor.observe(event)
 
 

@@ -86,14 +86,14 @@ def test_a_way_of_five_minutes_is_found_beside_one_of_seconds(far_and_near: Topo
 def test_it_is_foretold_in_its_window_and_gone_when_that_is_over(far_and_near: Topology) -> None:
     predictor, exit_at = Predictor(far_and_near), T0 + SPAN_SECONDS + 1000.0
     exit_ = Event("a", "exit", exit_at)
-    likeliest = predictor.predict(exit_).candidates[0]
+    likeliest = predictor.predict(exit_).next[0]
     assert (likeliest.camera, likeliest.q50) == ("b", pytest.approx(300.0, abs=3.0))
     assert likeliest.probability == pytest.approx(0.5, abs=0.08)
     assert 285.0 < likeliest.q10 < 297.0
     assert 303.0 < likeliest.q90 < 345.0, "the range is wider than this way"
     still = predictor.predict(exit_, now=exit_at + 250.0)
-    assert still.candidates[0].camera == "b"
-    assert still.candidates[0].probability > 0.4
+    assert still.next[0].camera == "b"
+    assert still.next[0].probability > 0.4
     assert predictor.predict(exit_, now=exit_at + 400.0).leave > 0.9
 
 

@@ -83,7 +83,7 @@ def chances(topology: Topology, known: bool) -> dict[str, float]:
     exit_ = Event("a", "exit", 1000.0, 0.92, 0.1, "1") if known else Event("a", "exit", 1000.0)
     prediction = predictor.predict(exit_)
     found = {"": prediction.leave, "a": 0.0, "b": 0.0, "c": 0.0}
-    for one in prediction.candidates:
+    for one in prediction.next:
         found[one.camera] += one.probability
     return found
 

@@ -54,6 +54,6 @@ def test_whatever_is_learned_is_read_and_makes_predictions(seed: int) -> None:
     for event in events:
         if event.kind == "exit":
             prediction = predictor.predict(event)
-            total = prediction.leave + sum(one.probability for one in prediction.candidates)
+            total = prediction.leave + sum(one.probability for one in prediction.next)
             assert total == pytest.approx(1.0)
         predictor.observe(event)

@@ -41,13 +41,13 @@ def test_the_unknown_part_is_shared_by_unexplained_arrivals_elsewhere(seed: int)
 def test_no_times_are_known_of_what_may_be_anywhere() -> None:
     """Nor of fewer passages than a window has quantiles."""
     sure, half = asked(0.0), asked(0.5)
-    assert not any(one.prior for one in sure.candidates)
-    assert {one.when for one in half.candidates if one.prior} == {"no times known yet"}
-    assert {one.camera for one in half.candidates if one.prior} == {"b", "c"}
+    assert not any(one.prior for one in sure.next)
+    assert {one.when for one in half.next if one.prior} == {"no times known yet"}
+    assert {one.camera for one in half.next if one.prior} == {"b", "c"}
 
     few = departing(2)
-    assert few.candidates
-    assert all(one.prior for one in few.candidates)
+    assert few.next
+    assert all(one.prior for one in few.next)
 
 
 @pytest.mark.parametrize(("departures", "linked"), [(99, False), (100, False), (99, True)])

@@ -59,8 +59,8 @@ def test_an_exit_is_answered_by_its_owners_part_alone(city: Topology) -> None:
                 expected.append(alone.predict(event))
             alone.observe(event)
         assert [x for x in answers if OWNERS[x.camera] == part.site] == expected
-    assert {OWNERS[answers[0].camera], OWNERS[answers[0].candidates[0].camera]} <= {*DISTRICTS}
-    assert any(x.camera == "hall" and x.candidates[0].camera == "yard" for x in answers)
+    assert {OWNERS[answers[0].camera], OWNERS[answers[0].next[0].camera]} <= {*DISTRICTS}
+    assert any(x.camera == "hall" and x.next[0].camera == "yard" for x in answers)
 
 
 def test_an_entry_is_matched_by_its_owners_part_alone(city: Topology) -> None:
@@ -83,7 +83,7 @@ def test_of_a_camera_that_no_part_has_nothing_is_known(city: Topology) -> None:
     predictor.observe(exit)
     answer = predictor.predict(exit)
 
-    assert (answer.leave, answer.candidates) == (1.0, [])
+    assert (answer.leave, answer.next) == (1.0, [])
     assert walks.observe(exit) is None
     match = walks.observe(Event("cellar", "entry", 1_700_000_001.0))
     assert match is not None

@@ -23,7 +23,7 @@ def agree(topology: Topology) -> None:
     for zone, record in enumerate(topology.zones):
         prediction = predictor.predict_from(zone, topology.as_of + 10.0)
         assert math.exp(gate.gate_gone(record.id)) == pytest.approx(prediction.leave, abs=1e-6)
-        probabilities = [row.probability for row in prediction.candidates]
+        probabilities = [row.probability for row in prediction.next]
         assert prediction.leave + sum(probabilities) == pytest.approx(1.0, abs=1e-6)
 
 

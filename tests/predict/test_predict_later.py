@@ -68,7 +68,7 @@ def test_who_came_when_due_was_it() -> None:
     came = later(14.0, [AT_B])
 
     assert chances(came)["b/1"] > 0.98
-    assert 7.0 < came.candidates[0].q10 <= 8.0 <= came.candidates[0].q90 < 9.0
+    assert 7.0 < came.next[0].q10 <= 8.0 <= came.next[0].q90 < 9.0
     assert chances(later(14.0, [replace(AT_B, t=1002.0)])).get("b/1", 0.0) < 0.01, (
         "too early for it"
     )
@@ -90,8 +90,8 @@ def test_at_the_exit_the_answer_is_that_of_the_exit(topology: Topology) -> None:
     predictor.observe(EXIT)
     again = predictor.predict(EXIT, EXIT.t)
     assert chances(again) == pytest.approx(chances(at_exit), abs=1e-3)
-    assert [(n.q10, n.q50, n.q90) for n in again.candidates] == [
-        (n.q10, n.q50, n.q90) for n in at_exit.candidates
+    assert [(n.q10, n.q50, n.q90) for n in again.next] == [
+        (n.q10, n.q50, n.q90) for n in at_exit.next
     ]
 
 
@@ -104,12 +104,7 @@ def test_clocks_are_taken_as_they_are() -> None:
     assert chances(later(11.0, [], THREE)).get("b/1", 0.0) < 0.05
     waiting = later(11.0, [], ahead)
     assert chances(waiting)["b/1"] > 0.45
-    assert (
-        11.0
-        <= waiting.candidates[0].q10
-        <= waiting.candidates[0].q50
-        == pytest.approx(13.0, abs=1.0)
-    )
+    assert 11.0 <= waiting.next[0].q10 <= waiting.next[0].q50 == pytest.approx(13.0, abs=1.0)
     assert chances(later(19.0, [], ahead)).get("b/1", 0.0) < 0.01
     came = replace(AT_B, t=1013.0)
     assert chances(later(12.9, [came], ahead)) == pytest.approx(
@@ -129,11 +124,11 @@ def test_who_was_slow_is_awaited_for_longer() -> None:
 
     assert chances(later(15.0, usual, walk)).get("b/1", 0.0) < 0.02
     assert chances(later(15.0, slow, walk))["b/1"] == pytest.approx(0.8, abs=0.02)
-    assert 20.0 < later(15.0, slow, walk).candidates[0].q50 < 28.0
+    assert 20.0 < later(15.0, slow, walk).next[0].q50 < 28.0
     assert chances(later(40.0, slow, walk)).get("b/1", 0.0) < 0.02
     at_24 = later(30.0, [*slow, replace(AT_B, t=1024.0)], walk)
     assert chances(at_24)["b/1"] > 0.98
-    assert at_24.candidates[0].q10 <= 24.0 <= at_24.candidates[0].q90 < 27.0
+    assert at_24.next[0].q10 <= 24.0 <= at_24.next[0].q90 < 27.0
     assert chances(later(30.0, [*usual, replace(AT_B, t=1024.0)], walk)).get("b/1", 0.0) < 0.2
 
 

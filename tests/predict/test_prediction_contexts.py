@@ -44,9 +44,7 @@ def right(answers: list[tuple[Event, Prediction]], goes_to: dict[tuple[str, str]
         for e, p in answers
         if (e.camera, str(e.track)) in goes_to
     ]
-    return float(
-        np.mean([bool(p.candidates) and p.candidates[0].camera == camera for p, camera in known])
-    )
+    return float(np.mean([bool(p.next) and p.next[0].camera == camera for p, camera in known]))
 
 
 def test_on_a_road_the_camera_before_says_which_way() -> None:

@@ -105,22 +105,20 @@ EXIT = Event("a", "exit", 1000.0, 0.1, 0.5, "17")
 
 def chances(prediction: Prediction) -> dict[str, float]:
     found: Counter[str] = Counter()
-    for one in prediction.candidates:
+    for one in prediction.next:
         found[one.zone] += one.probability
     return dict(found)
 
 
 def sound(prediction: Prediction) -> None:
     """Check the invariants of every prediction."""
-    probabilities = [found.probability for found in prediction.candidates]
+    probabilities = [found.probability for found in prediction.next]
     assert prediction.leave + sum(probabilities) == pytest.approx(1.0)
     assert 0 < prediction.leave <= 1
     assert probabilities == sorted(probabilities, reverse=True)
     assert all(p > 0 for p in probabilities)
-    assert all(
-        -133 <= n.q10 <= n.q50 <= n.q90 <= 200 * math.exp(1.5) for n in prediction.candidates
-    )
-    assert len({(one.zone, one.q50) for one in prediction.candidates}) == len(probabilities)
+    assert all(-133 <= n.q10 <= n.q50 <= n.q90 <= 200 * math.exp(1.5) for n in prediction.next)
+    assert len({(one.zone, one.q50) for one in prediction.next}) == len(probabilities)
 
 
 # --- the learned shares ---
@@ -137,14 +135,14 @@ def test_without_further_knowledge_the_learned_shares() -> None:
         "17",
     )
     assert prediction.version == 7
-    assert [(found.camera, found.zone) for found in prediction.candidates] == [
+    assert [(found.camera, found.zone) for found in prediction.next] == [
         ("b", "b/1"),
         ("c", "c/1"),
         ("a", "a/2"),
     ]
     assert chances(prediction) == pytest.approx({"b/1": 0.5, "c/1": 0.3, "a/2": 0.1}, abs=0.001)
     assert prediction.leave == pytest.approx(0.1, abs=0.001)
-    for found, median in zip(prediction.candidates, (8.0, 20.0, 30.0), strict=True):
+    for found, median in zip(prediction.next, (8.0, 20.0, 30.0), strict=True):
         assert found.q50 == pytest.approx(median, rel=0.1)
         assert found.q10 < median - 0.5
         assert found.q90 > median + 0.5
@@ -157,7 +155,7 @@ def test_a_camera_without_a_zone_or_without_links_leads_nowhere() -> None:
         (replace(EXIT, camera="unknown"), None),
     ):
         prediction = Predictor(THREE).predict(event)
-        assert (prediction.zone, prediction.leave, prediction.candidates) == (zone, 1.0, [])
+        assert (prediction.zone, prediction.leave, prediction.next) == (zone, 1.0, [])
 
 
 def test_a_topology_that_has_only_what_the_contract_asks() -> None:
@@ -166,9 +164,9 @@ def test_a_topology_that_has_only_what_the_contract_asks() -> None:
     sound(prediction)
 
     assert list(chances(prediction)) == ["b/1", "c/1"]
-    assert prediction.candidates[0].q50 == pytest.approx(8.0, abs=0.5)
+    assert prediction.next[0].q50 == pytest.approx(8.0, abs=0.5)
     empty = replace(plain, links=[])
-    assert Predictor(empty).predict(EXIT).candidates == []
+    assert Predictor(empty).predict(EXIT).next == []
 
 
 # --- exposure, seen, alive ---
@@ -478,9 +476,7 @@ def test_predictions_on_a_made_up_network() -> None:
         replace(
             p,
             leave=0.2,
-            candidates=[
-                replace(n, probability=0.8 / max(len(p.candidates), 1)) for n in p.candidates
-            ],
+            next=[replace(n, probability=0.8 / max(len(p.next), 1)) for n in p.next],
         )
         for p in predictions
     ]

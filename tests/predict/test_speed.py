@@ -34,9 +34,7 @@ def test_windows_hold_what_they_say() -> None:
                 zone = predictor.zones[predictor.zone_of(entry) or 0].id
                 lag = entry.t - event.t
                 inside += [
-                    n.q10 <= lag <= n.q90
-                    for n in predictor.predict(event).candidates
-                    if n.zone == zone
+                    n.q10 <= lag <= n.q90 for n in predictor.predict(event).next if n.zone == zone
                 ]
             predictor.observe(event)
         shares.append(float(np.mean(inside)))

@@ -62,3 +62,9 @@ def test_a_match_says_where_the_object_came_from() -> None:
     match = Match("lobby", 9.0, 3, [*passages, *rest], 0.526, "yard:1")
     assert str(match) == "new here 53 %; from yard 22 %; from hall 15 %"
     assert str(replace(match, new=0.0, from_=passages[:1])) == "from yard 22 %"
+
+
+def test_the_earlier_name_of_the_next_cameras_still_works() -> None:
+    said = Prediction("lobby", "lobby/1", 1.0, "17", 9, 0.4, [HALL])
+    with pytest.warns(DeprecationWarning, match="is next"):
+        assert said.candidates == [HALL]

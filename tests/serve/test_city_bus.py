@@ -120,12 +120,12 @@ def test_predictions_are_the_owners(sites: TwoSites, city: CityBus) -> None:
 
     wait_for(told, "predictions of both sites", interval=0.2)
     expected = {
-        prediction.camera: {one.camera for one in prediction.candidates} for prediction in received
+        prediction.camera: {one.camera for one in prediction.next} for prediction in received
     }
     assert expected["border"] & {"yard", "ramp"}, "north knows of neither"
     assert expected["gate"] & {"hall", "border"}
     [(_, answer)] = city.query("predict/border", {"x": 0.9, "y": 0.5, "t": NOW})
-    assert codec.read(Prediction, answer, pack=True).candidates[0].camera in ("yard", "ramp")
+    assert codec.read(Prediction, answer, pack=True).next[0].camera in ("yard", "ramp")
 
 
 def test_events_are_told_once(sites: TwoSites, city: CityBus) -> None:

@@ -318,8 +318,8 @@ def test_every_exit_is_predicted_and_questions_are_answered(site: Site) -> None:
     assert [(p.camera, p.t, p.track) for p in predictions] == [("a", t, "x1"), ("a", t + 2, None)]
     assert daemon.topology is not None
     assert predictions[0].version == daemon.topology.version
-    assert {following.camera for following in predictions[0].candidates} <= {"b", "c", "a"}
-    assert sum(following.probability for following in predictions[0].candidates) + predictions[
+    assert {following.camera for following in predictions[0].next} <= {"b", "c", "a"}
+    assert sum(following.probability for following in predictions[0].next) + predictions[
         0
     ].leave == pytest.approx(1)
 
@@ -350,9 +350,7 @@ def asked_again(bus: Bus, daemon: Daemon, t: float) -> None:
 
     def at(prediction: Prediction, camera: str) -> float:
         return sum(
-            following.probability
-            for following in prediction.candidates
-            if following.camera == camera
+            following.probability for following in prediction.next if following.camera == camera
         )
 
     place = {"x": 0.9, "y": 0.5}
@@ -365,7 +363,7 @@ def asked_again(bus: Bus, daemon: Daemon, t: float) -> None:
     put(bus, Event("a", "exit", t, 0.9, 0.5), Event("b", "entry", t + 9, 0.1, 0.5))
     wait_for(lambda: at(said(**place, now=t + 20), "b") > 0.9, "the arrival at b to count")
     came = said(**place, now=t + 20)
-    assert came.candidates[0].q10 <= 9 <= came.candidates[0].q90 < 20
+    assert came.next[0].q10 <= 9 <= came.next[0].q90 < 20
     assert said(**place, now=t + 8).leave < 0.5, "it had not come by then"
     for now, why in (
         (t - 1, "now is .*: give the time of the exit"),

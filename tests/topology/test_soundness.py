@@ -218,14 +218,10 @@ def use(topology: Topology) -> None:
                 for now in (None, event.t + 5.0):
                     prediction = predictor.predict(event, now)
                     assert (
-                        abs(
-                            prediction.leave
-                            + sum(one.probability for one in prediction.candidates)
-                            - 1
-                        )
+                        abs(prediction.leave + sum(one.probability for one in prediction.next) - 1)
                         < 1e-6
                     )
-                    assert b"null" not in to_json(prediction.candidates), "a figure that is none"
+                    assert b"null" not in to_json(prediction.next), "a figure that is none"
             predictor.observe(event)
 
 

@@ -145,7 +145,7 @@ def test_who_left_one_view_and_is_in_another_is_shown_at_both(browser: Browser) 
         browser.wait(told, "who is in view")
         assert browser.count(f".node.sees[data-id={B}]") == 1
         follows = [NextCamera(B, f"{B}/1", 0.8, -9.0, 1.0, 4.0)]
-        later = replace(said, zone=f"{A}/1", in_view=None, candidates=follows)
+        later = replace(said, zone=f"{A}/1", in_view=None, next=follows)
         shown.bus.publish(f"prediction/{A}", later)
         where = f"{A} → {B} 80 %, within 4 s; leaves the site 20 %"
         browser.wait(lambda: where in browser.text(".predictions"), "where to look")

@@ -115,7 +115,7 @@ def run(args: argparse.Namespace) -> int:
 
 def link_table(topology: Topology) -> list[str]:
     """Return the links between views as a table, busiest first, then those half-way to one."""
-    rows = [["FROM", "TO", "RELATION", "SHARE", "10 %", "TRANSIT (s)", "90 %", "EVIDENCE"]]
+    rows = [["FROM", "TO", "RELATION", "PROBABILITY", "10 %", "TRANSIT (s)", "90 %", "EVIDENCE"]]
     for link in [*busiest_links(topology), *likely_links(topology)]:
         times = (link.transit.q10, link.transit.q50, link.transit.q90)
         figures = [f"{link.probability:.2f}", *(f"{seconds:.1f}" for seconds in times)]

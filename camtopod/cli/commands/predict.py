@@ -118,10 +118,10 @@ def shortened(answer: Prediction | Match, count_max: int | None) -> Prediction |
     if isinstance(answer, Match):
         remainder = sum(candidate.probability for candidate in answer.from_[count_max:])
         return replace(answer, from_=answer.from_[:count_max], new=answer.new + remainder)
-    other_probabilities = [candidate.probability for candidate in answer.candidates[count_max:]]
+    other_probabilities = [candidate.probability for candidate in answer.next[count_max:]]
     return replace(
         answer,
-        candidates=answer.candidates[:count_max],
+        next=answer.next[:count_max],
         others=sum(other_probabilities) if other_probabilities else None,
         look=answer.look and answer.look[:count_max],
         in_view=answer.in_view and answer.in_view[:count_max],

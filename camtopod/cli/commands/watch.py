@@ -154,13 +154,13 @@ def parts(site: SiteState, topology: Topology | None, now: float) -> list[str]:
         *site.camera_lines(topology, now),
     ]
     links = [
-        f"  {site.beginning()}{'FROM':<20} {'TO':<20} {'RELATION':<10} {'SHARE':>6} "
+        f"  {site.beginning()}{'FROM':<20} {'TO':<20} {'RELATION':<10} {'PROBABILITY':>11} "
         f"{'TRANSIT (q10 to q90)':>23}"
     ]
     if topology is not None:
         links += [
             f"  {site.beginning(camera_of(link.from_))}{link.from_:<20} {link.to:<20} "
-            f"{link.relation:<10} {link.probability:>6.2f} {transit(link):>23}"
+            f"{link.relation:<10} {link.probability:>11.2f} {transit(link):>23}"
             for link in busiest_links(topology)[:LINKS_SHOWN]
         ]
     predictions = ["PREDICTIONS", *site.prediction_lines()]

@@ -90,7 +90,7 @@ def test_who_always_comes_is_foretold_as_surely_as_is_published(seconds: float) 
     topology, predictions = said(sorted(events, key=lambda event: event.t))
     (link,) = topology.links
     assert link.probability > 0.9
-    assert np.mean([p.candidates[0].probability for p in predictions]) == pytest.approx(
+    assert np.mean([p.next[0].probability for p in predictions]) == pytest.approx(
         link.probability, abs=0.1
     )
 

@@ -83,7 +83,7 @@ def test_each_opinion_has_its_weight(topology: Topology) -> None:
     assert both.leave == pytest.approx(
         (1 - PATHS_WEIGHT_MAX) * alone.leave + PATHS_WEIGHT_MAX * 0.1, abs=1e-3
     )
-    [far] = [one for one in both.candidates if one.q50 > 250.0]
+    [far] = [one for one in both.next if one.q50 > 250.0]
     assert far.probability == pytest.approx(PATHS_WEIGHT_MAX * 0.9, abs=1e-3)
     assert far.q50 == pytest.approx(300.0, abs=0.2)
     assert far.q90 - far.q10 == pytest.approx(2 * 1.476, abs=0.3)
@@ -96,7 +96,7 @@ def test_where_links_are_published_paths_count_less(topology: Topology) -> None:
     for links in ([], [link]):
         both = replace(with_paths(topology, paths), links=links)
         said = Predictor(both).predict(Event("a", "exit", 1e6))
-        likeliest.append(sum(one.probability for one in said.candidates if one.q50 > 250.0))
+        likeliest.append(sum(one.probability for one in said.next if one.q50 > 250.0))
     assert likeliest[1] < 0.2 < 0.4 < likeliest[0]
 
 
