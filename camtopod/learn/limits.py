@@ -22,8 +22,6 @@ EVENT_PAIRS_MAX = 4_000_000
 """Event pairs in one step of a fit: in which the range of lags or overlapping views are looked for,
 and from which the evidence for links is estimated or paths are learned (`learn.paths`).
 """
-ZONE_PATH_CANDIDATES_MAX = 16_000_000
-"""Event pairs from which the paths between zones are learned: platoons tell little each."""
 RANGE_ARRIVALS_MAX = 4_000
 """Arrivals, the newest, in which the range of lags is looked for."""
 WEIGHED_MAX = 128_000_000

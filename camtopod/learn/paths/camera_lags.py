@@ -11,7 +11,7 @@ from typing import NamedTuple
 import numpy as np
 
 from camtopod.arrays import Floats, Ints, Longs, Rows, Singles, ranges
-from camtopod.learn.limits import EVENT_PAIRS_MAX, ZONE_PATH_CANDIDATES_MAX
+from camtopod.learn.limits import EVENT_PAIRS_MAX
 from camtopod.learn.traffic import (
     Arrivals,
     Departures,
@@ -115,12 +115,11 @@ def camera_lags(
     if by_zone:
         lag_min = 0.0
     span = max(until - float(min(departures.t[0], arrivals.t[0])), 1.0)
-    pairs_max = ZONE_PATH_CANDIDATES_MAX if by_zone else EVENT_PAIRS_MAX
     lag_max = min(ZONE_LAG_SECONDS_MAX if by_zone else LAG_SECONDS_MAX, 0.5 * span)
 
     # Arrivals in reach of each departure, of the newest departures.
     first, end = _reach(departures, arrivals, lag_min, lag_max)
-    newest = np.cumsum((end - first)[::-1])[::-1] <= pairs_max
+    newest = np.cumsum((end - first)[::-1])[::-1] <= EVENT_PAIRS_MAX
     late = arrivals.t >= departures.t[newest].min(initial=np.inf) + lag_min
     departures = departures.take(newest, late)
     arrivals = arrivals.take(late)
