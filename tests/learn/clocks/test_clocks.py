@@ -374,7 +374,7 @@ def test_predictions_are_stated_by_the_clocks_that_will_tell(
     """An exit at c1 arrives at c2 in 11 s, when the clock there shows 25 s more."""
     for topology, seconds in ((stated, 25.0), (corrected, 11.0)):
         prediction = Predictor(topology).predict(Event("c1", "exit", 1e6 + 9000.0, 0.2, 0.5))
-        first = prediction.candidates[0]
+        first = prediction.next[0]
         assert (first.camera, prediction.t) == ("c2", 1e6 + 9000.0)
         assert first.q50 == pytest.approx(seconds, abs=1.5)
 
@@ -385,7 +385,7 @@ def test_what_has_been_seen_by_a_wrong_clock_counts(stated: Topology) -> None:
     alone, seen = Predictor(stated), Predictor(stated)
     seen.observe(Event("c3", "entry", leaves.t - 0.5, 0.8, 0.5))
     for predictor, q50 in ((seen, -0.5), (alone, None)):
-        first = predictor.predict(leaves).candidates[0]
+        first = predictor.predict(leaves).next[0]
         assert first.camera == "c3"
         if q50 is None:
             assert first.q50 > 0

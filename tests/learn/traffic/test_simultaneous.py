@@ -47,7 +47,7 @@ def test_who_is_in_the_other_view_since_the_same_instant_is_expected_there(line:
         if event.kind == "exit" and event.camera == "a":
             told += [
                 choice.probability
-                for choice in predictor.predict(event).candidates
+                for choice in predictor.predict(event).next
                 if choice.camera == "b"
             ]
         predictor.observe(event)
@@ -64,6 +64,6 @@ def test_one_who_came_at_the_same_instant_and_has_left_is_not() -> None:
                 predictor.observe(
                     Event(camera, "exit" if kind == "exit" else "entry", 1e6 + t, track="x")
                 )
-        next_ = predictor.predict(Event("a", "exit", 1e6 + 4.0, track="x")).candidates
+        next_ = predictor.predict(Event("a", "exit", 1e6 + 4.0, track="x")).next
         said.append(sum(choice.probability for choice in next_ if choice.camera == "b"))
     assert said[0] < 0.3 < 0.9 < said[1]
