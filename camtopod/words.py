@@ -7,6 +7,7 @@ display has received.
 
 from __future__ import annotations
 
+import math
 from collections import defaultdict
 from collections.abc import Iterable, Mapping, Sequence
 from typing import TYPE_CHECKING, Literal
@@ -61,6 +62,8 @@ _LOOKS: dict[str, Appearance] = {
     "forgotten": "off",
 }
 """How the states that need no attention are shown."""
+STARTING = ("not opened yet", "not connected yet")
+"""Reasons of a grabber that has just begun, and so needs no attention."""
 ABSENT = ("gone", "forgotten")
 """States of cameras that are no longer there, which are listed last."""
 
@@ -124,6 +127,17 @@ class Headline(Struct, frozen=True):
     words: str
 
 
+def present_of(now: float, newest: float) -> float:
+    """Return the moment from which a site's times are counted, Unix seconds.
+
+    It is ``now``, or, if the newest event is older than `OLD_SECONDS`, the time of that event:
+    probably a recording is played.
+
+    newest: -infinity if there is no event.
+    """
+    return newest if OLD_SECONDS <= now - newest < math.inf else now
+
+
 # --- states
 
 
@@ -153,7 +167,7 @@ def camera_states(
     said nothing for `silent_after` is silent, unless it had ended: a film has nothing more to say.
     A camera without a grabber that works is gone after `OLD_SECONDS`, so that what was removed
     needs no attention for ever; if it has events, it is one of another program. All other states
-    are the grabber's word: it needs attention unless it runs or has ended.
+    are the grabber's word: it needs attention unless it runs, has ended or has just begun.
     """
     # Event time of each camera's newest event.
     newest: dict[str, float | None] = dict.fromkeys(grabbers)
@@ -183,7 +197,7 @@ def camera_states(
                 name,
                 state,
                 reason,
-                _LOOKS.get(state, "bad"),
+                "off" if reason in STARTING else _LOOKS.get(state, "bad"),
                 is_there and name not in silent and state not in ABSENT,
                 None if figures is None else figures.events,
                 t,

@@ -7,7 +7,6 @@ import re
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 
-import msgspec
 from msgspec.structs import replace
 
 from camtopod import redact
@@ -19,7 +18,6 @@ from camtopod.config.settings import (
     MapSettings,
     OtherSite,
     TlsSettings,
-    WebSettings,
 )
 from camtopod.config.toml_tables import Keys, Mistake, TableReader, did_you_mean, key_lines, syntax
 from camtopod.learn.settings import TopologySettings
@@ -237,7 +235,8 @@ def _with_absolute_paths(folder: Path, config: Config) -> Config:
         for camera, settings in config.cameras.items()
     }
     detector = replace(config.detector, model=located(config.detector.model))
-    web = WebSettings(*(located(path) for path in msgspec.structs.astuple(config.web)))
+    names = ("password_file", "token_file", "pictures")
+    web = replace(config.web, **{name: located(getattr(config.web, name)) for name in names})
     return replace(
         config.with_paths(located),
         cameras=cameras,

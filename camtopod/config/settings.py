@@ -40,6 +40,9 @@ Endpoints = Annotated[
     Meta(description=f'endpoints like ["{DEFAULT_ENDPOINT}"]'),
 ]
 
+ADDRESS_PATTERN = r"^(\[[0-9A-Fa-f:.]+\]|[A-Za-z0-9_.-]+):([0-9]{1,5})\Z"
+"""Regular expression of an address to listen on, host and port."""
+
 
 class SiteSettings(Struct, frozen=True, forbid_unknown_fields=True):
     """``[site]``: the site that the cameras belong to."""
@@ -214,7 +217,7 @@ class HealthSettings(Struct, frozen=True, forbid_unknown_fields=True):
     listen: Annotated[
         str,
         Meta(
-            pattern=r"^$|^(\[[0-9A-Fa-f:.]+\]|[A-Za-z0-9_.-]+):[0-9]{1,5}$",
+            pattern=rf"^$|{ADDRESS_PATTERN}",
             description="an address and a port, like 127.0.0.1:8787",
         ),
     ] = ""
@@ -224,8 +227,15 @@ class HealthSettings(Struct, frozen=True, forbid_unknown_fields=True):
 
 
 class WebSettings(Struct, frozen=True, forbid_unknown_fields=True):
-    """``[web]``: the page: who may open it, and its pictures."""
+    """``[web]``: the page: its address, who may open it, and its pictures."""
 
+    listen: Annotated[
+        str,
+        Meta(pattern=ADDRESS_PATTERN, description="an address and a port, like 127.0.0.1:8780"),
+    ] = "127.0.0.1:8780"
+    """The page's address; the default: this machine only, 0.0.0.0:8780: every network, port 0: a
+    free one.
+    """
     password_file: str = ""
     """A file whose first line is the password that the page asks for, at least 8 characters; nobody
     else may be able to read it. A path as in [bus.tls]; empty: no password.

@@ -7,6 +7,7 @@ small change of the network moves cameras a little. `large_layout` does the same
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Iterable, Mapping
 from typing import Any
 
@@ -27,6 +28,10 @@ OVERLAPPED_LENGTH = 0.7
 """Length of an edge between overlapping views; an unseen path has length 1."""
 MARGIN = 0.8
 """Space around a connected part."""
+KEPT_PARTS_MAX = 40
+"""Connected parts up to which each stays where it was, rather than all being packed again."""
+APART_MIN = 0.5
+"""Least distance of cameras of different parts, across or down, if they keep their places."""
 DENSE_MAX = 1_000
 """Cameras of a connected part of which all distances count."""
 
@@ -53,12 +58,14 @@ def places(
     parts = sorted((np.flatnonzero(part == k) for k in range(count)), key=len, reverse=True)
     for members in parts:
         at[members] = _one_part(graph[members][:, members], start[members])
-    _put_on_shelves(at, parts)
-
-    # Keep the cameras of before in place on the whole, even if a part grew to the left.
-    is_old = ~np.isnan(start[:, 0])
-    if is_old.any():
-        at += np.median((start - at)[is_old], axis=0)
+    if len(before) and len(parts) <= KEPT_PARTS_MAX:
+        _put_where_they_were(at, start, parts)
+    else:
+        _put_on_shelves(at, parts)
+        # Keep the cameras of before in place on the whole, even if a part grew to the left.
+        is_old = ~np.isnan(start[:, 0])
+        if is_old.any():
+            at += np.median((start - at)[is_old], axis=0)
     return {name: (x, y) for name, (x, y) in zip(order, np.round(at, 3).tolist(), strict=True)}
 
 
@@ -114,6 +121,28 @@ def _majorised(apart: Floats, at: Floats, rounds: int) -> Floats:
         ratio = pull / distance
         at = solve @ (ratio.sum(1)[:, None] * at - ratio @ at)
     return at
+
+
+def _put_where_they_were(at: Floats, start: Floats, parts: list[NDArray[np.intp]]) -> None:
+    """Move the parts (rows of ``at``) to where they were, or as near as there is room, in place.
+
+    start (n, 2): previous positions, or nan; a part without any is put near the middle.
+    """
+    middle = np.nanmean(start, axis=0)
+    turn = np.linspace(0.0, 2 * np.pi, 24, endpoint=False)
+    around = np.column_stack([np.cos(turn), np.sin(turn)])
+    placed = np.empty((0, 2))
+    for rows in parts:
+        is_old = ~np.isnan(start[rows, 0])
+        moves = (start - at)[rows[is_old]] if is_old.any() else middle - at[rows]
+        at[rows] += np.median(moves, axis=0)
+        for step in itertools.count():
+            shifts = 0.1 * step * around
+            apart = np.abs((at[rows] + shifts[:, None])[:, :, None] - placed).max(-1)
+            if (is_free := (apart > APART_MIN).all((1, 2))).any():
+                break
+        at[rows] += shifts[is_free.argmax()]
+        placed = np.concatenate([placed, at[rows]])
 
 
 def _put_on_shelves(at: Floats, parts: list[NDArray[np.intp]]) -> None:

@@ -7,6 +7,8 @@ from camtopod.learn.changes import BEFORE_MIN
 from camtopod.learn.snapshot import LearnerState
 from camtopod.learn.window import Window
 
+FIRST_TICK_SHARE = 1 / 6
+"""Length of the ticks before the first version, which somebody waits for, of later ticks'."""
 REFIT_EVENTS_MIN = 10
 """Least new events for a new version, unless the last version is older than ``refit_hours``."""
 

@@ -1,11 +1,12 @@
 """The learner: takes entry and exit events, makes versions of the camera network topology.
 
 `Learner.receive` puts an event into the reorder buffer. Event time is cut into ticks of
-``version_seconds``. When the watermark passes a tick, the events up to it move from the buffer into
-the sliding window, events that are too old leave the window, and if enough events are new, a
-version is made: the zones are learned again, `refit` estimates links and the prediction model, and
-`assemble` builds the `Topology`. So a version depends only on the events up to its tick, not on the
-order in which they were received (within the lateness), nor on when or how fast the program runs.
+``version_seconds``, shorter ones before the first version. When the watermark passes a tick, the
+events up to it move from the buffer into the sliding window, events that are too old leave the
+window, and if enough events are new, a version is made: the zones are learned again, `refit`
+estimates links and the prediction model, and `assemble` builds the `Topology`. So a version depends
+only on the events up to its tick, not on the order in which they were received (within the
+lateness), nor on when or how fast the program runs.
 No event is too late: one that comes after its tick enters the window at its time, with the next
 tick, and counts from the next version on.
 
@@ -37,7 +38,12 @@ from camtopod.learn.camera_zones import find_moved_cameras, moved_news, refresh_
 from camtopod.learn.changes import AlarmLog, News
 from camtopod.learn.declarations import declared_by
 from camtopod.learn.doubled_cameras import doubled_news, find_doubled_cameras
-from camtopod.learn.due_versions import are_zones_due, events_for_version, is_version_due
+from camtopod.learn.due_versions import (
+    FIRST_TICK_SHARE,
+    are_zones_due,
+    events_for_version,
+    is_version_due,
+)
 from camtopod.learn.lag_range import shortest_bins
 from camtopod.learn.limits import ZONES_PER_CAMERA_MAX
 from camtopod.learn.links import zone_pairs_of
@@ -107,7 +113,14 @@ class Learner:
         )
         self._alarms = AlarmLog(state.alarms)
         self._scorer = Scorer(state.scorer, state.topology)
-        self._tick_us = microseconds(settings.version_seconds)
+
+    @property
+    def _tick_us(self) -> int:
+        """Length of a tick, microseconds; shorter until there is a version."""
+        seconds = self.settings.version_seconds
+        if self.state.fitted_us is None and not self.only_last:
+            seconds *= FIRST_TICK_SHARE
+        return microseconds(seconds)
 
     @property
     def settings(self) -> Settings:
@@ -262,12 +275,11 @@ class Learner:
         if watermark is None:
             return
         # An event at the watermark may still be received.
-        last_tick = (watermark - 1) // self._tick_us * self._tick_us
-        if self.state.done_us is not None and last_tick <= self.state.done_us:
+        if self._last_tick_before(watermark) == self.state.done_us:
             return
         while (oldest := self._intake.oldest_held_us) is not None:
             tick = self._tick_of(oldest)
-            if tick > last_tick:
+            if tick >= watermark:
                 break
             self._learn(tick)
             self.state.done_us = tick
@@ -279,13 +291,18 @@ class Learner:
                 self._refit(tick)
                 if self.pauses:
                     return
-        self.state.done_us = last_tick
+        self.state.done_us = self._last_tick_before(watermark)
 
     @property
     def is_paused(self) -> bool:
         """True if there are ticks to learn."""
         watermark, oldest = self._intake.time.state.watermark_us, self._intake.oldest_held_us
         return watermark is not None and oldest is not None and self._tick_of(oldest) < watermark
+
+    def _last_tick_before(self, t_us: int) -> int:
+        """Return the last tick before a time, or the one up to which all is learned if later."""
+        tick_us = (t_us - 1) // self._tick_us * self._tick_us
+        return tick_us if self.state.done_us is None else max(tick_us, self.state.done_us)
 
     def _tick_of(self, t_us: int) -> int:
         """Return the tick with which an event is learned: the first after its time and the last."""

@@ -71,7 +71,7 @@ class EventHours(Struct, frozen=True):
 
 
 class Recent(Struct, frozen=True, omit_defaults=True):
-    """Events of the last hour, in the order in which they were received.
+    """Events of the last hour up to the newest event, in the order in which they were received.
 
     t: moment of the answer.
     hours: only if asked for.

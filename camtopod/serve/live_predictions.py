@@ -8,6 +8,7 @@ most.
 
 from __future__ import annotations
 
+import math
 import threading
 import time
 from collections import deque
@@ -22,6 +23,7 @@ from camtopod.records import Between, Event, Match, Prediction, Recent, SeenEven
 from camtopod.serve.bus import QueryError
 from camtopod.serve.hourly_counts import HourlyCounts
 from camtopod.topology import UnknownPlace, zone_at
+from camtopod.words import present_of
 
 FRESH_SECONDS = 30.0
 """Age of an event from which on, if it was not heard, it is one of a backlog: only observed.
@@ -262,7 +264,7 @@ class Live:
             return self._between.expected(self._clock(), pairs_max)
 
     def recent(self, key: str, parameters: dict[str, str]) -> Recent:
-        """Answer a query on ``recent``: the events of the last hour.
+        """Answer a query on ``recent``: the events of the last hour up to the newest event.
 
         With ``since`` only those received later, so that a reader who gives the time of the answer
         before gets each event once; with ``hours`` the counts of a day as well. Raises
@@ -276,9 +278,11 @@ class Live:
         with self._mutex:
             now = self._clock()
             newest = takewhile(lambda pair: pair[0] > since, reversed(self._recent))
-            events = [event for _, event in newest if event.t > now - RECENT_SECONDS]
-            hours = self._hours.told(now) if "hours" in parameters else None
-            return Recent(now, events[::-1], hours)
+            events = [event for _, event in newest][::-1]
+            if "hours" not in parameters:
+                return Recent(now, events)
+            newest_t = max((event.t for _, event in self._recent), default=-math.inf)
+            return Recent(now, events, self._hours.told(present_of(now, newest_t)))
 
     def answer(self, key: str, parameters: dict[str, str]) -> Prediction:
         """Answer a query on ``predict/{camera}``: for an exit at x, y at t, or from a zone.

@@ -133,6 +133,7 @@ def render(
         for _ in range(NOISE_PICTURES)
     ]
     grain = [cv2.add(empty, part, dtype=cv2.CV_8U) for part in noise]
+    cv2.imwrite(str(path.with_suffix(".png")), empty)
     writer = cv2.VideoWriter(str(path), cv2.VideoWriter.fourcc(*CODEC), FPS, (WIDTH, HEIGHT))
     if not writer.isOpened():
         raise OSError(f"cannot write the video {path}")

@@ -28,7 +28,7 @@ from camtopod.serve.city_bus import CityBus
 from camtopod.serve.runtime import STALL_SECONDS, Beat, Clock, Progress
 from camtopod.web.api import Api, Asking, content, error, streamed
 from camtopod.web.connections import Connection
-from camtopod.web.explanations import Explanations
+from camtopod.web.explanations import not_learned
 from camtopod.web.feed import MATCHES_SHOWN, Feed, shown_match
 from camtopod.web.growth import steps
 from camtopod.web.guards import Guard
@@ -74,9 +74,13 @@ class Routes:
     def camera(self, request: Request) -> Response:
         """Return one camera's zones and links, and whether there is a picture."""
         name = request.path_params["camera"]
-        return self._explained(
+        explanations = self._feed.explanations
+        details = explanations.camera(name) if explanations else None
+        if details is None and name in self._feed.map.cameras:
+            details = not_learned(name)
+        return found(
             f"camera {name}",
-            lambda explanations: explanations.camera(name),
+            details,
             picture=picture_of(self._pictures, name) is not None,
             page=self._config.cameras.get(name, CameraSettings()).page or None,
         )
@@ -85,16 +89,16 @@ class Routes:
         """Return the links between two cameras."""
         a = request.path_params["a"]
         b = request.path_params["b"]
-        return self._explained(
-            f"a link between {a} and {b}", lambda explanations: explanations.pair(a, b)
-        )
+        explanations = self._feed.explanations
+        details = explanations.pair(a, b) if explanations else None
+        return found(f"a link between {a} and {b}", details)
 
     def link(self, request: Request) -> Response:
         """Return one link, given by ``from``, ``to`` and ``relation``."""
         from_, to, relation = (request.query_params.get(k, "") for k in ("from", "to", "relation"))
-        return self._explained(
-            f"the link {from_} → {to}", lambda explanations: explanations.link(from_, to, relation)
-        )
+        explanations = self._feed.explanations
+        details = explanations.link(from_, to, relation) if explanations else None
+        return found(f"the link {from_} → {to}", details)
 
     def walks(self, request: Request) -> Response:
         """Return the newest matches, oldest first."""
@@ -151,14 +155,12 @@ class Routes:
 
         return streamed(stream())
 
-    def _explained(
-        self, subject: str, details_of: Callable[[Explanations], Any], **extras: Any
-    ) -> Response:
-        """Return the response with details of the newest version, or that it does not have them."""
-        details = self._feed.explanations and details_of(self._feed.explanations)
-        if not details:
-            return error(404, f"{subject} is not in the newest version")
-        return content({**details, **extras})
+
+def found(subject: str, details: dict[str, Any] | None, **extras: Any) -> Response:
+    """Return the response with details of the newest version, or that it does not have them."""
+    if not details:
+        return error(404, f"{subject} is not in the newest version")
+    return content({**details, **extras})
 
 
 def application(
@@ -247,7 +249,7 @@ def serving(
     page, feeding = (marks.watch(name, STALL_SECONDS) for name in ("page", "feed"))
     stop = threading.Event()
     page_queues = PageQueues()
-    feed = Feed(bus, page_queues, clock)
+    feed = Feed(bus, page_queues, clock, config.cameras)
     api = Api(bus, feed, is_open=login is not None or not is_public)
     site = Routes(feed, page_queues, pictures, config, login is not None, bus)
     settings = uvicorn.Config(

@@ -10,9 +10,11 @@ import contextlib
 import math
 import threading
 from collections import deque
+from collections.abc import Collection
 from typing import Any
 
 import msgspec
+from msgspec.structs import replace
 
 from camtopod import codec
 from camtopod.records import Look, Match, Prediction, Recent, Topology
@@ -92,10 +94,20 @@ class PerSecond:
 
 
 class Feed:
-    """Follower of one site's bus, or of several sites'; run `follow` in a thread."""
+    """Follower of one site's bus, or of several sites'; run `follow` in a thread.
 
-    def __init__(self, bus: Bus | CityBus, page_queues: PageQueues, clock: Clock) -> None:
+    configured: ids of cameras that are on the map from the beginning.
+    """
+
+    def __init__(
+        self,
+        bus: Bus | CityBus,
+        page_queues: PageQueues,
+        clock: Clock,
+        configured: Collection[str] = (),
+    ) -> None:
         self._bus = bus
+        self._configured = set(configured)
         self._page_queues = page_queues
         self._clock = clock
         self._statuses = Statuses(clock)
@@ -114,8 +126,10 @@ class Feed:
         """Details of the newest version."""
         self.versions: list[dict[str, Any]] = []
         """Versions of the newest epoch since this server began, oldest first; never changed."""
-        self.map = NO_MAP
+        self.map = replace(NO_MAP, site=bus.site)
         self.map_json = b"null"
+        if configured:
+            self._draw(None)
         for key in ("status/*", "prediction/*", "match/*"):
             bus.subscribe(key, self._on_message)
 
@@ -130,7 +144,7 @@ class Feed:
             self.ask_recent()
             if (newest := self._view.update()) is not None:
                 self.show(newest)
-            elif self.topology is not None and self._present() - self.map.cameras.keys():
+            elif self._present() - self.map.cameras.keys():
                 self._draw(self.topology)
                 self._page_queues.send("cameras", b"null")
 
@@ -151,14 +165,15 @@ class Feed:
         self.versions = [*self.versions, summary(topology, before)][-VERSIONS_MAX:]
         self._page_queues.send("version", self._version())
 
-    def _draw(self, topology: Topology) -> None:
-        """Draw the map of a version, with the cameras that it does not know yet."""
+    def _draw(self, topology: Topology | None) -> None:
+        """Draw the map of a version, if there is one, with the cameras that it does not know."""
         self.map = draw(topology, self.map, self._present())
         self.map_json = codec.to_json(self.map)
 
     def _present(self) -> set[str]:
-        """Return the cameras whose events can come."""
-        return {camera.id for camera in self._statuses.cameras(None) if camera.alive}
+        """Return the cameras whose events can come, and those of the configuration."""
+        alive = {camera.id for camera in self._statuses.cameras(None) if camera.alive}
+        return alive | self._configured - self._statuses.daemon.names.forgotten.keys()
 
     def hello(self) -> bytes:
         """Return the first messages for a page that has just connected: server-sent events."""

@@ -64,12 +64,16 @@ NO_MAP = Map("", "", 0, 0.0, {}, {}, [], "")
 """The map before anything has been learned."""
 
 
-def draw(topology: Topology, before: Map = NO_MAP, new: Iterable[str] = ()) -> Map:
-    """Return the map of a version.
+def draw(topology: Topology | None, before: Map = NO_MAP, new: Iterable[str] = ()) -> Map:
+    """Return the map of a version; None: before the first one, of the ``new`` cameras alone.
 
     before: the previous map, whose camera positions are kept as far as the network is the same.
     new: cameras of the site that are not in the version yet.
     """
+    if topology is None:
+        at = _places(sorted(new), {}, before)
+        return replace(before, cameras={name: _new_camera(at[name]) for name in sorted(at)})
+
     # Edges and counts of events.
     pair_edges = map_edges(topology)
     entries = dict.fromkeys((camera.id for camera in topology.cameras), 0)
@@ -87,7 +91,7 @@ def draw(topology: Topology, before: Map = NO_MAP, new: Iterable[str] = ()) -> M
         )
         for camera in topology.cameras
     }
-    cameras |= {name: MapCamera(*at[name], 0, 0, 0, new=True) for name in sorted(new)}
+    cameras |= {name: _new_camera(at[name]) for name in sorted(new)}
     return Map(
         topology.site,
         topology.epoch,
@@ -98,6 +102,10 @@ def draw(topology: Topology, before: Map = NO_MAP, new: Iterable[str] = ()) -> M
         alarms_in_words(topology),
         waiting_for_links(topology),
     )
+
+
+def _new_camera(place: Place) -> MapCamera:
+    return MapCamera(*place, 0, 0, 0, new=True)
 
 
 def map_edges(topology: Topology) -> dict[str, MapEdge]:

@@ -237,6 +237,16 @@ def test_entries_and_exits_are_counted_by_the_hour_for_a_day() -> None:
     assert later.cameras["a"] == [[0, 1], *[[0, 0]] * (HOURS_MAX - 2), [1, 0]]
 
 
+def test_a_recording_is_of_its_own_time() -> None:
+    live = Live(lambda answer: None, lambda: 1e9)
+    hear(live, [Event("a", "entry", 7200.0), Event("a", "exit", 7205.0)])
+    told = live.recent("recent", {"hours": "1"})
+
+    assert [event.t for event in told.events] == [7200.0, 7205.0]
+    assert told.hours is not None
+    assert (told.hours.first, told.hours.cameras) == (7200.0, {"a": [[1, 1]]})
+
+
 def test_recent_events_have_labels_that_the_version_knows(learned: Topology) -> None:
     """So what no class is, as a plate sent by mistake, is not told to readers."""
     assert learned.model is not None

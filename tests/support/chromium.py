@@ -6,6 +6,7 @@ import json
 import shutil
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from importlib.resources import files
 from pathlib import Path
 from typing import Any
 
@@ -142,6 +143,14 @@ class Browser:
         """Set the preferred colour scheme."""
         feature = {"name": "prefers-color-scheme", "value": "dark" if dark else "light"}
         self._driver.execute_cdp_cmd("Emulation.setEmulatedMedia", {"features": [feature]})
+
+    def barriers(self) -> list[str]:
+        """Return what axe finds wrong for people who do not see the page well or have no mouse."""
+        package = pytest.importorskip("axe_playwright_python", reason="pip install .[test]")
+        axe = (files(package) / "axe.min.js").read_text("utf-8")
+        told = "rule.id + ': ' + rule.nodes.map((node) => node.target + ' ' + node.any.map((one) => one.message))"
+        script = f"axe.run().then((all) => arguments[0](all.violations.map((rule) => {told})))"
+        return list(self._driver.execute_async_script(f"{axe}; {script}"))
 
     def complaints(self) -> list[str]:
         """Return the page's errors and warnings so far: scripts, content policy, failed loads.

@@ -19,6 +19,7 @@ class OneBus:
 
     def __init__(self) -> None:
         self.connected = True
+        self.site = "site"
         self.endpoint = "tcp/127.0.0.1:1"
         self.subscribed: dict[str, list[Callable[[str, bytes], None]]] = {}
         self.kept: dict[int, Topology] = {}

@@ -32,6 +32,11 @@ WATCH = """
     }).observe(document.querySelector(".map"), { childList: true, subtree: true });
 """
 """What is shown for a moment only, a slow machine would miss."""
+DRAG = """
+    const bar = document.querySelector(".replay input");
+    bar.value = arguments[0];
+    bar.dispatchEvent(new Event("input"));
+"""
 
 
 def older(version: int, pairs: int) -> Topology:
@@ -51,7 +56,7 @@ def test_an_entry_is_a_pulse_where_it_was_and_one_more_today(browser: Browser) -
     with shown.serving():
         opened(browser, shown)
         today = f"[data-id={A}] .today"
-        browser.wait(lambda: browser.text(today) == "41", "the entries of today")
+        browser.wait(lambda: browser.text(today) == "41 in", "the entries of today")
         browser.run(WATCH, A)
         now = time.time()
         shown.bus.seen = [
@@ -59,7 +64,7 @@ def test_an_entry_is_a_pulse_where_it_was_and_one_more_today(browser: Browser) -
             SeenEvent(now, A, "exit", None, 0.1, 0.5),
             SeenEvent(now - 600.0, A, "exit", None, 0.1, 0.5),
         ]
-        browser.wait(lambda: browser.text(today) == "42", "one more")
+        browser.wait(lambda: browser.text(today) == "42 in", "one more")
         told = f"return document.querySelector('[data-id={A}]').getAttribute('aria-label')"
         assert "42 entries today" in browser.run(told)
         (entry, right), (exit_, left) = browser.run("return shown")
@@ -115,9 +120,12 @@ def test_the_last_hour_is_replayed_and_so_is_how_the_map_grew(browser: Browser) 
         browser.run("document.querySelector('.replay').open = true")
         press = "document.querySelectorAll('.replay button')[arguments[0]].click()"
         browser.run(press, 0)
-        browser.wait(lambda: len(browser.run("return shown")) == 3, "exit, way and entry")
-        looks = [look for look, _ in browser.run("return shown")]
-        assert looks == ["pulse exit", "dot", "pulse entry"]
+        browser.wait(lambda: browser.count(".dot") == 1, "the first event at once, and the way")
+        browser.run(DRAG, 1000 * (WAY.transit.q50 - 0.1) / (WAY.transit.q50 + 1.0))
+        browser.wait(lambda: browser.text(f"[data-id={B}] .today") == "1 in", "the entry")
+        assert browser.text(f"[data-id={A}] .today") == "0 in", "only what is replayed"
+        looks = {look for look, _ in browser.run("return shown")}
+        assert looks == {"pulse exit", "dot", "pulse entry"}
         browser.run(press, 2)
         browser.wait(lambda: "The last hour" in browser.text(".replay"), "the end")
 
@@ -125,6 +133,19 @@ def test_the_last_hour_is_replayed_and_so_is_how_the_map_grew(browser: Browser) 
         counts = {0, 1, len(SITE.pairs)}
         browser.wait(lambda: counts <= set(browser.run("return [...edges]")), "the versions")
         assert browser.complaints() == []
+
+
+def test_a_recording_is_dated_by_its_events(browser: Browser) -> None:
+    t = 1_700_000_000.0
+    shown = Shown(replace(SITE, as_of=t))
+    shown.bus.hours = EventHours(t, t // 3600 * 3600, {A: [[5, 0]]})
+    with shown.serving():
+        opened(browser, shown)
+        shown.status(**{A: {"events": 5, "newest": t}})
+        browser.wait(lambda: "recording of 14 November 2023" in browser.text("#live"), "its day")
+        browser.wait(lambda: browser.text(f"[data-id={A}] .today") == "5 in", "those of that day")
+        browser.go("#/health")
+        browser.wait(lambda: "2023-11-14" in browser.text(".page table"), "its last event")
 
 
 def test_growth_is_of_the_versions_that_the_daemon_has_kept() -> None:

@@ -248,6 +248,7 @@ def test_a_phone_has_nothing_to_scroll_sideways(site: Site, shown: Browser, dark
         shown.go(place)
         shown.wait(lambda place=place: shown.run("return location.hash") == place, place)  # type: ignore[misc]
         assert shown.run("return document.documentElement.scrollWidth") <= 360, place
+        assert shown.barriers() == [], place
         assert (
             shown.run(
                 "return Math.max(...[...document.querySelectorAll('.panel')].map((e) => e.scrollWidth))"

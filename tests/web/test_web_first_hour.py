@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import time
 from pathlib import Path
 
 import cv2
@@ -13,7 +14,7 @@ from msgspec.structs import replace
 from page_fixture import Shown, opened
 from synthetic_topology import made_link, synthetic_topology
 
-from camtopod.records import Lacks, NextCamera, Prediction
+from camtopod.records import Lacks, NextCamera, Prediction, SeenEvent
 from camtopod.web.map_data import draw
 
 SITE = synthetic_topology(4)
@@ -23,16 +24,24 @@ LIKELY = replace(made_link(A.id, B.id, 20.0, 4.0), q_value=0.5, lacks=Lacks(3.0,
 YOUNG = with_rows(replace(SITE, links=[], pairs=[]), weak=[LIKELY])
 
 
-def test_before_the_first_version_it_says_how_many_events_there_are(browser: Browser) -> None:
-    shown = Shown()
+def test_before_the_first_version_configured_cameras_and_events_are_shown(
+    browser: Browser, tmp_path: Path
+) -> None:
+    cv2.imwrite(str(tmp_path / "a.jpg"), np.full((90, 160, 3), 120, np.uint8))
+    shown = Shown(pictures=tmp_path, config='[cameras.a]\nsource = "a.mp4"\n')
     with shown.serving():
         opened(browser, shown)
-        browser.wait(lambda: "No camera has sent an event yet" in browser.text(".nothing"), "why")
-        shown.status(a={"events": 3, "newest": 1.0}, b={"events": 4, "newest": 1.0})
-        browser.go("#/health")  # which asks for the cameras' figures
-        browser.wait(lambda: "2 cameras" in browser.text(".page"), "the cameras")
-        browser.go("#/map")
-        browser.wait(lambda: "7 events from 2 cameras so far" in browser.text(".nothing"), "them")
+        browser.wait(lambda: browser.count(".node.pictured image") == 1, "the picture")
+        browser.wait(lambda: "No camera has sent an event yet" in browser.text(".waiting"), "why")
+        now = time.time()
+        shown.status(a={"events": 3, "newest": now}, b={"events": 4, "newest": now, "alive": True})
+        browser.wait(lambda: browser.count(".node") == 2, "the other one")
+        shown.bus.seen = [SeenEvent(now, "b", "entry", None, 0.5, 0.5)]
+        browser.wait(lambda: browser.count(".pulse") == 1, "its entry")
+        browser.wait(lambda: "7 events from 2 cameras so far" in browser.text(".waiting"), "them")
+        browser.go("#/camera/a")
+        browser.wait(lambda: "No zone has been learned yet" in browser.text(".panel"), "the panel")
+        assert browser.complaints() == []
 
 
 def test_what_is_likely_and_what_is_not_known_are_told_apart(browser: Browser) -> None:
@@ -50,13 +59,19 @@ def test_what_is_likely_and_what_is_not_known_are_told_apart(browser: Browser) -
         ):
             next_ = [NextCamera("west", "west/1", share, 5.0, 7.0, 9.0)]
             young = camera == B.camera
-            said = Prediction(camera, f"{camera}/1", 1.0, None, 1, leave, next_, prior=young)
+            said = Prediction(
+                camera, f"{camera}/1", time.time(), None, 1, leave, next_, prior=young
+            )
 
             def told(said: Prediction = said, words: str = f"{camera} → {words}") -> bool:
                 shown.bus.publish(f"prediction/{said.camera}", said)
                 return words in browser.text(".predictions")
 
             browser.wait(told, words)
+        old = replace(said, t=time.time() - 10.5)
+        for _ in range(5):
+            shown.bus.publish(f"prediction/{old.camera}", old)
+        browser.wait(lambda: "Nobody is under way" in browser.text(".predictions"), "the end")
 
 
 def test_without_a_link_it_says_what_it_waits_for_and_dots_what_is_likely(browser: Browser) -> None:

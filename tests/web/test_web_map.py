@@ -100,6 +100,13 @@ def test_a_small_change_moves_little() -> None:
     assert apart(after["new"], after["0505"]) < 1.6
 
 
+def test_a_first_link_moves_no_camera_without_one() -> None:
+    before = places("abcdef", {}, {})
+    after = places("abcdefg", {("a", "b"): True}, before)
+    assert all(after[name] == pytest.approx(before[name]) for name in "cdef")
+    assert min(apart(after[a], after[b]) for a in after for b in after if a < b) > 0.5
+
+
 def test_a_large_site_is_placed_by_few_of_its_distances_and_about_as_well(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:

@@ -225,8 +225,8 @@ def test_errors_are_json_and_a_camera_that_is_none_is_named(server: Shown) -> No
 def test_it_says_where_it_is_and_ends_when_told(tmp_path: Path) -> None:
     endpoint = free_endpoint()
     config = msgspec.structs.replace(small_config(tmp_path), bus=BusSettings(listen=(endpoint,)))
-    (tmp_path / "c.toml").write_text('[web]\npictures = "none"\n')
-    options = ("--listen", "127.0.0.1:0", "--config", f"{tmp_path}/c.toml")
+    (tmp_path / "c.toml").write_text('[web]\nlisten = "127.0.0.1:0"\npictures = "none"\n')
+    options = ("--config", f"{tmp_path}/c.toml")
     with contextlib.closing(buses.open_daemon_session(config)):
         process = serving.camtopod(
             "web", "--connect", endpoint, *options, stderr=subprocess.PIPE, stdout=subprocess.PIPE

@@ -24,14 +24,17 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from msgspec.structs import replace
 
 from camtopod.cli import exits
-from camtopod.cli.common import open_output, say, writing
+from camtopod.cli.commands import web
+from camtopod.cli.common import open_output, say, until_signal, writing
 from camtopod.cli.terminal import Progress
 from camtopod.codec import to_json
 from camtopod.config import BusSettings, Config, Limits, SiteSettings, StateSettings
 from camtopod.learn.settings import LearnSettings
 from camtopod.records import Topology
+from camtopod.serve.bus import dial
 from camtopod.serve.daemon import Daemon
 from camtopod.serve.runtime import clock as clocks
 from camtopod.sim.floor import Plan, Walk, demo_plan, passages, simulate_walks, truth_of
@@ -89,6 +92,11 @@ def add_parser(add: Any) -> None:
     parser.add_argument(
         "--minutes", type=float, default=MINUTES, help="length of the recording" + default_note
     )
+    parser.add_argument(
+        "--page",
+        action="store_true",
+        help="show it all on a web page of this machine, until Ctrl-C",
+    )
 
 
 def run(args: argparse.Namespace) -> None:
@@ -109,18 +117,22 @@ def run(args: argparse.Namespace) -> None:
         walks = simulate_walks(plan, seconds, WALKERS_PER_SECOND, np.random.default_rng(args.seed))
         truth = truth_of(plan, passages(plan, walks))
         videos = _rendered(Path(work), plan, walks, seconds, args.seed)
-        topology = _watch(videos, seconds, Path(work))
-    result = score(topology, truth)
+        with _watched(videos, seconds, Path(work), args.page) as (topology, address):
+            result = score(topology, truth)
 
-    # Write the results.
-    for name, content in (("topology", topology), ("truth", truth)):
-        with open_output(args.out / f"{name}.json") as file:
-            file.write(to_json(content) + b"\n")
-    picture = args.out / "map.png"
-    write_map(picture, plan, truth, topology, result.text().splitlines())
-    print(result.text())
-    duration = time.monotonic() - begin
-    say(f"demo: picture in {picture}, topology in {args.out / 'topology.json'}; {duration:.0f} s")
+            # Write the results.
+            for name, content in (("topology", topology), ("truth", truth)):
+                with open_output(args.out / f"{name}.json") as file:
+                    file.write(to_json(content) + b"\n")
+            picture = args.out / "map.png"
+            write_map(picture, plan, truth, topology, result.text().splitlines())
+            print(result.text())
+            files = f"picture in {picture}, topology in {args.out / 'topology.json'}"
+            say(f"demo: {files}; {time.monotonic() - begin:.0f} s")
+            if address:
+                say(f"demo: open {address}, Ctrl-C ends it")
+                with until_signal() as stop:
+                    stop.wait()
 
 
 def _rendered(
@@ -149,8 +161,14 @@ def _rendered(
     return videos
 
 
-def _watch(videos: dict[str, Path], seconds: float, work: Path) -> Topology:
-    """Play the videos to the grabbers while the daemon learns; return the topology."""
+@contextlib.contextmanager
+def _watched(
+    videos: dict[str, Path], seconds: float, work: Path, has_page: bool
+) -> Iterator[tuple[Topology, str]]:
+    """Play the videos to the grabbers while the daemon learns; yield the topology.
+
+    With it the address of the page, which is there until the block ends; "" if there is none.
+    """
     # The recording has just ended on the demo's clock, which is never ahead of this machine's.
     start = clocks.wall() - 2 * (seconds + AFTERWARDS_SECONDS)
     clock = DemoClock(start + seconds)
@@ -165,20 +183,37 @@ def _watch(videos: dict[str, Path], seconds: float, work: Path) -> Topology:
     )
 
     # Play the videos to their end, then let the daemon learn the last events.
-    with (
-        Daemon(config, clock=clock) as daemon,
-        _grabbers(videos, start, daemon.endpoint, work) as grabbers,
-    ):
+    with contextlib.ExitStack() as stack:
+        daemon = stack.enter_context(Daemon(config, clock=clock))
+        address = ""
+        if has_page:
+            reader = replace(config, bus=BusSettings(connect=(daemon.endpoint,)))
+            address = stack.enter_context(_page(reader, work, clock))
+            say(f"demo: the page is at {address}")
         say("demo: playing the videos as fast as the grabbers read them")
-        _until(daemon, lambda _: _have_ended(grabbers))
+        with _grabbers(videos, start, daemon.endpoint, work) as grabbers:
+            _until(daemon, lambda _: _have_ended(grabbers))
         # The last events wait for the lateness and the end of their tick.
         clock.skip(AFTERWARDS_SECONDS + seconds + config.learn.version_seconds)
         _until(daemon, functools.partial(_has_learned, daemon))
         say(f"demo: {_progress(daemon)}")
-        topology = daemon.topology
-    if topology is None:
-        raise exits.CommandError("demo: no topology was learned; try more --minutes")
-    return topology
+        if daemon.topology is None:
+            raise exits.CommandError("demo: no topology was learned; try more --minutes")
+        yield daemon.topology, address
+
+
+@contextlib.contextmanager
+def _page(config: Config, work: Path, clock: DemoClock) -> Iterator[str]:
+    """Serve the page of the demo's daemon at a free port; yield its address."""
+    from camtopod.web import app  # needs starlette and uvicorn
+
+    host = "127.0.0.1"
+    with (
+        dial(config) as bus,
+        web.listening(host, 0) as listener,
+        app.serving(bus, listener, web.names(host), work, clock, config),
+    ):
+        yield f"http://{host}:{listener.getsockname()[1]}/"
 
 
 @contextlib.contextmanager

@@ -12,7 +12,6 @@ from typing import TYPE_CHECKING, Any
 from msgspec.structs import replace
 
 from camtopod.cli import exits
-from camtopod.cli.commands.web import LISTEN
 from camtopod.cli.common import (
     configuration,
     counted,
@@ -353,7 +352,7 @@ def _next(args: argparse.Namespace, settings: Config, cameras: Collection[str]) 
         command = "camtopod" if out == FOUND else f"camtopod --config {out}"
         if elsewhere:
             return f"{step}: {command} grab"
-        return f"{step}: {command} up, then open http://{LISTEN}/"
+        return f"{step}: {command} up, then open http://{settings.web.listen}/"
     services = [f"camtopod-grab@{name}" for name in cameras]
     services = ["camtopod", "camtopod-web"] * (not elsewhere) + services
     folder = (out.parent / SECRETS).absolute()

@@ -167,8 +167,9 @@ class _Parts:
                 "there is no page: pip install 'camtopod[web]' (in a clone '.[web]') adds it"
             )
         else:
-            names = [option for name in args.name for option in ("--name", name)]
-            parts.append(_Part(args, "web", "--listen", args.listen, *names))
+            options = [option for name in args.name for option in ("--name", name)]
+            options += ["--listen", args.listen] if args.listen else []
+            parts.append(_Part(args, "web", *options))
         if args.bridge:
             password = ["--password-file", str(args.password_file)] if args.password_file else []
             authorities = ["--ca", args.ca] if args.ca else []

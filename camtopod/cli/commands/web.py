@@ -23,6 +23,7 @@ from camtopod.cli.common import (
 from camtopod.cli.exits import CommandError, InputError
 from camtopod.cli.site_choice import add_districts, dial_sites
 from camtopod.config import Config, secret_files
+from camtopod.config.settings import ADDRESS_PATTERN
 from camtopod.serve.bus import access
 from camtopod.serve.runtime import Progress, clock
 
@@ -31,8 +32,6 @@ if TYPE_CHECKING:
 
 log = logging.getLogger(__name__)
 
-LISTEN = "127.0.0.1:8780"
-"""Default address."""
 LEAVE_SECONDS = 5.0
 """Time that a blocking part may delay the end after a signal."""
 
@@ -54,8 +53,7 @@ def add_address(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--listen",
         metavar="HOST:PORT",
-        default=LISTEN,
-        help=f"address to listen on (default: {LISTEN}, this machine only; port 0: a free one)",
+        help="address to listen on; port 0: a free one (default: [web] listen)",
     )
     parser.add_argument(
         "--name",
@@ -74,8 +72,9 @@ def run(args: argparse.Namespace) -> None:
 
     # Check the options.
     config = configuration(args)
-    host, port = address(args.listen)
-    is_public = not access.is_local(f"tcp/{args.listen}")
+    listen = args.listen or config.web.listen
+    host, port = address(listen)
+    is_public = not access.is_local(f"tcp/{listen}")
     pictures = config.web.pictures_folder
     if pictures is not None and not os.access(pictures, os.R_OK | os.X_OK):
         reason = "no permission to read it" if pictures.exists() else "no such directory"
@@ -142,10 +141,10 @@ def _login(config: Config) -> logins.Login | None:
 
 def address(text: str) -> tuple[str, int]:
     """Parse HOST:PORT (``[::1]:8780`` for IPv6). Raises `CommandError`."""
-    match = re.fullmatch(r"(\[[0-9A-Fa-f:.]+\]|[A-Za-z0-9_.-]+):([0-9]{1,5})", text)
+    match = re.match(ADDRESS_PATTERN, text)
     if match is None or int(match[2]) > 65535:
         raise CommandError(
-            f"--listen {text!r}: write it like {LISTEN} or 0.0.0.0:8780", exits.USAGE
+            f"--listen {text!r}: write it like 127.0.0.1:8780 or 0.0.0.0:8780", exits.USAGE
         )
     return match[1].strip("[]"), int(match[2])
 

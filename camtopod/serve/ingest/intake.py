@@ -53,6 +53,7 @@ from camtopod.serve.ingest.store_queue import StoreQueue
 from camtopod.serve.requests import Hello
 from camtopod.serve.runtime import Beat, Clock, Rejects, no_beat
 from camtopod.serve.storage import Entry, JournalWriter, highest_numbers
+from camtopod.words import present_of
 
 log = logging.getLogger(__name__)
 
@@ -263,9 +264,10 @@ class Intake:
         self.backlogs.note_request(camera, oldest, wall, now)
         answers.note_stored(name)
         self._take_published(wall, now)
+        present = present_of(wall, self.event_clock.newest)
         for item in events:  # a publication waits for one of these events, not for all
             event = item.event
-            if event is not None and wall - event.t < HEARD_SECONDS_MAX:
+            if event is not None and present - event.t < HEARD_SECONDS_MAX:
                 self._hear(camera, event, request.boot, item.entry.seq, wall, is_delivered=True)
                 self._take_published(wall, now)
 

@@ -4,7 +4,7 @@ import { fill, h, s } from "./dom.js";
 import { hourChart } from "./hours.js";
 import { Taken } from "./labels.js";
 import { link } from "./place.js";
-import { ago, clock, count, percent, plural, seconds } from "./words.js";
+import { clock, count, percent, plural, seconds } from "./words.js";
 
 const FRAME = [1600, 900]; // where there is no picture, pixels
 const MARGINS = [0.06, 0.2]; // around the picture, of its width or height: zones lie on its edges
@@ -27,9 +27,9 @@ export async function cameraPanel(app, id) {
   const learned = h("dd", {});
   const tellAges = () => {
     const newest = app.rows.get(id)?.newest;
-    since.textContent = newest ? `last event ${ago(app.now() - newest)}` : "";
+    since.textContent = newest ? `last event ${app.age(newest)}` : "";
     const last = story.last_event;
-    learned.textContent = !last ? "–" : app.source.live ? ago(app.now() - last) : clock(last);
+    learned.textContent = !last ? "–" : app.source.live ? app.age(last) : clock(last);
   };
   tellAges();
   const facts = h(
@@ -44,7 +44,7 @@ export async function cameraPanel(app, id) {
       "Offset of this camera's clock from the others', estimated from people walking both ways",
     ),
   );
-  const hours = app.hours.of(id, app.now());
+  const hours = app.hours.of(id, app.present());
   const between = story.links.filter((one) => one.relation !== "visible" && camera(one.from) !== camera(one.to));
   const out = between.filter((one) => camera(one.from) === id).sort((a, b) => b.transitions - a.transitions);
   const into = between.filter((one) => camera(one.to) === id).sort((a, b) => b.transitions - a.transitions);

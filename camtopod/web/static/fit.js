@@ -80,11 +80,24 @@ function placed(boxes, width, height, covers) {
   const [beside, above] = [width - (right - left), height - (bottom - top)];
   if (beside < 0 || above < 0) return null;
   /** @type {(place: number[]) => boolean} */
-  const free = ([x, y]) =>
-    boxes.every((box) =>
-      covers.every((one) => box[2] + x <= one[0] || box[0] + x >= one[2] || box[3] + y <= one[1] || box[1] + y >= one[3]),
-    );
+  const free = (place) => isFree(boxes, place, covers);
   return PLACES.map(([along, down]) => [along * beside - left, down * above - top]).find(free) ?? null;
+}
+
+// Whether none of `boxes`, with the map's origin at (x, y), is under one of `covers`.
+/** @param {number[][]} boxes @param {number[]} place @param {number[][]} covers */
+function isFree(boxes, [x, y], covers) {
+  return boxes.every((box) =>
+    covers.every((one) => box[2] + x <= one[0] || box[0] + x >= one[2] || box[3] + y <= one[1] || box[1] + y >= one[3]),
+  );
+}
+
+// Whether all of `boxes`, with the map's origin at (x, y), is in sight and none under one of `covers`.
+/** @param {number[][]} boxes @param {number[]} place @param {number} width @param {number} height @param {number[][]} covers */
+export function isFitting(boxes, [x, y], width, height, covers) {
+  /** @type {(box: number[]) => boolean} */
+  const isInside = (box) => box[0] + x >= 0 && box[1] + y >= 0 && box[2] + x <= width && box[3] + y <= height;
+  return boxes.every(isInside) && isFree(boxes, [x, y], covers);
 }
 
 /** @param {number[]} place */

@@ -4,7 +4,7 @@ import { fact } from "./camera.js";
 import { fill, h, more, say } from "./dom.js";
 import { link } from "./place.js";
 import { logOut } from "./source.js";
-import { ago, clock, count, howMany, plural } from "./words.js";
+import { clock, count, howMany, plural } from "./words.js";
 
 const ROWS = 200;
 
@@ -52,7 +52,7 @@ export class Health {
 
   #draw() {
     if (!this.app.health) return;
-    const { daemon, live, now, cameras, login } = this.app.health;
+    const { daemon, live, cameras, login } = this.app.health;
     const { between } = this.app;
     this.leave.hidden = !login;
     const events = daemon.events ?? {};
@@ -125,7 +125,7 @@ export class Health {
                 ),
                 h("td", {}, h("span", { class: `pill ${row.look}` }, row.state)),
                 h("td", { class: "apart number" }, count(row.events)),
-                h("td", { class: "number" }, row.newest ? ago(now - row.newest) : "–"),
+                h("td", { class: "number" }, row.newest ? this.app.age(row.newest) : "–"),
                 h("td", { class: "apart reason" }, row.reason),
               ),
             ),

@@ -30,26 +30,13 @@ export class Hours {
     counts[hour][kind === "exit" ? 1 : 0] += 1;
   }
 
-  // Entries and exits of a camera since midnight, or null.
-  today(id) {
+  // Entries and exits of a camera since the midnight before `now`, or null.
+  today(id, now) {
     if (!this.#told) return null;
-    const midnight = new Date().setHours(0, 0, 0, 0) / 1000;
+    const midnight = new Date(1000 * now).setHours(0, 0, 0, 0) / 1000;
     const skipped = Math.max(0, Math.ceil((midnight - this.#told.first) / HOUR));
     const counts = (this.#told.cameras[id] ?? []).slice(skipped);
     return counts.reduce(([entries, exits], [more, less]) => [entries + more, exits + less], [0, 0]);
-  }
-
-  // Write on each camera of the map how many have entered today, if there is room.
-  writeOn(map) {
-    for (const node of map.nodes.values()) {
-      const [wide, high] = map.halves(node);
-      node.today = this.today(node.id);
-      const text = node.today && high > DIGIT_PIXELS[1] ? count(node.today[0]) : "";
-      const shown = text.length * DIGIT_PIXELS[0] < 2 * wide ? text : "";
-      if (node.entered.textContent === shown) continue;
-      node.entered.textContent = shown;
-      map.tell(node);
-    }
   }
 
   // What the chart of a camera needs, or null.
@@ -59,6 +46,22 @@ export class Hours {
     const hours = Math.max(1, 1 + Math.floor((now - first) / HOUR));
     const counts = Array.from({ length: hours }, (_, k) => (cameras[id]?.[k] ?? [0, 0]).reduce((a, b) => a + b));
     return { since, first, counts };
+  }
+}
+
+// Write on each camera of the map how many have entered, if there is room; countsOf(id): entries and exits, or null;
+// `when`: in words.
+export function writeCounts(map, countsOf, when) {
+  for (const node of map.nodes.values()) {
+    const [wide, high] = map.halves(node);
+    node.counts = countsOf(node.id);
+    node.when = when;
+    const text = node.counts && high > DIGIT_PIXELS[1] ? count(node.counts[0]) : "";
+    const [full] = [`${text} in`, text, ""].filter((one) => one.length * DIGIT_PIXELS[0] < 2 * wide);
+    const shown = text && full;
+    if (node.entered.textContent === shown) continue;
+    node.entered.textContent = shown;
+    map.tell(node);
   }
 }
 
@@ -72,6 +75,7 @@ export function hourChart({ since, first, counts }) {
   const hour = (k) => new Date(1000 * (first + 3600 * (from + k)));
   const high = (n) => ((HEIGHT - BOTTOM) * n) / top;
   const named = (k) => hour(k).getHours() % STEP === 0 || shown.length === 1;
+  const isLive = since < first + HOUR * counts.length;
   const all = shown.reduce((sum, n) => sum + n, 0);
   return h(
     "figure",
@@ -93,6 +97,6 @@ export function hourChart({ since, first, counts }) {
           : null,
       ),
     ),
-    h("figcaption", {}, `at most ${count(top)} an hour; counted since ${clock(since)}`),
+    h("figcaption", {}, `at most ${count(top)} an hour${isLive ? `; counted since ${clock(since)}` : ""}`),
   );
 }

@@ -115,7 +115,7 @@ function placeNames(map, chosen, found, taken, measure) {
   for (const { node, x, y } of inSight.slice(0, NAMES_TRIED_MAX)) {
     if (wanted.length >= NAMES_MAX) break;
     const kind = chosen.has(node.id) || found.has(node.id) ? "name first" : "name";
-    const text = node.camera.new ? `${node.id}: new, no version yet` : node.id;
+    const text = node.camera.new && map.version ? `${node.id} (new)` : node.id;
     const { half, height: tall, above } = measure(text, kind);
     const [wide, high] = map.halves(node);
     const places = [node.side, ...SIDES].map(([dx, dy]) => {

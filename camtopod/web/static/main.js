@@ -3,7 +3,7 @@
 import { cameraPanel } from "./camera.js";
 import { fill, h, say } from "./dom.js";
 import { Health } from "./health.js";
-import { Hours } from "./hours.js";
+import { Hours, writeCounts } from "./hours.js";
 import { linkPanel, pairPanel } from "./link.js";
 import { Connection } from "./live.js";
 import { Overlays } from "./overlays.js";
@@ -15,12 +15,13 @@ import { Away, NotThere, openSource } from "./source.js";
 import { LinkTable } from "./table.js";
 import { Versions } from "./versions.js";
 import { Walks } from "./walks.js";
-import { ago, clock, count } from "./words.js";
+import { ago, clock, count, day } from "./words.js";
 
 const PANELS = { camera: cameraPanel, pair: pairPanel, link: linkPanel };
 const RETRY_MILLISECONDS = 2000;
 const HEALTH_MILLISECONDS = 4000;
 const CATCH_UP_MILLISECONDS = 300_000;
+const OLD_SECONDS = 86_400; // age of the newest event from which on a site without a grabber plays a recording
 const FRESH_SECONDS = 30; // age of an event up to which it is a pulse
 
 class App {
@@ -28,6 +29,7 @@ class App {
   health = null; // of the daemon and the cameras, as asked for last
   rows = new Map(); // camera -> its health
   hours = new Hours();
+  recorded = null; // time of the newest event of a recording that is played; null of a site that is live
   #shown = null; // the panel that is open
   #lost = null; // since when the server is not reached, or refuses this page
   #refused = ""; // why it does
@@ -64,7 +66,7 @@ class App {
       h("main", {}, this.stage, this.panel, this.pages),
     );
     this.network = new NetworkMap(this.stage);
-    this.walks = new Walks();
+    this.walks = new Walks((id) => this.network.pictures.get(id));
     this.replay = new Replay(this);
     this.overlays = new Overlays(this.stage, this);
     /** @type {Record<string, any>} */
@@ -98,7 +100,8 @@ class App {
       });
       setInterval(() => {
         this.#tellLive();
-        this.hours.writeOn(this.network);
+        this.tellToday();
+        this.overlays.listPredictions();
         this.#shown?.onTick?.();
       }, 1000);
       setInterval(() => document.hidden || this.askHealth(), HEALTH_MILLISECONDS);
@@ -118,6 +121,28 @@ class App {
   // Seconds since the epoch by the server's clock.
   now() {
     return this.connection ? this.connection.now() : (this.map?.as_of ?? 0);
+  }
+
+  #tellRecording() {
+    const rows = [...this.rows.values()];
+    const newest = rows.reduce((last, row) => Math.max(last, row.newest ?? 0), this.map?.as_of ?? 0);
+    const isOld = newest && this.now() - newest > OLD_SECONDS;
+    this.recorded = isOld && rows.every((row) => row.look === "off") ? newest : null;
+  }
+
+  // The moment that the site is at: now, or that of the recording.
+  present() {
+    return this.recorded ?? this.now();
+  }
+
+  // How long ago a time was; of a recording the time itself.
+  age(t) {
+    return this.recorded ? clock(t) : ago(this.now() - t);
+  }
+
+  // Write on the cameras how many have entered today.
+  tellToday() {
+    if (!this.replay.on) writeCounts(this.network, (id) => this.hours.today(id, this.present()), "today");
   }
 
   // Fetch the whole map, again if the server is away.
@@ -181,7 +206,7 @@ class App {
     this.network.health(those((row) => row.look === "bad"), gone);
     this.overlays.tellGone(gone);
     this.network.showBetween(this.between?.pairs ?? []);
-    if (!this.map) this.network.tellEvents([...this.rows.values()].map((row) => row.events ?? 0));
+    if (!this.map?.version) this.overlays.tellEvents([...this.rows.values()].map((row) => row.events ?? 0));
     this.#shown?.onHealth?.(this.rows);
   }
 
@@ -189,7 +214,7 @@ class App {
   #seen(event) {
     this.#heardFrom(event);
     this.hours.add(event);
-    if (!this.replay.on && this.now() - event.t < FRESH_SECONDS) this.network.pulses.show(event);
+    if (!this.replay.on && this.present() - event.t < FRESH_SECONDS) this.network.pulses.show(event);
     this.#shown?.onEvent?.(event);
   }
 
@@ -268,7 +293,7 @@ class App {
   }
 
   #has(version) {
-    return version === null ? this.map === null : this.map?.epoch === version[0] && this.map.version === version[1];
+    return version === null ? !this.map?.version : this.map?.epoch === version[0] && this.map.version === version[1];
   }
 
   #use(map) {
@@ -292,24 +317,26 @@ class App {
 
   #predicted(prediction, live) {
     this.#heardFrom(prediction);
-    if (live && !this.replay.on) this.network.flow.send(prediction, this.now() - prediction.t);
+    if (live && !this.replay.on) this.network.flow.send(prediction, this.present() - prediction.t);
     this.overlays.predicted(prediction);
     if (live) this.#shown?.onPrediction?.(prediction);
   }
 
   #tellLive() {
-    const version = this.map ? `version ${count(this.map.version)}` : "no version yet";
+    const version = this.map?.version ? `version ${count(this.map.version)}` : "no version yet";
     if (!this.source.live) {
       this.pill.textContent = `report, ${version}, ${clock(this.map.as_of)}`;
       return;
     }
+    this.#tellRecording();
     const live = this.health?.live;
     const since = this.#lost ?? (live && !live.live ? live.since : null);
     const ill = since === null && [...this.rows.values()].some((row) => row.look === "bad");
     this.pill.className = `pill ${since !== null ? "bad" : (live?.look ?? "off")}`;
     this.nav.querySelector("[data-name=health]").classList.toggle("ill", ill);
     const words = this.#lost === null ? live?.words : "not reached";
-    this.pill.textContent = words ? `${words} · ${version}` : "…";
+    const recording = this.recorded && `recording of ${day(this.recorded)}`;
+    this.pill.textContent = words ? [words, recording, version].filter(Boolean).join(" · ") : "…";
     this.banner.hidden = since === null;
     document.body.classList.toggle("stale", since !== null);
     if (since === null) return;

@@ -1,8 +1,8 @@
 // The network map: cameras as nodes, black edges overlap, grey edges are unseen paths; dashed while provisional.
 
-import { fill, h, s, say } from "./dom.js";
+import { fill, h, s } from "./dom.js";
 import { drawEdge, openPicture, pick } from "./elements.js";
-import { fitted, findNear, grow } from "./fit.js";
+import { findNear, fitted, grow, isFitting } from "./fit.js";
 import { Flow } from "./flow.js";
 import { Labels, findSides } from "./labels.js";
 import { go } from "./place.js";
@@ -20,6 +20,8 @@ const SHOT_RATIO = 16 / 9; // width by height of a picture that is not there yet
 const SHOTS_MAX = 60; // pictures in sight; more take too much memory
 const STEP_PIXELS = 5; // that a key moves a camera on a plan
 const TURNED_RATIO = 1.2; // height by width of a screen from which a wide map is turned
+const KEPT_RATIO = 1.25; // by which a map that is not moved must be able to grow to be shown anew
+const SETTLING_MILLISECONDS = 3000; // in which pictures arrive, and the map is shown anew with each
 const NAME_PIXELS = 22; // below and above a camera when all of it is shown
 const EDGE_PIXELS = 6; // the same beside it and its name
 const PLAN_PIXELS = 8; // the same of a floor plan
@@ -50,6 +52,8 @@ export class NetworkMap {
   #covers = []; // elements that lie on it
   #covered = []; // where, [left, top, right, bottom] in its pixels
   #fitting = false; // all of it is to be shown with the next frame
+  #kept = 0; // as of `fit`
+  #begun = 0; // when the first cameras came
 
   constructor(element) {
     this.svg = s("svg", {
@@ -66,15 +70,7 @@ export class NetworkMap {
     this.world.append(this.edgeLayer, this.flowLayer, this.nodeLayer, this.liveLayer);
     this.svg.append(this.world, this.labelLayer);
     this.tip = h("div", { class: "tip", hidden: true });
-    this.soFar = h("p", {});
-    this.nothing = h(
-      "div",
-      { class: "nothing" },
-      h("h2", {}, "Nothing learned yet"),
-      this.soFar,
-      h("p", {}, "The map appears about a minute after the first ten entries and exits."),
-    );
-    element.append(this.svg, this.tip, this.nothing);
+    element.append(this.svg, this.tip);
     this.view = new View(
       this.svg,
       () => this.redraw(),
@@ -110,18 +106,11 @@ export class NetworkMap {
       .map((box) => [box.left - own.left, box.top - own.top, box.right - own.left, box.bottom - own.top]);
   }
 
-  // Say how many events there are while there is no map; one number for each camera.
-  tellEvents(events) {
-    const heard = events.filter((n) => n > 0);
-    const all = heard.reduce((sum, n) => sum + n, 0);
-    const from = `${plural(heard.length, "camera")} so far.`;
-    say(this.soFar, heard.length ? `${plural(all, "event")} from ${from}` : "No camera has sent an event yet.");
-  }
-
   // Show a map; what is the same object as before is left alone.
   update(map) {
     const fresh = this.nodes.size === 0;
     this.#map = map;
+    this.version = map.version; // 0 before the first one
     const placed = this.plan?.places(Object.keys(map.cameras));
     const turned = this.#turned;
     this.#turned = !this.plan && this.#isTurned(map);
@@ -152,17 +141,16 @@ export class NetworkMap {
     findSides(this);
     this.sight.use(this.nodes, this.edges);
     this.#circle = findNear([...this.nodes.values()], UNIT);
-    this.nothing.hidden = this.nodes.size > 0;
     if (this.#focused === null || !this.nodes.has(this.#focused)) this.#roam(this.nodes.keys().next().value ?? null);
     this.#mark();
-    if (fresh) this.fit();
-    else this.#settle();
+    if (fresh) this.#begun = performance.now();
+    this.#settle();
   }
 
   // All is shown as long as nobody has moved the map.
   #settle() {
     if (this.view.touched) this.redraw();
-    else this.fit();
+    else this.fit(performance.now() - this.#begun < SETTLING_MILLISECONDS ? 0 : KEPT_RATIO);
   }
 
   // Whether the map is turned, so that a wide one fills a high screen.
@@ -174,10 +162,20 @@ export class NetworkMap {
     return all.length > 1 && range(all.map(({ x }) => x)) > range(all.map(({ y }) => y));
   }
 
-  // Show all of it with the next frame, as large as possible with nothing under what lies on the map.
-  fit() {
+  // Show all of it with the next frame, as large as possible with nothing under what lies on the map; where it is, if
+  // it fits there and could not be more than `kept` times as large.
+  fit(kept = 0) {
     this.#fitting = true;
+    this.#kept = kept;
     this.redraw();
+  }
+
+  #fitNow(width, height) {
+    const boxesAt = (scale) => this.#boxes(scale);
+    const best = fitted(boxesAt, width, height, this.#covered);
+    const { x, y, scale } = this.view;
+    const isKept = best[2] < this.#kept * scale && isFitting(boxesAt(scale), [x, y], width, height, this.#covered);
+    if (!isKept) this.view.put(...best);
   }
 
   // What all of it takes at a scale, [left, top, right, bottom] each, in pixels from the map's origin.
@@ -200,7 +198,7 @@ export class NetworkMap {
   // Mark the cameras or the edge that are open beside the map.
   choose(...ids) {
     this.#chosen = ids;
-    if (ids.length && !this.#inSight(ids)) this.show(ids[0]);
+    if (ids.length && this.view.touched && !this.#inSight(ids)) this.show(ids[0]); // else it is fitted to the window
     this.#mark();
     this.redraw();
   }
@@ -251,14 +249,14 @@ export class NetworkMap {
   }
 
   // Say of a node what is seen of it.
-  tell({ id, camera, element, entered }) {
+  tell({ id, camera, element, entered, counts, when }) {
     const ill = this.#ill.has(id);
     const gone = this.#gone.has(id);
     element.classList.toggle("ill", ill);
     element.classList.toggle("gone", gone);
     const state = ill ? ", needs attention" : gone ? ", gone" : "";
     const learned = camera.new ? "new, no version yet" : plural(camera.zones, "zone");
-    const name = `Camera ${id}, ${learned}${state}${entered.textContent && `, ${entered.textContent} entries today`}`;
+    const name = `Camera ${id}, ${learned}${state}${entered.textContent && `, ${plural(counts[0], "entry", "entries")} ${when}`}`;
     if (element.getAttribute("aria-label") !== name) element.setAttribute("aria-label", name);
   }
 
@@ -268,8 +266,7 @@ export class NetworkMap {
       this.#frame = 0;
       const { clientWidth: width, clientHeight: height } = this.svg; // before anything is written, which is dear to ask after
       Object.assign(this, { width, height });
-      if (this.#fitting && this.nodes.size && width)
-        this.view.put(...fitted((scale) => this.#boxes(scale), width, height, this.#covered));
+      if (this.#fitting && this.nodes.size && width) this.#fitNow(width, height);
       this.#fitting = false;
       const { x, y, scale } = this.view;
       this.world.setAttribute("transform", `translate(${x.toFixed(2)} ${y.toFixed(2)}) scale(${scale})`);

@@ -7,8 +7,10 @@ import { clock, count, plural } from "./words.js";
 const OPEN_MAX = 100; // cameras; on the map of a larger site the predictions' list would hide too much
 const HITS_SHOWN = 8;
 const PREDICTIONS_SHOWN = 5;
+const PREDICTION_SECONDS_MIN = 10; // that a prediction stays in the list at least
 const ALARMS_SHOWN = 4;
 const LIST_MILLISECONDS = 700; // no list is read that changes faster
+const FIRST = "Learning: the first map comes within a minute of the first entry or exit.";
 const NARROW = matchMedia("(max-width: 720px)");
 
 // What the legend explains while it is in use: look, words, and whether `used` has it.
@@ -104,9 +106,21 @@ export class Overlays {
     if (!this.#shown && Object.keys(map.cameras).length > OPEN_MAX) this.predictions.open = false;
     this.#shown = true;
     this.#tellAlarms(map.alarms);
-    this.waiting.hidden = !map.waiting;
-    say(this.waiting, map.waiting);
+    if (map.version) this.#wait(map.waiting);
     this.#summarise();
+  }
+
+  // Say how many events there are while there is no version; one number for each camera.
+  tellEvents(events) {
+    const heard = events.filter((n) => n > 0);
+    const all = heard.reduce((sum, n) => sum + n, 0);
+    const from = `${plural(heard.length, "camera")} so far.`;
+    this.#wait(`${FIRST} ${heard.length ? `${plural(all, "event")} from ${from}` : "No camera has sent an event yet."}`);
+  }
+
+  #wait(text) {
+    this.waiting.hidden = !text;
+    say(this.waiting, text);
   }
 
   // Which cameras are gone.
@@ -145,6 +159,17 @@ export class Overlays {
     this.#timer ??= setTimeout(() => this.#list(), LIST_MILLISECONDS);
   }
 
+  // Leave out the predictions whose time has passed.
+  listPredictions() {
+    const now = this.app.present();
+    const current = this.#predictions.filter(
+      ({ t, next }) => now - t < Math.max(PREDICTION_SECONDS_MIN, ...next.map((one) => one.q90)),
+    );
+    if (current.length === this.#predictions.length) return;
+    this.#predictions = current;
+    this.#list();
+  }
+
   #tellAlarms(all) {
     const alarms = all.filter((alarm) => alarm.open);
     this.alarms.hidden = !alarms.length;
@@ -156,10 +181,11 @@ export class Overlays {
         .map((alarm) =>
           h(
             "li",
-            { title: alarm.detail },
+            {},
             h("b", {}, alarm.title),
             " ",
             h("span", { class: "quiet" }, clock(alarm.t)),
+            h("small", {}, alarm.detail),
           ),
         ),
       h("li", {}, h("a", { href: link("versions") }, "All, with the versions that raised them")),
@@ -171,6 +197,7 @@ export class Overlays {
     this.predictions.hidden = false;
     fill(
       this.list,
+      this.#predictions.length ? null : h("li", { class: "quiet" }, "Nobody is under way."),
       this.#predictions.map(({ camera, words }) =>
         h("li", {}, h("a", { href: link("camera", camera) }, camera), " → ", h("span", { class: "quiet" }, words)),
       ),

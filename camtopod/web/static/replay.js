@@ -1,24 +1,34 @@
-// The last hour in a minute, and the map version by version. What is live waits meanwhile.
+// The last hour in a minute, and the map version by version, with a bar to drag. What is live waits meanwhile.
 
 import { fill, h } from "./dom.js";
+import { writeCounts } from "./hours.js";
 import { Away } from "./source.js";
 import { clock, count } from "./words.js";
 
-const HOUR_SECONDS = 3600;
-const HOUR_PLAYS_SECONDS = 60;
+const SPEED = 60; // of the last hour
+const PLAYS_SECONDS_MIN = 10;
+const BAR_STEPS = 1000;
+const COUNT_MILLISECONDS = 200; // no number is read that changes faster
 const STEP_PLAYS_SECONDS = 0.6; // a version
 const WAY_SECONDS_MIN = 0.4; // of a dot, from camera to camera
 
 export class Replay {
   on = false;
   #frame = 0;
+  #shift = null; // goes to a share of what is played
 
   constructor(app) {
     this.app = app;
     const button = (text, act) => h("button", { type: "button", on: { click: () => this.#start(act) } }, text);
     const stop = h("button", { type: "button", on: { click: () => this.stop() } }, "Stop");
     this.time = h("span", {});
-    this.playing = h("p", { hidden: true }, stop, " ", this.time);
+    this.bar = h("input", {
+      type: "range",
+      max: BAR_STEPS,
+      "aria-label": "Time of the replay",
+      on: { input: () => this.#shift(this.bar.value / BAR_STEPS) },
+    });
+    this.playing = h("div", { hidden: true }, this.bar, stop, " ", this.time);
     this.said = h("p", { class: "quiet", role: "status" });
     const { hasRecent, hasGrowth, live } = app.source;
     this.offered = h(
@@ -47,13 +57,14 @@ export class Replay {
     this.offered.hidden = false;
     const { network, map } = this.app;
     network.flow.clear();
-    network.update(map);
+    if (map) network.update(map);
     if (this.fitted) network.fit();
+    this.fitted = false;
+    this.app.tellToday();
   }
 
   async #start(act) {
     this.stop();
-    if (!this.app.map?.version) return fill(this.said, "Nothing has been learned yet.");
     fill(this.said);
     try {
       await act();
@@ -65,47 +76,72 @@ export class Replay {
   }
 
   async #hour() {
-    const { t, events } = await this.app.source.recent();
+    const { events } = await this.app.source.recent();
     if (!events.length) return fill(this.said, "There was nothing in the last hour.");
-    const { flow, pulses } = this.app.network;
-    const speed = HOUR_SECONDS / HOUR_PLAYS_SECONDS;
+    const { network } = this.app;
+    const { flow, pulses } = network;
+    const times = events.map((event) => event.t);
+    const [from, until] = [times.reduce((a, b) => Math.min(a, b)), 1 + times.reduce((a, b) => Math.max(a, b))];
+    const takes = Math.max(PLAYS_SECONDS_MIN, (until - from) / SPEED);
+    const speed = (until - from) / takes;
     const acts = [
       ...events.map((event) => [event.t, () => pulses.show(event)]),
-      ...joined(events, this.app.map.edges).map((way) => [
+      ...joined(events, this.app.map?.edges ?? {}).map((way) => [
         way.t,
         () => flow.go(way.from, way.to, Math.max(WAY_SECONDS_MIN, way.takes / speed)),
       ]),
     ];
     acts.sort(([one], [other]) => one - other);
-    return this.#play(acts, t - HOUR_SECONDS, t, HOUR_PLAYS_SECONDS, clock);
+    let told = -Infinity;
+    const tell = (at) => {
+      if (performance.now() - told < COUNT_MILLISECONDS) return clock(at);
+      told = performance.now();
+      const counts = new Map();
+      for (const { camera, kind, t } of events)
+        if (t <= at) (counts.get(camera) ?? counts.set(camera, [0, 0]).get(camera))[kind === "exit" ? 1 : 0] += 1;
+      writeCounts(network, (id) => counts.get(id) ?? [0, 0], "in the replay");
+      return clock(at);
+    };
+    return this.#play(acts, from, until, takes, tell);
   }
 
   async #grow() {
     const steps = await this.app.source.growth();
+    if (!steps.length) return fill(this.said, "Nothing has been learned yet.");
     const { network, map } = this.app;
+    this.fitted = !network.view.touched;
+    network.view.touched = true; // the map stands still
     const acts = steps.map((step, k) => [k, () => network.update(asOf(step, map))]);
     const words = (k) => {
       const { version, as_of: t } = steps[Math.min(steps.length - 1, Math.floor(k))];
       return `version ${count(version)}, ${clock(t)}`;
     };
-    this.#play(acts, 0, steps.length + 1, (steps.length + 1) * STEP_PLAYS_SECONDS, words);
+    return this.#play(acts, 0, steps.length + 1, (steps.length + 1) * STEP_PLAYS_SECONDS, words);
   }
 
-  // Do `acts`, each [time, what], from one time to another in so many seconds.
-  #play(acts, from, until, seconds, words) {
-    const { view } = this.app.network;
-    this.fitted = !view.touched;
-    view.touched = true; // the map stands still
+  // Do `acts`, each [time, what], from one time to another in so many seconds; tell(at) returns what the bar stands at.
+  #play(acts, from, until, seconds, tell) {
+    const { flow } = this.app.network;
     this.on = true;
     this.playing.hidden = false;
     this.offered.hidden = true;
-    const begun = performance.now();
+    this.bar.focus({ preventScroll: true });
+    flow.clear(); // what is live
+    let begun = performance.now();
     let k = 0;
+    this.#shift = (share) => {
+      begun = performance.now() - 1000 * share * seconds;
+      flow.clear();
+      k = acts.filter(([t]) => t <= from + share * (until - from)).length;
+      k = Math.max(0, k - 1); // again what was last, of a map the one of that moment
+    };
     const step = () => {
-      const at = from + ((performance.now() - begun) / 1000) * ((until - from) / seconds);
+      const share = Math.min(1, (performance.now() - begun) / 1000 / seconds);
+      const at = from + share * (until - from);
       for (; k < acts.length && acts[k][0] <= at; k += 1) acts[k][1]();
-      this.time.textContent = words(Math.min(at, until));
-      if (at < until) this.#frame = requestAnimationFrame(step);
+      this.time.textContent = tell(at);
+      this.bar.value = share * BAR_STEPS;
+      if (share < 1) this.#frame = requestAnimationFrame(step);
       else this.stop();
     };
     step();

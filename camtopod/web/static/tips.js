@@ -4,7 +4,7 @@ import { h } from "./dom.js";
 import { count, percent, plural, seconds, span, transit } from "./words.js";
 
 // Tooltip of a camera.
-export function nodeTip({ id, camera, today }) {
+export function nodeTip({ id, camera, counts, when }) {
   return [
     h("b", {}, id),
     h(
@@ -14,7 +14,7 @@ export function nodeTip({ id, camera, today }) {
         ? "new, no version yet"
         : `${plural(camera.zones, "zone")} · about ${count(camera.entries)} in, ${count(camera.exits)} out`,
     ),
-    today ? h("span", {}, `today: ${count(today[0])} in, ${count(today[1])} out`) : null,
+    counts ? h("span", {}, `${when}: ${count(counts[0])} in, ${count(counts[1])} out`) : null,
   ];
 }
 

@@ -15,7 +15,9 @@ export class Walks {
   marked = null; // the walk that is shown on the map
   #timer = null;
 
-  constructor() {
+  // pictureOf(id): address of a camera's picture, if there is one.
+  constructor(pictureOf) {
+    this.pictureOf = pictureOf;
     this.list = h("ul", {});
     this.element = h(
       "details",
@@ -73,6 +75,11 @@ export class Walks {
     fill(this.list, shown.map(([name, { steps }]) => h("li", {}, this.#walk(name, steps))));
   }
 
+  #picture(camera) {
+    const address = this.pictureOf(camera);
+    return address ? h("img", { src: address, alt: "" }) : null;
+  }
+
   #walk(name, steps) {
     const shown = steps.slice(-STEPS_SHOWN);
     const sure = shown.slice(1).reduce((all, step) => all * step.probability, 1);
@@ -81,7 +88,10 @@ export class Walks {
       "a",
       { href: marked ? link("map") : link("walk", name), "aria-current": marked ? "true" : null },
       steps.length > shown.length ? "… → " : null,
-      shown.map((step, k) => [k ? " → " : null, h("b", {}, step.camera), ` ${clock(step.t)}`]),
+      shown.map((step, k) => [
+        k ? " → " : null,
+        h("span", { class: "step" }, this.#picture(step.camera), h("b", {}, step.camera), ` ${clock(step.t)}`),
+      ]),
       h("span", { class: "quiet", title: "Probability that all of this is one walk" }, `, ${percent(sure)}`),
     );
   }

@@ -62,6 +62,11 @@ export function axisTime(t, range) {
   return range > 43200 ? `${date.toLocaleDateString("en-GB", { weekday: "short" })} ${time}` : time;
 }
 
+// The day of a recording.
+export function day(t) {
+  return new Date(1000 * t).toLocaleDateString("en-GB", { day: "numeric", month: "long", year: "numeric" });
+}
+
 export function ago(age) {
   if (!Number.isFinite(age)) return "–";
   if (age < 1.5) return "now";

@@ -206,6 +206,9 @@ def test_what_is_delivered_a_day_later_is_stored_and_not_heard(tmp_path: Path) -
 
     assert bench.intake.counts["stored"] == 2
     assert [event.t - bench.wall for event in bench.heard] == [1.0 - HEARD_SECONDS_MAX]
+    bench.intake.event_clock.newest = bench.wall - 9 * HEARD_SECONDS_MAX
+    bench.store({3: -9.5 * HEARD_SECONDS_MAX, 4: -10.5 * HEARD_SECONDS_MAX})
+    assert len(bench.heard) == 2, "of a recording, the last day"
 
 
 def test_a_restart_forgets_what_was_heard(tmp_path: Path) -> None:
