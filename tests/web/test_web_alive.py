@@ -137,7 +137,7 @@ def test_the_last_hour_is_replayed_and_so_is_how_the_map_grew(browser: Browser) 
 
 def test_a_recording_is_dated_by_its_events(browser: Browser) -> None:
     t = 1_700_000_000.0
-    shown = Shown(replace(SITE, as_of=t))
+    shown = Shown(synthetic_topology(4, as_of=t))
     shown.bus.hours = EventHours(t, t // 3600 * 3600, {A: [[5, 0]]})
     with shown.serving():
         opened(browser, shown)

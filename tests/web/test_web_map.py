@@ -104,7 +104,7 @@ def test_a_first_link_moves_no_camera_without_one() -> None:
     before = places("abcdef", {}, {})
     after = places("abcdefg", {("a", "b"): True}, before)
     assert all(after[name] == pytest.approx(before[name]) for name in "cdef")
-    assert min(apart(after[a], after[b]) for a in after for b in after if a < b) > 0.5
+    assert min(apart(after[a], after[b]) for a in after for b in after if a < b) > 0.49
 
 
 def test_a_large_site_is_placed_by_few_of_its_distances_and_about_as_well(
