@@ -28,8 +28,9 @@ OVERLAPPED_LENGTH = 0.7
 """Length of an edge between overlapping views; an unseen path has length 1."""
 MARGIN = 0.8
 """Space around a connected part."""
-KEPT_PARTS_MAX = 40
-"""Connected parts up to which each stays where it was, rather than all being packed again."""
+KEPT_MAX = 60
+"""Cameras up to which each connected part stays where it was, rather than all being packed again.
+"""
 APART_MIN = 0.5
 """Least distance of cameras of different parts, across or down, if they keep their places."""
 DENSE_MAX = 1_000
@@ -58,12 +59,12 @@ def places(
     parts = sorted((np.flatnonzero(part == k) for k in range(count)), key=len, reverse=True)
     for members in parts:
         at[members] = _one_part(graph[members][:, members], start[members])
-    if len(before) and len(parts) <= KEPT_PARTS_MAX:
+    is_old = ~np.isnan(start[:, 0])
+    if is_old.any() and len(order) <= KEPT_MAX:
         _put_where_they_were(at, start, parts)
     else:
         _put_on_shelves(at, parts)
         # Keep the cameras of before in place on the whole, even if a part grew to the left.
-        is_old = ~np.isnan(start[:, 0])
         if is_old.any():
             at += np.median((start - at)[is_old], axis=0)
     return {name: (x, y) for name, (x, y) in zip(order, np.round(at, 3).tolist(), strict=True)}
@@ -129,7 +130,7 @@ def _put_where_they_were(at: Floats, start: Floats, parts: list[NDArray[np.intp]
     start (n, 2): previous positions, or nan; a part without any is put near the middle.
     """
     middle = np.nanmean(start, axis=0)
-    turn = np.linspace(0.0, 2 * np.pi, 24, endpoint=False)
+    turn = np.linspace(0.0, 2 * np.pi, 16, endpoint=False)
     around = np.column_stack([np.cos(turn), np.sin(turn)])
     placed = np.empty((0, 2))
     for rows in parts:
@@ -137,7 +138,7 @@ def _put_where_they_were(at: Floats, start: Floats, parts: list[NDArray[np.intp]
         moves = (start - at)[rows[is_old]] if is_old.any() else middle - at[rows]
         at[rows] += np.median(moves, axis=0)
         for step in itertools.count():
-            shifts = 0.1 * step * around
+            shifts = 0.2 * step * around
             apart = np.abs((at[rows] + shifts[:, None])[:, :, None] - placed).max(-1)
             if (is_free := (apart > APART_MIN).all((1, 2))).any():
                 break

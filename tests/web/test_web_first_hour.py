@@ -23,6 +23,16 @@ A, B = SITE.zones[0], SITE.zones[-1]
 LIKELY = replace(made_link(A.id, B.id, 20.0, 4.0), q_value=0.5, lacks=Lacks(3.0, 1800.0))
 YOUNG = with_rows(replace(SITE, links=[], pairs=[]), weak=[LIKELY])
 
+HIDDEN = """
+const boxes = (all) =>
+  [...document.querySelectorAll(all)].map((one) => one.getBoundingClientRect()).filter((box) => box.width);
+const stage = document.querySelector(".stage").getBoundingClientRect();
+return boxes(".node > image, .node > circle").filter((camera) =>
+  camera.left < stage.left || camera.right > stage.right || boxes(".overlay").some((box) =>
+    box.left < camera.right && camera.left < box.right && box.top < camera.bottom && camera.top < box.bottom)).length;
+"""
+"""How many cameras are out of sight, or under something."""
+
 
 def test_before_the_first_version_configured_cameras_and_events_are_shown(
     browser: Browser, tmp_path: Path
@@ -116,5 +126,12 @@ def test_cameras_with_a_picture_are_shown_by_it(browser: Browser, tmp_path: Path
             lambda: browser.run(height, f".node[data-id={NAMES[0]}] image") == 0,
             "a circle where there is no room for a picture",
         )
+        browser.run("document.querySelector('[title=\"Show all\"]').click()")
+        for name in NAMES:
+            browser.go("#/map")
+            browser.wait(lambda: browser.text(".panel") == "", "the map alone")
+            browser.go(f"#/camera/{name}")
+            browser.wait(lambda name=name: browser.text(".panel h2") == name, "its panel")  # type: ignore[misc]
+            browser.wait(lambda: browser.run(HIDDEN) == 0, "all cameras beside it")
 
         assert browser.complaints() == []
