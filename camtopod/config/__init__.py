@@ -21,6 +21,7 @@ from camtopod.config.districts_file import (
     with_borders as with_borders,
 )
 from camtopod.config.settings import (
+    ADDRESS_PATTERN as ADDRESS_PATTERN,
     DEFAULT_ENDPOINT as DEFAULT_ENDPOINT,
     SITES_MAX as SITES_MAX,
     TABLES as TABLES,

@@ -132,18 +132,18 @@ def _put_where_they_were(at: Floats, start: Floats, parts: list[NDArray[np.intp]
     middle = np.nanmean(start, axis=0)
     turn = np.linspace(0.0, 2 * np.pi, 16, endpoint=False)
     around = np.column_stack([np.cos(turn), np.sin(turn)])
-    placed = np.empty((0, 2))
+    obstacles = np.empty((0, 2))
     for rows in parts:
         is_old = ~np.isnan(start[rows, 0])
         moves = (start - at)[rows[is_old]] if is_old.any() else middle - at[rows]
         at[rows] += np.median(moves, axis=0)
         for step in itertools.count():
             shifts = 0.2 * step * around
-            apart = np.abs((at[rows] + shifts[:, None])[:, :, None] - placed).max(-1)
+            apart = np.abs((at[rows] + shifts[:, None])[:, :, None] - obstacles).max(-1)
             if (is_free := (apart > APART_MIN).all((1, 2))).any():
                 break
         at[rows] += shifts[is_free.argmax()]
-        placed = np.concatenate([placed, at[rows]])
+        obstacles = np.concatenate([obstacles, at[rows]])
 
 
 def _put_on_shelves(at: Floats, parts: list[NDArray[np.intp]]) -> None:

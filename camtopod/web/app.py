@@ -28,7 +28,7 @@ from camtopod.serve.city_bus import CityBus
 from camtopod.serve.runtime import STALL_SECONDS, Beat, Clock, Progress
 from camtopod.web.api import Api, Asking, content, error, streamed
 from camtopod.web.connections import Connection
-from camtopod.web.explanations import not_learned
+from camtopod.web.explanations import empty_camera
 from camtopod.web.feed import MATCHES_SHOWN, Feed, shown_match
 from camtopod.web.growth import steps
 from camtopod.web.guards import Guard
@@ -77,8 +77,8 @@ class Routes:
         explanations = self._feed.explanations
         details = explanations.camera(name) if explanations else None
         if details is None and name in self._feed.map.cameras:
-            details = not_learned(name)
-        return found(
+            details = empty_camera(name)
+        return details_or_404(
             f"camera {name}",
             details,
             picture=picture_of(self._pictures, name) is not None,
@@ -91,14 +91,14 @@ class Routes:
         b = request.path_params["b"]
         explanations = self._feed.explanations
         details = explanations.pair(a, b) if explanations else None
-        return found(f"a link between {a} and {b}", details)
+        return details_or_404(f"a link between {a} and {b}", details)
 
     def link(self, request: Request) -> Response:
         """Return one link, given by ``from``, ``to`` and ``relation``."""
         from_, to, relation = (request.query_params.get(k, "") for k in ("from", "to", "relation"))
         explanations = self._feed.explanations
         details = explanations.link(from_, to, relation) if explanations else None
-        return found(f"the link {from_} → {to}", details)
+        return details_or_404(f"the link {from_} → {to}", details)
 
     def walks(self, request: Request) -> Response:
         """Return the newest matches, oldest first."""
@@ -156,7 +156,7 @@ class Routes:
         return streamed(stream())
 
 
-def found(subject: str, details: dict[str, Any] | None, **extras: Any) -> Response:
+def details_or_404(subject: str, details: dict[str, Any] | None, **extras: Any) -> Response:
     """Return the response with details of the newest version, or that it does not have them."""
     if not details:
         return error(404, f"{subject} is not in the newest version")

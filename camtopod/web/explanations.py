@@ -27,7 +27,7 @@ from camtopod.web.map_data import nearness, why_provisional
 from camtopod.words import alarms_in_words
 
 
-def not_learned(camera: str) -> dict[str, Any]:
+def empty_camera(camera: str) -> dict[str, Any]:
     """Return what `Explanations.camera` does, of a camera that is not in the version yet."""
     unknown = dict.fromkeys(("clock_offset", "clock_offset_sd", "share", "last_event"))
     return {"id": camera, **unknown, "zones": [], "links": [], "alarms": []}

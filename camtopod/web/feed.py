@@ -96,7 +96,7 @@ class PerSecond:
 class Feed:
     """Follower of one site's bus, or of several sites'; run `follow` in a thread.
 
-    configured: ids of cameras that are on the map from the beginning.
+    camera_ids: those that are on the map from the beginning.
     """
 
     def __init__(
@@ -104,10 +104,10 @@ class Feed:
         bus: Bus | CityBus,
         page_queues: PageQueues,
         clock: Clock,
-        configured: Collection[str] = (),
+        camera_ids: Collection[str] = (),
     ) -> None:
         self._bus = bus
-        self._configured = set(configured)
+        self._camera_ids = set(camera_ids)
         self._page_queues = page_queues
         self._clock = clock
         self._statuses = Statuses(clock)
@@ -128,7 +128,7 @@ class Feed:
         """Versions of the newest epoch since this server began, oldest first; never changed."""
         self.map = replace(NO_MAP, site=bus.site)
         self.map_json = b"null"
-        if configured:
+        if camera_ids:
             self._draw(None)
         for key in ("status/*", "prediction/*", "match/*"):
             bus.subscribe(key, self._on_message)
@@ -173,7 +173,7 @@ class Feed:
     def _present(self) -> set[str]:
         """Return the cameras whose events can come, and those of the configuration."""
         alive = {camera.id for camera in self._statuses.cameras(None) if camera.alive}
-        return alive | self._configured - self._statuses.daemon.names.forgotten.keys()
+        return alive | self._camera_ids - self._statuses.daemon.names.forgotten.keys()
 
     def hello(self) -> bytes:
         """Return the first messages for a page that has just connected: server-sent events."""

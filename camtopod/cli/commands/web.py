@@ -22,8 +22,7 @@ from camtopod.cli.common import (
 )
 from camtopod.cli.exits import CommandError, InputError
 from camtopod.cli.site_choice import add_districts, dial_sites
-from camtopod.config import Config, secret_files
-from camtopod.config.settings import ADDRESS_PATTERN
+from camtopod.config import ADDRESS_PATTERN, Config, secret_files
 from camtopod.serve.bus import access
 from camtopod.serve.runtime import Progress, clock
 
