@@ -120,7 +120,7 @@ def test_the_last_hour_is_replayed_and_so_is_how_the_map_grew(browser: Browser) 
         browser.run("document.querySelector('.replay').open = true")
         press = "document.querySelectorAll('.replay button')[arguments[0]].click()"
         browser.run(press, 0)
-        browser.wait(lambda: browser.count(".dot") == 1, "the first event at once, and the way")
+        browser.wait(lambda: browser.count("circle.dot") == 1, "the first event at once, its way")
         browser.run(DRAG, 1000 * (WAY.transit.q50 - 0.1) / (WAY.transit.q50 + 1.0))
         browser.wait(lambda: browser.text(f"[data-id={B}] .today") == "1 in", "the entry")
         assert browser.text(f"[data-id={A}] .today") == "0 in", "only what is replayed"
