@@ -78,7 +78,6 @@ def test_versions_come_by_themselves(tmp_path: Path) -> None:
         events = [*numbered(walkers(60)), closing_event()]
         put(bus, *events)
         seen = [next(site.versions(20.0))]
-        site.observe(Event("a", "entry", NOW, 0.1, 0.5, "7"))
         last = learned(daemon, events)
         for version in site.versions(20.0):
             seen.append(version)
@@ -87,6 +86,7 @@ def test_versions_come_by_themselves(tmp_path: Path) -> None:
         numbers = [one.version for one in seen]
         assert numbers == sorted(numbers)
         assert site.wait_for(last.version, 10.0).digest == last.digest, "the same as the daemon's"
+        site.observe(Event("a", "entry", NOW, 0.1, 0.5, "7"))
         put(bus, *later(walkers(60, seed=2), 12), Event("late", "entry", T0 + 16 * SPAN_SECONDS))
         newer = site.wait_for(last.version + 1, 20.0)
         assert site._gate is not None
