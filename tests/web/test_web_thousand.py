@@ -38,9 +38,7 @@ def test_a_thousand_cameras_are_shown_live(browser: Browser) -> None:
         shown.status()
         browser.open(shown.address)
         browser.wait(lambda: browser.count(".node") == CAMERAS, "a thousand cameras")
-        browser.wait(
-            lambda: browser.text("#live") == "running, 1 alarm · version 1", "the page to be live"
-        )
+        browser.wait(lambda: browser.text("#live").endswith("· version 1"), "the page to be live")
         assert browser.count(".edge") == len(SITE.pairs)
 
         # No camera is under what lies on the map, and none is kept away further than need be.
@@ -61,9 +59,7 @@ def test_a_thousand_cameras_are_shown_live(browser: Browser) -> None:
         links = [link for link in SITE.links if {link.from_, link.to} != ends]
         pairs = [pair for pair in SITE.pairs if set(pair.cameras) != {FROM, TO}]
         shown.publish(msgspec.structs.replace(SITE, version=2, links=links, pairs=pairs))
-        browser.wait(
-            lambda: browser.text("#live") == "running, 1 alarm · version 2", "the new version"
-        )
+        browser.wait(lambda: browser.text("#live").endswith("· version 2"), "the new version")
         assert browser.count(".edge") == len(SITE.pairs) - 1
 
         browser.go("#/health")
