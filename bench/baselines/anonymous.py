@@ -66,24 +66,25 @@ RIDGE = 1.0
 ITERATIONS = 150
 
 
-def anonymous(seen: Crossings, lags: Lags = NARROW) -> dict[str, Findings]:
+def anonymous(traffic: Crossings, lags: Lags = NARROW) -> dict[str, Findings]:
     """Return three scores: probability of the transition, that over its noise, and highest rate.
 
     The noise is the standard error if the transitions were spurious; the rate is over all delays.
     """
     # Groups of delays, centred counts, and the least squares fit.
-    zones = len(seen.zones)
+    zones = len(traffic.zones)
     groups = np.array([seconds for seconds in GROUPS if lags.low <= seconds <= lags.high])
     edges = groups / STEP_SECONDS
-    left, came = _centred(seen)
-    leaving, coming = (
-        np.bincount(z, minlength=zones).astype(float) for z in (seen.left_zone, seen.came_zone)
+    exits, entries = _centred(traffic)
+    exit_counts, entry_counts = (
+        np.bincount(z, minlength=zones).astype(float)
+        for z in (traffic.exit_zone, traffic.entry_zone)
     )
-    rate = fit(left, came, edges.astype(np.int64), seen.between)
+    rate = fit(exits, entries, edges.astype(np.int64), traffic.between)
 
     # Scores.
     share = (rate * np.diff(edges)[:, None, None]).sum(axis=0)
-    noise = np.sqrt(np.maximum(coming, 1.0)[None, :] / np.maximum(leaving, 1.0)[:, None])
+    noise = np.sqrt(np.maximum(entry_counts, 1.0)[None, :] / np.maximum(exit_counts, 1.0)[:, None])
     transit = (groups[1:] + groups[:-1])[rate.argmax(axis=0)] / 2
     return {
         "probability": Findings(share, transit),
@@ -94,19 +95,21 @@ def anonymous(seen: Crossings, lags: Lags = NARROW) -> dict[str, Findings]:
     }
 
 
-def fit(left: Floats, came: Floats, edges: NDArray[np.int64], allowed: NDArray[np.bool_]) -> Floats:
+def fit(
+    exits: Floats, entries: Floats, edges: NDArray[np.int64], pair_mask: NDArray[np.bool_]
+) -> Floats:
     """Estimate ``p_uv(d)`` per step for delays between ``edges`` (steps), (delays, zones, zones).
 
-    ``left`` and ``came`` are centred counts (steps, zones). The method is non-negative least
+    exits, entries (steps, zones): centred counts. The method is non-negative least
     squares by accelerated projected gradient on the normal equations.
     """
-    zones, n = left.shape[1], len(edges) - 1
+    zones, n = exits.shape[1], len(edges) - 1
     # Sums of lagged products over the steps of two groups, from running sums over the lag.
     span = int(edges[-1] - edges[0])
-    inner = {lag: _lagged(left, left, lag) for lag in range(-span, span + 1)}
+    inner = {lag: _lagged(exits, exits, lag) for lag in range(-span, span + 1)}
     steps = [range(int(a), int(b)) for a, b in pairwise(edges)]
     gram = np.block([[_overlaps(inner, a, b) for b in steps] for a in steps])
-    right = np.concatenate([sum(_lagged(left, came, d) for d in group) for group in steps])
+    right = np.concatenate([sum(_lagged(exits, entries, d) for d in group) for group in steps])
 
     # Ridge, and scaling to a unit diagonal.
     gram[np.diag_indices_from(gram)] += RIDGE * gram.diagonal()
@@ -114,7 +117,7 @@ def fit(left: Floats, came: Floats, edges: NDArray[np.int64], allowed: NDArray[n
     gram, right = gram * scale[:, None] * scale, right * scale[:, None]
 
     # Accelerated projected gradient.
-    open_ = np.tile(allowed, (n, 1))
+    open_ = np.tile(pair_mask, (n, 1))
     step = 1.0 / _largest_eigenvalue(gram)
     now = ahead = np.zeros((n * zones, zones))
     momentum = 1.0
@@ -133,13 +136,16 @@ def _overlaps(inner: dict[int, Floats], a: range, b: range) -> Floats:
     return sum((n * inner[lag] for lag, n in times.items()), np.zeros_like(inner[0]))
 
 
-def _centred(seen: Crossings) -> tuple[Floats, Floats]:
-    """Return departures and arrivals per step and zone, less their moving averages."""
-    start = min(seen.left[0], seen.came[0])
-    steps = int((max(seen.left[-1], seen.came[-1]) - start) / STEP_SECONDS) + 1
+def _centred(traffic: Crossings) -> tuple[Floats, Floats]:
+    """Return exits and entries per step and zone, less their moving averages."""
+    start = min(traffic.exits[0], traffic.entries[0])
+    steps = int((max(traffic.exits[-1], traffic.entries[-1]) - start) / STEP_SECONDS) + 1
     result = []
-    for t, zone in ((seen.left, seen.left_zone), (seen.came, seen.came_zone)):
-        counts = np.zeros((steps, len(seen.zones)))
+    for t, zone in (
+        (traffic.exits, traffic.exit_zone),
+        (traffic.entries, traffic.entry_zone),
+    ):
+        counts = np.zeros((steps, len(traffic.zones)))
         np.add.at(counts, (((t - start) / STEP_SECONDS).astype(np.int64), zone), 1.0)
         window = min(round(AVERAGE_SECONDS / STEP_SECONDS), steps)
         result.append(counts - uniform_filter1d(counts, window, axis=0, mode="reflect"))
@@ -148,10 +154,10 @@ def _centred(seen: Crossings) -> tuple[Floats, Floats]:
 
 def _lagged(a: Floats, b: Floats, steps: int) -> Floats:
     """Return ``sum_t a_u(t - steps) b_v(t)``, (zones, zones)."""
-    kept = max(len(a) - abs(steps), 0)  # none of a recording shorter than the lag
+    length = max(len(a) - abs(steps), 0)  # none of a recording shorter than the lag
     if steps >= 0:
-        return a[:kept].T @ b[len(b) - kept :]
-    return a[len(a) - kept :].T @ b[:kept]
+        return a[:length].T @ b[len(b) - length :]
+    return a[len(a) - length :].T @ b[:length]
 
 
 def _largest_eigenvalue(matrix: Floats) -> float:

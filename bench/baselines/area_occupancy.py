@@ -68,7 +68,7 @@ class AreaOccupancy:
             counts = self._enough("", camera, hour, COUNTS_MIN) or Counter()
         weight = {name: counts[name] + PRIOR_COUNT for name in cameras if name != camera}
         total = sum(weight.values())
-        return {name: each / total for name, each in weight.items()}
+        return {name: value / total for name, value in weight.items()}
 
     def _count(self, entry: Event) -> None:
         """Count the transitions that an entry ends, one from each camera at most."""
@@ -91,8 +91,8 @@ class AreaOccupancy:
         last: number of exits before that one.
         """
         for end in range(last - 1, -1, -1):
-            left, source = self._ends[end]
-            if t - left > CONTEXT_SECONDS:
+            departure, source = self._ends[end]
+            if t - departure > CONTEXT_SECONDS:
                 break
             if (source, camera) in self._neighbours:
                 return source

@@ -22,36 +22,41 @@ MODE_BINS = 40
 """Bins of the histogram of lags from which the transit time is read."""
 
 
-def closest(seen: Crossings) -> dict[str, Findings]:
+def closest(traffic: Crossings) -> dict[str, Findings]:
     """Return the score -Var(d) of each pair, in three variants.
 
     They are `LITERAL`, and two scaled by the null model of unrelated Poisson processes: with the
     closest arrival before or after, and with the first arrival after.
     """
-    zones = len(seen.zones)
+    zones = len(traffic.zones)
     names = (LITERAL, "closest, null model", "first after, null model")
     result = {
         name: Findings(np.full((zones, zones), -np.inf), np.full((zones, zones), np.nan))
         for name in names
     }
     seconds = (
-        float(max(seen.left[-1], seen.came[-1]) - min(seen.left[0], seen.came[0]))
-        if len(seen.left)
+        float(
+            max(traffic.exits[-1], traffic.entries[-1]) - min(traffic.exits[0], traffic.entries[0])
+        )
+        if len(traffic.exits)
         else 0.0
     )
 
     # Times of each zone, then the distances of each pair of zones.
-    left = [seen.left[seen.left_zone == k] for k in range(zones)]
-    came = [seen.came[seen.came_zone == k] for k in range(zones)]
-    for u, v in np.argwhere(seen.between):
-        if len(left[u]) < 3 or len(came[v]) < 3:
+    exits = [traffic.exits[traffic.exit_zone == k] for k in range(zones)]
+    entries = [traffic.entries[traffic.entry_zone == k] for k in range(zones)]
+    for u, v in np.argwhere(traffic.between):
+        if len(exits[u]) < 3 or len(entries[v]) < 3:
             continue
-        rate = len(came[v]) / seconds
-        near = _nearest(left[u], came[v])
-        lag = near - left[u]
-        after = came[v][np.minimum(np.searchsorted(came[v], left[u]), len(came[v]) - 1)] - left[u]
+        rate = len(entries[v]) / seconds
+        near = _nearest(exits[u], entries[v])
+        lag = near - exits[u]
+        after = (
+            entries[v][np.minimum(np.searchsorted(entries[v], exits[u]), len(entries[v]) - 1)]
+            - exits[u]
+        )
         after = after[after > 0]
-        common = abs(float(np.cov(left[u], near)[0, 1]))
+        common = abs(float(np.cov(exits[u], near)[0, 1]))
         result[names[0]].score[u, v] = -float(np.var(lag**2 / max(common, 1e-9)))
         result[names[1]].score[u, v] = -float(np.var(lag) * 2 * rate**2)
         result[names[0]].transit[u, v] = result[names[1]].transit[u, v] = _mode(lag)
@@ -61,11 +66,13 @@ def closest(seen: Crossings) -> dict[str, Findings]:
     return result
 
 
-def _nearest(left: Floats, came: Floats) -> Floats:
-    """Return for each time of ``left`` the nearest time of ``came``."""
-    after = np.clip(np.searchsorted(came, left), 1, len(came) - 1)
+def _nearest(exits: Floats, entries: Floats) -> Floats:
+    """Return for each departure the nearest arrival, seconds."""
+    after = np.clip(np.searchsorted(entries, exits), 1, len(entries) - 1)
     near: Floats = np.where(
-        came[after] - left < left - came[after - 1], came[after], came[after - 1]
+        entries[after] - exits < exits - entries[after - 1],
+        entries[after],
+        entries[after - 1],
     )
     return near
 

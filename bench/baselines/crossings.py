@@ -28,21 +28,21 @@ NARROW, WIDE = Lags(-20.0, 120.0), Lags(-120.0, 180.0)
 `WIDE` is the range that camtopod searches by default.
 """
 CANDIDATES_MAX = 10_000_000
-"""Most candidates a baseline weighs; beyond, only those of the newest arrivals."""
+"""Most candidates a baseline weighs; beyond, only those of the newest entries."""
 
 
 class Crossings(NamedTuple):
-    """Departures (left) and arrivals (came), each by time in seconds, with the index of their zone.
+    """Exits and entries, each by time in seconds, with the index of their zone.
 
     ``zones`` are names; ``camera`` is the index of each zone's camera.
     """
 
     zones: list[str]
     camera: Longs
-    left: Floats
-    left_zone: Longs
-    came: Floats
-    came_zone: Longs
+    exits: Floats
+    exit_zone: Longs
+    entries: Floats
+    entry_zone: Longs
 
     @property
     def between(self) -> NDArray[np.bool_]:
@@ -54,7 +54,7 @@ class Crossings(NamedTuple):
 class Candidates(NamedTuple):
     """Candidates by arrival: those within the lags whose zones lie in different cameras.
 
-    ``departure`` and ``arrival`` are indices; ``lag`` is in seconds.
+    ``departure`` is the index of an exit, ``arrival`` that of an entry; ``lag`` is in seconds.
     """
 
     departure: Longs
@@ -73,70 +73,72 @@ def crossings(events: Sequence[Event], truth: Truth) -> Crossings:
     """
     # Zones as the baselines take them, and the index of each true zone.
     cameras = {name: index for index, name in enumerate(truth.cameras)}
-    placed = all(zone.x is not None for zone in truth.zones)
+    has_positions = all(zone.x is not None for zone in truth.zones)
     names: list[TrueZone] = []
     number: dict[str, int] = {}
     index: list[int] = []
     for zone in truth.zones:
-        key = zone.id if placed else zone.camera
+        key = zone.id if has_positions else zone.camera
         if key not in number:
             number[key] = len(names)
             names.append(zone)
         index.append(number[key])
 
     # Zone of each event; clutter is dropped.
-    mine = np.array(truth.identity) != CLUTTER
+    is_object = np.array(truth.identity) != CLUTTER
     if truth.zones:
-        mine &= np.array(truth.zone) >= 0
+        is_object &= np.array(truth.zone) >= 0
         at = np.array(index, dtype=np.int64)[np.array(truth.zone)]
     else:
         names = [TrueZone(name, name) for name in truth.cameras]
         at = np.array([cameras[event.camera] for event in events], dtype=np.int64)
 
-    # Departures and arrivals, each by time.
-    t, at = np.array([event.t for event in events])[mine], at[mine]
-    entry = np.array([event.kind for event in events])[mine] == "entry"
+    # Exits and entries, each by time.
+    t, at = np.array([event.t for event in events])[is_object], at[is_object]
+    entry = np.array([event.kind for event in events])[is_object] == "entry"
     order = np.argsort(t, kind="stable")
-    came, left = order[entry[order]], order[~entry[order]]
+    entries, exits = order[entry[order]], order[~entry[order]]
     return Crossings(
         [zone.id for zone in names],
         np.array([cameras[zone.camera] for zone in names]),
-        t[left],
-        at[left],
-        t[came],
-        at[came],
+        t[exits],
+        at[exits],
+        t[entries],
+        at[entries],
     )
 
 
 def candidates(
-    seen: Crossings, candidates_max: int = CANDIDATES_MAX, lags: Lags = NARROW
+    traffic: Crossings, candidates_max: int = CANDIDATES_MAX, lags: Lags = NARROW
 ) -> Candidates:
-    """Return all candidates, or those of the newest arrivals if they exceed ``candidates_max``."""
-    # Departures within the lags of each arrival; counted from the newest arrival back.
-    low = np.searchsorted(seen.left, seen.came - lags.high, side="left")
-    high = np.searchsorted(seen.left, seen.came - lags.low, side="right")
+    """Return all candidates, or those of the newest entries if they exceed ``candidates_max``."""
+    # Exits within the lags of each arrival; counted from the newest arrival back.
+    low = np.searchsorted(traffic.exits, traffic.entries - lags.high, side="left")
+    high = np.searchsorted(traffic.exits, traffic.entries - lags.low, side="right")
     n = high - low
-    kept = int(np.searchsorted(np.cumsum(n[::-1]), candidates_max, side="right"))
-    n[: len(n) - kept] = 0
+    count = int(np.searchsorted(np.cumsum(n[::-1]), candidates_max, side="right"))
+    n[: len(n) - count] = 0
 
     # Expand to pairs and keep those of two cameras.
     arrival = np.repeat(np.arange(len(n)), n)
     departure = np.arange(len(arrival)) + np.repeat(low - (np.cumsum(n) - n), n)
-    source, target = seen.left_zone[departure], seen.came_zone[arrival]
-    keep = np.flatnonzero(seen.camera[source] != seen.camera[target])
+    source, target = traffic.exit_zone[departure], traffic.entry_zone[arrival]
+    keep = np.flatnonzero(traffic.camera[source] != traffic.camera[target])
     departure, arrival = departure[keep], arrival[keep]
-    pair = source[keep] * len(seen.zones) + target[keep]
-    return Candidates(departure, arrival, pair, seen.came[arrival] - seen.left[departure], lags)
+    pair = source[keep] * len(traffic.zones) + target[keep]
+    return Candidates(
+        departure, arrival, pair, traffic.entries[arrival] - traffic.exits[departure], lags
+    )
 
 
-def lag_counts(seen: Crossings, found: Candidates, width: float) -> tuple[Floats, Floats]:
-    """Return the cross-correlation of departures and arrivals, and the centres of its bins.
+def lag_counts(traffic: Crossings, candidates: Candidates, width: float) -> tuple[Floats, Floats]:
+    """Return the cross-correlation of exits and entries, and the centres of its bins.
 
     The correlation (zones, zones, bins) counts the candidates in each lag bin.
     """
-    (low, high), zones = found.lags, len(seen.zones)
+    (low, high), zones = candidates.lags, len(traffic.zones)
     bins = math.ceil((high - low) / width)
-    at = np.minimum(((found.lag - low) / width).astype(np.int64), bins - 1)
-    counts = np.bincount(found.pair * bins + at, minlength=zones * zones * bins)
+    at = np.minimum(((candidates.lag - low) / width).astype(np.int64), bins - 1)
+    counts = np.bincount(candidates.pair * bins + at, minlength=zones * zones * bins)
     centres = low + width * (np.arange(bins, dtype=np.float64) + 0.5)
     return counts.reshape(zones, zones, bins).astype(np.float64), centres

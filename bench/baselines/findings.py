@@ -51,20 +51,20 @@ class Tuned(Struct):
     """Median relative error of the transit times, (networks,); nan without links."""
 
 
-def rank(found: Findings, seen: Crossings, truth: Truth, everything: bool = False) -> Ranked:
-    """Compare findings with the ground truth; with ``everything`` all pairs are kept.
+def rank(findings: Findings, traffic: Crossings, truth: Truth, all_pairs: bool = False) -> Ranked:
+    """Compare findings with the ground truth; with ``all_pairs`` none is dropped.
 
     A ground truth without zones has camera pairs only: then each camera is a zone, and the
     direction with the higher score counts.
     """
     if not truth.zones:
-        return _rank_pairs(found, truth)
+        return _rank_pairs(findings, truth)
 
     # Zone of the baseline for each true zone, and the true links between them.
-    index = {name: k for k, name in enumerate(seen.zones)}
+    index = {name: k for k, name in enumerate(traffic.zones)}
     by_camera = (
-        {seen.camera[k]: k for k in range(len(seen.zones))}
-        if len(seen.zones) < len(truth.zones)
+        {traffic.camera[k]: k for k in range(len(traffic.zones))}
+        if len(traffic.zones) < len(truth.zones)
         else {}
     )
     cameras = {name: k for k, name in enumerate(truth.cameras)}
@@ -76,27 +76,27 @@ def rank(found: Findings, seen: Crossings, truth: Truth, everything: bool = Fals
     walked = sum(link.transitions > 0 for link in links.values())
 
     # The best pairs by score.
-    score = np.where(seen.between & np.isfinite(found.score), found.score, -np.inf).ravel()
-    kept = len(score) if everything else max(KEPT_MIN, FALSE_KEPT * len(links))
-    order = np.argsort(-score, kind="stable")[:kept]
+    score = np.where(traffic.between & np.isfinite(findings.score), findings.score, -np.inf).ravel()
+    count = len(score) if all_pairs else max(KEPT_MIN, FALSE_KEPT * len(links))
+    order = np.argsort(-score, kind="stable")[:count]
     order = order[np.isfinite(score[order])]
 
     # Rate each.
     result = Ranked(walked, [], [], [])
     for pair in order:
-        u, v = divmod(int(pair), len(seen.zones))
+        u, v = divmod(int(pair), len(traffic.zones))
         true = links.get((u, v))
         result.score.append(float(f"{score[pair]:.6g}"))
         result.kind.append(0 if true is None else 2 if true.transitions else 1)
         result.error.append(
-            -1.0 if true is None else round(_error(float(found.transit[u, v]), true), 4)
+            -1.0 if true is None else round(_error(float(findings.transit[u, v]), true), 4)
         )
     return result
 
 
-def _rank_pairs(found: Findings, truth: Truth) -> Ranked:
+def _rank_pairs(findings: Findings, truth: Truth) -> Ranked:
     true = {pair.cameras for pair in truth.pairs}
-    score = np.where(np.isfinite(found.score), found.score, -np.inf)
+    score = np.where(np.isfinite(findings.score), findings.score, -np.inf)
     score = np.maximum(score, score.T)
     names = truth.cameras
     pairs = [
@@ -148,20 +148,20 @@ def tune(networks: Sequence[Ranked]) -> Tuned:
 def _curve(network: Ranked, thresholds: Floats) -> Floats:
     """Return F1 at each of the rising thresholds."""
     score, kind = -np.array(network.score), np.array(network.kind)
-    taken = np.searchsorted(score, -thresholds, side="right")
-    found = np.concatenate(([0], np.cumsum(kind == 2)))[taken]
-    right = np.concatenate(([0], np.cumsum(kind > 0)))[taken]
-    precision = np.where(taken > 0, right / np.maximum(taken, 1), 1.0)
-    recall = found / network.walked if network.walked else np.ones(len(taken))
+    count = np.searchsorted(score, -thresholds, side="right")
+    hits = np.concatenate(([0], np.cumsum(kind == 2)))[count]
+    right = np.concatenate(([0], np.cumsum(kind > 0)))[count]
+    precision = np.where(count > 0, right / np.maximum(count, 1), 1.0)
+    recall = hits / network.walked if network.walked else np.ones(len(count))
     return 2 * precision * recall / np.maximum(precision + recall, 1e-12)
 
 
 def _at(network: Ranked, threshold: float) -> tuple[float, float, float, float]:
-    taken = np.array(network.score) >= threshold
-    kind = np.array(network.kind)[taken]
+    selection = np.array(network.score) >= threshold
+    kind = np.array(network.kind)[selection]
     precision = float((kind > 0).mean()) if len(kind) else 1.0
     recall = float((kind == 2).sum()) / network.walked if network.walked else 1.0
-    error = np.array(network.error)[taken]
+    error = np.array(network.error)[selection]
     error = error[error >= 0]
     f1 = 2 * precision * recall / (precision + recall) if precision + recall else 0.0
     return f1, precision, recall, float(np.median(error)) if len(error) else float("nan")

@@ -43,7 +43,7 @@ class Motion:
         self._mean = np.zeros((ROWS, self._size[0]), np.float32)
         self._contrast = np.tile(np.array([0, 255], np.uint8), (CONTRAST_FRAMES, 1))
         self._frames = 0
-        self._moving = 0
+        self._moving_frames = 0
         self._calibrating = True
 
     def detect(self, luma: NDArray[np.uint8]) -> list[Box]:
@@ -75,8 +75,8 @@ class Motion:
             self._calibrating = True
 
         # Update the running mean.
-        self._moving = self._moving + 1 if boxes else 0
-        if not boxes or self._moving >= STUBBORN_FRAMES:
+        self._moving_frames = self._moving_frames + 1 if boxes else 0
+        if not boxes or self._moving_frames >= STUBBORN_FRAMES:
             rate = FIRST_LEARNING_RATE if self._calibrating else LEARNING_RATE
             cv2.accumulateWeighted(blurred, self._mean, rate)
         return boxes
@@ -113,13 +113,13 @@ def watch(path: Path, width: int, height: int, fps: float = FPS) -> tuple[int, i
     buffer = np.empty(size, np.uint8)
     luma = buffer[: width * height].reshape(height, width)
     motion = Motion(width, height)
-    frames = moving = 0
+    frames = moving_frames = 0
     with subprocess.Popen(command, stdout=subprocess.PIPE, bufsize=size * 10) as decoder:
         assert decoder.stdout is not None
         while len(data := decoder.stdout.read(size)) == size:
             buffer[:] = np.frombuffer(data, np.uint8)
             frames += 1
-            moving += bool(motion.detect(luma))
+            moving_frames += bool(motion.detect(luma))
     if decoder.returncode:
         raise OSError(f"ffmpeg cannot decode {path}")
-    return frames, moving
+    return frames, moving_frames

@@ -1,8 +1,8 @@
-"""A multivariate Hawkes process: every departure raises the rate of arrivals elsewhere for a while.
+"""A multivariate Hawkes process: every exit raises the rate of entries elsewhere for a while.
 
 Fitted by EM with histogram kernels and a background rate that changes over the day (Lewis and
 Mohler, "A nonparametric EM algorithm for multiscale Hawkes processes", 2011). The model explains
-indirect links away, but allows a departure to cause any number of arrivals. Kernels may extend to
+indirect links away, but allows an exit to cause any number of entries. Kernels may extend to
 negative lags, for overlapping views.
 """
 
@@ -23,11 +23,11 @@ BACKGROUND_SECONDS = 900.0
 """Length of the blocks in which the background rate is constant, seconds."""
 
 
-def hawkes(seen: Crossings, found: Candidates) -> dict[str, Findings]:
-    """Return two scores of each pair: arrivals caused per departure, and log
+def hawkes(traffic: Crossings, candidates: Candidates) -> dict[str, Findings]:
+    """Return two scores of each pair: entries caused per exit, and log
     likelihood gain (nats).
     """
-    (low, high), zones = found.lags, len(seen.zones)
+    (low, high), zones = candidates.lags, len(traffic.zones)
 
     # Bins of lags, and the bin of each candidate.
     first = int(np.floor(np.arcsinh(low / SCALE_SECONDS) / STEP))
@@ -36,24 +36,24 @@ def hawkes(seen: Crossings, found: Candidates) -> dict[str, Findings]:
     )
     edges[0], edges[-1] = low, high
     bins, widths = len(edges) - 1, np.diff(edges)
-    at = np.clip(np.searchsorted(edges, found.lag, side="right") - 1, 0, bins - 1)
-    key = (found.pair * bins + at).astype(np.int32)
+    at = np.clip(np.searchsorted(edges, candidates.lag, side="right") - 1, 0, bins - 1)
+    key = (candidates.pair * bins + at).astype(np.int32)
 
     # Candidates by arrival; the block and zone of each arrival's background.
-    used = np.unique(found.arrival)
-    arrival = np.searchsorted(used, found.arrival)
+    entries = np.unique(candidates.arrival)
+    arrival = np.searchsorted(entries, candidates.arrival)
     starts = (
         np.flatnonzero(np.r_[True, arrival[1:] != arrival[:-1]])
         if len(arrival)
         else np.zeros(0, np.int64)
     )
-    block = ((seen.came[used] - seen.came[0]) / BACKGROUND_SECONDS).astype(
+    block = ((traffic.entries[entries] - traffic.entries[0]) / BACKGROUND_SECONDS).astype(
         np.int64
-    ) * zones + seen.came_zone[used]
+    ) * zones + traffic.entry_zone[entries]
 
     # Initial kernels and background; exposure of each bin.
     exposure = (
-        np.repeat(np.maximum(np.bincount(seen.left_zone, minlength=zones), 1), zones)[:, None]
+        np.repeat(np.maximum(np.bincount(traffic.exit_zone, minlength=zones), 1), zones)[:, None]
         * widths
     )
     rate = np.full((zones * zones, bins), 0.5 / zones / (high - low))
@@ -75,16 +75,18 @@ def hawkes(seen: Crossings, found: Candidates) -> dict[str, Findings]:
     # Scores, and the median lag of each kernel.
     caused = mass.sum(axis=1)
     gain = (
-        np.bincount(found.pair, -np.log1p(-np.minimum(share, 1 - 1e-9)), minlength=zones * zones)
+        np.bincount(
+            candidates.pair, -np.log1p(-np.minimum(share, 1 - 1e-9)), minlength=zones * zones
+        )
         - caused
     )
-    leaving = np.maximum(np.bincount(seen.left_zone, minlength=zones), 1)[:, None]
-    reached = np.cumsum(mass, axis=1)
-    middle = (reached >= reached[:, -1:] / 2).argmax(axis=1)
+    exit_counts = np.maximum(np.bincount(traffic.exit_zone, minlength=zones), 1)[:, None]
+    cumulative = np.cumsum(mass, axis=1)
+    middle = (cumulative >= cumulative[:, -1:] / 2).argmax(axis=1)
     transit = ((edges[1:] + edges[:-1]) / 2)[middle].reshape(zones, zones)
     caused = caused.reshape(zones, zones)
     return {
-        "per departure": Findings(caused / leaving, transit),
+        "per departure": Findings(caused / exit_counts, transit),
         "likelihood": Findings(gain.reshape(zones, zones), transit),
     }
 

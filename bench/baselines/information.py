@@ -23,23 +23,25 @@ BIN_SECONDS = 2.0
 SMOOTHING_SD_BINS = 1.0
 """Standard deviation of the Parzen window, in bins."""
 MATCHED_START = 0.3
-"""Share of the departures that are matched at the start, spread evenly over the lags."""
+"""Share of the exits that are matched at the start, spread evenly over the lags."""
 
 
-def information(seen: Crossings, found: Candidates) -> dict[str, Findings]:
+def information(traffic: Crossings, candidates: Candidates) -> dict[str, Findings]:
     """Return three scores of each pair, nats: per departure, in total, and per matched pair."""
     # Bins of lags; traffic of each zone; the keys by which candidates are summed.
-    (low, high), zones = found.lags, len(seen.zones)
+    (low, high), zones = candidates.lags, len(traffic.zones)
     span = high - low
     bins = round(span / BIN_SECONDS)
     width = span / bins
-    leaving = np.maximum(np.bincount(seen.left_zone, minlength=zones), 1).astype(float)
-    coming = np.bincount(seen.came_zone, minlength=zones).astype(float)
-    seconds = max(float(seen.came[-1] - seen.came[0]), 1.0) if len(seen.came) else 1.0
-    at = np.minimum(((found.lag - low) / width).astype(np.int64), bins - 1)
-    key = found.pair * bins + at
-    by_arrival = found.arrival * zones + found.pair // zones
-    by_departure = found.departure * zones + found.pair % zones
+    exit_counts = np.maximum(np.bincount(traffic.exit_zone, minlength=zones), 1).astype(float)
+    entry_counts = np.bincount(traffic.entry_zone, minlength=zones).astype(float)
+    seconds = (
+        max(float(traffic.entries[-1] - traffic.entries[0]), 1.0) if len(traffic.entries) else 1.0
+    )
+    at = np.minimum(((candidates.lag - low) / width).astype(np.int64), bins - 1)
+    key = candidates.pair * bins + at
+    by_arrival = candidates.arrival * zones + candidates.pair // zones
+    by_departure = candidates.departure * zones + candidates.pair % zones
     hazard = np.full((zones * zones, bins), MATCHED_START / span)
     spread = _smoother(bins)
     mass = np.zeros((zones * zones, bins))
@@ -47,28 +49,29 @@ def information(seen: Crossings, found: Candidates) -> dict[str, Findings]:
     # EM: E step (share of each candidate), M step (smoothed mass and hazard).
     for _ in range(ITERATIONS):
         left_over = (
-            np.maximum(coming - mass.sum(axis=1).reshape(zones, zones), 0.05 * coming) / seconds
+            np.maximum(entry_counts - mass.sum(axis=1).reshape(zones, zones), 0.05 * entry_counts)
+            / seconds
         )
         density = hazard.ravel()[key]
         rivals = (
             np.bincount(by_arrival, density)[by_arrival]
             + np.bincount(by_departure, density)[by_departure]
         )
-        share = density / np.maximum(left_over.ravel()[found.pair] + rivals - density, 1e-12)
+        share = density / np.maximum(left_over.ravel()[candidates.pair] + rivals - density, 1e-12)
         mass = np.bincount(key, share, minlength=zones * zones * bins).reshape(-1, bins) @ spread
-        hazard = mass / (np.repeat(leaving, zones)[:, None] * width)
+        hazard = mass / (np.repeat(exit_counts, zones)[:, None] * width)
 
     # Information gain of each pair against a uniform lag.
-    matched = mass.sum(axis=1)
-    shape = np.divide(mass, matched[:, None], out=np.zeros_like(mass), where=matched[:, None] > 0)
+    matches = mass.sum(axis=1)
+    shape = np.divide(mass, matches[:, None], out=np.zeros_like(mass), where=matches[:, None] > 0)
     gain = (shape * np.log(np.maximum(shape * bins, 1e-12))).sum(axis=1)  # h(uniform) - h(T)
-    matched, gain = matched.reshape(zones, zones), gain.reshape(zones, zones)
+    matches, gain = matches.reshape(zones, zones), gain.reshape(zones, zones)
     centres = low + width * (np.arange(bins) + 0.5)
     transit = centres[mass.argmax(axis=1)].reshape(zones, zones)
     return {
-        "per departure": Findings(matched / leaving[:, None] * gain, transit),
-        "in total": Findings(matched * gain, transit),
-        "of the matched": Findings(np.where(matched > 2, gain, -np.inf), transit),
+        "per departure": Findings(matches / exit_counts[:, None] * gain, transit),
+        "in total": Findings(matches * gain, transit),
+        "of the matched": Findings(np.where(matches > 2, gain, -np.inf), transit),
     }
 
 

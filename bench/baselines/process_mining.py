@@ -39,9 +39,13 @@ def mined_links(passages: Sequence[Passage]) -> dict[CameraPair, float]:
 
     frame = pd.DataFrame(
         {
-            "concept:name": [one.camera for one in passages],
-            "start_timestamp": pd.to_datetime([one.came for one in passages], unit="s", utc=True),
-            "time:timestamp": pd.to_datetime([one.left for one in passages], unit="s", utc=True),
+            "concept:name": [passage.camera for passage in passages],
+            "start_timestamp": pd.to_datetime(
+                [passage.begin for passage in passages], unit="s", utc=True
+            ),
+            "time:timestamp": pd.to_datetime(
+                [passage.end for passage in passages], unit="s", utc=True
+            ),
         }
     )
     variants = algorithm.Variants
@@ -50,12 +54,12 @@ def mined_links(passages: Sequence[Passage]) -> dict[CameraPair, float]:
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", PendingDeprecationWarning)  # pm4py uses numpy.matrix
         counts, seconds = algorithm.apply(frame, variant=variant, parameters=_COLUMNS)
-    left = Counter[str]()
+    exits = Counter[str]()
     for (source, target), number in counts.items():
-        left[source] += number if source != target else 0
+        exits[source] += number if source != target else 0
     return {
         pair: float(seconds[pair])
         for pair, number in counts.items()
         if pair[0] != pair[1]
-        and number >= max(TRANSITIONS_MIN, TRANSITIONS_SHARE_MIN * left[pair[0]])
+        and number >= max(TRANSITIONS_MIN, TRANSITIONS_SHARE_MIN * exits[pair[0]])
     }

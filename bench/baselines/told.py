@@ -53,26 +53,26 @@ def oracle_predictions(
     ``states[i]`` is the state of event ``i``. In an unknown state all exits together are used.
     """
     # Count what followed each state.
-    following: dict[Hashable, Counter[str]] = {}
+    successors: dict[Hashable, Counter[str]] = {}
     overall: Counter[str] = Counter()
     for index, entry in enumerate(next_entries(events, truth)[:cut]):
         if entry < cut and events[index].kind == "exit" and truth.identity[index] != CLUTTER:
             outcome = events[entry].camera if entry >= 0 else LEAVES
-            following.setdefault(states[index], Counter())[outcome] += 1
+            successors.setdefault(states[index], Counter())[outcome] += 1
             overall[outcome] += 1
 
     # Predict.
-    known = sorted(overall.keys() | {LEAVES})
+    outcomes = sorted(overall.keys() | {LEAVES})
     predictions = []
     for index in range(cut, len(events)):
         event = events[index]
         if event.kind == "exit":
-            counts = following.get(states[index], overall)
-            total = counts.total() + pseudo_count * len(known)
-            share = {outcome: (counts[outcome] + pseudo_count) / total for outcome in known}
+            counts = successors.get(states[index], overall)
+            total = counts.total() + pseudo_count * len(outcomes)
+            share = {outcome: (counts[outcome] + pseudo_count) / total for outcome in outcomes}
             leave = share.pop(LEAVES)
-            ranked = sorted(share.items(), key=lambda item: -item[1])
-            choices = [NextCamera(camera, "", p, 0.0, 0.0, 0.0) for camera, p in ranked]
+            ranking = sorted(share.items(), key=lambda item: -item[1])
+            choices = [NextCamera(camera, "", p, 0.0, 0.0, 0.0) for camera, p in ranking]
             predictions.append(Prediction(event.camera, None, event.t, None, 0, leave, choices))
     return predictions
 
@@ -81,19 +81,21 @@ def recorded_medians(events: Sequence[Event], truth: Truth) -> Truth:
     """Return the truth with the recorded median transit time of each link, by camera clocks."""
     # Ends of each passage: (identity, passage) -> kind -> (seconds, zone).
     ends: dict[tuple[int, int], dict[str, tuple[float, int]]] = {}
-    for event, who, number, zone in zip(
+    for event, identity, number, zone in zip(
         events, truth.identity, truth.passage, truth.zone, strict=True
     ):
-        if who != CLUTTER and zone >= 0:
-            ends.setdefault((who, number), {})[event.kind] = event.t, zone
+        if identity != CLUTTER and zone >= 0:
+            ends.setdefault((identity, number), {})[event.kind] = event.t, zone
 
     # Transit times of each link, from one passage to the object's next.
     seconds: dict[tuple[str, str], list[float]] = {}
-    for (who, number), end in ends.items():
-        onward = ends.get((who, number + 1), {})
+    for (identity, number), end in ends.items():
+        onward = ends.get((identity, number + 1), {})
         if "exit" in end and "entry" in onward:
-            (left, u), (came, v) = end["exit"], onward["entry"]
-            seconds.setdefault((truth.zones[u].id, truth.zones[v].id), []).append(came - left)
+            (exit_time, u), (entry_time, v) = end["exit"], onward["entry"]
+            seconds.setdefault((truth.zones[u].id, truth.zones[v].id), []).append(
+                entry_time - exit_time
+            )
 
     # Replace the medians.
     links = []
@@ -112,9 +114,11 @@ def transit_error(events: Sequence[Event], truth: Truth) -> float:
     identities would have; nan without links.
     """
     errors = [
-        abs(recorded.transit.q50 - link.transit.q50)
+        abs(recorded_link.transit.q50 - link.transit.q50)
         / max(abs(link.transit.q50), TRANSIT_FLOOR_SECONDS)
-        for link, recorded in zip(truth.links, recorded_medians(events, truth).links, strict=True)
+        for link, recorded_link in zip(
+            truth.links, recorded_medians(events, truth).links, strict=True
+        )
         if link.relation != "visible" and link.transitions
     ]
     return float(np.median(errors)) if errors else float("nan")

@@ -1,7 +1,7 @@
 """Transfer entropy at many delays (Ito et al., "Extending transfer entropy", PLoS ONE 6(11), 2011).
 
-Departures and arrivals are binary series. The transfer at delay d is the information that a
-departure d ago gives on an arrival now beyond the arrival series itself: ``I(y_t; x_{t-d} |
+Exits and entries are binary series. The transfer at delay d is the information that an
+exit d ago gives on an entry now beyond the series of entries itself: ``I(y_t; x_{t-d} |
 y_{t-1})``. A link shows as a high peak over the delays, or as a high coincidence index: the share
 of the summed transfer that lies around the peak. Negative delays, for overlapping views, are no
 transfer in the paper's sense, but without them the method would miss those links.
@@ -23,11 +23,11 @@ AROUND_SECONDS = 8.0
 """Width of the surroundings of the peak in the coincidence index, seconds."""
 
 
-def transfer(seen: Crossings, lags: Lags = NARROW) -> dict[str, Findings]:
+def transfer(traffic: Crossings, lags: Lags = NARROW) -> dict[str, Findings]:
     """Return the peak, the coincidence index and their product for each bin width."""
     result = {}
     for width in WIDTHS:
-        entropy, delays = by_delay(seen, width, lags)
+        entropy, delays = by_delay(traffic, width, lags)
         peak = entropy.argmax(axis=0)
         half = round(AROUND_SECONDS / width / 2)
         near = np.abs(np.arange(len(delays))[:, None, None] - peak[None]) <= half
@@ -39,25 +39,25 @@ def transfer(seen: Crossings, lags: Lags = NARROW) -> dict[str, Findings]:
     return result
 
 
-def by_delay(seen: Crossings, width: float, lags: Lags = NARROW) -> tuple[Floats, Floats]:
+def by_delay(traffic: Crossings, width: float, lags: Lags = NARROW) -> tuple[Floats, Floats]:
     """Return the transfer entropy, bits, (delays, zones, zones), and the delays, seconds."""
-    # Series of departures (x) and arrivals (y), and their marginal counts.
-    zones = len(seen.zones)
-    start = min(seen.left[0], seen.came[0])
-    bins = int((max(seen.left[-1], seen.came[-1]) - start) / width) + 2
-    x = _series(seen.left - start, seen.left_zone, width, bins, zones)
-    y = _series(seen.came - start, seen.came_zone, width, bins, zones)
+    # Series of exits (x) and entries (y), and their marginal counts.
+    zones = len(traffic.zones)
+    start = min(traffic.exits[0], traffic.entries[0])
+    bins = int((max(traffic.exits[-1], traffic.entries[-1]) - start) / width) + 2
+    x = _series(traffic.exits - start, traffic.exit_zone, width, bins, zones)
+    y = _series(traffic.entries - start, traffic.entry_zone, width, bins, zones)
     before = _shift(y, 1)
-    both = y.multiply(before).tocsr()
+    repeats = y.multiply(before).tocsr()
     leaves = np.asarray(x.sum(axis=0)).ravel()[:, None]
-    of_y, of_both = (np.asarray(m.sum(axis=0)).ravel()[None, :] for m in (y, both))
+    of_y, of_both = (np.asarray(m.sum(axis=0)).ravel()[None, :] for m in (y, repeats))
 
     # Joint counts at each delay.
     steps = np.arange(round(lags.low / width), round(lags.high / width) + 1)
     result: list[Floats] = []
     for step in steps:
         late = _shift(x, int(step)).T
-        now, then, twice = ((late @ m).toarray() for m in (y, before, both))
+        now, then, twice = ((late @ m).toarray() for m in (y, before, repeats))
         # Counts with x = 1, then with any x, by (y now, y before).
         joint = (twice, now - twice, then - twice, leaves - now - then + twice)
         total = (of_both, of_y - of_both, of_y - of_both, bins - 2 * of_y + of_both)
@@ -87,9 +87,14 @@ def _bits(joint: tuple[Floats, ...], total: tuple[Floats, ...]) -> Floats:
     result = np.zeros_like(joint[0])
     for with_x in (True, False):
         n = [j if with_x else t - j for j, t in zip(joint, total, strict=True)]
-        for now, other in ((0, 2), (2, 0), (1, 3), (3, 1)):  # outcomes 0 and 2 share y before = 1
-            given_x = n[now] / np.maximum(n[now] + n[other], 1e-12)
-            given = total[now] / np.maximum(total[now] + total[other], 1e-12)
-            ratio = np.maximum(given_x, 1e-300) / np.maximum(given, 1e-300)
+        for now, alternative in (
+            (0, 2),
+            (2, 0),
+            (1, 3),
+            (3, 1),
+        ):  # outcomes 0 and 2 share y before = 1
+            given_x = n[now] / np.maximum(n[now] + n[alternative], 1e-12)
+            share = total[now] / np.maximum(total[now] + total[alternative], 1e-12)
+            ratio = np.maximum(given_x, 1e-300) / np.maximum(share, 1e-300)
             result += np.where(n[now] > 0, n[now] * np.log2(ratio), 0.0)
     return np.maximum(result, 0.0)

@@ -56,16 +56,16 @@ def k_means(positions: Floats) -> Floats:
     from sklearn.cluster import KMeans
     from sklearn.metrics import silhouette_score
 
-    some, few = _some(positions, POINTS_MAX), _some(positions, SILHOUETTE_POINTS_MAX)
+    sample, draw = _sample(positions, POINTS_MAX), _sample(positions, SILHOUETTE_POINTS_MAX)
     best = SILHOUETTE_MIN
-    centres: Floats = some.mean(axis=0, keepdims=True)
-    for k in range(2, min(CLUSTERS_MAX, len(np.unique(few, axis=0)) - 1) + 1):
+    centres: Floats = sample.mean(axis=0, keepdims=True)
+    for k in range(2, min(CLUSTERS_MAX, len(np.unique(draw, axis=0)) - 1) + 1):
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")
-            fitted = KMeans(k, n_init=3, random_state=0).fit(some)
-            quality = float(silhouette_score(few, fitted.predict(few))) if k < len(few) else -1.0
+            model = KMeans(k, n_init=3, random_state=0).fit(sample)
+            quality = float(silhouette_score(draw, model.predict(draw))) if k < len(draw) else -1.0
         if quality > best:
-            best, centres = quality, fitted.cluster_centers_
+            best, centres = quality, model.cluster_centers_
     return centres
 
 
@@ -73,21 +73,21 @@ def hdbscan(positions: Floats, smallest: float) -> Floats:
     """Cluster by HDBSCAN; ``smallest`` is the share of the points in a cluster, at least."""
     from sklearn.cluster import HDBSCAN
 
-    some = _some(positions, POINTS_MAX)
-    size = max(5, round(smallest * len(some)))
-    if len(some) <= size:
-        return _centres(some, np.zeros(len(some), np.int64))
-    return _centres(some, HDBSCAN(min_cluster_size=size, copy=True).fit_predict(some))
+    sample = _sample(positions, POINTS_MAX)
+    size = max(5, round(smallest * len(sample)))
+    if len(sample) <= size:
+        return _centres(sample, np.zeros(len(sample), np.int64))
+    return _centres(sample, HDBSCAN(min_cluster_size=size, copy=True).fit_predict(sample))
 
 
 def mean_shift(positions: Floats, width: float) -> Floats:
     """Cluster by mean shift with bandwidth ``width``, a fraction of the image."""
     from sklearn.cluster import MeanShift
 
-    some = _some(positions, MEAN_SHIFT_POINTS_MAX)
-    fitted = MeanShift(bandwidth=width, bin_seeding=True).fit(some)
-    share = np.bincount(fitted.labels_, minlength=len(fitted.cluster_centers_)) / len(some)
-    centres: Floats = fitted.cluster_centers_[share >= MEAN_SHIFT_SHARE_MIN]
+    sample = _sample(positions, MEAN_SHIFT_POINTS_MAX)
+    model = MeanShift(bandwidth=width, bin_seeding=True).fit(sample)
+    share = np.bincount(model.labels_, minlength=len(model.cluster_centers_)) / len(sample)
+    centres: Floats = model.cluster_centers_[share >= MEAN_SHIFT_SHARE_MIN]
     return centres
 
 
@@ -98,22 +98,22 @@ def daspec(positions: Floats, factor: float) -> Floats:
     )
     counts = np.zeros((GRID_ROWS, GRID_COLUMNS))
     np.add.at(counts, (cells[:, 1], cells[:, 0]), 1.0)
-    found = data_spectroscopy(counts, factor * bandwidth(counts))
+    groups = data_spectroscopy(counts, factor * bandwidth(counts))
     cell = cells @ (1, GRID_COLUMNS)
-    return _centres(positions, found.labels[np.searchsorted(found.cells, cell)])
+    return _centres(positions, groups.labels[np.searchsorted(groups.cells, cell)])
 
 
 def _centres(positions: Floats, labels: NDArray[np.int64]) -> Floats:
     """Return the mean position of each label from 0 up, (labels, 2)."""
-    found = [positions[labels == k].mean(axis=0) for k in np.unique(labels[labels >= 0])]
-    return np.array(found).reshape(-1, 2)
+    centres = [positions[labels == k].mean(axis=0) for k in np.unique(labels[labels >= 0])]
+    return np.array(centres).reshape(-1, 2)
 
 
-def _some(positions: Floats, most: int) -> Floats:
-    """Return at most ``most`` positions, drawn at random."""
+def _sample(positions: Floats, points_max: int) -> Floats:
+    """Return at most ``points_max`` positions, drawn at random."""
     rng = np.random.default_rng(0)
     return (
-        positions[rng.choice(len(positions), most, replace=False)]
-        if len(positions) > most
+        positions[rng.choice(len(positions), points_max, replace=False)]
+        if len(positions) > points_max
         else positions
     )

@@ -91,12 +91,12 @@ def measure(
         return baselines(regime, seed, events, truth)
     settings = settings or Settings()
     if group == "live":
-        topology, predicted, seconds = serve(events, settings)
+        topology, forecast, seconds = serve(events, settings)
     else:
         topology, head, seconds = learn(events, Learner(settings, only_last=group == "batch"))
-        predicted = predict(head, events)
+        forecast = predict(head, events)
     figures = network_figures(topology, truth, events)
-    figures |= prediction_figures(predicted, events, truth)
+    figures |= prediction_figures(forecast, events, truth)
     figures |= {
         "events": len(events),
         "events_per_second": len(events) / seconds,
@@ -113,18 +113,18 @@ def learn(events: Sequence[Event], learner: Learner) -> tuple[Topology, Topology
     """
     head = None
     cut = int(TRAIN_SHARE * len(events))
-    aside, started = 0.0, time.process_time()
+    aside, start = 0.0, time.process_time()
     for index, event in enumerate(events):
         if index == cut:
-            paused = time.process_time()
+            pause = time.process_time()
             twin = copy.deepcopy(learner)
             twin.flush()
             head = twin.topology
-            aside = time.process_time() - paused
+            aside = time.process_time() - pause
         learner.receive(event)
         learner.updates()
     learner.flush()
-    seconds = time.process_time() - started - aside
+    seconds = time.process_time() - start - aside
     assert learner.topology is not None
     assert head is not None
     return learner.topology, head, seconds
@@ -144,10 +144,12 @@ def network_figures(topology: Topology, truth: Truth, events: Sequence[Event]) -
     if any(truth.clock_offsets.values()):
         signed = clock_errors(topology, truth)
         errors = [abs(error) for error in signed.values()]
-        stated = {c.id: c.clock_offset_sd for c in topology.cameras if c.clock_offset_sd}
-        if stated:
-            covered = [abs(signed[camera]) <= COVERED_SDS * sd for camera, sd in stated.items()]
-            figures["clocks_covered"] = float(np.mean(covered))
+        stated_errors = {c.id: c.clock_offset_sd for c in topology.cameras if c.clock_offset_sd}
+        if stated_errors:
+            is_covered = [
+                abs(signed[camera]) <= COVERED_SDS * sd for camera, sd in stated_errors.items()
+            ]
+            figures["clocks_covered"] = float(np.mean(is_covered))
         figures["clock_error"] = max(errors, default=math.nan)
         figures["clock_error_mean"] = float(np.mean(errors))
         figures["clocks_right"] = float(np.mean([error <= CLOCK_SECONDS_MAX for error in errors]))
@@ -188,12 +190,12 @@ def relations_right(result: Score, topology: Topology, truth: Truth) -> float:
     The pairs are those that were learned, or walked between with both ends recorded.
     """
     camera_of = {zone.id: zone.camera for zone in truth.zones}
-    walked = {
+    walked_pairs = {
         tuple(sorted((camera_of[link.from_], camera_of[link.to])))
         for link in truth.links
         if link.relation != "visible" and link.transitions > 0
     }
-    expected = walked if truth.links else {pair.cameras for pair in truth.pairs}
+    expected = walked_pairs if truth.links else {pair.cameras for pair in truth.pairs}
     expected = expected | {pair.cameras for pair in topology.pairs}
     return result.pair_relations_right / len(expected) if expected else 1.0
 
@@ -203,12 +205,12 @@ def covered_share(result: Score, figure: str) -> float:
 
     It is nan without any.
     """
-    covered = [
+    is_covered = [
         abs(getattr(link.transit, figure) - getattr(true.transit, figure)) <= COVERED_SDS * sd
         for link, true in result.right
         if (sd := getattr(link.transit, f"{figure}_sd")) is not None
     ]
-    return float(np.mean(covered)) if covered else math.nan
+    return float(np.mean(is_covered)) if is_covered else math.nan
 
 
 def with_camera_clocks(truth: Truth) -> Truth:
@@ -224,28 +226,28 @@ def with_camera_clocks(truth: Truth) -> Truth:
     return msgspec.structs.replace(truth, links=links)
 
 
-class Predicted(NamedTuple):
+class Forecast(NamedTuple):
     """Predictions for the exits after the cut, their processor seconds, the version at the cut."""
 
-    made: list[Prediction]
+    predictions: list[Prediction]
     seconds: float
     head: Topology
 
 
-def predict(head: Topology, events: Sequence[Event]) -> Predicted:
+def predict(head: Topology, events: Sequence[Event]) -> Forecast:
     """Predict each exit after the cut with the version of the cut; all before it is observed."""
     cut = int(TRAIN_SHARE * len(events))
     predictor = Predictor(head)
-    made: list[Prediction] = []
-    started = time.process_time()
+    predictions: list[Prediction] = []
+    start = time.process_time()
     for index in range(max(0, cut - WARM_EVENTS), len(events)):
         if index >= cut and events[index].kind == "exit":
-            made.append(predictor.predict(events[index]))
+            predictions.append(predictor.predict(events[index]))
         predictor.observe(events[index])
-    return Predicted(made, time.process_time() - started, head)
+    return Forecast(predictions, time.process_time() - start, head)
 
 
-def serve(events: Sequence[Event], settings: Settings) -> tuple[Topology, Predicted, float]:
+def serve(events: Sequence[Event], settings: Settings) -> tuple[Topology, Forecast, float]:
     """Learn and predict as in service; return the last version, predictions, and seconds to learn.
 
     Each exit after the cut is predicted by the newest version published by then; versions are made
@@ -253,23 +255,23 @@ def serve(events: Sequence[Event], settings: Settings) -> tuple[Topology, Predic
     """
     cut = int(TRAIN_SHARE * len(events))
     learner, predictor, head = Learner(settings), None, None
-    made: list[Prediction] = []
+    predictions: list[Prediction] = []
     observing = predicting = 0.0
-    started = time.process_time()
+    start = time.process_time()
     for index, event in enumerate(events):
-        paused = time.process_time()
+        pause = time.process_time()
         if index == cut:
             head = learner.topology
         if predictor is not None:
             if index >= cut and event.kind == "exit":
-                made.append(predictor.predict(event))
+                predictions.append(predictor.predict(event))
             predictor.observe(event)
 
         # Time of the predictor, which does not count as learning.
         if index < cut:
-            observing += time.process_time() - paused
+            observing += time.process_time() - pause
         else:
-            predicting += time.process_time() - paused
+            predicting += time.process_time() - pause
 
         # Learn; follow new versions.
         learner.receive(event)
@@ -278,14 +280,14 @@ def serve(events: Sequence[Event], settings: Settings) -> tuple[Topology, Predic
             if predictor is not None:
                 newer.take_over(predictor)
             predictor = newer
-    seconds = time.process_time() - started - observing - predicting
+    seconds = time.process_time() - start - observing - predicting
     assert learner.topology is not None
     assert head is not None
-    return learner.topology, Predicted(made, predicting, head), seconds
+    return learner.topology, Forecast(predictions, predicting, head), seconds
 
 
 def prediction_figures(
-    predicted: Predicted, events: Sequence[Event], truth: Truth
+    forecast: Forecast, events: Sequence[Event], truth: Truth
 ) -> dict[str, float]:
     """Score predictions after the cut, beside an oracle on the zones of the version at the cut.
 
@@ -295,7 +297,7 @@ def prediction_figures(
     tail = msgspec.structs.replace(
         truth, identity=truth.identity[cut:], passage=truth.passage[cut:], zone=truth.zone[cut:]
     )
-    made, seconds, head = predicted
+    predictions, seconds, head = forecast
     predictor = Predictor(head)
     place = predictor.zone_of
     states = [place(event) if event.kind == "exit" else None for event in events]
@@ -304,17 +306,17 @@ def prediction_figures(
         zone = place(event)
         return None if zone is None else predictor.zones[zone].id
 
-    ours = score_predictions(made, events[cut:], tail, zone_of=zone_of)
+    our_score = score_predictions(predictions, events[cut:], tail, zone_of=zone_of)
     chain = oracle_score(events, truth, cut, states)
     return {
-        **_of_predictions(ours, ""),
+        **_of_predictions(our_score, ""),
         **_of_predictions(chain, "told_"),
-        "top1_ratio": ours.top1 / chain.top1 if chain.top1 else math.nan,
-        "top3_ratio": ours.top3 / chain.top3 if chain.top3 else math.nan,
-        "log_loss_above": ours.log_loss - chain.log_loss,
-        "first_calibration_error_all": ours.first_calibration_error_all,
-        "window_coverage": ours.window_coverage,
-        "prediction_ms": 1000 * seconds / max(len(made), 1),
+        "top1_ratio": our_score.top1 / chain.top1 if chain.top1 else math.nan,
+        "top3_ratio": our_score.top3 / chain.top3 if chain.top3 else math.nan,
+        "log_loss_above": our_score.log_loss - chain.log_loss,
+        "first_calibration_error_all": our_score.first_calibration_error_all,
+        "window_coverage": our_score.window_coverage,
+        "prediction_ms": 1000 * seconds / max(len(predictions), 1),
     }
 
 
@@ -331,9 +333,9 @@ def baselines(regime: str, seed: int, events: Sequence[Event], truth: Truth) -> 
         chains["Markov chain, true zones"] = truth.zone
     records = []
     for name, states in chains.items():
-        started = time.process_time()
+        start = time.process_time()
         result = oracle_score(events, truth, cut, states)
-        seconds = time.process_time() - started
+        seconds = time.process_time() - start
         records.append(
             Record(regime, seed, f"next: {name}", seconds, _plain(_of_predictions(result, "")))
         )
@@ -351,17 +353,19 @@ def baselines(regime: str, seed: int, events: Sequence[Event], truth: Truth) -> 
 
 def links(regime: str, seed: int, events: Sequence[Event], truth: Truth) -> list[Record]:
     """Return a record of every baseline for links, in both ranges of lags."""
-    seen = crossings(events, truth)
-    found = [candidates(seen, lags=lags) for lags in (NARROW, WIDE)]
+    traffic = crossings(events, truth)
+    candidate_sets = [candidates(traffic, lags=lags) for lags in (NARROW, WIDE)]
     records = []
     for name, method in LINK_METHODS.items():
-        started = time.process_time()
-        findings = by_range(method, seen, found)
-        seconds = time.process_time() - started
-        ranked = {variant: rank(result, seen, truth) for variant, result in findings.items()}
+        start = time.process_time()
+        findings = by_range(method, traffic, candidate_sets)
+        seconds = time.process_time() - start
+        ranked = {variant: rank(result, traffic, truth) for variant, result in findings.items()}
         figures: dict[str, float | None] = {}
         if LITERAL in findings:
-            printed = at([rank(findings[LITERAL], seen, truth, everything=True)], LITERAL_SCORE_MIN)
+            printed = at(
+                [rank(findings[LITERAL], traffic, truth, all_pairs=True)], LITERAL_SCORE_MIN
+            )
             figures = {
                 name: float(getattr(printed, name)[0]) for name in ("f1", "precision", "recall")
             }
@@ -370,17 +374,19 @@ def links(regime: str, seed: int, events: Sequence[Event], truth: Truth) -> list
 
 
 def by_range(
-    method: Callable[..., Any], seen: Crossings, found: Sequence[Candidates]
+    method: Callable[..., Any], traffic: Crossings, candidate_sets: Sequence[Candidates]
 ) -> dict[str, Findings]:
     """Return the findings of a method by variant, and by range of lags if it depends on that."""
     if method not in (*TAKE_CANDIDATES, *TAKE_LAGS):
-        return dict(method(seen))
+        return dict(method(traffic))
     result: dict[str, Findings] = {}
-    for one in found:
-        findings = method(seen, one if method in TAKE_CANDIDATES else one.lags)
+    for candidate_set in candidate_sets:
+        findings = method(
+            traffic, candidate_set if method in TAKE_CANDIDATES else candidate_set.lags
+        )
         result |= {
-            f"{name}, {one.lags.low:g}..{one.lags.high:g} s": each
-            for name, each in findings.items()
+            f"{name}, {candidate_set.lags.low:g}..{candidate_set.lags.high:g} s": scores
+            for name, scores in findings.items()
         }
     return result
 
@@ -393,7 +399,7 @@ def zones(regime: str, seed: int, events: Sequence[Event], truth: Truth) -> list
             positions.setdefault(event.camera, []).append((event.x, event.y))
     records = []
     for name, variants in methods().items():
-        started = time.process_time()
+        start = time.process_time()
         figures: dict[str, float | None] = {}
         for variant, cluster in variants.items():
             right = [
@@ -401,19 +407,17 @@ def zones(regime: str, seed: int, events: Sequence[Event], truth: Truth) -> list
                 for camera, at in positions.items()
             ]
             figures[variant] = float(np.mean(right))
-        records.append(
-            Record(regime, seed, f"zones: {name}", time.process_time() - started, figures)
-        )
+        records.append(Record(regime, seed, f"zones: {name}", time.process_time() - start, figures))
     return records
 
 
 def _zones_right(centres: np.ndarray[Any, Any], camera: str, truth: Truth) -> bool:
     """Return True if a camera has exactly its true zones, within the tolerance."""
     true = [zone for zone in truth.zones if zone.camera == camera]
-    made = [
+    learned_zones = [
         Zone(f"{camera}/{k}", camera, 1, 1, float(x), float(y)) for k, (x, y) in enumerate(centres)
     ]
-    return len(true) == len(made) == len(match_zones(made, true))
+    return len(true) == len(learned_zones) == len(match_zones(learned_zones, true))
 
 
 def _of_predictions(result: PredictionScore, prefix: str) -> dict[str, float]:
