@@ -73,9 +73,9 @@ def simulate_crowd(settings: CrowdSettings) -> tuple[list[Event], Truth]:
 
     # Passages, and the events that cameras report.
     walks = sampled(knots, settings.size, settings.frame, settings.seconds)
-    walked = sightings(pieces, walks, np.inf, chance)
-    seen = sightings(pieces, walks, settings.faults.broken_every, chance)
-    return recorded(names, walked, seen, settings.faults, settings.start, chance)
+    passages = sightings(pieces, walks, np.inf, chance)
+    tracks = sightings(pieces, walks, settings.faults.broken_every, chance)
+    return recorded(names, passages, tracks, settings.faults, settings.start, chance)
 
 
 def _group_walk(
@@ -85,17 +85,17 @@ def _group_walk(
     others.
     """
     rim = 2 * (size[0] + size[1])
-    came, goes = (
+    origin, destination = (
         (rng.choice(len(busy), p=busy) + rng.random()) / len(busy) * rim for _ in range(2)
     )
-    stops, waits = [on_rim(came, size)], [0.0]
+    stops, waits = [on_rim(origin, size)], [0.0]
     manner = rng.random()
     if manner >= PASSING:
         standing = manner >= PASSING + STROLLING
         for _ in range(1 if standing else int(rng.integers(1, 4))):
             stops.append(spots[rng.integers(len(spots))] + 1.5 * rng.standard_normal(2))
             waits.append(rng.uniform(*(STAND_SECONDS if standing else STOP_SECONDS)))
-    stops.append(on_rim(goes, size))
+    stops.append(on_rim(destination, size))
     waits.append(0.0)
     pace = WALKING_SPEED * (1.0 if manner < PASSING else STROLL_FACTOR)
     return walk(stops, waits, pace * float(np.exp(SPEED_SD * rng.standard_normal())), begin, rng)

@@ -103,26 +103,26 @@ def _areas(places: Floats, rng: np.random.Generator) -> list[Area]:
 
 def _is_connected(places: list[str], ways: list[tuple[str, str]]) -> bool:
     """Return True if every place can be reached from every other one."""
-    reached = {places[0]}
+    reachable = {places[0]}
     for _ in places:
-        reached |= {b for way in ways for a, b in (way, way[::-1]) if a in reached}
-    return len(reached) == len(places)
+        reachable |= {b for way in ways for a, b in (way, way[::-1]) if a in reachable}
+    return len(reachable) == len(places)
 
 
 def _is_clear(plan: Plan, seed: int) -> bool:
     """Return True if the zones of each view are apart, narrow, and used."""
     rng = np.random.default_rng(seed)
     walks = simulate_walks(plan, TRIAL_SECONDS, TRIAL_RATE, rng)
-    seen = passages(plan, walks)
-    truth = truth_of(plan, seen)
+    all_passages = passages(plan, walks)
+    truth = truth_of(plan, all_passages)
     # Nobody turns back, so who enters and leaves on the same path only grazes the view.
-    if any(passage.way_in == passage.way_out for passage in seen):
+    if any(passage.way_in == passage.way_out for passage in all_passages):
         return False
-    passed: dict[tuple[str, int], int] = {}
-    for passage in seen:
+    counts: dict[tuple[str, int], int] = {}
+    for passage in all_passages:
         for way in (passage.way_in, passage.way_out):
-            passed[passage.camera, way] = passed.get((passage.camera, way), 0) + 1
-    if min(passed.values(), default=0) < PASSAGES_MIN:
+            counts[passage.camera, way] = counts.get((passage.camera, way), 0) + 1
+    if min(counts.values(), default=0) < PASSAGES_MIN:
         return False
 
     # Zones of each view: places that are apart, each narrow.

@@ -46,8 +46,8 @@ class Piece:
         """Project floor points (n, 2), metres, to picture fractions (n, 2); and tell which are in
         the piece.
         """
-        seen = self.view.feet(floor)
-        xy, depth = seen[:, :2], seen[:, 2]
+        feet = self.view.feet(floor)
+        xy, depth = feet[:, :2], feet[:, 2]
         inside = (np.abs(xy - 0.5) <= 0.5).all(1) & (depth > 0.1)
         return xy, inside & (xy @ self.cuts[:, :2].T <= self.cuts[:, 2]).all(1)
 
@@ -56,13 +56,13 @@ class Piece:
 class Walks:
     """Everybody's places on each frame, person after person.
 
-    who (n,): person.
+    person (n,): number of the person.
     t (n,), seconds: time of the frame.
     floor (n, 2), metres: place.
     frame, seconds: time between frames.
     """
 
-    who: Longs
+    person: Longs
     t: Floats
     floor: Floats
     frame: float
@@ -85,19 +85,19 @@ def make_pieces(
     ).reshape(-1, 2)
 
     # Try random views until there are enough.
-    covered = np.zeros(len(cells), dtype=bool)
+    is_covered = np.zeros(len(cells), dtype=bool)
     pieces: list[Piece] = []
     for _ in range(VIEW_TRIES_MAX):
         if len(pieces) == len(names):
             return pieces
         piece = _piece(size, names[len(pieces)], rng)
-        inside = piece.look(cells)[1] if piece is not None else covered
+        inside = piece.look(cells)[1] if piece is not None else is_covered
         if piece is None or not share[0] <= inside.mean() <= share[1]:
             continue
-        if pieces and not common[0] <= covered[inside].mean() <= common[1]:
+        if pieces and not common[0] <= is_covered[inside].mean() <= common[1]:
             continue
         pieces.append(piece)
-        covered |= inside
+        is_covered |= inside
     raise ValueError(f"no {len(names)} views of a floor of {size[0]:g} x {size[1]:g} m found")
 
 
@@ -161,7 +161,7 @@ def sampled(
 
     ``frame`` is the time between frames and ``seconds`` the length of the recording, in seconds.
     """
-    who, t, floor = [np.zeros(0, dtype=np.int64)], [np.zeros(0)], [np.zeros((0, 2))]
+    persons, t, floor = [np.zeros(0, dtype=np.int64)], [np.zeros(0)], [np.zeros((0, 2))]
     for person, (times, places) in enumerate(knots):
         first, last = (
             max(0, math.ceil(times[0] / frame)),
@@ -169,11 +169,11 @@ def sampled(
         )
         frames = np.arange(first, last + 1) * frame
         if len(frames):
-            who.append(np.full(len(frames), person))
+            persons.append(np.full(len(frames), person))
             t.append(frames)
             floor.append(np.column_stack([np.interp(frames, times, column) for column in places.T]))
     everywhere = np.clip(np.concatenate(floor), 0.0, size)
-    return Walks(np.concatenate(who), np.concatenate(t), everywhere, frame)
+    return Walks(np.concatenate(persons), np.concatenate(t), everywhere, frame)
 
 
 def sightings(
@@ -190,34 +190,36 @@ def sightings(
             inside = _interrupted(walks, inside, broken_every, rng)
 
         # First and last frame of each passage.
-        stays = inside[1:] & inside[:-1] & (walks.who[1:] == walks.who[:-1])
+        stays = inside[1:] & inside[:-1] & (walks.person[1:] == walks.person[:-1])
         begins, ends = inside.copy(), inside.copy()
         begins[1:] &= ~stays
         ends[:-1] &= ~stays
         first, last = np.flatnonzero(begins), np.flatnonzero(ends)
-        none = np.full(len(first), -1)
+        no_zone = np.full(len(first), -1)
         owner = np.full(len(first), camera)
         parts.append(
             Sightings(
-                walks.who[first],
+                walks.person[first],
                 owner,
                 walks.t[first],
                 walks.t[last],
                 at[first],
                 at[last],
-                none,
-                none,
+                no_zone,
+                no_zone,
             )
         )
     return join(parts)
 
 
-def _interrupted(walks: Walks, inside: Bools, every: float, rng: np.random.Generator) -> Bools:
+def _interrupted(
+    walks: Walks, inside: Bools, mean_seconds: float, rng: np.random.Generator
+) -> Bools:
     """Return ``inside`` without the gaps in which a tracker has lost a person."""
-    lost = np.flatnonzero(inside & (rng.random(len(inside)) < walks.frame / every))
-    gap = np.ceil(rng.uniform(*GAP_SECONDS, len(lost)) / walks.frame).astype(np.int64)
+    losses = np.flatnonzero(inside & (rng.random(len(inside)) < walks.frame / mean_seconds))
+    gap = np.ceil(rng.uniform(*GAP_SECONDS, len(losses)) / walks.frame).astype(np.int64)
     result = inside.copy()
     for k in range(int(gap.max(initial=0))):
-        at = np.minimum(lost + k, len(inside) - 1)
-        result[at[(k < gap) & (walks.who[at] == walks.who[lost])]] = False
+        at = np.minimum(losses + k, len(inside) - 1)
+        result[at[(k < gap) & (walks.person[at] == walks.person[losses])]] = False
     return result

@@ -85,9 +85,9 @@ def simulate_hall(settings: HallSettings) -> tuple[list[Event], Truth]:
 
     # Passages, and the events that cameras report.
     walks = sampled(knots, settings.size, settings.frame, settings.seconds)
-    walked = sightings(pieces, walks, np.inf, chance)
-    seen = sightings(pieces, walks, settings.faults.broken_every, chance)
-    return recorded(names, walked, seen, settings.faults, settings.start, chance)
+    passages = sightings(pieces, walks, np.inf, chance)
+    tracks = sightings(pieces, walks, settings.faults.broken_every, chance)
+    return recorded(names, passages, tracks, settings.faults, settings.start, chance)
 
 
 def _rim(count: int, size: tuple[float, float], rng: np.random.Generator) -> tuple[Floats, Floats]:

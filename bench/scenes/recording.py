@@ -52,12 +52,12 @@ class Faults(Struct, frozen=True, forbid_unknown_fields=True):
 class Sightings(Struct):
     """Passages as columns.
 
-    who, camera, zone_in, zone_out (n,): numbers; zones are -1 where undefined.
+    person, camera, zone_in, zone_out (n,): numbers; zones are -1 where undefined.
     t_in, t_out (n,), seconds.
     at_in, at_out (n, 2), fractions of the image, or nan.
     """
 
-    who: Longs
+    person: Longs
     camera: Longs
     t_in: Floats
     t_out: Floats
@@ -72,7 +72,7 @@ class Sightings(Struct):
 
     def sorted(self) -> Sightings:
         """Return the passages by person, then by time of entry."""
-        return self.take(np.lexsort((self.camera, self.t_in, self.who)))
+        return self.take(np.lexsort((self.camera, self.t_in, self.person)))
 
 
 def check(settings: Struct, faults: Faults, positive: tuple[str, ...]) -> None:
@@ -94,184 +94,186 @@ def join(parts: list[Sightings]) -> Sightings:
     )
 
 
-def clipped(seen: Sightings, on_air: list[tuple[int, float, float]]) -> Sightings:
+def clipped(tracks: Sightings, on_air: list[tuple[int, float, float]]) -> Sightings:
     """Cut passages to the intervals (camera, from, to) in which cameras report."""
     parts = []
     for camera, begin, end in on_air:
-        mine = seen.take((seen.camera == camera) & (seen.t_in < end) & (seen.t_out > begin))
-        parts.append(_cut(mine, np.maximum(mine.t_in, begin), np.minimum(mine.t_out, end)))
+        part = tracks.take((tracks.camera == camera) & (tracks.t_in < end) & (tracks.t_out > begin))
+        parts.append(_cut(part, np.maximum(part.t_in, begin), np.minimum(part.t_out, end)))
     return join(parts)
 
 
-def broken(seen: Sightings, every: float, rng: np.random.Generator) -> Sightings:
-    """Break tracks in two, on average once in ``every`` seconds of view."""
-    stay = seen.t_out - seen.t_in
-    split = rng.random(len(stay)) < 1 - np.exp(-stay / every)
-    begin = seen.t_in + stay * rng.random(len(stay))
+def broken(tracks: Sightings, mean_seconds: float, rng: np.random.Generator) -> Sightings:
+    """Break tracks in two, on average once in ``mean_seconds`` of view."""
+    stay = tracks.t_out - tracks.t_in
+    split = rng.random(len(stay)) < 1 - np.exp(-stay / mean_seconds)
+    begin = tracks.t_in + stay * rng.random(len(stay))
     end = np.where(
-        split, np.minimum(begin + rng.uniform(*GAP_SECONDS, len(stay)), seen.t_out), seen.t_out
+        split, np.minimum(begin + rng.uniform(*GAP_SECONDS, len(stay)), tracks.t_out), tracks.t_out
     )
-    first = _cut(seen, seen.t_in, np.where(split, begin, seen.t_out))
-    return join([first, _cut(seen, end, seen.t_out).take(split)])
+    first = _cut(tracks, tracks.t_in, np.where(split, begin, tracks.t_out))
+    return join([first, _cut(tracks, end, tracks.t_out).take(split)])
 
 
-def _cut(seen: Sightings, t_in: Floats, t_out: Floats) -> Sightings:
+def _cut(tracks: Sightings, t_in: Floats, t_out: Floats) -> Sightings:
     """Return the part of passages from ``t_in`` to ``t_out``, as if people walked straight through.
 
     An end in mid-view has no zone.
     """
-    stay = np.maximum(seen.t_out - seen.t_in, 1e-9)
-    ahead = seen.at_out - seen.at_in
-    at_in = seen.at_in + ((t_in - seen.t_in) / stay)[:, None] * ahead
-    at_out = seen.at_in + ((t_out - seen.t_in) / stay)[:, None] * ahead
-    zone_in = np.where(t_in > seen.t_in, -1, seen.zone_in)
-    zone_out = np.where(t_out < seen.t_out, -1, seen.zone_out)
-    return Sightings(seen.who, seen.camera, t_in, t_out, at_in, at_out, zone_in, zone_out)
+    stay = np.maximum(tracks.t_out - tracks.t_in, 1e-9)
+    ahead = tracks.at_out - tracks.at_in
+    at_in = tracks.at_in + ((t_in - tracks.t_in) / stay)[:, None] * ahead
+    at_out = tracks.at_in + ((t_out - tracks.t_in) / stay)[:, None] * ahead
+    zone_in = np.where(t_in > tracks.t_in, -1, tracks.zone_in)
+    zone_out = np.where(t_out < tracks.t_out, -1, tracks.zone_out)
+    return Sightings(tracks.person, tracks.camera, t_in, t_out, at_in, at_out, zone_in, zone_out)
 
 
 def recorded(
     cameras: list[str],
-    walked: Sightings,
-    seen: Sightings,
+    passages: Sightings,
+    tracks: Sightings,
     faults: Faults,
     start: float,
     rng: np.random.Generator,
 ) -> tuple[list[Event], Truth]:
     """Return events sorted by time, and the ground truth.
 
-        walked: true passages.
-        seen: passages as the trackers see them.
+        passages: true passages.
+        tracks: passages as the trackers see them.
         start: event time at which the recording begins, seconds since the epoch.
 
     Missed and short passages and clutter are applied here.
     """
     # Drop short and missed passages, add clutter.
-    seen = seen.take(seen.t_out - seen.t_in >= faults.short).sorted()
-    number = _numbers(walked, seen)
-    kept = rng.random(len(number)) >= faults.missed
-    seen, number = seen.take(kept), number[kept]
-    ghosts = _ghosts(seen, faults.clutter, rng)
-    both = join([seen, ghosts])
-    number = np.concatenate([number, np.full(len(ghosts.who), CLUTTER)])
+    tracks = tracks.take(tracks.t_out - tracks.t_in >= faults.short).sorted()
+    number = _numbers(passages, tracks)
+    is_detected = rng.random(len(number)) >= faults.missed
+    tracks, number = tracks.take(is_detected), number[is_detected]
+    ghosts = _ghosts(tracks, faults.clutter, rng)
+    records = join([tracks, ghosts])
+    number = np.concatenate([number, np.full(len(ghosts.person), CLUTTER)])
 
     # Events with noise, by time.
     n = len(number)
-    at = np.concatenate([both.at_in, both.at_out])
+    at = np.concatenate([records.at_in, records.at_out])
     at = np.clip(at + faults.noise * rng.standard_normal(at.shape), 0.0, 1.0)
-    t = np.concatenate([both.t_in, both.t_out])
+    t = np.concatenate([records.t_in, records.t_out])
     order = np.argsort(t, kind="stable")
     entry = np.arange(2 * n) < n
     events = events_of(
-        cameras, np.tile(both.camera, 2), entry, t + start, at, np.tile(np.arange(n), 2), order
+        cameras, np.tile(records.camera, 2), entry, t + start, at, np.tile(np.arange(n), 2), order
     )
 
     # Ground truth.
-    zones = _zones(cameras, walked)
+    zones = _zones(cameras, passages)
     truth = Truth(
         schema=TRUTH_SCHEMA,
         cameras=cameras,
         zones=zones,
-        links=_links(zones, walked, seen, number[: len(seen.who)]),
-        pairs=_pairs(cameras, walked.sorted()),
-        identity=np.tile(both.who, 2)[order].tolist(),
+        links=_links(zones, passages, tracks, number[: len(tracks.person)]),
+        pairs=_pairs(cameras, passages.sorted()),
+        identity=np.tile(records.person, 2)[order].tolist(),
         passage=np.tile(number, 2)[order].tolist(),
-        zone=np.concatenate([both.zone_in, both.zone_out])[order].tolist(),
+        zone=np.concatenate([records.zone_in, records.zone_out])[order].tolist(),
     )
     return events, truth
 
 
-def _numbers(walked: Sightings, seen: Sightings) -> Longs:
+def _numbers(passages: Sightings, tracks: Sightings) -> Longs:
     """Return the number of each seen passage in its person's walk; unseen passages count, too."""
-    both = join([walked, seen])
-    order = np.lexsort((both.camera, both.t_in, both.who))
-    who, camera, t_in = both.who[order], both.camera[order], both.t_in[order]
-    another = np.zeros(len(who), dtype=bool)
-    another[1:] = (t_in[1:] != t_in[:-1]) | (camera[1:] != camera[:-1]) | (who[1:] != who[:-1])
-    rank = np.cumsum(another)
-    person = np.searchsorted(who, who)  # the row with which a person begins
-    number = np.zeros(len(who), dtype=np.int64)
-    number[order] = rank - rank[person]
-    return number[len(walked.who) :]
+    records = join([passages, tracks])
+    order = np.lexsort((records.camera, records.t_in, records.person))
+    owner, camera, t_in = records.person[order], records.camera[order], records.t_in[order]
+    is_new = np.zeros(len(owner), dtype=bool)
+    is_new[1:] = (t_in[1:] != t_in[:-1]) | (camera[1:] != camera[:-1]) | (owner[1:] != owner[:-1])
+    rank = np.cumsum(is_new)
+    first_row = np.searchsorted(owner, owner)  # the row with which a person begins
+    number = np.zeros(len(owner), dtype=np.int64)
+    number[order] = rank - rank[first_row]
+    return number[len(passages.person) :]
 
 
-def _ghosts(seen: Sightings, share: float, rng: np.random.Generator) -> Sightings:
+def _ghosts(tracks: Sightings, share: float, rng: np.random.Generator) -> Sightings:
     """Return clutter passages: cameras and times as busy as the real ones, random positions."""
-    n = round(share / (1 - share) * len(seen.who))
-    like = seen.take(rng.integers(0, max(len(seen.who), 1), n))
+    n = round(share / (1 - share) * len(tracks.person))
+    like = tracks.take(rng.integers(0, max(len(tracks.person), 1), n))
     t_in = like.t_in + rng.uniform(-30.0, 30.0, n)
-    t_in = np.clip(t_in, seen.t_in.min(initial=0.0), seen.t_in.max(initial=0.0))
+    t_in = np.clip(t_in, tracks.t_in.min(initial=0.0), tracks.t_in.max(initial=0.0))
     at_in = np.where(np.isnan(like.at_in), np.nan, rng.random((n, 2)))
     at_out = np.clip(at_in + GHOST_METRES_SD * rng.standard_normal((n, 2)), 0.0, 1.0)
     stay = GHOST_SECONDS * np.exp(GHOST_SECONDS_SD * rng.standard_normal(n))
-    t_out = np.minimum(t_in + stay, seen.t_out.max(initial=0.0))
-    nobody = np.full(n, CLUTTER)
-    return Sightings(nobody, like.camera, t_in, t_out, at_in, at_out, nobody, nobody)
+    t_out = np.minimum(t_in + stay, tracks.t_out.max(initial=0.0))
+    clutter = np.full(n, CLUTTER)
+    return Sightings(clutter, like.camera, t_in, t_out, at_in, at_out, clutter, clutter)
 
 
-def _pairs(cameras: list[str], walked: Sightings) -> list[Pair]:
+def _pairs(cameras: list[str], passages: Sightings) -> list[Pair]:
     """Return overlapping pairs (people in both views at once) and unseen paths (in one, then the
     other).
     """
     together: dict[tuple[str, str], int] = {}
     after: dict[tuple[str, str], int] = {}
     shift = 1
-    while (same := walked.who[shift:] == walked.who[:-shift]).any():
-        other = same & (walked.camera[shift:] != walked.camera[:-shift])
-        at_once = other & (walked.t_in[shift:] < walked.t_out[:-shift])
+    while (same_person := passages.person[shift:] == passages.person[:-shift]).any():
+        moves = same_person & (passages.camera[shift:] != passages.camera[:-shift])
+        at_once = moves & (passages.t_in[shift:] < passages.t_out[:-shift])
         for table, mask in (
             (together, at_once),
-            (after, other if shift == 1 else np.zeros_like(other)),
+            (after, moves if shift == 1 else np.zeros_like(moves)),
         ):
-            for a, b in zip(walked.camera[:-shift][mask], walked.camera[shift:][mask], strict=True):
+            for a, b in zip(
+                passages.camera[:-shift][mask], passages.camera[shift:][mask], strict=True
+            ):
                 low, high = sorted((cameras[a], cameras[b]))
                 table[low, high] = table.get((low, high), 0) + 1
         shift += 1
-    overlapped = {pair for pair, n in together.items() if n >= PAIR_WALKS_MIN}
-    joined = {pair for pair, n in after.items() if n >= PAIR_WALKS_MIN}
+    overlapping_pairs = {pair for pair, n in together.items() if n >= PAIR_WALKS_MIN}
+    consecutive_pairs = {pair for pair, n in after.items() if n >= PAIR_WALKS_MIN}
     return [
-        Pair(pair, "overlapped" if pair in overlapped else "unseen_path")
-        for pair in sorted(overlapped | joined)
+        Pair(pair, "overlapped" if pair in overlapping_pairs else "unseen_path")
+        for pair in sorted(overlapping_pairs | consecutive_pairs)
     ]
 
 
-def _zones(cameras: list[str], walked: Sightings) -> list[TrueZone]:
+def _zones(cameras: list[str], passages: Sightings) -> list[TrueZone]:
     """Return one zone for each zone number in use, at the mean of its entries and exits."""
-    zone = np.concatenate([walked.zone_in, walked.zone_out])
-    camera, at = np.tile(walked.camera, 2), np.concatenate([walked.at_in, walked.at_out])
+    zone = np.concatenate([passages.zone_in, passages.zone_out])
+    camera, at = np.tile(passages.camera, 2), np.concatenate([passages.at_in, passages.at_out])
     result = []
     counts: dict[int, int] = {}
     for number in range(int(zone.max(initial=-1)) + 1):
-        mine = np.flatnonzero(zone == number)
-        owner = int(camera[mine[0]])
+        rows = np.flatnonzero(zone == number)
+        owner = int(camera[rows[0]])
         counts[owner] = counts.get(owner, 0) + 1
         name = f"{cameras[owner]}/{counts[owner]}"
-        if np.isnan(at[mine]).any():
+        if np.isnan(at[rows]).any():
             result.append(TrueZone(id=name, camera=cameras[owner]))
         else:
-            result.append(zone_at(name, cameras[owner], at[mine]))
+            result.append(zone_at(name, cameras[owner], at[rows]))
     return result
 
 
 def _links(
-    zones: list[TrueZone], walked: Sightings, seen: Sightings, number: Longs
+    zones: list[TrueZone], passages: Sightings, tracks: Sightings, number: Longs
 ) -> list[TrueLink]:
     """Return the walked links; ``transitions`` counts those with both ends recorded."""
     if not zones:
         return []
-    walked = walked.sorted()
-    next_ = walked.who[1:] == walked.who[:-1]
-    whole = (seen.who[1:] == seen.who[:-1]) & (number[1:] == number[:-1] + 1)
-    whole &= (seen.zone_out[:-1] >= 0) & (seen.zone_in[1:] >= 0)
+    passages = passages.sorted()
+    next_ = passages.person[1:] == passages.person[:-1]
+    whole = (tracks.person[1:] == tracks.person[:-1]) & (number[1:] == number[:-1] + 1)
+    whole &= (tracks.zone_out[:-1] >= 0) & (tracks.zone_in[1:] >= 0)
     ids = [zone.id for zone in zones]
-    exits = np.bincount(walked.zone_out, minlength=len(zones)).tolist()
+    exits = np.bincount(passages.zone_out, minlength=len(zones)).tolist()
     lags: dict[tuple[str, str], list[float]] = {}
     columns = (
-        walked.zone_out[:-1][next_],
-        walked.zone_in[1:][next_],
-        (walked.t_in[1:] - walked.t_out[:-1])[next_],
+        passages.zone_out[:-1][next_],
+        passages.zone_in[1:][next_],
+        (passages.t_in[1:] - passages.t_out[:-1])[next_],
     )
     for u, v, lag in zip(*columns, strict=True):
         lags.setdefault((ids[u], ids[v]), []).append(float(lag))
-    both = zip(seen.zone_out[:-1][whole], seen.zone_in[1:][whole], strict=True)
-    transitions = Counter((ids[u], ids[v]) for u, v in both)
+    ends = zip(tracks.zone_out[:-1][whole], tracks.zone_in[1:][whole], strict=True)
+    transitions = Counter((ids[u], ids[v]) for u, v in ends)
     return walked_links(lags, dict(zip(ids, exits, strict=True)), transitions)

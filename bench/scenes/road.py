@@ -96,11 +96,11 @@ def simulate_road(settings: RoadSettings) -> tuple[list[Event], Truth]:
     rows = _drive(town, settings, structure, chance)
     table = np.array(rows, dtype=float).reshape(-1, 4)
     table = table[(table[:, 2] >= 0) & (table[:, 3] < settings.seconds)]
-    who, camera = table[:, 0].astype(np.int64), table[:, 1].astype(np.int64)
-    nowhere = np.full((len(who), 2), np.nan)
+    vehicle, camera = table[:, 0].astype(np.int64), table[:, 1].astype(np.int64)
+    nowhere = np.full((len(vehicle), 2), np.nan)
     zone = np.unique(camera, return_inverse=True)[1]
-    walked = Sightings(who, camera, table[:, 2], table[:, 3], nowhere, nowhere, zone, zone)
-    return recorded(names, walked, walked, settings.faults, settings.start, chance)
+    passages = Sightings(vehicle, camera, table[:, 2], table[:, 3], nowhere, nowhere, zone, zone)
+    return recorded(names, passages, passages, settings.faults, settings.start, chance)
 
 
 def _town(settings: RoadSettings, rng: np.random.Generator) -> Town:
@@ -142,7 +142,7 @@ def _town(settings: RoadSettings, rng: np.random.Generator) -> Town:
         )
 
     # Cameras at crossings, then in streets.
-    watched = {
+    crossing_cameras = {
         crossings[k]: camera
         for camera, k in enumerate(rng.permutation(len(crossings))[:at_crossings])
     }
@@ -158,7 +158,9 @@ def _town(settings: RoadSettings, rng: np.random.Generator) -> Town:
         node: (float(rng.uniform(*LIGHT_SECONDS)), float(rng.uniform(0.0, 90.0)))
         for node in crossings
     }
-    return Town(metres, cameras, watched, lights, rng.uniform(*VIEW_METRES, settings.cameras))
+    return Town(
+        metres, cameras, crossing_cameras, lights, rng.uniform(*VIEW_METRES, settings.cameras)
+    )
 
 
 def _inside(node: Node, grid: tuple[int, int]) -> bool:
@@ -198,13 +200,13 @@ def _drive(
     free: dict[tuple[Node, Node], float] = {}
     passages = []
     while heap:
-        t, who, way, crossings = heapq.heappop(heap)
-        pace = speed[who] * math.exp(0.05 * rng.standard_normal())
-        stop = rng.exponential(BUS_STOP_SECONDS) if bus[who] and rng.random() < 0.5 else 0.0
+        t, vehicle, way, crossings = heapq.heappop(heap)
+        pace = speed[vehicle] * math.exp(0.05 * rng.standard_normal())
+        stop = rng.exponential(BUS_STOP_SECONDS) if bus[vehicle] and rng.random() < 0.5 else 0.0
         if way in town.cameras:
             camera, place = town.cameras[way]
             passages.append(
-                (who, camera, t + place / pace, t + (place + town.view_metres[camera]) / pace)
+                (vehicle, camera, t + place / pace, t + (place + town.view_metres[camera]) / pace)
             )
         targets, share = turns[way]
         if not targets or crossings >= CROSSINGS_MAX or rng.random() < PARKS:
@@ -216,10 +218,10 @@ def _drive(
         if way[1] in town.crossings:
             camera = town.crossings[way[1]]
             passages.append(
-                (who, camera, free[way], free[way] + 2 * town.view_metres[camera] / pace)
+                (vehicle, camera, free[way], free[way] + 2 * town.view_metres[camera] / pace)
             )
         onward = way[1], targets[int(rng.choice(len(targets), p=share))]
-        heapq.heappush(heap, (free[way], who, onward, crossings + 1))
+        heapq.heappush(heap, (free[way], vehicle, onward, crossings + 1))
     return passages
 
 

@@ -84,15 +84,15 @@ def simulate_walkway(settings: WalkwaySettings) -> tuple[list[Event], Truth]:
     # Passages, with consecutive zone numbers.
     names = [f"way{number + 1}" for number in range(settings.cameras)]
     campus = _campus(settings.cameras, structure)
-    walked = _walk(campus, settings, chance)
-    zones, where = np.unique(np.concatenate([walked.zone_in, walked.zone_out]), return_inverse=True)
-    walked.zone_in, walked.zone_out = where[: len(walked.who)], where[len(walked.who) :]
+    passages = _walk(campus, settings, chance)
+    zones, number = np.unique(np.stack([passages.zone_in, passages.zone_out]), return_inverse=True)
+    passages.zone_in, passages.zone_out = number.reshape(2, -1)
     assert len(zones) <= settings.cameras * len(SIDES)
 
     # Events that cameras report.
-    seen = clipped(walked, _on_air(settings, structure))
-    seen = broken(seen, settings.faults.broken_every, chance)
-    return recorded(names, walked, seen, settings.faults, settings.start, chance)
+    tracks = clipped(passages, _on_air(settings, structure))
+    tracks = broken(tracks, settings.faults.broken_every, chance)
+    return recorded(names, passages, tracks, settings.faults, settings.start, chance)
 
 
 def _campus(cameras: int, rng: np.random.Generator) -> Campus:
@@ -107,14 +107,14 @@ def _campus(cameras: int, rng: np.random.Generator) -> Campus:
         ways[b].append((a, side_a, seconds, broad))
 
     for camera in range(1, cameras):
-        near = [other for other in range(max(0, camera - 3), camera) if len(ways[other]) < 3]
+        near = [number for number in range(max(0, camera - 3), camera) if len(ways[number]) < 3]
         join(int(rng.choice(near)), camera)
     if cameras > 3 and len(ways[0]) < 3 and len(ways[-1]) < 3:
         join(0, cameras - 1)
-    for mine in ways:
-        if len(mine) < 2 or (len(mine) == 2 and rng.random() < 0.4):
-            mine.append((STREET, 0, 0.0, False))
-    weight = [np.exp(0.6 * rng.standard_normal(len(mine))) for mine in ways]
+    for camera_ways in ways:
+        if len(camera_ways) < 2 or (len(camera_ways) == 2 and rng.random() < 0.4):
+            camera_ways.append((STREET, 0, 0.0, False))
+    weight = [np.exp(0.6 * rng.standard_normal(len(camera_ways))) for camera_ways in ways]
     return Campus(ways, weight)
 
 
@@ -125,8 +125,8 @@ def _walk(campus: Campus, settings: WalkwaySettings, rng: np.random.Generator) -
     """
     streets = [
         (c, s)
-        for c, mine in enumerate(campus.ways)
-        for s, way in enumerate(mine)
+        for c, camera_ways in enumerate(campus.ways)
+        for s, way in enumerate(camera_ways)
         if way[0] == STREET
     ]
     sides = [rng.permutation(len(SIDES)) for _ in campus.ways]
@@ -141,7 +141,7 @@ def _walk(campus: Campus, settings: WalkwaySettings, rng: np.random.Generator) -
         if rng.random() < CLASS_SHARE:
             begin = float(rng.choice(classes)) + CLASS_SECONDS * rng.random()
         camera, side = streets[int(rng.choice(len(streets), p=busy))]
-        passages = _one(campus, camera, side, begin, rng)
+        passages = _walk_passages(campus, camera, side, begin, rng)
         rows += [(person, *passage) for passage in passages]
         person += 1
         if rng.random() < settings.together / 2:
@@ -154,15 +154,15 @@ def _walk(campus: Campus, settings: WalkwaySettings, rng: np.random.Generator) -
 
     # Passages as columns, within the recording.
     columns = np.array(rows, dtype=float).T
-    who, camera_of, came, went = (columns[k].astype(np.int64) for k in (0, 1, 4, 5))
+    persons, camera_of, way_in, way_out = (columns[k].astype(np.int64) for k in (0, 1, 4, 5))
     t_in, t_out = columns[2], columns[3]
     inside = (t_out > 0) & (t_in < settings.seconds)
     order = np.array(sides)
-    side_in, side_out = order[camera_of, came], order[camera_of, went]
+    side_in, side_out = order[camera_of, way_in], order[camera_of, way_out]
     centre, spread = np.array([side[0] for side in SIDES]), np.array([side[1] for side in SIDES])
-    noise_in, noise_out = rng.standard_normal((2, len(who), 2))
+    noise_in, noise_out = rng.standard_normal((2, len(persons), 2))
     return Sightings(
-        who=who,
+        person=persons,
         camera=camera_of,
         t_in=t_in,
         t_out=t_out,
@@ -173,7 +173,7 @@ def _walk(campus: Campus, settings: WalkwaySettings, rng: np.random.Generator) -
     ).take(inside)
 
 
-def _one(
+def _walk_passages(
     campus: Campus, camera: int, side: int, t: float, rng: np.random.Generator
 ) -> list[tuple[int, float, float, int, int]]:
     """Return one walk: (camera, seconds in, seconds out, side in, side out) of each passage."""
@@ -187,13 +187,13 @@ def _one(
         if rng.random() < PAUSE_SHARE:
             stay += rng.uniform(*PAUSE_SECONDS)
         result.append((camera, t, t + stay, side, out))
-        target, other, seconds, broad = campus.ways[camera][out]
+        target, next_side, seconds, broad = campus.ways[camera][out]
         if target == STREET or rng.random() < LEAVES:
             break
         way = seconds / speed * float(np.exp(PATH_SD * rng.standard_normal()))
         if broad:
             way += rng.uniform(0.0, BROAD_STOP_SECONDS)
-        camera, side, t = target, other, t + stay + way
+        camera, side, t = target, next_side, t + stay + way
     return result
 
 
