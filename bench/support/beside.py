@@ -44,9 +44,9 @@ class FollowingFigures(Struct):
 
 def mined_figures(recording: Recording) -> MinedFigures | None:
     """Mine the passages before the cut and score the links; None if the miner is not installed."""
-    passages = [one for one in recording.passages.values() if one.came < recording.cut]
+    passages = [passage for passage in recording.passages.values() if passage.begin < recording.cut]
     try:
-        mined = mined_links(sorted(passages, key=lambda one: one.came))
+        mined = mined_links(sorted(passages, key=lambda passage: passage.begin))
     except ModuleNotFoundError:
         return None
     true, transitions = recording.links(), recording.transitions()
@@ -65,24 +65,24 @@ def following_figures(
     predictions: those of every exit, in order.
     """
     cameras = recording.cameras
-    asked = []
-    for one in predictions:
-        following = recording.passages[str(one.track)].next_
-        elsewhere = following is not None and following.camera != one.camera
-        if following is not None and elsewhere and one.t >= recording.cut:
-            asked.append((one, following.camera))
-    if not asked:
+    cases = []
+    for prediction in predictions:
+        next_passage = recording.passages[str(prediction.track)].next_
+        elsewhere = next_passage is not None and next_passage.camera != prediction.camera
+        if next_passage is not None and elsewhere and prediction.t >= recording.cut:
+            cases.append((prediction, next_passage.camera))
+    if not cases:
         return []
-    happened = [camera for _, camera in asked]
-    figures = [_judged([_ours(one, cameras) for one, _ in asked], happened)]
+    next_cameras = [camera for _, camera in cases]
+    figures = [_judged([_ours(prediction, cameras) for prediction, _ in cases], next_cameras)]
 
     # The rule, with every pair and told the true neighbours.
-    every = {(a, b) for a in cameras for b in cameras if a != b}
-    for neighbours in (every, recording.links().keys()):
+    all_pairs = {(a, b) for a in cameras for b in cameras if a != b}
+    for neighbours in (all_pairs, recording.links().keys()):
         rule = AreaOccupancy(set(neighbours))
         rule.learn(recording.events, recording.cut)
-        guesses = [rule.guess(one.camera, one.t, cameras) for one, _ in asked]
-        figures.append(_judged(guesses, happened))
+        guesses = [rule.guess(prediction.camera, prediction.t, cameras) for prediction, _ in cases]
+        figures.append(_judged(guesses, next_cameras))
     return figures
 
 
@@ -93,12 +93,14 @@ def _ours(prediction: Prediction, cameras: Sequence[str]) -> dict[str, float]:
         if way.camera in weight:
             weight[way.camera] += way.probability
     total = sum(weight.values())
-    return {name: each / total for name, each in weight.items()}
+    return {name: value / total for name, value in weight.items()}
 
 
-def _judged(guesses: Sequence[Mapping[str, float]], happened: Sequence[str]) -> FollowingFigures:
+def _judged(
+    guesses: Sequence[Mapping[str, float]], next_cameras: Sequence[str]
+) -> FollowingFigures:
     """Score guesses by the cameras that were next."""
-    losses = [-np.log(guess[camera]) for guess, camera in zip(guesses, happened, strict=True)]
+    losses = [-np.log(guess[camera]) for guess, camera in zip(guesses, next_cameras, strict=True)]
     first = [max(guess, key=lambda name: guess[name]) for guess in guesses]
-    right = [name == camera for name, camera in zip(first, happened, strict=True)]
-    return FollowingFigures(len(happened), float(np.mean(losses)), float(np.mean(right)))
+    right = [name == camera for name, camera in zip(first, next_cameras, strict=True)]
+    return FollowingFigures(len(next_cameras), float(np.mean(losses)), float(np.mean(right)))

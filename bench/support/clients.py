@@ -57,15 +57,15 @@ def put_paced(endpoint: str, events: str, bare: bool) -> dict[str, Any]:
     puts = _publishers(bus, batch)
 
     # Publish each at its time.
-    begun = time.time() + 0.2
+    start = time.time() + 0.2
     late = []
     for event in batch:
-        due = begun + event.t
-        while (left := due - time.time()) > 0:
-            time.sleep(left)
+        due = start + event.t
+        while (seconds := due - time.time()) > 0:
+            time.sleep(seconds)
         now = time.time()
-        stamped = msgspec.structs.replace(event, t=now)
-        payload = to_msgpack(stamped)
+        stamped_event = msgspec.structs.replace(event, t=now)
+        payload = to_msgpack(stamped_event)
         if bare:
             payload = _framed(now, event.kind == "exit", len(payload))
         puts[event.camera].put(payload)
@@ -84,40 +84,42 @@ def put_flood(endpoint: str, events: str) -> dict[str, Any]:
     batch = _read(events)
     puts = _publishers(bus, batch)
     messages = [(puts[event.camera], to_msgpack(event)) for event in batch]
-    counted, changed = [0, 0.0], threading.Condition()
+    progress, condition = [0, 0.0], threading.Condition()
 
     def on_count(sample: zenoh.Sample) -> None:
-        with changed:
-            counted[:] = max(counted[0], int(sample.payload.to_string())), time.monotonic()
-            changed.notify_all()
+        with condition:
+            progress[:] = max(progress[0], int(sample.payload.to_string())), time.monotonic()
+            condition.notify_all()
 
     subscriber = bus._session.declare_subscriber(f"{PREFIX}/bench/received", on_count)
     time.sleep(1.0)
 
     # Publish; wait whenever the window is full.
-    begun = time.monotonic()
+    start = time.monotonic()
     for number, (publisher, message) in enumerate(messages):
-        if number % 256 == 0 and number - counted[0] > WINDOW_EVENTS:
-            with changed:
-                wanted = number - WINDOW_EVENTS
-                if not changed.wait_for(lambda wanted=wanted: counted[0] >= wanted, QUIET_SECONDS):  # type: ignore[misc]
+        if number % 256 == 0 and number - progress[0] > WINDOW_EVENTS:
+            with condition:
+                count_min = number - WINDOW_EVENTS
+                while progress[0] < count_min and condition.wait(QUIET_SECONDS):
+                    pass
+                if progress[0] < count_min:
                     break
         publisher.put(message)
 
     # Wait for the rest.
-    with changed:
-        changed.wait_for(lambda: counted[0] >= len(messages), QUIET_SECONDS)
+    with condition:
+        condition.wait_for(lambda: progress[0] >= len(messages), QUIET_SECONDS)
     subscriber.undeclare()  # type: ignore[no-untyped-call]
     bus.close()
-    return {"seconds": counted[1] - begun}
+    return {"seconds": progress[1] - start}
 
 
 def deliver(endpoint: str, events: str) -> dict[str, Any]:
     """Deliver as the spools of all cameras would; return the seconds until all is stored."""
     bus = _dialled(endpoint)
     boot = f"boot-{time.time()}"
-    waiting = _numbered(_read(events), boot)
-    changed = threading.Condition()
+    queues = _numbered(_read(events), boot)
+    condition = threading.Condition()
     decoder = msgspec.msgpack.Decoder(Answer)
 
     def ask(camera: str, request: Hello | Batch) -> None:
@@ -131,23 +133,23 @@ def deliver(endpoint: str, events: str) -> dict[str, Any]:
     def on_answer(camera: str, content: bytes | None) -> None:
         answer = decoder.decode(content or b"")
         have = answer.have.get(boot, 0)
-        rest = waiting[camera] = [one for one in waiting[camera] if one[0] > have]
-        if rest:
+        queue = queues[camera] = [message for message in queues[camera] if message[0] > have]
+        if queue:
             if answer.reason:
                 time.sleep(0.1)
-            now = rest[: min(answer.batch, REQUEST_EVENTS)]
-            ask(camera, Batch("bench", boot, have, now, len(rest) - len(now)))
+            now = queue[: min(answer.batch, REQUEST_EVENTS)]
+            ask(camera, Batch("bench", boot, have, now, len(queue) - len(now)))
         else:
-            with changed:
-                del waiting[camera]
-                changed.notify_all()
+            with condition:
+                del queues[camera]
+                condition.notify_all()
 
-    begun = time.monotonic()
-    for camera in list(waiting):
+    start = time.monotonic()
+    for camera in list(queues):
         ask(camera, Hello("bench", [boot]))
-    with changed:
-        changed.wait_for(lambda: not waiting, QUIET_SECONDS)
-    took = time.monotonic() - begun
+    with condition:
+        condition.wait_for(lambda: not queues, QUIET_SECONDS)
+    took = time.monotonic() - start
     bus.close()
     return {"seconds": took}
 
@@ -174,7 +176,7 @@ def ask(endpoint: str, events: str) -> dict[str, Any]:
         for camera, queue in queues.items()
     }
     counts = [sum(map(len, requests.values())), sum(map(len, queues.values()))]
-    changed = threading.Condition()
+    condition = threading.Condition()
 
     def send(camera: str) -> None:
         bus.ask(f"store/{camera}", requests[camera].pop(), ANSWER_SECONDS_MAX, partial(on, camera))
@@ -183,23 +185,23 @@ def ask(endpoint: str, events: str) -> dict[str, Any]:
         if requests[camera]:
             send(camera)
         else:
-            with changed:
+            with condition:
                 del requests[camera]
-                changed.notify_all()
+                condition.notify_all()
 
-    begun = time.monotonic()
+    start = time.monotonic()
     for camera in list(requests):
         send(camera)
-    with changed:
-        changed.wait_for(lambda: not requests, QUIET_SECONDS)
-    took = time.monotonic() - begun
+    with condition:
+        condition.wait_for(lambda: not requests, QUIET_SECONDS)
+    took = time.monotonic() - start
     bus.close()
     return {"seconds": took, "requests": counts[0], "events": counts[1]}
 
 
 def keep(endpoint: str, ready: str, database: str) -> dict[str, Any]:
     """Commit each request as one blob, and answer it."""
-    bus, done = open_daemon_session(_config(listen=endpoint)), threading.Event()
+    bus, stop = open_daemon_session(_config(listen=endpoint)), threading.Event()
     table = "CREATE TABLE meta (key, value, crc); CREATE TABLE request (content BLOB)"
     store = sqlite_file.connect(Path(database), table, 1)
     count = [0]
@@ -211,9 +213,9 @@ def keep(endpoint: str, ready: str, database: str) -> dict[str, Any]:
         reply(b"stored")
 
     bus.answer_requests("store/*", on_request)
-    _end_with_input(done)
+    _end_with_input(stop)
     _say_ready(bus, ready)
-    done.wait()
+    stop.wait()
     bus.close()
     store.close()
     return {"requests": count[0]}
@@ -222,16 +224,16 @@ def keep(endpoint: str, ready: str, database: str) -> dict[str, Any]:
 def sink(endpoint: str, ready: str, dials: bool = False) -> dict[str, Any]:
     """Receive and decode every event with bare zenoh and msgspec; publish the count regularly."""
     bus = _dialled(endpoint) if dials else open_daemon_session(_config(listen=endpoint))
-    decoder, count, done = msgspec.msgpack.Decoder(Event), [0], threading.Event()
+    decoder, count, stop = msgspec.msgpack.Decoder(Event), [0], threading.Event()
 
     def on_event(sample: zenoh.Sample) -> None:
         decoder.decode(sample.payload.to_bytes())
         count[0] += 1
 
     bus._session.declare_subscriber(f"{PREFIX}/event/*", on_event)
-    _end_with_input(done)
+    _end_with_input(stop)
     _say_ready(bus, ready)
-    while not done.wait(COUNT_SECONDS):
+    while not stop.wait(COUNT_SECONDS):
         bus._session.put(f"{PREFIX}/bench/received", str(count[0]))
     bus.close()
     return {"received": count[0]}
@@ -239,20 +241,20 @@ def sink(endpoint: str, ready: str, dials: bool = False) -> dict[str, Any]:
 
 def router(endpoint: str, ready: str) -> dict[str, Any]:
     """Run a router without anything else; return its processor time."""
-    bus, done = open_daemon_session(_config(listen=endpoint)), threading.Event()
-    _end_with_input(done)
+    bus, stop = open_daemon_session(_config(listen=endpoint)), threading.Event()
+    _end_with_input(stop)
     _say_ready(bus, ready)
-    began = time.process_time()
-    done.wait()
-    used = time.process_time() - began
+    start = time.process_time()
+    stop.wait()
+    cpu_seconds = time.process_time() - start
     bus.close()
-    return {"cpu_seconds": used}
+    return {"cpu_seconds": cpu_seconds}
 
 
 def echo(endpoint: str, ready: str, size: int) -> dict[str, Any]:
     """Answer every exit with ``size`` bytes, by bare zenoh."""
     bus = open_daemon_session(_config(listen=endpoint))
-    session, done, filling = bus._session, threading.Event(), bytes(size - 8)
+    session, stop, filling = bus._session, threading.Event(), bytes(size - 8)
 
     def on_event(sample: zenoh.Sample) -> None:
         payload = sample.payload.to_bytes()
@@ -263,9 +265,9 @@ def echo(endpoint: str, ready: str, size: int) -> dict[str, Any]:
             )
 
     session.declare_subscriber(f"{PREFIX}/event/*", on_event)
-    _end_with_input(done)
+    _end_with_input(stop)
     _say_ready(bus, ready)
-    done.wait()
+    stop.wait()
     bus.close()
     return {}
 
@@ -273,23 +275,23 @@ def echo(endpoint: str, ready: str, size: int) -> dict[str, Any]:
 def hear(endpoint: str, ready: str, bare: bool) -> dict[str, Any]:
     """Return the delays from exits to their predictions, ms, until the sender has ended."""
     bus = _dialled(endpoint)
-    decoder, done = msgspec.msgpack.Decoder(Prediction), threading.Event()
-    heard: list[tuple[float, bytes]] = []
+    decoder, stop = msgspec.msgpack.Decoder(Prediction), threading.Event()
+    messages: list[tuple[float, bytes]] = []
     bus._session.declare_subscriber(
         f"{PREFIX}/prediction/*",
-        lambda sample: heard.append((time.time(), sample.payload.to_bytes())),
+        lambda sample: messages.append((time.time(), sample.payload.to_bytes())),
     )
-    bus._session.declare_subscriber(f"{PREFIX}/bench/ended", lambda _: done.set())
+    bus._session.declare_subscriber(f"{PREFIX}/bench/ended", lambda _: stop.set())
     _say_ready(bus, ready)
-    done.wait()
-    sizes = [len(payload) for _, payload in heard]
+    stop.wait()
+    sizes = [len(payload) for _, payload in messages]
     then = [
         struct.unpack("<d", payload[:8])[0] if bare else decoder.decode(payload).t
-        for _, payload in heard
+        for _, payload in messages
     ]
     bus.close()
     return {
-        "ms": [round(1000 * (now - t), 4) for (now, _), t in zip(heard, then, strict=True)],
+        "ms": [round(1000 * (now - t), 4) for (now, _), t in zip(messages, then, strict=True)],
         "size": sorted(sizes)[len(sizes) // 2] if sizes else 0,
     }
 
@@ -314,14 +316,14 @@ def learned_status(endpoint: str, seconds: float = START_SECONDS) -> Status:
 
 
 @contextmanager
-def client(role: str, folder: Path, **given: Any) -> Iterator[subprocess.Popen[str]]:
+def client(role: str, folder: Path, **arguments: Any) -> Iterator[subprocess.Popen[str]]:
     """Run a role in a process of its own; wait until it is ready, if the role reports that."""
     if role in ("sink", "keep", "echo", "hear", "router"):
-        given["ready"] = str(folder / f"{role}-{time.monotonic_ns()}")
-    command = [sys.executable, "-m", "bench.support.clients", role, json.dumps(given)]
+        arguments["ready"] = str(folder / f"{role}-{time.monotonic_ns()}")
+    command = [sys.executable, "-m", "bench.support.clients", role, json.dumps(arguments)]
     process = subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True)
     try:
-        while "ready" in given and not Path(given["ready"]).exists():
+        while "ready" in arguments and not Path(arguments["ready"]).exists():
             if process.poll() is not None:
                 raise RuntimeError(f"{role} ended before it was ready")
             time.sleep(0.02)
@@ -340,8 +342,8 @@ def result(process: subprocess.Popen[str]) -> dict[str, Any]:
     out, _ = process.communicate()
     if process.returncode:
         raise RuntimeError(f"a client failed: {process.args!r}")
-    found: dict[str, Any] = json.loads(out.splitlines()[-1])
-    return found
+    outcome: dict[str, Any] = json.loads(out.splitlines()[-1])
+    return outcome
 
 
 def write_events(path: Path, events: Sequence[Event]) -> str:
@@ -378,9 +380,9 @@ def _framed(now: float, is_exit: bool, size: int) -> bytes:
 
 def _say_ready(bus: Bus, path: str) -> None:
     """Report readiness by writing the endpoint to a file, atomically."""
-    made = Path(f"{path}.made")
-    made.write_text(bus.endpoint)
-    made.rename(path)
+    temporary = Path(f"{path}.made")
+    temporary.write_text(bus.endpoint)
+    temporary.rename(path)
 
 
 def ready_at(process: subprocess.Popen[str]) -> str:
@@ -390,12 +392,12 @@ def ready_at(process: subprocess.Popen[str]) -> str:
     return Path(json.loads(str(arguments[-1]))["ready"]).read_text()
 
 
-def _end_with_input(done: threading.Event) -> None:
-    """Set ``done`` when the standard input is closed."""
+def _end_with_input(stop: threading.Event) -> None:
+    """Set ``stop`` when the standard input is closed."""
 
     def wait() -> None:
         sys.stdin.read()
-        done.set()
+        stop.set()
 
     threading.Thread(target=wait, daemon=True).start()
 

@@ -62,7 +62,10 @@ def leave_out_kinds(f1: Mapping[float, Mapping[str, float]], present: float) -> 
     lines, scores, gains = [], [], []
     for kind in next(iter(f1.values())):
         best = max(
-            f1, key=lambda value: mean(f1[value][other] for other in f1[value].keys() - {kind})
+            f1,
+            key=lambda value: mean(
+                f1[value][other_kind] for other_kind in f1[value].keys() - {kind}
+            ),
         )
         scores.append(f1[best][kind])
         gains.append(f1[best][kind] - f1[present][kind])

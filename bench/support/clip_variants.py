@@ -167,8 +167,8 @@ def begun_later(clip: Clip) -> Clip | None:
             if picture.t >= begin:
                 yield picture._replace(t=picture.t - begin)
 
-    rest = replace(clip, truth=tuple(event for event in clip.truth if event.t > begin))
-    later = _mapped(rest, "begun later", pictures, t=(1.0, -begin))
+    shorter = replace(clip, truth=tuple(event for event in clip.truth if event.t > begin))
+    later = _mapped(shorter, "begun later", pictures, t=(1.0, -begin))
     return replace(later, seconds=clip.seconds - begin)
 
 
@@ -186,18 +186,18 @@ def side_by_side(left: Clip, right: Clip) -> Clip:
 
     def pictures(left_out: float, settings: VisionSettings) -> Iterator[Picture]:
         single = msgspec.structs.replace(settings, working_width=left.settings.working_width)
-        others = right.pictures(left_out, single)
-        other = next(others, None)
-        following = next(others, None)
+        right_pictures = right.pictures(left_out, single)
+        right_picture = next(right_pictures, None)
+        next_picture = next(right_pictures, None)
         for picture in left.pictures(left_out, single):
             # The other clip's newest picture.
-            while following is not None and following.t <= picture.t:
-                other, following = following, next(others, None)
-            if other is None or picture.t > seconds:
+            while next_picture is not None and next_picture.t <= picture.t:
+                right_picture, next_picture = next_picture, next(right_pictures, None)
+            if right_picture is None or picture.t > seconds:
                 return
             height = len(picture.luma)
             size = (round(right.aspect * height), height)
-            beside = cv2.resize(other.luma, size, interpolation=cv2.INTER_AREA)
+            beside = cv2.resize(right_picture.luma, size, interpolation=cv2.INTER_AREA)
             yield picture._replace(luma=np.hstack([picture.luma, beside]))
 
     # The truth of both halves.
@@ -314,7 +314,7 @@ def with_variants(clips: list[Clip]) -> list[Clip]:
     """Return the clips, then their variants, and each clip beside the next one."""
     result = list(clips)
     for variant in VARIANTS.values():
-        result += [made for clip in clips if (made := variant(clip)) is not None]
+        result += [new_clip for clip in clips if (new_clip := variant(clip)) is not None]
     if len(clips) > 1:
         result += [side_by_side(a, b) for a, b in zip(clips, clips[1:] + clips[:1], strict=True)]
     return result

@@ -46,8 +46,8 @@ class Passages(Struct, eq=False):
     """Passages as columns, (n,); positions, 0 to 1, are nan where there are none."""
 
     camera: NDArray[np.int64]
-    came: Floats
-    left: Floats
+    begin: Floats
+    end: Floats
     x: Floats
     """Position at entry and at exit, (2, n); so is ``y``."""
     y: Floats
@@ -59,21 +59,21 @@ def events_of(passages: Passages, seconds: float, prefix: str = "c") -> list[Eve
     prefix: of the names of cameras, before their numbers.
     """
     count = len(passages.camera)
-    t = np.concatenate((passages.came, passages.left))
+    t = np.concatenate((passages.begin, passages.end))
     rows = np.argsort(t, kind="stable")
     rows = rows[(t[rows] >= 0.0) & (t[rows] < seconds)]
     x, y = passages.x.ravel(), passages.y.ravel()
     events = []
     for row in rows.tolist():
         number = row % count
-        placed = not np.isnan(x[row])
+        has_position = not np.isnan(x[row])
         events.append(
             Event(
                 f"{prefix}{passages.camera[number] + 1}",
                 "entry" if row < count else "exit",
                 BEGINNING + round(float(t[row]), 3),
-                x=float(x[row]) if placed else None,
-                y=float(y[row]) if placed else None,
+                x=float(x[row]) if has_position else None,
+                y=float(y[row]) if has_position else None,
                 track=f"{prefix}.{number}",
             )
         )
@@ -108,7 +108,7 @@ class Traffic(Struct, frozen=True):
         """Return the events of a recording, by time."""
         chance = np.random.default_rng(seed)
         times = RHYTHMS[self.rhythm](self, chance)
-        camera = np.repeat(np.arange(self.cameras), [len(each) for each in times])
+        camera = np.repeat(np.arange(self.cameras), [len(camera_times) for camera_times in times])
         came = np.concatenate(times)
         stay = np.maximum(chance.normal(self.stay, self.spread, len(came)), STAY_SECONDS_MIN)
         x, y = _positions(camera, self.cameras, self.doors, chance)
@@ -123,9 +123,9 @@ def _positions(
         nowhere = np.full((2, len(camera)), np.nan)
         return nowhere, nowhere
     door = chance.integers(doors, size=len(camera))
-    other = door + chance.integers(1, max(doors, 2), size=len(camera))
+    other_door = door + chance.integers(1, max(doors, 2), size=len(camera))
     turn = chance.uniform(0.0, 2 * np.pi, cameras)[camera]
-    angle = turn + 2 * np.pi / doors * np.stack((door, other))
+    angle = turn + 2 * np.pi / doors * np.stack((door, other_door))
     x, y = (
         0.5 + DOOR_RADIUS * wave + chance.normal(0.0, DOOR_SD, angle.shape)
         for wave in (np.cos(angle), np.sin(angle))
@@ -222,8 +222,8 @@ def after_light(t: Floats, changes: Floats, chance: Generator) -> Floats:
     """
     k = np.searchsorted(changes, t, side="right") - 1
     green = GREEN_SHARE * np.diff(changes)[k]
-    waited = changes[k + 1] + chance.uniform(0.0, GREEN_SHARE, len(t)) * green
-    return np.where(t - changes[k] < green, t, waited)
+    starts = changes[k + 1] + chance.uniform(0.0, GREEN_SHARE, len(t)) * green
+    return np.where(t - changes[k] < green, t, starts)
 
 
 class Street(Struct, frozen=True):

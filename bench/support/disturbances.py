@@ -62,12 +62,12 @@ def with_turned_cameras(
     rng = np.random.default_rng((settings.seed, 4))
     turns = {camera: _turn(rng) for camera in cameras}
     half_way = settings.start + settings.half_way
-    seen = []
+    turned_events = []
     for event in events:
         if event.camera in turns and event.t >= half_way:
             x, y = _turned((event.x, event.y), turns[event.camera])
             event = replace(event, x=x, y=y)
-        seen.append(event)
+        turned_events.append(event)
     zones = []
     for zone in truth.zones:
         if zone.camera in turns:
@@ -75,7 +75,7 @@ def with_turned_cameras(
             x, y = _turned((zone.x, zone.y), turn)
             zone = replace(zone, x=x, y=y, cov=(turn @ np.array(zone.cov) @ turn.T).tolist())
         zones.append(zone)
-    return seen, replace(truth, zones=zones)
+    return turned_events, replace(truth, zones=zones)
 
 
 def without_tracks(recording: Recording, settings: SimSettings) -> Recording:
@@ -93,10 +93,10 @@ def without_positions(recording: Recording, settings: SimSettings) -> Recording:
 
 def _taken(events: Sequence[Event], truth: Truth, index: Sequence[int]) -> Recording:
     """Return the events at ``index`` and what the truth says about them."""
-    who, passage, zone = (
+    identity, passage, zone = (
         [column[k] for k in index] for column in (truth.identity, truth.passage, truth.zone)
     )
-    return [events[k] for k in index], replace(truth, identity=who, passage=passage, zone=zone)
+    return [events[k] for k in index], replace(truth, identity=identity, passage=passage, zone=zone)
 
 
 def _turn(rng: np.random.Generator) -> Floats:

@@ -158,9 +158,9 @@ def tables(rows: Sequence[Row]) -> dict[str, str]:
 def with_tables(page: str, texts: Mapping[str, str]) -> str:
     """Return a page with the tables between its marks ``<!-- figures: SECTION -->`` renewed."""
     for section, text in texts.items():
-        begin, mark, rest = page.partition(f"<!-- figures: {section} -->\n")
+        begin, mark, tail = page.partition(f"<!-- figures: {section} -->\n")
         if mark:
-            page = f"{begin}{mark}\n{text}\n\n<!-- end -->" + rest.partition("<!-- end -->")[2]
+            page = f"{begin}{mark}\n{text}\n\n<!-- end -->" + tail.partition("<!-- end -->")[2]
     return page
 
 

@@ -54,13 +54,13 @@ class Walker(NamedTuple):
     """Colours of coat and trousers, one after the other."""
 
 
-def people(many: int, pause: float, seed: int) -> list[Walker]:
+def people(count: int, pause: float, seed: int) -> list[Walker]:
     """Return ``many`` walkers; those further down in the picture are taller, as if nearer."""
     rng = np.random.default_rng(seed)
     result = []
-    for number in range(many):
+    for number in range(count):
         row = float(rng.uniform(0.45, 0.95))
-        starts = 4.0 + (number + float(rng.uniform())) * (CROSSING_SECONDS + pause) / many
+        starts = 4.0 + (number + float(rng.uniform())) * (CROSSING_SECONDS + pause) / count
         clothes = tuple(int(value) for value in rng.integers(10, 240, 6))
         result.append(Walker(row, 0.08 + 0.28 * row, starts, pause, bool(rng.integers(2)), clothes))
     return sorted(result)
@@ -142,8 +142,8 @@ def film(
             picture = empty.copy()
             for walker in walkers:
                 draw(picture, walker, frame / FPS)
-            seen = cv2.add(picture, noise[int(rng.integers(NOISE_PICTURES))], dtype=cv2.CV_8U)
-            encoder.stdin.write(np.ascontiguousarray(seen).tobytes())
+            image = cv2.add(picture, noise[int(rng.integers(NOISE_PICTURES))], dtype=cv2.CV_8U)
+            encoder.stdin.write(np.ascontiguousarray(image).tobytes())
     if encoder.returncode:
         raise OSError(f"ffmpeg cannot write {path}")
     return path

@@ -39,12 +39,12 @@ def who_figures(
         if passage.next_ is not None and passage.next_.camera != passage.camera
         if passage.track in row and passage.next_.track in column
     }
-    zones = {str(one.track): one.zone or "" for one in predictions}
-    ours, told = (
+    zones = {str(prediction.track): prediction.zone or "" for prediction in predictions}
+    affinity, odds = (
         np.asarray(Gate(topology).affinity(exits, entries)),
         oracle_odds(recording, exits, entries, zones),
     )
-    return _edges_f1(ours, true), _edges_f1(told, true)
+    return _edges_f1(affinity, true), _edges_f1(odds, true)
 
 
 def oracle_odds(
@@ -60,19 +60,19 @@ def oracle_odds(
         defaultdict[str, Counter[str]](Counter),
         defaultdict[tuple[str, str], list[float]](list),
     )
-    came, linked = Counter[str](), Counter[str]()
+    arrivals, link_arrivals = Counter[str](), Counter[str]()
     for track, passage in recording.passages.items():
-        following = passage.next_
-        elsewhere = following is not None and following.camera != passage.camera
-        if passage.came < recording.cut:
-            came[passage.camera] += 1
-        if following is not None and elsewhere and following.came < recording.cut:
-            linked[following.camera] += 1
-        if passage.left >= recording.cut:
+        next_passage = passage.next_
+        elsewhere = next_passage is not None and next_passage.camera != passage.camera
+        if passage.begin < recording.cut:
+            arrivals[passage.camera] += 1
+        if next_passage is not None and elsewhere and next_passage.begin < recording.cut:
+            link_arrivals[next_passage.camera] += 1
+        if passage.end >= recording.cut:
             continue
         outcome = (
-            following.camera
-            if following is not None and elsewhere and following.came < recording.cut
+            next_passage.camera
+            if next_passage is not None and elsewhere and next_passage.begin < recording.cut
             else LEAVE
         )
         for place in (zones.get(track, ""), f"{passage.camera}/"):
@@ -81,28 +81,32 @@ def oracle_odds(
             lags[passage.camera, outcome].append(passage.lag)
 
     # Odds of each exit with the entries of each camera.
-    span = recording.cut - min(passage.came for passage in recording.passages.values())
+    span = recording.cut - min(passage.begin for passage in recording.passages.values())
     t, camera = (
         np.array([entry.t for entry in entries]),
         np.array([entry.camera for entry in entries]),
     )
     odds = np.full((len(exits), len(entries)), -np.inf)
     for row, event in enumerate(exits):
-        known = counts[zones.get(str(event.track), "")]
-        if known.total() < DEPARTURES_MIN:
-            known = counts[f"{event.camera}/"]
-        total = known.total() + 1
-        gone = np.log((known[LEAVE] + 0.5) / total)
-        for outcome, number in known.items():
-            each = np.array(lags.get((event.camera, outcome), []))
-            if outcome == LEAVE or len(each) < 2:
+        zone_counts = counts[zones.get(str(event.track), "")]
+        if zone_counts.total() < DEPARTURES_MIN:
+            zone_counts = counts[f"{event.camera}/"]
+        total = zone_counts.total() + 1
+        leave_odds = np.log((zone_counts[LEAVE] + 0.5) / total)
+        for outcome, number in zone_counts.items():
+            transit_times = np.array(lags.get((event.camera, outcome), []))
+            if outcome == LEAVE or len(transit_times) < 2:
                 continue
-            width = max(0.5, 1.06 * float(each.std()) * len(each) ** -0.2)
-            there = np.flatnonzero(camera == outcome)
-            apart = ((t[there] - event.t)[:, None] - each) / width
-            density = np.exp(-0.5 * apart**2).sum(axis=1) / (len(each) * width * 2.5066) + 1e-9
-            rate = max(came[outcome] - linked[outcome], 1) / span
-            odds[row, there] = np.log(number / total) + np.log(density) - np.log(rate) - gone
+            width = max(0.5, 1.06 * float(transit_times.std()) * len(transit_times) ** -0.2)
+            columns = np.flatnonzero(camera == outcome)
+            apart = ((t[columns] - event.t)[:, None] - transit_times) / width
+            density = (
+                np.exp(-0.5 * apart**2).sum(axis=1) / (len(transit_times) * width * 2.5066) + 1e-9
+            )
+            rate = max(arrivals[outcome] - link_arrivals[outcome], 1) / span
+            odds[row, columns] = (
+                np.log(number / total) + np.log(density) - np.log(rate) - leave_odds
+            )
     return odds
 
 

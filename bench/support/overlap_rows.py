@@ -72,9 +72,7 @@ def _row(
     times: Floats, cameras: NDArray[np.intp], a: int, b: int, c: int, tolerance: float
 ) -> OverlapRow | None:
     """Return the row of a triple, or None if it fails the test or lacks a link."""
-    direct, there, on = float(times[a, b]), float(times[a, c]), float(times[c, b])
-    if 0.0 in (direct, there, on) or not sum_rule(direct, there, on, tolerance):
+    ab, ac, cb = float(times[a, b]), float(times[a, c]), float(times[c, b])
+    if 0.0 in (ab, ac, cb) or not sum_rule(ab, ac, cb, tolerance):
         return None
-    return OverlapRow(
-        int(cameras[a]), int(cameras[c]), a, b, c, there, on, direct, abs(direct - (there + on))
-    )
+    return OverlapRow(int(cameras[a]), int(cameras[c]), a, b, c, ac, cb, ab, abs(ab - (ac + cb)))

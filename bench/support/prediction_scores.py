@@ -60,20 +60,20 @@ def next_entries(events: Sequence[Event], truth: Truth) -> list[int]:
 
     # Entries of each walker, by number of the passage.
     entries: dict[int, list[tuple[int, int]]] = {}
-    for index, (event, who, number) in enumerate(
+    for index, (event, identity, number) in enumerate(
         zip(events, truth.identity, truth.passage, strict=True)
     ):
-        if who != CLUTTER and event.kind == "entry":
-            entries.setdefault(who, []).append((number, index))
+        if identity != CLUTTER and event.kind == "entry":
+            entries.setdefault(identity, []).append((number, index))
     for passages in entries.values():
         passages.sort()
 
     # The first entry after each exit.
     result = []
-    for event, who, number in zip(events, truth.identity, truth.passage, strict=True):
+    for event, identity, number in zip(events, truth.identity, truth.passage, strict=True):
         later = []
         if event.kind == "exit":
-            later = [index for n, index in entries.get(who, []) if n > number]
+            later = [index for n, index in entries.get(identity, []) if n > number]
         result.append(later[0] if later else -1)
     return result
 
@@ -94,14 +94,14 @@ def score_predictions(
     """
 
     # What happened after each exit.
-    following = next_entries(events, truth)
+    next_entry = next_entries(events, truth)
     exits = [index for index, event in enumerate(events) if event.kind == "exit"]
 
     # Compare each prediction with it.
     top1 = top3 = followed = scored = 0
     loss = 0.0
-    stated: list[float] = []
-    happened: list[bool] = []
+    probabilities: list[float] = []
+    hits: list[bool] = []
     firsts: list[_Guess] = []
     within: list[bool] = []
     for index, prediction in zip(exits, predictions, strict=True):
@@ -113,37 +113,37 @@ def score_predictions(
             )
         if event.t < since:
             continue
-        entry = events[following[index]] if following[index] >= 0 else None
+        entry = events[next_entry[index]] if next_entry[index] >= 0 else None
         by_camera = _by_camera(prediction)
         firsts.append(_first(prediction.leave, by_camera, entry, truth.identity[index] == CLUTTER))
         if firsts[-1].clutter:
             continue
         scored += 1
         if entry is not None:
-            ranked = sorted(by_camera, key=lambda name: -by_camera[name])
+            ranking = sorted(by_camera, key=lambda name: -by_camera[name])
             followed += 1
-            top1 += ranked[:1] == [entry.camera]
-            top3 += entry.camera in ranked[:3]
+            top1 += ranking[:1] == [entry.camera]
+            top3 += entry.camera in ranking[:3]
             within += _within(prediction, entry, zone_of(entry) if zone_of else None)
         outcome = prediction.leave if entry is None else by_camera.get(entry.camera, 0.0)
         loss -= math.log(max(outcome, PROBABILITY_FLOOR))
-        stated += [*by_camera.values(), prediction.leave]
-        happened += [
+        probabilities += [*by_camera.values(), prediction.leave]
+        hits += [
             *(entry is not None and camera == entry.camera for camera in by_camera),
             entry is None,
         ]
 
     # Average over the exits.
-    somebody = [guess for guess in firsts if not guess.clutter]
+    object_guesses = [guess for guess in firsts if not guess.clutter]
     return PredictionScore(
         exits=scored,
         followed=followed,
         top1=top1 / followed if followed else 1.0,
         top3=top3 / followed if followed else 1.0,
         log_loss=loss / scored if scored else math.nan,
-        calibration_error=calibration_error(stated, happened),
-        first_calibration_error=_calibration_error(somebody),
-        first_calibration_floor=calibration_floor([guess.stated for guess in somebody]),
+        calibration_error=calibration_error(probabilities, hits),
+        first_calibration_error=_calibration_error(object_guesses),
+        first_calibration_floor=calibration_floor([guess.probability for guess in object_guesses]),
         first_calibration_error_all=_calibration_error(firsts),
         window_coverage=float(np.mean(within)) if within else math.nan,
     )
@@ -154,8 +154,8 @@ class _Guess(NamedTuple):
     clutter.
     """
 
-    stated: float
-    happened: bool
+    probability: float
+    hit: bool
     clutter: bool
 
 
@@ -170,7 +170,7 @@ def _first(leave: float, by_camera: dict[str, float], entry: Event | None, clutt
 def _calibration_error(guesses: Sequence[_Guess]) -> float:
     """Return the expected calibration error of the likeliest outcomes."""
     return calibration_error(
-        [guess.stated for guess in guesses], [guess.happened for guess in guesses]
+        [guess.probability for guess in guesses], [guess.hit for guess in guesses]
     )
 
 
@@ -188,8 +188,8 @@ def _within(prediction: Prediction, entry: Event, zone: str | None) -> list[bool
 
     Without a zone it is the window of the camera's likeliest zone.
     """
-    named = [choice for choice in prediction.next if choice.camera == entry.camera]
-    for choice in [choice for choice in named if choice.zone == zone] or named:
+    choices = [choice for choice in prediction.candidates if choice.camera == entry.camera]
+    for choice in [choice for choice in choices if choice.zone == zone] or choices:
         return [choice.q10 <= entry.t - prediction.t <= choice.q90]
     return []
 
@@ -204,7 +204,7 @@ def clock_errors(topology: Topology, truth: Truth) -> dict[str, float]:
     return {camera: value - gauge for camera, value in error.items()}
 
 
-def calibration_error(probability: Sequence[float], happened: Sequence[bool]) -> float:
+def calibration_error(probability: Sequence[float], hits: Sequence[bool]) -> float:
     """Return the expected calibration error; nan without any probability.
 
     It is |mean stated probability - observed frequency| of equal bins of probability, averaged with
@@ -212,10 +212,10 @@ def calibration_error(probability: Sequence[float], happened: Sequence[bool]) ->
     """
     if not probability:
         return math.nan
-    stated = np.array(probability)
-    came = np.array(happened, dtype=float)
-    gap = np.bincount(_bin(stated), stated - came, CALIBRATION_BINS)
-    return float(np.abs(gap).sum() / len(stated))
+    probabilities = np.array(probability)
+    outcomes = np.array(hits, dtype=float)
+    gap = np.bincount(_bin(probabilities), probabilities - outcomes, CALIBRATION_BINS)
+    return float(np.abs(gap).sum() / len(probabilities))
 
 
 def calibration_floor(probability: Sequence[float]) -> float:
@@ -226,10 +226,12 @@ def calibration_floor(probability: Sequence[float]) -> float:
     """
     if not probability:
         return math.nan
-    stated = np.array(probability)
-    variance = np.bincount(_bin(stated), stated * (1.0 - stated), CALIBRATION_BINS)
-    return float(math.sqrt(2.0 / math.pi) * np.sqrt(variance).sum() / len(stated))
+    probabilities = np.array(probability)
+    variance = np.bincount(
+        _bin(probabilities), probabilities * (1.0 - probabilities), CALIBRATION_BINS
+    )
+    return float(math.sqrt(2.0 / math.pi) * np.sqrt(variance).sum() / len(probabilities))
 
 
-def _bin(stated: NDArray[np.float64]) -> NDArray[np.int64]:
-    return np.minimum((stated * CALIBRATION_BINS).astype(np.int64), CALIBRATION_BINS - 1)
+def _bin(probabilities: NDArray[np.float64]) -> NDArray[np.int64]:
+    return np.minimum((probabilities * CALIBRATION_BINS).astype(np.int64), CALIBRATION_BINS - 1)

@@ -59,15 +59,17 @@ class Table(Struct):
 
 def cpu_seconds() -> float:
     """Return the CPU seconds of this process, its threads, and children that were waited for."""
-    used = [resource.getrusage(who) for who in (resource.RUSAGE_SELF, resource.RUSAGE_CHILDREN)]
-    return sum(one.ru_utime + one.ru_stime for one in used)
+    usages = [
+        resource.getrusage(process) for process in (resource.RUSAGE_SELF, resource.RUSAGE_CHILDREN)
+    ]
+    return sum(usage.ru_utime + usage.ru_stime for usage in usages)
 
 
 def cpu_seconds_of(run: Callable[[], object]) -> float:
     """Return the CPU seconds that ``run`` takes."""
-    began = cpu_seconds()
+    start = cpu_seconds()
     run()
-    return cpu_seconds() - began
+    return cpu_seconds() - start
 
 
 def take_turns(
@@ -105,9 +107,9 @@ def compare(
     ``at_most``: targets of the ratios, by contestant.
     """
     rows = []
-    for name, own in costs.items():
-        ratios = [cost / base for cost, base in zip(own, costs[baseline], strict=True)]
-        rows.append(Row(name, spread(own), spread(ratios), (at_most or {}).get(name)))
+    for name, values in costs.items():
+        ratios = [cost / base for cost, base in zip(values, costs[baseline], strict=True)]
+        rows.append(Row(name, spread(values), spread(ratios), (at_most or {}).get(name)))
     return Table(title, unit, baseline, rows)
 
 
@@ -116,11 +118,11 @@ def lines(table: Table) -> list[str]:
     cost, ratio = f"{table.unit} (quartiles)", f"/ {table.baseline}"
     result = [f"{table.title:52}{cost:>30}{ratio:>30}{'to reach':>14}"]
     for row in table.rows:
-        wanted = ""
+        target = ""
         if row.at_most is not None:
-            wanted = f"<= {row.at_most:.2f} {'yes' if row.reached else 'NO'}"
+            target = f"<= {row.at_most:.2f} {'yes' if row.reached else 'NO'}"
         result.append(
-            f"  {row.name:50}{_cell(row.cost, 3):>30}{_cell(row.ratio, 2):>30}{wanted:>14}"
+            f"  {row.name:50}{_cell(row.cost, 3):>30}{_cell(row.ratio, 2):>30}{target:>14}"
         )
     for row in table.rows:
         title = f"{table.title}, {row.name}"

@@ -91,7 +91,7 @@ def link_figures(
 ) -> LinkFigures:
     """Score the links of a topology; ``nats`` is the evidence for each true link (`tellable`)."""
     true = recording.links()
-    some = {
+    frequent_pairs = {
         pair
         for pair, lags in recording.transitions().items()
         if len(lags) > SPURIOUS_TRANSITIONS_MAX
@@ -102,10 +102,8 @@ def link_figures(
         pair = camera_of[link.from_], camera_of[link.to]
         if pair[0] != pair[1]:
             medians[pair].append((link.transitions + 1e-9, link.transit.q50))
-    published, told = (
-        set(medians),
-        {least: {p for p, n in nats.items() if n >= least} for least in TELLABLE_NATS},
-    )
+    published = set(medians)
+    tellable_pairs = {least: {p for p, n in nats.items() if n >= least} for least in TELLABLE_NATS}
 
     # Transit times of the right links.
     errors = []
@@ -117,24 +115,24 @@ def link_figures(
     for pair, lags in true.items():
         ahead[frozenset(pair)] += [lag < 0 for lag in lags]
     clear = {
-        pair: np.mean(each) >= 0.5
-        for pair, each in ahead.items()
-        if not 0.25 < np.mean(each) < 0.75
+        pair: np.mean(signs) >= 0.5
+        for pair, signs in ahead.items()
+        if not 0.25 < np.mean(signs) < 0.75
     }
     relation = {frozenset(pair.cameras): pair.relation == "overlapped" for pair in topology.pairs}
-    both = [
+    is_right = [
         bool(relation[pair] == clear[pair])
         for pair in relation.keys() & clear.keys() & pairs_of([*true])
     ]
     return LinkFigures(
         len(published),
         len(published & true.keys()),
-        len(published - some),
+        len(published - frequent_pairs),
         len(true),
-        {least: len(published & one) for least, one in told.items()},
-        {least: len(one) for least, one in told.items()},
-        sum(both),
-        len(both),
+        {least: len(published & pairs) for least, pairs in tellable_pairs.items()},
+        {least: len(pairs) for least, pairs in tellable_pairs.items()},
+        sum(is_right),
+        len(is_right),
         float(np.median(errors)) if errors else float("nan"),
     )
 
@@ -185,9 +183,9 @@ class Oracle:
 
     def _quantiles(self, zone: str, camera: str, outcome: str) -> tuple[float, float, float]:
         """Return q10, q50 and q90 of the lag, from the most specific place with enough lags."""
-        known = ((zone, outcome), (f"{camera}/", outcome), ("", outcome))
+        keys = ((zone, outcome), (f"{camera}/", outcome), ("", outcome))
         lags = next(
-            (self._lags[key] for key in known if len(self._lags.get(key, ())) >= LAGS_MIN), None
+            (self._lags[key] for key in keys if len(self._lags.get(key, ())) >= LAGS_MIN), None
         )
         q10, q50, q90 = np.quantile(
             lags or self._lags.get(("", "")) or [0.0, 60.0], (0.1, 0.5, 0.9), method="weibull"
@@ -203,49 +201,41 @@ def prediction_figures(
     ``predictions`` are those of every exit, in order.
     """
     outcomes = [*recording.cameras, LEAVE]
-    chain, ours, told, happened = Oracle(outcomes), list[Guess](), list[Guess](), list[Passage]()
-    for one in predictions:
-        zone, passage = one.zone or f"{one.camera}/1", recording.passages[str(one.track)]
-        if one.t <= recording.cut - recording.window:
-            following = passage.next_
-            known = following is not None and following.came < recording.cut
-            chain.learn(
-                zone, one.camera, following.camera if known and following else LEAVE, passage.lag
-            )
-        elif recording.cut <= one.t <= recording.end - recording.window:
-            happened.append(passage)
-            ours.append(
-                Guess(
-                    {LEAVE: one.leave} | sum_by_camera(one.next),
-                    [(w.camera, w.probability, (w.q10, w.q50, w.q90)) for w in one.next],
-                )
-            )
-            told.append(chain.guess(zone, one.camera))
-    if not happened:
+    chain, passages = Oracle(outcomes), list[Passage]()
+    guesses, oracle_guesses = list[Guess](), list[Guess]()
+    for prediction in predictions:
+        zone = prediction.zone or f"{prediction.camera}/1"
+        passage = recording.passages[str(prediction.track)]
+        if prediction.t <= recording.cut - recording.window:
+            next_passage = passage.next_
+            outcome = LEAVE
+            if next_passage is not None and next_passage.begin < recording.cut:
+                outcome = next_passage.camera
+            chain.learn(zone, prediction.camera, outcome, passage.lag)
+        elif recording.cut <= prediction.t <= recording.end - recording.window:
+            passages.append(passage)
+            shares = {LEAVE: prediction.leave} | sum_by_camera(prediction.candidates)
+            ways = [(w.camera, w.probability, (w.q10, w.q50, w.q90)) for w in prediction.candidates]
+            guesses.append(Guess(shares, ways))
+            oracle_guesses.append(chain.guess(zone, prediction.camera))
+    if not passages:
         return None
     return (
-        _judged(ours, happened, outcomes, recording.reach),
-        _judged(told, happened, outcomes, recording.reach),
+        _judged(guesses, passages, outcomes, recording.reach),
+        _judged(oracle_guesses, passages, outcomes, recording.reach),
     )
 
 
 def _judged(
-    guesses: Sequence[Guess], happened: Sequence[Passage], outcomes: Sequence[str], reach: int
+    guesses: Sequence[Guess], passages: Sequence[Passage], outcomes: Sequence[str], reach: int
 ) -> PredictionFigures:
     """Score predictions against the passages that followed, searched for ``reach`` seconds."""
-    losses, leave_losses, confidence, right, third, covered, cost = (
-        [],
-        [],
-        [],
-        list[bool](),
-        [],
-        [],
-        [],
-    )
+    losses, leave_losses, confidence, cost = [], [], [], []
+    right, third, coverage = list[bool](), list[bool](), list[bool]()
 
     # Loss, ranks, coverage and search of each exit.
     floor = 1.0 + LOSS_FLOOR * len(outcomes)
-    for guess, passage in zip(guesses, happened, strict=True):
+    for guess, passage in zip(guesses, passages, strict=True):
         outcome = LEAVE if passage.next_ is None else passage.next_.camera
         shares = {name: guess.outcomes.get(name, 0.0) for name in outcomes}
         losses.append(-np.log((shares[outcome] + LOSS_FLOOR) / floor))
@@ -257,35 +247,35 @@ def _judged(
         third.append(outcome in first)
         if outcome == LEAVE:
             continue
-        mine = [(share, quantiles) for camera, share, quantiles in guess.ways if camera == outcome]
-        total = sum(share for share, _ in mine)
+        ways = [(share, quantiles) for camera, share, quantiles in guess.ways if camera == outcome]
+        total = sum(share for share, _ in ways)
         if total > 0:
-            reached = (
-                sum(share * float(_reached(np.array(passage.lag), *q)) for share, q in mine) / total
+            probability = (
+                sum(share * float(_reached(np.array(passage.lag), *q)) for share, q in ways) / total
             )
-            covered.append(0.1 - 1e-9 <= reached <= 0.9 + 1e-9)
+            coverage.append(0.1 - 1e-9 <= probability <= 0.9 + 1e-9)
         if outcome != passage.camera and passage.lag <= reach - 1:
             cost.append(_searched(guess, passage, outcomes, reach))
 
     # Savings of a search, against searching all cameras.
-    everything = (len(outcomes) - 2) * reach
+    all_seconds = (len(outcomes) - 2) * reach
     saved = {
-        recall: everything / max(1.0, float(np.quantile(cost, recall)))
+        recall: all_seconds / max(1.0, float(np.quantile(cost, recall)))
         for recall in SEARCH_RECALLS
         if cost
     }
     return PredictionFigures(
-        len(happened),
+        len(passages),
         float(np.mean(losses)),
         float(np.mean(leave_losses)),
         float(np.mean(right)),
         float(np.mean(third)),
         confidence,
         right,
-        float(np.mean(covered)) if covered else float("nan"),
+        float(np.mean(coverage)) if coverage else float("nan"),
         saved,
         float(np.mean([guess.outcomes.get(LEAVE, 0.0) for guess in guesses])),
-        float(np.mean([passage.next_ is None for passage in happened])),
+        float(np.mean([passage.next_ is None for passage in passages])),
     )
 
 
@@ -317,13 +307,13 @@ def _searched(guess: Guess, passage: Passage, outcomes: Sequence[str], reach: in
     }
     for camera, share, quantiles in guess.ways:
         if camera in density:
-            reached = _reached(seconds, *quantiles)
-            each = np.diff(reached)
-            each[0] += reached[0]
-            density[camera] += share * ((1.0 - UNIFORM_SHARE) * each + UNIFORM_SHARE / reach)
-    here = density[passage.next_.camera][int(max(0.0, passage.lag))]
-    every = np.concatenate([*density.values()])
-    return float(np.sum(every > here) + 0.5 * (np.sum(every == here) - 1) + 1)
+            cumulative = _reached(seconds, *quantiles)
+            mass = np.diff(cumulative)
+            mass[0] += cumulative[0]
+            density[camera] += share * ((1.0 - UNIFORM_SHARE) * mass + UNIFORM_SHARE / reach)
+    level = density[passage.next_.camera][int(max(0.0, passage.lag))]
+    levels = np.concatenate([*density.values()])
+    return float(np.sum(levels > level) + 0.5 * (np.sum(levels == level) - 1) + 1)
 
 
 def calibration_error(confidence: Sequence[float], right: Sequence[bool]) -> float:
@@ -342,24 +332,26 @@ def look_figures(predictions: Sequence[Prediction], recording: Recording) -> tup
     It is returned for our predictions, and for the zone's most frequent camera by identities before
     the cut.
     """
-    seen = recording.in_view()
+    cameras_in_view = recording.in_view()
     of_zone: dict[str, Counter[str]] = defaultdict(Counter)
-    ours, told = list[bool](), list[bool]()
-    for one in sorted(predictions, key=lambda one: one.t):
-        right = seen[str(one.track)]
+    hits, oracle_hits = list[bool](), list[bool]()
+    for prediction in sorted(predictions, key=lambda prediction: prediction.t):
+        right = cameras_in_view[str(prediction.track)]
         if not right:
             continue
-        if one.t < recording.cut:
+        if prediction.t < recording.cut:
             for camera in sorted(right):
-                of_zone[one.zone or ""][camera] += 1
-                of_zone[f"{one.camera}/"][camera] += 1
+                of_zone[prediction.zone or ""][camera] += 1
+                of_zone[f"{prediction.camera}/"][camera] += 1
             continue
-        looks = one.next if one.look is None else one.look
-        shares = sum_by_camera(way for way in looks if way.camera != one.camera)
-        frequent = of_zone.get(one.zone or "") or of_zone[f"{one.camera}/"]
-        ours.append(bool(shares) and max(shares, key=lambda camera: shares[camera]) in right)
-        told.append(bool(frequent) and frequent.most_common(1)[0][0] in right)
-    return (float(np.mean(ours)), float(np.mean(told))) if ours else (float("nan"), float("nan"))
+        looks = prediction.candidates if prediction.look is None else prediction.look
+        shares = sum_by_camera(way for way in looks if way.camera != prediction.camera)
+        frequent = of_zone.get(prediction.zone or "") or of_zone[f"{prediction.camera}/"]
+        hits.append(bool(shares) and max(shares, key=lambda camera: shares[camera]) in right)
+        oracle_hits.append(bool(frequent) and frequent.most_common(1)[0][0] in right)
+    if not hits:
+        return float("nan"), float("nan")
+    return float(np.mean(hits)), float(np.mean(oracle_hits))
 
 
 def hand_over_figure(predictions: Sequence[Prediction], recording: Recording) -> float:
@@ -367,7 +359,7 @@ def hand_over_figure(predictions: Sequence[Prediction], recording: Recording) ->
 
     Exits are those after the cut at which another camera sees the object; nan if there are none.
     """
-    same = recording.under_way()
-    late = [one for one in predictions if one.t >= recording.cut and same[str(one.track)]]
-    right = [one.in_view[0].track in same[str(one.track)] for one in late if one.in_view]
+    tracks = recording.under_way()
+    late = [p for p in predictions if p.t >= recording.cut and tracks[str(p.track)]]
+    right = [p.in_view[0].track in tracks[str(p.track)] for p in late if p.in_view]
     return sum(right) / len(late) if late else float("nan")

@@ -36,12 +36,12 @@ class Options(Struct, frozen=True):
 
     def line(self) -> str:
         """Return the options as they were given; "none" if all are the defaults."""
-        given = [f"--stretch {self.stretch:g}"] if self.stretch != 1.0 else []
+        words = [f"--stretch {self.stretch:g}"] if self.stretch != 1.0 else []
         if self.labels:
             shares = ",".join(f"{label}:{share:g}" for label, share in self.labels.items())
-            given.append(f"--labels {shares} --seed {self.seed}")
-        given += ["--neighbours"] * self.neighbours + ["--nobody-leaves"] * self.nobody_leaves
-        return " ".join(given) or "none"
+            words.append(f"--labels {shares} --seed {self.seed}")
+        words += ["--neighbours"] * self.neighbours + ["--nobody-leaves"] * self.nobody_leaves
+        return " ".join(words) or "none"
 
 
 def add_options(parser: argparse.ArgumentParser) -> None:
@@ -121,10 +121,10 @@ def settings_of(options: Options, recording: Recording) -> Settings:
     """
     if not options.neighbours:
         return Settings(topology=TopologySettings(nobody_leaves=options.nobody_leaves))
-    every = set(combinations(recording.cameras, 2))  # each pair in the order of names
-    joined = {(min(pair), max(pair)) for pair in recording.links()}
+    all_pairs = set(combinations(recording.cameras, 2))  # each pair in the order of names
+    neighbours = {(min(pair), max(pair)) for pair in recording.links()}
     return Settings(
         topology=TopologySettings(
-            tuple(sorted(joined)), tuple(sorted(every - joined)), options.nobody_leaves
+            tuple(sorted(neighbours)), tuple(sorted(all_pairs - neighbours)), options.nobody_leaves
         )
     )

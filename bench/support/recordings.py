@@ -41,18 +41,18 @@ A published link with more, which is no true link, is neither right nor false.
 
 
 class Passage(Struct, eq=False):
-    """One identity in one view: track, entry and exit (seconds), and its next passage, if any."""
+    """One identity in one view, from entry to exit (event times), and its next passage, if any."""
 
     track: str
     camera: str
-    came: float
-    left: float
+    begin: float
+    end: float
     next_: Passage | None = None
 
     @property
     def lag(self) -> float:
         """Seconds from the exit to the next passage; negative where views overlap."""
-        return float("nan") if self.next_ is None else self.next_.came - self.left
+        return float("nan") if self.next_ is None else self.next_.begin - self.end
 
 
 class Recording(Struct):
@@ -87,53 +87,51 @@ class Recording(Struct):
         """Return the lags of transitions that end before the cut, by camera pair."""
         lags: dict[CameraPair, list[float]] = defaultdict(list)
         for passage in self.passages.values():
-            following = passage.next_
+            next_passage = passage.next_
             if (
-                following is not None
-                and following.camera != passage.camera
-                and following.came < self.cut
+                next_passage is not None
+                and next_passage.camera != passage.camera
+                and next_passage.begin < self.cut
             ):
-                lags[passage.camera, following.camera].append(passage.lag)
+                lags[passage.camera, next_passage.camera].append(passage.lag)
         return dict(lags)
 
     def links(self) -> dict[CameraPair, list[float]]:
         """Return the true links between cameras, with the lags of their transitions."""
         lags = self.transitions()
         left = Counter[str]()
-        for (source, _), each in lags.items():
-            left[source] += len(each)
+        for (source, _), times in lags.items():
+            left[source] += len(times)
         least = {pair: max(TRANSITIONS_MIN, TRANSITIONS_SHARE_MIN * left[pair[0]]) for pair in lags}
-        return {pair: each for pair, each in lags.items() if len(each) >= least[pair]}
+        return {pair: times for pair, times in lags.items() if len(times) >= least[pair]}
 
     def in_view(self) -> dict[str, set[str]]:
         """Return by track the other cameras that see the identity at the end of the passage.
 
         If there is none, it is the next camera that does.
         """
-        seen: dict[str, set[str]] = {}
+        cameras: dict[str, set[str]] = {}
         for passages in self.by_identity:
-            for one in passages:
-                others = [other for other in passages if other.camera != one.camera]
-                now = {other.camera for other in others if other.came <= one.left < other.left}
-                later = [other for other in others if other.came >= one.left]
-                first = min(
-                    later, key=lambda other: (other.came, other.left, other.camera), default=None
-                )
-                seen[one.track] = now or ({first.camera} if first else set())
-        return seen
+            for passage in passages:
+                elsewhere = [p for p in passages if p.camera != passage.camera]
+                now = {p.camera for p in elsewhere if p.begin <= passage.end < p.end}
+                later = [p for p in elsewhere if p.begin >= passage.end]
+                first = min(later, key=lambda p: (p.begin, p.end, p.camera), default=None)
+                cameras[passage.track] = now or ({first.camera} if first else set())
+        return cameras
 
     def under_way(self) -> dict[str, set[str]]:
         """Return by track the identity's tracks that other cameras see at the end of
         the passage.
         """
         return {
-            one.track: {
-                other.track
-                for other in passages
-                if other.camera != one.camera and other.came <= one.left < other.left
+            passage.track: {
+                p.track
+                for p in passages
+                if p.camera != passage.camera and p.begin <= passage.end < p.end
             }
             for passages in self.by_identity
-            for one in passages
+            for passage in passages
         }
 
 
@@ -159,9 +157,9 @@ def load(folder: Path, stretch: float = 1.0) -> Recording:
         track = str(event.track)
         passage = passages.setdefault(track, Passage(track, event.camera, event.t, event.t))
         if event.kind == "entry":
-            passage.came = event.t
+            passage.begin = event.t
         else:
-            passage.left = event.t
+            passage.end = event.t
     return Recording(
         folder.name,
         events,
@@ -180,9 +178,9 @@ def _in_order(passages: dict[str, Passage], identity: dict[str, str]) -> list[li
     for track, passage in passages.items():
         groups[identity[track]].append(passage)
     for group in groups.values():
-        group.sort(key=lambda one: (one.came, one.left, one.camera, one.track))
-        for one, following in pairwise(group):
-            one.next_ = following
+        group.sort(key=lambda passage: (passage.begin, passage.end, passage.camera, passage.track))
+        for passage, next_passage in pairwise(group):
+            passage.next_ = next_passage
     return list(groups.values())
 
 
@@ -198,67 +196,61 @@ def tellable(
     times are before the stretch: a slow site tells as much as the same site at speed.
     """
     lags = {
-        pair: [lag / recording.stretch for lag in each]
-        for pair, each in recording.transitions().items()
+        pair: [lag / recording.stretch for lag in times]
+        for pair, times in recording.transitions().items()
     }
     true = recording.links()
-    seen = [one for one in recording.passages.values() if one.left < recording.cut]
-    number = {camera: k for k, camera in enumerate(sorted({one.camera for one in seen}))}
-    camera = np.array([number[one.camera] for one in seen])
-    came, left = (
-        np.array(times) / recording.stretch
-        for times in ([one.came for one in seen], [one.left for one in seen])
-    )
+    history = [passage for passage in recording.passages.values() if passage.end < recording.cut]
+    names = sorted({passage.camera for passage in history})
+    number = {name: k for k, name in enumerate(names)}
+    camera = np.array([number[passage.camera] for passage in history])
+    came = np.array([passage.begin for passage in history]) / recording.stretch
+    left = np.array([passage.end for passage in history]) / recording.stretch
     passages = np.bincount(camera, minlength=len(number))
 
     # Arrivals by time, and their rate from outside.
     order = np.argsort(came, kind="stable")
-    at, arrived = came[order], camera[order]
-    arrivals_of = [np.flatnonzero(arrived == k) for k in range(len(number))]
+    at, arrival_camera = came[order], camera[order]
+    arrivals_of = [np.flatnonzero(arrival_camera == k) for k in range(len(number))]
     rate = np.zeros(len(at))
     for rows in arrivals_of:
         rate[rows] = _local_rate(at[rows], at[0], at[-1])
     expected = Counter[str]()
-    for (_, target), each in lags.items():
-        expected[target] += len(each)
+    for (_, target), times in lags.items():
+        expected[target] += len(times)
     outside = np.array(
         [max(0.02, 1.0 - expected[name] / max(1, passages[k])) for name, k in number.items()]
     )
-    background = outside[arrived] * np.maximum(rate, 1e-6)
+    background = outside[arrival_camera] * np.maximum(rate, 1e-6)
 
     # Candidates of every pair of cameras, and their hazards.
-    every = np.concatenate([np.array(each) for each in lags.values()] or [np.zeros(1)])
-    low, high = min(low, every.min() - 2), min(high, every.max() + 5)
+    all_lags = np.concatenate([np.array(times) for times in lags.values()] or [np.zeros(1)])
+    low, high = min(low, all_lags.min() - 2), min(high, all_lags.max() + 5)
     grid = np.arange(low - 10, high + 10, GRID_SECONDS)
     pairs, columns, appears = [], [], np.zeros(len(number))
-    for (source, target), each in lags.items():
+    for (source, target), times in lags.items():
         if source not in number or target not in number:
             continue
-        share = len(each) / passages[number[source]]
+        share = len(times) / passages[number[source]]
         appears[number[source]] += share
-        mine, there = np.flatnonzero(camera == number[source]), arrivals_of[number[target]]
-        columns.append(
-            _candidates(
-                share * _kernel(np.array(each), grid), grid, came[mine], left[mine], at[there]
-            )
-        )
-        columns[-1] = (mine[columns[-1][0]], there[columns[-1][1]], columns[-1][2])
+        exits, entries = np.flatnonzero(camera == number[source]), arrivals_of[number[target]]
+        density = share * _kernel(np.array(times), grid)
+        i, j, value = _candidates(density, grid, came[exits], left[exits], at[entries])
+        columns.append((exits[i], entries[j], value))
         pairs.append((source, target))
     if not columns:
         return {}
-    first = np.cumsum([0, *(len(one[0]) for one in columns)])
-    departure, arrival, hazard = (
-        np.concatenate([np.asarray(one[k]) for one in columns]) for k in range(3)
-    )
-    gone = np.maximum(1.0 - appears, 0.02)[camera]
+    first = np.cumsum([0, *(len(column[0]) for column in columns)])
+    departure, arrival, hazard = (np.concatenate(parts) for parts in zip(*columns, strict=True))
+    leave = np.maximum(1.0 - appears, 0.02)[camera]
 
     # One-to-one: each departure goes to one arrival or leaves, each arrival comes from one
     # departure or from outside.
     message, share_of = np.ones(len(hazard)), np.zeros(len(hazard))
     for _ in range(SWEEPS):
-        taken = np.bincount(departure, hazard * message, minlength=len(seen))
-        offer = hazard / np.maximum(gone[departure] + taken[departure] - hazard * message, 1e-9)
-        demand = background[arrival] + np.bincount(arrival, offer, minlength=len(seen))[arrival]
+        claims = np.bincount(departure, hazard * message, minlength=len(history))
+        offer = hazard / np.maximum(leave[departure] + claims[departure] - hazard * message, 1e-9)
+        demand = background[arrival] + np.bincount(arrival, offer, minlength=len(history))[arrival]
         message, share_of = 1.0 / np.maximum(demand - offer, 1e-12), offer / demand
 
     # Evidence of each link.
@@ -303,8 +295,8 @@ def _candidates(
     departure = np.repeat(np.arange(len(left)), n)
     arrival = np.arange(n.sum()) - np.repeat(np.cumsum(n) - n, n) + np.repeat(low, n)
     value = np.interp(arrivals[arrival] - left[departure], grid, density)
-    kept = value > HAZARD_MIN
-    return departure[kept], arrival[kept], value[kept]
+    is_likely = value > HAZARD_MIN
+    return departure[is_likely], arrival[is_likely], value[is_likely]
 
 
 def _local_rate(t: Floats, first: float, last: float) -> Floats:

@@ -56,13 +56,13 @@ class Regime(Struct, frozen=True):
 
         ``scale`` below 1 makes a shorter recording of the same network (and day).
         """
-        chosen = msgspec.structs.replace(_scaled(self.settings, scale), seed=seed)
-        if not isinstance(chosen, SimSettings):
-            return _SIMULATIONS[type(chosen)](chosen)
-        recording = simulate(chosen)
+        settings = msgspec.structs.replace(_scaled(self.settings, scale), seed=seed)
+        if not isinstance(settings, SimSettings):
+            return _SIMULATIONS[type(settings)](settings)
+        recording = simulate(settings)
         if self.disturb is None:
             return recording
-        return self.disturb(recording, chosen)
+        return self.disturb(recording, settings)
 
 
 def _scaled(settings: Settings, scale: float) -> Settings:
@@ -163,14 +163,14 @@ def _disturbed() -> list[Regime]:
     """
     usual = SimSettings(hours=3.0)
     change = msgspec.structs.replace
-    lost = partial(with_outages, outages=(("cam05", 0.37, 0.65), ("cam09", 0.69, 1.0)))
+    loss = partial(with_outages, outages=(("cam05", 0.37, 0.65), ("cam09", 0.69, 1.0)))
     turned = partial(with_turned_cameras, cameras=("cam03", "cam08"))
     return [
         Regime("loitering", "15 % linger 5 to 30 times as long", change(usual, loiterers=0.15)),
         Regime("two-speeds", "30 % at less than half the speed", change(usual, slow_share=0.3)),
         Regime("closing-door", "two paths close half-way", change(usual, doors_closed=2)),
         Regime("opening-door", "two paths open half-way", change(usual, doors_opened=2)),
-        Regime("lost-camera", "one camera silent for a while, one for good", usual, disturb=lost),
+        Regime("lost-camera", "one camera silent for a while, one for good", usual, disturb=loss),
         Regime("moved-camera", "two cameras turned elsewhere half-way", usual, disturb=turned),
         Regime(
             "no-tracks",

@@ -86,7 +86,7 @@ class FaultProxy:
         self._pairs: list[tuple[socket.socket, socket.socket]] = []
         self._flowing = threading.Event()
         self._flowing.set()
-        self._closed = False
+        self._is_closed = False
         self.refusing = False
         self.connections = 0
         threading.Thread(target=self._accept, daemon=True).start()
@@ -108,13 +108,13 @@ class FaultProxy:
 
     def close(self) -> None:
         """Stop the proxy."""
-        self._closed = True
+        self._is_closed = True
         _shut(self._listener)
         self.resume()
         self.cut()
 
     def _accept(self) -> None:
-        while not self._closed:
+        while not self._is_closed:
             try:
                 client, _ = self._listener.accept()
             except OSError:
@@ -186,14 +186,14 @@ def rtsp_answer(status: str) -> Callable[[socket.socket], None]:
 
     def treat(client: socket.socket) -> None:
         while request := client.recv(65536).decode():
-            said = "200 OK" if request.startswith("OPTIONS") else status
+            reply_status = "200 OK" if request.startswith("OPTIONS") else status
             number = next(line for line in request.split("\r\n") if line.startswith("CSeq"))
-            more = (
+            headers = (
                 "Public: OPTIONS, DESCRIBE"
-                if said == "200 OK"
+                if reply_status == "200 OK"
                 else 'WWW-Authenticate: Digest realm="x", nonce="y"'
             )
-            client.sendall(f"RTSP/1.0 {said}\r\n{number}\r\n{more}\r\n\r\n".encode())
+            client.sendall(f"RTSP/1.0 {reply_status}\r\n{number}\r\n{headers}\r\n\r\n".encode())
 
     return treat
 

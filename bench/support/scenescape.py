@@ -45,8 +45,8 @@ class _Sensor(Struct):
         lens = np.array([[fx, 0.0, cx], [0.0, fy, cy], [0.0, 0.0, 1.0]])
         floor, picture = np.array(self.floor), np.array(self.picture)
         _, turn, shift = cv2.solvePnP(floor, picture, lens, None, flags=cv2.SOLVEPNP_IPPE)
-        seen = cv2.projectPoints(places, turn, shift, lens, None)[0][:, 0]
-        return np.asarray(seen / (self.width, self.height), dtype=float)
+        points = cv2.projectPoints(places, turn, shift, lens, None)[0][:, 0]
+        return np.asarray(points / (self.width, self.height), dtype=float)
 
 
 class _Site(Struct):
@@ -73,14 +73,14 @@ def scenescape_clips(folder: Path, *, colour: bool = False) -> list[Clip]:
     clips = []
     for name, sensor in site.sensors.items():
         whole = clip_with(name, folder / f"{name}.mp4", [], colour=colour)
-        shown = slice(round(whole.seconds * FPS))
+        interval = slice(round(whole.seconds * FPS))
         end, begin = PARTS[name]
         for side, part in (("left", (0.0, end)), ("right", (begin, 1.0))):
             camera = f"{name}-{side}"
             truth = [
                 event
                 for person, at in places.items()
-                for event in _crossings(camera, person, sensor, at[shown], part)
+                for event in _crossings(camera, person, sensor, at[interval], part)
             ]
             truth.sort(key=lambda event: event.t)
             clip = part_of(whole, "", (part[0], 0.0, part[1], 1.0))

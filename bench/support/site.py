@@ -81,12 +81,12 @@ def traffic(cameras: int, events_per_second: float, count: int) -> list[Event]:
     seconds = WARM_SECONDS + 1.3 * count / events_per_second + 60.0
     while True:
         rate = events_per_second / EVENTS_PER_OBJECT
-        made, _ = simulate(
+        events, _ = simulate(
             SimSettings(
                 seed=1, cameras=cameras, hours=seconds / 3600.0, objects_per_second=rate, start=0.0
             )
         )
-        swinging = [event for event in made if event.t >= WARM_SECONDS][:count]
+        swinging = [event for event in events if event.t >= WARM_SECONDS][:count]
         if len(swinging) == count:
             first = swinging[0].t
             return [msgspec.structs.replace(event, t=event.t - first) for event in swinging]
@@ -106,19 +106,17 @@ def lay_out(state: Path, events: Sequence[Event]) -> None:
     entries, seqs = [], dict.fromkeys({event.camera for event in events}, 0)
     for event in events:
         seq = seqs[event.camera] = seqs[event.camera] + 1
-        moved = msgspec.structs.replace(event, t=event.t + later, boot="before", seq=seq)
-        learner.receive(moved)
-        entries.append(Entry("event", event.camera, "before", seq, to_msgpack(moved)))
+        moved_event = msgspec.structs.replace(event, t=event.t + later, boot="before", seq=seq)
+        learner.receive(moved_event)
+        entries.append(Entry("event", event.camera, "before", seq, to_msgpack(moved_event)))
     learner.flush()
 
     # Journal, versions and snapshot.
     journal = Journal(state)
     journal.set_meta("epoch", epoch)
     journal.commit(entries)
-    made = learner.updates()
-    journal.commit(
-        [], [StoredVersion(one.epoch, one.version, one.digest, to_json(one)) for one in made]
-    )
+    versions = learner.updates()
+    journal.commit([], [StoredVersion(v.epoch, v.version, v.digest, to_json(v)) for v in versions])
     journal.commit([], snapshot=Snapshot(len(entries), epoch, pack(learner.save())))
     journal.close()
 
@@ -169,7 +167,7 @@ def running(
     lines = UNIT.read_text().splitlines()
     settings = [line.removeprefix("Environment=") for line in lines if "Environment=" in line]
     place = in_checkout(checkout)
-    place["env"] |= dict(one.split("=") for one in " ".join(settings).split())
+    place["env"] |= dict(pair.split("=") for pair in " ".join(settings).split())
     command = [sys.executable, *PROGRAM, "--config", str(config), "run"]
     with (folder / "log").open("wb") as log:
         process = subprocess.Popen(command, stderr=log, **place)
@@ -190,14 +188,14 @@ def _endpoint(process: subprocess.Popen[bytes], log: Path) -> str:
     raise RuntimeError(f"the daemon ended before it was ready: {log.read_text()}")
 
 
-def resident(pid: int, most: bool = False) -> int:
-    """Return the resident bytes of a process and its children, or their added peaks (``most``)."""
+def resident(pid: int, peak: bool = False) -> int:
+    """Return the resident bytes of a process and its children, or their added peaks (``peak``)."""
     total = 0
     for process in (pid, *children(pid)):
         with contextlib.suppress(OSError):
             lines = Path(f"/proc/{process}/status").read_text().splitlines()
             [kilobytes] = [
-                line.split()[1] for line in lines if line.startswith("VmHWM:" if most else "VmRSS:")
+                line.split()[1] for line in lines if line.startswith("VmHWM:" if peak else "VmRSS:")
             ]
             total += 1024 * int(kilobytes)
     return total
@@ -210,21 +208,21 @@ def peak_memory(pid: int) -> Iterator[list[int]]:
     Yields a list whose only element is the peak in bytes. Pages of files that several processes
     have mapped count once; their size is measured at the end of the block and subtracted.
     """
-    most, ended = [0], threading.Event()
+    peak, stop = [0], threading.Event()
 
     def look() -> None:
-        while not ended.wait(LOOK_SECONDS):
-            most[0] = max(most[0], resident(pid))
+        while not stop.wait(LOOK_SECONDS):
+            peak[0] = max(peak[0], resident(pid))
 
     looking = threading.Thread(target=look)
     looking.start()
     try:
-        yield most
+        yield peak
         again = _counted_again((pid, *children(pid)))
     finally:
-        ended.set()
+        stop.set()
         looking.join()
-    most[0] -= again
+    peak[0] -= again
 
 
 def _counted_again(processes: Sequence[int]) -> int:
@@ -239,19 +237,19 @@ def _counted_again(processes: Sequence[int]) -> int:
                 sizes.setdefault(mapping, []).append(0)
             elif name in {"Rss:", "Anonymous:"}:  # what was written to is the process's own
                 sizes[mapping][-1] += 1024 * int(columns[0]) * (1 if name == "Rss:" else -1)
-    return sum(sum(each) - max(each) for mapping, each in sizes.items() if mapping[-1] != "0")
+    return sum(sum(counts) - max(counts) for mapping, counts in sizes.items() if mapping[-1] != "0")
 
 
 def processor_seconds(*pids: int) -> float:
     """Return the processor time of processes so far, in seconds."""
     fields = [Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split() for pid in pids]
-    return sum(int(each[11]) + int(each[12]) for each in fields) / os.sysconf("SC_CLK_TCK")
+    return sum(int(columns[11]) + int(columns[12]) for columns in fields) / os.sysconf("SC_CLK_TCK")
 
 
 def children(pid: int) -> list[int]:
     """Return the process ids of the children."""
-    found: list[int] = []
+    pids: list[int] = []
     for task in Path(f"/proc/{pid}/task").glob("*/children"):
         with contextlib.suppress(OSError):
-            found += [int(child) for child in task.read_text().split()]
-    return found
+            pids += [int(child) for child in task.read_text().split()]
+    return pids

@@ -72,9 +72,15 @@ def tables(records: Sequence[Record], regimes: Sequence[str]) -> list[str]:
     common = _common_thresholds(records)
     lines = []
     for regime in regimes:
-        here = [record for record in records if record.regime == regime]
-        if here:
-            lines += [*_ours(regime, here), *_links(here, common), *_zones(here), *_next(here), ""]
+        part = [record for record in records if record.regime == regime]
+        if part:
+            lines += [
+                *_ours(regime, part),
+                *_links(part, common),
+                *_zones(part),
+                *_next(part),
+                "",
+            ]
     return [*lines, *_overview(records, regimes), "", *_targets(records), "", *_seconds(records)]
 
 
@@ -82,10 +88,10 @@ def figure_lines(records: Sequence[Record], regimes: Sequence[str]) -> list[str]
     """Return the lines of `bench.support.figures`: each mean of each regime and mode."""
     lines = []
     for regime in regimes:
-        here = [record for record in records if record.regime == regime]
+        part = [record for record in records if record.regime == regime]
         for method in OURS:
             for name in ROWS:
-                values = np.array(_values(here, method, name), dtype=float)
+                values = np.array(_values(part, method, name), dtype=float)
                 values = values[np.isfinite(values)]
                 if len(values):
                     lines.append(
@@ -101,19 +107,19 @@ def _error(values: Floats) -> float:
 
 def mean_and_error(values: Sequence[float] | Floats) -> str:
     """Return mean and standard error of the known values, as ``0.982 ±0.004``; ``-`` for none."""
-    known = np.array(values, dtype=float)
-    known = known[np.isfinite(known)]
-    if not len(known):
+    finite = np.array(values, dtype=float)
+    finite = finite[np.isfinite(finite)]
+    if not len(finite):
         return "-"
-    digits = 0 if abs(known.mean()) >= 100 else 3
-    error = f" ±{_error(known):.{digits}f}" if len(known) > 1 else ""
-    return f"{known.mean():.{digits}f}{error}"
+    digits = 0 if abs(finite.mean()) >= 100 else 3
+    error = f" ±{_error(finite):.{digits}f}" if len(finite) > 1 else ""
+    return f"{finite.mean():.{digits}f}{error}"
 
 
 def _values(records: Sequence[Record], method: str, name: str) -> list[float]:
     """Return a figure of one method on each network."""
-    mine = [record for record in records if record.method == method]
-    return [record.seconds if name == "seconds" else record.get(name) for record in mine]
+    part = [record for record in records if record.method == method]
+    return [record.seconds if name == "seconds" else record.get(name) for record in part]
 
 
 def _ours(regime: str, records: Sequence[Record]) -> list[str]:
@@ -141,8 +147,8 @@ def _ranked(records: Sequence[Record]) -> dict[str, dict[str, list[Ranked]]]:
     """Return method -> variant -> networks."""
     result: dict[str, dict[str, list[Ranked]]] = {}
     for record in records:
-        for variant, ranked in record.ranked.items():
-            result.setdefault(record.method, {}).setdefault(variant, []).append(ranked)
+        for variant, network in record.ranked.items():
+            result.setdefault(record.method, {}).setdefault(variant, []).append(network)
     return result
 
 
@@ -161,11 +167,11 @@ def _common_thresholds(records: Sequence[Record]) -> dict[str, _Choice]:
     result = {}
     usual = [record for record in records if record.regime in LINKED]
     for method, variants in _ranked(usual or records).items():
-        linked = {
+        with_links = {
             variant: [n for n in networks if n.walked] for variant, networks in variants.items()
         }
-        if any(linked.values()):
-            variant, tuned = _best(linked)
+        if any(with_links.values()):
+            variant, tuned = _best(with_links)
             result[method] = _Choice(variant, tuned.threshold)
     return result
 
@@ -176,12 +182,12 @@ def _row(title: str, cells: Sequence[str]) -> str:
 
 def _links(records: Sequence[Record], common: dict[str, _Choice]) -> list[str]:
     """Return the lines of the baselines for links."""
-    ranked = _ranked(records)
-    if not ranked:
+    by_method = _ranked(records)
+    if not by_method:
         return []
     heads = ("F1", "precision", "recall", "transit error", "F1, one for all", "runs without")
     lines = [_row("links of baselines, threshold chosen on the truth", heads)]
-    for method, variants in ranked.items():
+    for method, variants in by_method.items():
         variant, tuned = _best(variants)
         networks = variants[variant]
         cells = ["-"] * 5
@@ -198,16 +204,16 @@ def _links(records: Sequence[Record], common: dict[str, _Choice]) -> list[str]:
                 cells[4] = mean_and_error(at(networks, choice.threshold).f1)
             silent = [max(n.score, default=-np.inf) < choice.threshold for n in networks]
             cells.append(f"{np.mean(silent):.2f}")
-        named = f", {variant}" if cells[0] != "-" else ""
-        lines.append(_row(f"  {method.removeprefix('links: ')}{named}", cells))
+        suffix = f", {variant}" if cells[0] != "-" else ""
+        lines.append(_row(f"  {method.removeprefix('links: ')}{suffix}", cells))
         if LITERAL in variants and cells[0] != "-":
             cells = [
                 mean_and_error(_values(records, method, name))
                 for name in ("f1", "precision", "recall")
             ]
             lines.append(_row("  the same as printed, Var(d) <= 1", cells))
-    told = mean_and_error(_values(records, "transit: told identities", "median_error"))
-    return [*lines, _row("  oracle, median of the recorded times", ["", "", "", told])]
+    oracle = mean_and_error(_values(records, "transit: told identities", "median_error"))
+    return [*lines, _row("  oracle, median of the recorded times", ["", "", "", oracle])]
 
 
 def _zones(records: Sequence[Record]) -> list[str]:
@@ -253,19 +259,21 @@ def _overview(records: Sequence[Record], regimes: Sequence[str]) -> list[str]:
         )
     ]
     for regime in regimes:
-        here = [record for record in records if record.regime == regime]
+        part = [record for record in records if record.regime == regime]
         of_pairs = not np.isfinite(
-            [record.get("f1") for record in here if record.method in OURS]
+            [record.get("f1") for record in part if record.method in OURS]
         ).any()
         cells = [
-            mean_and_error(_values(here, method, "pair_f1" if of_pairs else "f1"))
+            mean_and_error(_values(part, method, "pair_f1" if of_pairs else "f1"))
             for method in OURS
         ]
-        ranked = _ranked(here)
+        by_method = _ranked(part)
         for method in methods[len(OURS) :]:
-            networks = [network for some in ranked.get(method, {}).values() for network in some]
-            known = any(network.walked for network in networks)
-            cells.append(mean_and_error(_best(ranked[method])[1].f1) if known else "-")
+            networks = [
+                network for group in by_method.get(method, {}).values() for network in group
+            ]
+            has_links = any(network.walked for network in networks)
+            cells.append(mean_and_error(_best(by_method[method])[1].f1) if has_links else "-")
         if any(cell != "-" for cell in cells):
             lines.append(_row(f"  {regime}{', pairs of cameras' if of_pairs else ''}", cells))
     return lines if len(lines) > 1 else []
@@ -275,23 +283,23 @@ def _targets(records: Sequence[Record]) -> list[str]:
     """Return the lines of the targets."""
     lines = [f"{'to reach (mean over networks)':58}{'':>10}" + "".join(f"{m:>26}" for m in OURS)]
     for target in TARGETS:
-        here = [record for record in records if record.regime == target.regime]
-        cells = [_reached(target, _values(here, method, target.figure)) for method in OURS]
+        part = [record for record in records if record.regime == target.regime]
+        cells = [_reached(target, _values(part, method, target.figure)) for method in OURS]
         if any(cells):
-            wanted = f"{'>=' if target.at_least else '<='} {target.value:g}"
+            goal = f"{'>=' if target.at_least else '<='} {target.value:g}"
             title = f"{target.regime}: {TARGET_TITLES.get(target.figure, ROWS[target.figure])}"
-            lines.append(f"{title:58}{wanted:>10}" + "".join(f"{cell:>26}" for cell in cells))
+            lines.append(f"{title:58}{goal:>10}" + "".join(f"{cell:>26}" for cell in cells))
     return lines if len(lines) > 1 else []
 
 
 def _reached(target: Target, values: Sequence[float]) -> str:
     """Return the mean of a figure and whether it reaches the target."""
-    known = [value for value in values if math.isfinite(value)]
-    if not known:
+    finite = [value for value in values if math.isfinite(value)]
+    if not finite:
         return ""
-    mean = float(np.mean(known))
-    reached = mean >= target.value if target.at_least else mean <= target.value
-    return f"{mean_and_error(known)} {'yes' if reached else 'NO'}"
+    mean = float(np.mean(finite))
+    is_reached = mean >= target.value if target.at_least else mean <= target.value
+    return f"{mean_and_error(finite)} {'yes' if is_reached else 'NO'}"
 
 
 def _seconds(records: Sequence[Record]) -> list[str]:

@@ -90,11 +90,11 @@ def figure_4_4(seed: int, clutter: float = 0.0) -> tuple[list[Floats], list[NDAr
     # Entry and exit of each passage.
     for agent in range(FIGURE_4_4_AGENTS):
         for camera in rng.choice(5, 3, replace=False):
-            where, inwards, spread = doors[camera]
-            for zone in rng.choice(len(where), 2, replace=False):
+            door, inwards, spread = doors[camera]
+            for zone in rng.choice(len(door), 2, replace=False):
                 along = speed[agent] * rng.random()
                 places[camera].append(
-                    where[zone] + along * inwards[zone] + spread[zone] * rng.standard_normal(2)
+                    door[zone] + along * inwards[zone] + spread[zone] * rng.standard_normal(2)
                 )
                 zones[camera].append(int(zone))
 
@@ -109,14 +109,14 @@ def figure_4_4(seed: int, clutter: float = 0.0) -> tuple[list[Floats], list[NDAr
 
 def _doors(rng: np.random.Generator, zones: int) -> tuple[Floats, Floats, Floats]:
     """Return the zones' places, the directions into the view, and the spreads of sightings."""
-    where: list[Floats] = []
-    while len(where) < zones:
+    places: list[Floats] = []
+    while len(places) < zones:
         place = rng.uniform(0.08, 0.92, 2)
-        if all(np.hypot(*(place - other)) >= 0.12 for other in where):
-            where.append(place)
+        if all(np.hypot(*(place - other_place)) >= 0.12 for other_place in places):
+            places.append(place)
     angle = rng.uniform(0, 2 * np.pi, zones)
     return (
-        np.array(where),
+        np.array(places),
         np.stack([np.cos(angle), np.sin(angle)], axis=1),
         rng.uniform(0.008, 0.015, zones),
     )

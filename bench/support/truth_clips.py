@@ -82,15 +82,15 @@ class Clip:
     def judged(self, events: list[Event]) -> Judgement:
         """Compare a grabber's events with the truth."""
         true = match(self.truth, events, self.aspect)
-        rest = [events[j] for j in true.spurious]
+        extras = [events[j] for j in true.spurious]
         return Judgement(
             [(self.truth[i], events[j]) for i, j in true.pairs],
-            [self.truth[i] for i in true.missed],
-            rest,
+            [self.truth[i] for i in true.misses],
+            extras,
             [
-                rest[j]
-                for j in match(self.maybe, rest, self.aspect).spurious
-                if self.span[0] <= rest[j].t <= self.span[1] and not self._skips(rest[j])
+                extras[j]
+                for j in match(self.maybe, extras, self.aspect).spurious
+                if self.span[0] <= extras[j].t <= self.span[1] and not self._skips(extras[j])
             ],
         )
 
@@ -102,10 +102,10 @@ class Clip:
 class Judgement(NamedTuple):
     """Events beside the truth."""
 
-    found: list[tuple[Event, Event]]
+    pairs: list[tuple[Event, Event]]
     """True and seen events."""
-    missed: list[Event]
-    unmatched: list[Event]
+    misses: list[Event]
+    extras: list[Event]
     """Seen events that are no true ones."""
     spurious: list[Event]
     """Those of them that count."""
@@ -166,7 +166,7 @@ def clips_in(folder: Path, *, colour: bool = False) -> list[Clip]:
     """
     if not folder.is_dir():
         raise TruthError(f"{folder} is no folder")
-    found = [
+    clips = [
         clip_of(path, truth, colour=colour)
         for path in sorted(folder.iterdir())
         if path.suffix.lower() in SUFFIXES
@@ -174,23 +174,27 @@ def clips_in(folder: Path, *, colour: bool = False) -> list[Clip]:
         if truth.exists()
     ]
     if (truth := folder / TRUTH).exists():
-        for name, said in _decoded(truth, dict[str, _Judged]).items():
+        for name, content in _decoded(truth, dict[str, _Judged]).items():
             camera = Path(name).stem
-            events, maybe = ([line.event(camera) for line in k] for k in (said.events, said.maybe))
+            events, maybe = (
+                [line.event(camera) for line in k] for k in (content.events, content.maybe)
+            )
             clip = clip_with(camera, folder / name, events, colour=colour)
-            found.append(
+            clips.append(
                 replace(
                     clip,
-                    aspect=1.0 / said.height_by_width if said.height_by_width else clip.aspect,
+                    aspect=1.0 / content.height_by_width
+                    if content.height_by_width
+                    else clip.aspect,
                     maybe=tuple(maybe),
-                    skip=said.skip,
-                    span=said.span,
-                    kind=said.view,
+                    skip=content.skip,
+                    span=content.span,
+                    kind=content.view,
                 )
             )
-    if not found:
+    if not clips:
         raise TruthError(f"{folder}: no clip with a truth ({TRUTH}, or NAME.jsonl of NAME.mp4)")
-    return found
+    return clips
 
 
 def clip_of(path: Path, truth: Path, name: str = "", *, colour: bool = False) -> Clip:
@@ -203,12 +207,12 @@ def clip_of(path: Path, truth: Path, name: str = "", *, colour: bool = False) ->
         lines = [line for line in truth.read_bytes().splitlines() if line.strip()]
         events = [_decoded(truth, _Line, line).event(name) for line in lines]
         return clip_with(name, path, events, colour=colour)
-    said = _decoded(truth, _Passages)
-    fps = said.frames_per_second
+    content = _decoded(truth, _Passages)
+    fps = content.frames_per_second
     kinds: tuple[Kind, Kind] = ("entry", "exit")
     events = [
         Event(name, kind, at.frame / fps, at.x, at.y)
-        for passage in said.passages
+        for passage in content.passages
         for kind, at in zip(kinds, (passage.entry, passage.exit), strict=True)
         if at is not None
     ]
@@ -236,8 +240,8 @@ def clip_with(
     frames, last = 0, 0.0
     while (stamp := capture.grab()) is not None:
         frames, last = frames + 1, max(last, stamp)
-    declared = capture.fps or FPS_UNKNOWN
-    (width, height), rate = capture.size, fps or declared
+    file_fps = capture.fps or FPS_UNKNOWN
+    (width, height), rate = capture.size, fps or file_fps
     capture.release()
     if not frames:
         raise TruthError(f"{path}: no frame in it can be decoded")

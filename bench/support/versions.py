@@ -64,7 +64,7 @@ def decode(folder: Path) -> float:
         messages.append((folder / "topology-model").read_bytes())
     seconds = []
     for _ in range(TIMES):
-        begun = time.process_time()
+        start = time.process_time()
         if HAS_MAPS:
             version = codec.read(records.Topology, messages[0], pack=True)
             model = codec.read(records.VersionModel, messages[1], pack=True)
@@ -73,7 +73,7 @@ def decode(folder: Path) -> float:
             predict.PreparedVersion(version)
         else:
             Predictor(codec.decode_topology(messages[0], pack=True))
-        seconds.append(time.process_time() - begun)
+        seconds.append(time.process_time() - start)
     return statistics.median(seconds)
 
 

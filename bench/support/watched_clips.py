@@ -38,13 +38,13 @@ class Match:
     """Pairs of (true, seen) indices, and the rest on either side."""
 
     pairs: list[tuple[int, int]]
-    missed: list[int]
+    misses: list[int]
     spurious: list[int]
 
     @property
     def f1(self) -> float:
         """Harmonic mean of precision and recall; 1.0 if there was nothing to see or seen."""
-        total = 2 * len(self.pairs) + len(self.missed) + len(self.spurious)
+        total = 2 * len(self.pairs) + len(self.misses) + len(self.spurious)
         return 2 * len(self.pairs) / total if total else 1.0
 
 
@@ -65,7 +65,7 @@ def watched(name: str, fps: float) -> list[Event]:
     ]
 
 
-def match(truth: Sequence[Event], seen: Sequence[Event], aspect: float) -> Match:
+def match(truth: Sequence[Event], events: Sequence[Event], aspect: float) -> Match:
     """Return one-to-one pairs of one kind within the tolerances, the nearest first.
 
     ``aspect`` is the image's width / height. What is near is the sum of the distances in time and
@@ -74,7 +74,7 @@ def match(truth: Sequence[Event], seen: Sequence[Event], aspect: float) -> Match
     near = []
     diagonal = math.hypot(aspect, 1.0)
     for i, a in enumerate(truth):
-        for j, b in enumerate(seen):
+        for j, b in enumerate(events):
             assert a.x is not None and a.y is not None and b.x is not None and b.y is not None  # noqa: PT018
             seconds = abs(a.t - b.t) / SECONDS
             distance = math.hypot(aspect * (a.x - b.x), a.y - b.y) / diagonal / DIAGONALS
@@ -82,27 +82,29 @@ def match(truth: Sequence[Event], seen: Sequence[Event], aspect: float) -> Match
                 near.append((seconds + distance, i, j))
 
     # The rest of either side.
-    missed, spurious, pairs = set(range(len(truth))), set(range(len(seen))), []
+    misses, spurious, pairs = set(range(len(truth))), set(range(len(events))), []
     for _, i, j in sorted(near):
-        if i in missed and j in spurious:
+        if i in misses and j in spurious:
             pairs.append((i, j))
-            missed.remove(i)
+            misses.remove(i)
             spurious.remove(j)
-    return Match(pairs, sorted(missed), sorted(spurious))
+    return Match(pairs, sorted(misses), sorted(spurious))
 
 
-def best_offset(reference: list[Event], seen: list[Event], aspect: float) -> float:
-    """Return the seconds to subtract from the times of ``seen`` for the most matches.
+def best_offset(reference: list[Event], events: list[Event], aspect: float) -> float:
+    """Return the seconds to subtract from the times of ``events`` for the most matches.
 
     This is the difference of the clocks. Candidates are the differences of single events; the
     median difference of the matches refines the best.
     """
-    candidates = {round(b.t - a.t, 1) for a in reference for b in seen if a.kind == b.kind}
+    candidates = {round(b.t - a.t, 1) for a in reference for b in events if a.kind == b.kind}
     best = max(
-        candidates, key=lambda c: len(match(reference, shifted(seen, c), aspect).pairs), default=0.0
+        candidates,
+        key=lambda c: len(match(reference, shifted(events, c), aspect).pairs),
+        default=0.0,
     )
-    pairs = match(reference, shifted(seen, best), aspect).pairs
-    return float(np.median([seen[j].t - reference[i].t for i, j in pairs])) if pairs else best
+    pairs = match(reference, shifted(events, best), aspect).pairs
+    return float(np.median([events[j].t - reference[i].t for i, j in pairs])) if pairs else best
 
 
 def shifted(events: list[Event], seconds: float) -> list[Event]:

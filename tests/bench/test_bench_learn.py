@@ -113,7 +113,7 @@ def test_the_truth_between_cameras_is_who_no_camera_sees_and_one_will() -> None:
         Event("x", kind, t)
         for each in passages
         for one in each
-        for kind, t in (("entry", one.came), ("exit", one.left))
+        for kind, t in (("entry", one.begin), ("exit", one.end))
     ]
     events.sort(key=lambda event: event.t)
     recording = Recording("r", events, {}, passages, 0.0, 5010.0, 180.0)

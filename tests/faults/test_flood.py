@@ -260,7 +260,7 @@ def test_cameras_just_below_the_flood_limit_end_nothing_where_memory_is_little(
 
         assert process.poll() is None
         assert flooded.status["version"] > version
-        peak = max(resident(child, most=True) for child in children(process.pid))
+        peak = max(resident(child, peak=True) for child in children(process.pid))
         print(f"the learner had {peak / MEGABYTE:.0f} MB at most")
         assert peak < LEARNER_BYTES_MAX
 
