@@ -23,8 +23,10 @@ def main(argv: list[str]) -> int:
     if not argv or argv[0] not in parts:
         print("usage: python -m bench PART [ARGUMENTS]; PART is one of", file=sys.stderr)
         for name in parts:
-            said = ast.get_docstring(ast.parse(Path(bench.__path__[0], f"{name}.py").read_text()))
-            print(f"  {name:<11} {(said or '').splitlines()[0]}", file=sys.stderr)
+            docstring = ast.get_docstring(
+                ast.parse(Path(bench.__path__[0], f"{name}.py").read_text())
+            )
+            print(f"  {name:<11} {(docstring or '').splitlines()[0]}", file=sys.stderr)
         return 2
     try:
         status: int = import_module(f"bench.{argv[0]}").main(argv[1:])

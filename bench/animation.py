@@ -81,22 +81,22 @@ def main(argv: list[str]) -> int:
     )
     parser.add_argument("--out", type=Path, default=OUT, help="SVG to write")
     parser.add_argument("--films", type=Path, metavar="FOLDER", help="folder to keep the films in")
-    given = parser.parse_args(argv)
+    arguments = parser.parse_args(argv)
 
     # Record, learn the first part, and predict the second one.
     plan, seconds = demo_plan(), 60.0 * MINUTES
     walks = simulate_walks(plan, seconds, WALKERS_PER_SECOND, np.random.default_rng(1))
     with tempfile.TemporaryDirectory() as temporary:
-        events = recorded(plan, walks, seconds, 1, given.films or Path(temporary))
-    learned = [event for event in events if event.t < START + LEARNED]
-    shown = [event for event in events if 0 <= event.t - START - LEARNED < SHOWN]
-    versions = versions_of(learned)
-    predictions = predictions_of(versions[-1], learned, shown)
+        events = recorded(plan, walks, seconds, 1, arguments.films or Path(temporary))
+    history = [event for event in events if event.t < START + LEARNED]
+    replay = [event for event in events if 0 <= event.t - START - LEARNED < SHOWN]
+    versions = versions_of(history)
+    predictions = predictions_of(versions[-1], history, replay)
 
     dots, rings = aims(versions[-1], predictions)
-    parts = [*frame(), *edges(versions), *dots, *cards(plan), *(pulse(one) for one in learned[::3])]
-    parts += [*people(plan, walks), *(pulse(one) for one in shown), *rings]
-    parts += captions(learned, versions, predictions)
+    parts = [*frame(), *edges(versions), *dots, *cards(plan), *map(pulse, history[::3])]
+    parts += [*people(plan, walks), *map(pulse, replay), *rings]
+    parts += captions(history, versions, predictions)
     whole = tag(
         "svg",
         "\n".join(["", *parts, ""]),
@@ -104,8 +104,9 @@ def main(argv: list[str]) -> int:
         viewBox=f"0 0 {WIDTH} {HEIGHT}",
         font_family="system-ui, sans-serif",
     )
-    given.out.write_text(f"{whole}\n")
-    print(f"{given.out}: {given.out.stat().st_size / 1000:.0f} kB, {len(predictions)} predictions")
+    arguments.out.write_text(f"{whole}\n")
+    size = arguments.out.stat().st_size
+    print(f"{arguments.out}: {size / 1000:.0f} kB, {len(predictions)} predictions")
     return 0
 
 
@@ -121,14 +122,14 @@ def versions_of(events: Sequence[Event]) -> list[Topology]:
 
 
 def predictions_of(
-    topology: Topology, before: Sequence[Event], shown: Sequence[Event]
+    topology: Topology, before: Sequence[Event], replay: Sequence[Event]
 ) -> list[Prediction]:
     """Return the predictions of the exits that are shown, all events being observed."""
     predictor = Predictor(topology)
     for event in before[-100:]:
         predictor.observe(event)
     predictions = []
-    for event in shown:
+    for event in replay:
         if event.kind == "exit":
             predictions.append(predictor.predict(event))
         predictor.observe(event)
@@ -191,11 +192,11 @@ def looped(name: str, times: Iterable[float], **attributes: object) -> str:
     return tag(name, dur=f"{LOOP:g}s", repeatCount="indefinite", keyTimes=ends, **attributes)
 
 
-def visible(begin: float, end: float, fade: float = 0.005, most: str = "1") -> str:
+def visible(begin: float, end: float, fade: float = 0.005, opacity: str = "1") -> str:
     """Return an animation that shows its element from ``begin`` to ``end``, shares of the loop."""
     begin = max(begin, 1e-4)
     last = min(end, 1.0 - 1e-4)
-    moments = [(0.0, "0"), (begin, "0"), (min(begin + fade, last), most), (last, most)]
+    moments = [(0.0, "0"), (begin, "0"), (min(begin + fade, last), opacity), (last, opacity)]
     return animate("opacity", [*moments, (min(last + fade, 1.0 - 5e-5), "0"), (1.0, "0")])
 
 
@@ -223,7 +224,7 @@ def edges(versions: Sequence[Topology]) -> list[str]:
     """Return an edge for each camera pair of the last version, from when it was published."""
     last, parts = versions[-1], []
     for pair in last.pairs:
-        first = next(v for v in versions if pair.cameras in [one.cameras for one in v.pairs])
+        first = next(v for v in versions if pair.cameras in [p.cameras for p in v.pairs])
         path, x, y = edge_path(*pair.cameras)
         since = visible(at(first.as_of), 1.0, 0.02)
         parts.append(tag("path", class_=f"line {pair.relation}", d=path))
@@ -253,20 +254,20 @@ def cards(plan: Plan) -> list[str]:
     parts = []
     for view in plan.views:
         left, top = PLACES[view.camera]
-        seen = view.footprint()
+        footprint = view.footprint()
         shapes = []
         for area in plan.areas:
             west, south, east, north = area.box
             corners = np.array([(west, south), (east, south), (east, north), (west, north)])
-            shapes.append(shape(view, clipped(corners, seen), FLOORS[area.floor]))
+            shapes.append(shape(view, clipped(corners, footprint), FLOORS[area.floor]))
         for a, b in plan.ways:
             share = np.linspace(0, 1, 400)[:, None]
             way = np.array(plan.places[a]) * (1 - share) + np.array(plan.places[b]) * share
-            shown = view.feet(way)
-            near = (np.abs(shown[:, :2] - 0.5) < 0.65).all(axis=1) & (shown[:, 2] > 0)
+            feet = view.feet(way)
+            near = (np.abs(feet[:, :2] - 0.5) < 0.65).all(axis=1) & (feet[:, 2] > 0)
             if near.any():
                 line = " ".join(
-                    f"{CARD_WIDTH * x:.0f},{CARD_HEIGHT * y:.0f}" for x, y, _ in shown[near][::4]
+                    f"{CARD_WIDTH * x:.0f},{CARD_HEIGHT * y:.0f}" for x, y, _ in feet[near][::4]
                 )
                 shapes.append(tag("polyline", class_="way", points=line))
         name = tag("text", view.camera, class_="soft", y=CARD_HEIGHT + 20, font_size=16)
@@ -290,14 +291,14 @@ def clipped(corners: Floats, window: Floats) -> Floats:
     for a, b in zip(window, np.roll(window, -1, axis=0), strict=True):
         normal = np.array((a[1] - b[1], b[0] - a[0]))
         normal *= np.sign(normal @ (centre - a))
-        kept: list[Floats] = []
+        vertices: list[Floats] = []
         for p, q in zip(points, points[1:] + points[:1], strict=True):
             inside, after = normal @ (p - a), normal @ (q - a)
             if inside >= 0:
-                kept.append(p)
+                vertices.append(p)
             if (inside >= 0) != (after >= 0):
-                kept.append(p + (q - p) * inside / (inside - after))
-        points = kept
+                vertices.append(p + (q - p) * inside / (inside - after))
+        points = vertices
     return np.array(points).reshape(-1, 2)
 
 
@@ -318,38 +319,38 @@ def pulse(event: Event) -> str:
     slow = event.t >= START + LEARNED
     radius, seconds = (8, 2 * PULSE_SECONDS) if slow else (5, PULSE_SECONDS)
     moments = [(0.0, "0"), (begin, "0"), (begin + 0.0005, ".9"), (begin + seconds / LOOP, "0")]
-    shown = animate("opacity", [*moments, (1.0, "0")])
-    return tag("circle", shown, class_=event.kind, cx=round(x), cy=round(y), r=radius, opacity=0)
+    fade = animate("opacity", [*moments, (1.0, "0")])
+    return tag("circle", fade, class_=event.kind, cx=round(x), cy=round(y), r=radius, opacity=0)
 
 
 def people(plan: Plan, walks: Sequence[Walk]) -> list[str]:
     """Return the people of the second part, where a camera sees them."""
     parts = []
     for view in plan.views:
-        shown: list[str] = []
+        passages: list[str] = []
         for walk in walks:
-            seen = view.sees(walk.floor) & (walk.t >= LEARNED) & (walk.t < LEARNED + SHOWN)
-            samples = np.flatnonzero(seen)
+            in_view = view.sees(walk.floor) & (walk.t >= LEARNED) & (walk.t < LEARNED + SHOWN)
+            samples = np.flatnonzero(in_view)
             runs = np.split(samples, np.flatnonzero(np.diff(samples) > 1) + 1)
-            shown += [person(view, walk, run) for run in runs if len(run) > 3]
-        parts.append(placed(view.camera, shown))
+            passages += [person(view, walk, run) for run in runs if len(run) > 3]
+        parts.append(placed(view.camera, passages))
     return parts
 
 
 def person(view: View, walk: Walk, run: Longs) -> str:
     """Return one passage of a person; ``run``: the samples in view."""
-    some = run[:: max(len(run) // 8, 1)]
-    times = [at(START + t) for t in walk.t[some]]
-    spots = view.feet(walk.floor[some])[:, :2] * (CARD_WIDTH, CARD_HEIGHT)
+    samples = run[:: max(len(run) // 8, 1)]
+    times = [at(START + t) for t in walk.t[samples]]
+    spots = view.feet(walk.floor[samples])[:, :2] * (CARD_WIDTH, CARD_HEIGHT)
     points = [f"{x:.0f} {y:.0f}" for x, y in spots]
-    moved = looped(
+    movement = looped(
         "animateTransform",
         [0.0, *times, 1.0],
         attributeName="transform",
         type="translate",
         values=";".join([points[0], *points, points[-1]]),
     )
-    body = tag("path", moved, class_="person", d="M0 -3v-11")
+    body = tag("path", movement, class_="person", d="M0 -3v-11")
     return tag("g", body + visible(times[0], times[-1], 0.001), opacity=0)
 
 
@@ -357,22 +358,24 @@ def aims(topology: Topology, predictions: Sequence[Prediction]) -> tuple[list[st
     """Return a dot along the edge for each prediction of an unseen path, and a ring at its end."""
     pairs = {frozenset(pair.cameras) for pair in topology.pairs if pair.relation == "unseen_path"}
     dots, rings = [], []
-    for one in predictions:
-        if not one.next:
+    for prediction in predictions:
+        if not prediction.candidates:
             continue
-        aim = one.next[0]
-        begin, first, last = (at(one.t + s) for s in (0.0, aim.q10, aim.q90))
-        if aim.probability < 0.3 or frozenset((one.camera, aim.camera)) not in pairs:
+        aim = prediction.candidates[0]
+        begin, first, last = (at(prediction.t + s) for s in (0.0, aim.q10, aim.q90))
+        if aim.probability < 0.3 or frozenset((prediction.camera, aim.camera)) not in pairs:
             continue
-        path, _, _ = edge_path(one.camera, aim.camera)
-        reached = min((first + last) / 2, 0.999)
-        times = [0.0, begin, reached, 1.0]
-        moved = looped("animateMotion", times, path=path, keyPoints="0;0;1;1", calcMode="linear")
-        dots.append(tag("circle", moved + visible(begin, reached), class_="next", r=9, opacity=0))
+        path, _, _ = edge_path(prediction.camera, aim.camera)
+        arrival = min((first + last) / 2, 0.999)
+        times = [0.0, begin, arrival, 1.0]
+        movement = looped("animateMotion", times, path=path, keyPoints="0;0;1;1", calcMode="linear")
+        dots.append(
+            tag("circle", movement + visible(begin, arrival), class_="next", r=9, opacity=0)
+        )
         left, top = PLACES[aim.camera]
         ring = tag(
             "rect",
-            visible(first, last, most=f"{aim.probability:.2f}"),
+            visible(first, last, opacity=f"{aim.probability:.2f}"),
             class_="ring",
             x=left - 4,
             y=top - 4,
@@ -386,21 +389,25 @@ def aims(topology: Topology, predictions: Sequence[Prediction]) -> tuple[list[st
 
 
 def captions(
-    learned: Sequence[Event], versions: Sequence[Topology], predictions: Sequence[Prediction]
+    history: Sequence[Event], versions: Sequence[Topology], predictions: Sequence[Prediction]
 ) -> list[str]:
     """Return the line that says what is going on, and the last prediction in words."""
-    said = []
+    sentences = []
     for minute in range(0, round(LEARNED / 60), 2):
         until = START + 60 * minute
-        count = sum(event.t < until for event in learned)
+        count = sum(event.t < until for event in history)
         pairs = next((len(v.pairs) for v in reversed(versions) if v.as_of <= until), 0)
-        known = f", {pairs} of 6 pairs of cameras found" if pairs else ""
-        said.append((at(until), f"minute {minute}: {count} anonymous entries and exits{known}"))
-    said.append((at(START + LEARNED), "each exit is predicted:"))
-    said += [
-        (at(one.t), f"{one.camera} → {str(one).split('; ')[0]}") for one in predictions if one.next
+        sentence = f"minute {minute}: {count} anonymous entries and exits"
+        if pairs:
+            sentence += f", {pairs} of 6 pairs of cameras found"
+        sentences.append((at(until), sentence))
+    sentences.append((at(START + LEARNED), "each exit is predicted:"))
+    sentences += [
+        (at(prediction.t), f"{prediction.camera} → {str(prediction).split('; ')[0]}")
+        for prediction in predictions
+        if prediction.candidates
     ]
-    ends = [*(begin for begin, _ in said[1:]), 1.0]
+    ends = [*(begin for begin, _ in sentences[1:]), 1.0]
     return [
         tag(
             "text",
@@ -411,7 +418,7 @@ def captions(
             font_size=19,
             opacity=0,
         )
-        for (begin, text), end in zip(said, ends, strict=True)
+        for (begin, text), end in zip(sentences, ends, strict=True)
     ]
 
 

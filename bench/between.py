@@ -150,13 +150,13 @@ def truly_between(recording: Recording, since: float, moments: Floats) -> Floats
     for passages in recording.by_identity:
         left = -np.inf
         for one in passages:
-            if left >= since and one.came > left:
+            if left >= since and one.begin > left:
                 number += (
                     (left <= moments)
-                    & (moments < one.came)
-                    & (one.came - moments <= HORIZON_SECONDS)
+                    & (moments < one.begin)
+                    & (one.begin - moments <= HORIZON_SECONDS)
                 )
-            left = max(left, one.left)
+            left = max(left, one.end)
     return number
 
 

@@ -63,17 +63,17 @@ def main(argv: list[str]) -> int:
     parser.add_argument("--objects", type=float, help="objects that enter the network, per second")
     parser.add_argument("--rhythm", type=float, default=0.0)
     parser.add_argument("--jobs", default=",".join(JOBS))
-    given = parser.parse_args(argv)
-    for job in given.jobs.split(","):
+    arguments = parser.parse_args(argv)
+    for job in arguments.jobs.split(","):
         base = SimSettings(
-            hours=given.hours,
-            objects_per_second=given.objects,
-            rhythm=given.rhythm,
-            rhythm_hours=given.hours / 2,
+            hours=arguments.hours,
+            objects_per_second=arguments.objects,
+            rhythm=arguments.rhythm,
+            rhythm_hours=arguments.hours / 2,
         )
-        seeds = range(given.first_seed, given.first_seed + given.seeds)
+        seeds = range(arguments.first_seed, arguments.first_seed + arguments.seeds)
         {"close": _doors, "open": _doors, "steady": _steady, "score": _score}[job](
-            job, base, seeds, given.doors
+            job, base, seeds, arguments.doors
         )
     return 0
 
@@ -93,10 +93,10 @@ def _doors(job: str, base: SimSettings, seeds: range, doors: int) -> None:
     rows: list[Found] = []
     false = 0
     for seed in seeds:
-        here, wrong = _measure(job, base, seed, doors)
-        rows += here
+        outcomes, wrong = _measure(job, base, seed, doors)
+        rows += outcomes
         false += wrong
-        for row in here:
+        for row in outcomes:
             print(
                 f"{job} seed {seed}: "
                 + " ".join(f"{name} {value:g}" for name, value in row._asdict().items()),
@@ -113,50 +113,50 @@ def summary(job: str, rows: Sequence[Found]) -> list[str]:
     """
     lines = []
     for least in (0, *SOON_PASSAGES):
-        some = [row for row in rows if row.known and row.after >= least]
-        if not some:
+        outcomes = [row for row in rows if row.known and row.after >= least]
+        if not outcomes:
             continue
-        needed = np.array([np.inf if np.isnan(row.needed) else row.needed for row in some])
-        low, middle, high = np.quantile(needed, (0.25, 0.5, 0.75), method="higher")
-        line = f"{job}, {len(some)} links of {least} passages or more since: "
-        line += f"{int(np.isfinite(needed).sum())} found, "
+        passages = np.array([np.inf if np.isnan(row.needed) else row.needed for row in outcomes])
+        low, middle, high = np.quantile(passages, (0.25, 0.5, 0.75), method="higher")
+        line = f"{job}, {len(outcomes)} links of {least} passages or more since: "
+        line += f"{int(np.isfinite(passages).sum())} found, "
         line += f"after a median of {middle:.0f} passages "
         line += f"(quartiles {low:.0f} to {high:.0f})"
         if least:
-            line += f", within {least}: {np.mean(needed <= least):.2f}"
-        lines.append(f"{line}; {sum(row.alarmed for row in some)} alarms")
+            line += f", within {least}: {np.mean(passages <= least):.2f}"
+        lines.append(f"{line}; {sum(row.alarmed for row in outcomes)} alarms")
     return lines
 
 
 def _measure(job: str, base: SimSettings, seed: int, doors: int) -> tuple[list[Found], int]:
     """Return the changed links of one network and the number of false alarms."""
-    closed, opened = (doors, 0) if job == "close" else (0, doors)
-    settings = replace(base, seed=seed, doors_closed=closed, doors_opened=opened)
+    doors_closed, doors_opened = (doors, 0) if job == "close" else (0, doors)
+    settings = replace(base, seed=seed, doors_closed=doors_closed, doors_opened=doors_opened)
     events, truth = simulate(settings)
-    made = list(versions(events))
-    changed = {
+    history = list(versions(events))
+    changed_links = {
         (link.from_, link.to): link for link in truth.links if link.closed_at or link.opened_at
     }
 
     # Learned zone of each true one, in the newest version that has it.
     ids: dict[str, str] = {}
-    for version in reversed(made):
+    for version in reversed(history):
         ids = match_zones(version.zones, truth.zones) | ids
-    found = [
-        _found(job, link, ids, events, truth, made, base.start + base.hours * 1800)
-        for link in changed.values()
+    outcomes = [
+        _found(job, link, ids, events, truth, history, base.start + base.hours * 1800)
+        for link in changed_links.values()
     ]
 
     # Alarms about other links are false.
-    names = {f"{ids.get(link.from_)}->{ids.get(link.to)}" for link in changed.values()}
+    names = {f"{ids.get(link.from_)}->{ids.get(link.to)}" for link in changed_links.values()}
     kinds = ("link_opened", "link_closed")
-    wrong = [a for a in made[-1].alarms or [] if a.kind in kinds and a.subject not in names]
+    wrong = [a for a in history[-1].alarms or [] if a.kind in kinds and a.subject not in names]
     for alarm in wrong:
         print(
             f"{job} seed {seed}: other alarm {alarm.kind} {alarm.subject} {alarm.detail} "
             f"in version {alarm.version}"
         )
-    return found, len(wrong)
+    return outcomes, len(wrong)
 
 
 def _found(
@@ -165,46 +165,50 @@ def _found(
     ids: dict[str, str],
     events: Sequence[Event],
     truth: Truth,
-    made: list[Topology],
+    history: list[Topology],
     moment: float,
 ) -> Found:
     """Return the outcome of one changed link."""
     # Passages, departures at the zone, and when the link became right.
-    walked = np.array(_walked(link, events, truth))
+    transitions = np.array(_walked(link, events, truth))
     source = [zone.id for zone in truth.zones].index(link.from_)
     left = np.array(
         [e.t for e, z in zip(events, truth.zone, strict=True) if e.kind == "exit" and z == source]
     )
     key = ids.get(link.from_), ids.get(link.to)
     right = np.nan
-    for version in made:
+    for version in history:
         if version.as_of <= moment:
             continue
-        published = any((x.from_, x.to) == key for x in version.links)
-        if published != (job == "open"):
+        is_published = any((x.from_, x.to) == key for x in version.links)
+        if is_published != (job == "open"):
             right = np.nan
         elif np.isnan(right):
             right = version.as_of
 
     # Passages before, after, and until then.
-    before, after = float(np.sum(walked < moment)), float(np.sum(walked >= moment))
+    before, after = float(np.sum(transitions < moment)), float(np.sum(transitions >= moment))
     if job == "close":
         rate = before / max(int(np.sum(left < moment)), 1)
         after = float(rate * np.sum(left >= moment))
-        needed = (
+        passages = (
             rate * float(np.sum((left >= moment) & (left <= right))) if right == right else np.nan
         )
     else:
-        needed = float(np.sum((walked >= moment) & (walked <= right))) if right == right else np.nan
+        passages = (
+            float(np.sum((transitions >= moment) & (transitions <= right)))
+            if right == right
+            else np.nan
+        )
 
     # Alarm, and whether it was published before.
     kind = f"link_{'closed' if job == 'close' else 'opened'}"
     alarmed = any(
-        (a.kind, a.subject) == (kind, f"{key[0]}->{key[1]}") for a in made[-1].alarms or []
+        (a.kind, a.subject) == (kind, f"{key[0]}->{key[1]}") for a in history[-1].alarms or []
     )
-    last = [version for version in made if version.as_of <= moment][-1]
-    known = job == "open" or any((x.from_, x.to) == key for x in last.links)
-    return Found(known, round(before, 1), round(after, 1), round(float(needed), 1), alarmed)
+    last = [version for version in history if version.as_of <= moment][-1]
+    is_known = job == "open" or any((x.from_, x.to) == key for x in last.links)
+    return Found(is_known, round(before, 1), round(after, 1), round(float(passages), 1), alarmed)
 
 
 def _walked(link: TrueLink, events: Sequence[Event], truth: Truth) -> list[float]:
@@ -225,9 +229,9 @@ def _steady(job: str, base: SimSettings, seeds: range, doors: int) -> None:
     total = wrong = 0
     for seed in seeds:
         events, _ = simulate(replace(base, seed=seed))
-        made = list(versions(events))
-        alarms = made[-1].alarms or []
-        total += len(made)
+        history = list(versions(events))
+        alarms = history[-1].alarms or []
+        total += len(history)
         wrong += len({alarm.version for alarm in alarms})
         for alarm in alarms:
             print(
@@ -251,10 +255,10 @@ class _Told(Scorer):
             None if entry < 0 else events[entry].camera for entry in next_entries(events, truth)
         ]
 
-    def note(self, guess: ScoredPrediction, happened: dict[str, float]) -> None:
-        super().note(guess, happened)
+    def note(self, guess: ScoredPrediction, outcome: dict[str, float]) -> None:
+        super().note(guess, outcome)
         camera = self._next[self._exits_at[round(guess.t, 6), guess.camera]]
-        self.pairs.append((marks(guess, happened), marks(guess, {camera: 1.0} if camera else {})))
+        self.pairs.append((marks(guess, outcome), marks(guess, {camera: 1.0} if camera else {})))
 
 
 def _score(job: str, base: SimSettings, seeds: range, doors: int) -> None:
@@ -264,36 +268,36 @@ def _score(job: str, base: SimSettings, seeds: range, doors: int) -> None:
     for seed in seeds:
         events, truth = simulate(replace(base, seed=seed))
         learner = Learner()
-        told = learner._scorer = _Told(learner, events, truth)
+        scorer = learner._scorer = _Told(learner, events, truth)
         for event in events:
             learner.receive(event)
         learner.flush()
-        rows.append([_figures([pair[k] for pair in told.pairs]) for k in (0, 1)])
-        for who, row in zip(("self", "true"), rows[-1], strict=True):
+        rows.append([_figures([pair[k] for pair in scorer.pairs]) for k in (0, 1)])
+        for title, row in zip(("self", "true"), rows[-1], strict=True):
             figures = ", ".join(
                 f"{name} {value:.3f}" for name, value in zip(names, row, strict=True)
             )
-            print(f"score seed {seed}, {len(told.pairs)} exits, {who}: {figures}", flush=True)
+            print(f"score seed {seed}, {len(scorer.pairs)} exits, {title}: {figures}", flush=True)
     table = np.array(rows)
-    for who, row in (
+    for title, row in (
         ("self", table[:, 0].mean(axis=0)),
         ("true", table[:, 1].mean(axis=0)),
         ("apart", np.abs(table[:, 0] - table[:, 1]).mean(axis=0)),
     ):
         print(
-            f"score, mean {who}: "
+            f"score, mean {title}: "
             + ", ".join(f"{name} {v:.3f}" for name, v in zip(names, row, strict=True))
         )
 
 
-def _figures(given: list[Scores]) -> list[float]:
+def _figures(scores: list[Scores]) -> list[float]:
     """Return the means of the scores, in the order of the table."""
-    m = {name: sum(getattr(mark, name) for mark in given) for name in Scores._fields}
-    followed = max(m["followed"], 1e-9)
+    m = {name: sum(getattr(mark, name) for mark in scores) for name in Scores._fields}
+    weight = max(m["followed"], 1e-9)
     return [
-        m["loss"] / len(given),
-        m["top1"] / followed,
-        m["top3"] / followed,
-        m["baseline_loss"] / len(given),
-        m["baseline_top1"] / followed,
+        m["loss"] / len(scores),
+        m["top1"] / weight,
+        m["top3"] / weight,
+        m["baseline_loss"] / len(scores),
+        m["baseline_top1"] / weight,
     ]

@@ -46,18 +46,20 @@ def main(argv: list[str]) -> int:
     parser.add_argument("--runs", type=int, default=RUNS, help="(default: %(default)s)")
     parser.add_argument("--regimes", default=DEFAULT_REGIMES, help="(default: %(default)s)")
     parser.add_argument("--jobs", type=int, default=2, help="processes (default: %(default)s)")
-    given = parser.parse_args(argv)
-    names = [*given.folders, *filter(None, given.regimes.split(","))]
-    tasks: list[Task] = [(name, run, False) for name in names for run in range(given.runs)]
-    tasks += [(name, 0, True) for name in given.folders if (Path(name) / "identities.csv").exists()]
+    arguments = parser.parse_args(argv)
+    names = [*arguments.folders, *filter(None, arguments.regimes.split(","))]
+    tasks: list[Task] = [(name, run, False) for name in names for run in range(arguments.runs)]
+    tasks += [
+        (name, 0, True) for name in arguments.folders if (Path(name) / "identities.csv").exists()
+    ]
     rows: dict[str, list[int]] = defaultdict(lambda: [0] * 6)
-    for (name, _, as_is), row in zip(tasks, map_tasks(measure, tasks, given.jobs), strict=True):
+    for (name, _, as_is), row in zip(tasks, map_tasks(measure, tasks, arguments.jobs), strict=True):
         for title in (f"{Path(name).name}{', as it is' if as_is else ''}", "all"):
             rows[title] = [a + b for a, b in zip(rows[title], row, strict=True)]
     rows["all"] = rows.pop("all")
     print(f"{'':30}{'right':>9}{'wrong':>9}{'put wrong':>12}{'found':>9}{'right':>12}{'wrong':>9}")
-    for title, (right, called, put, found, beside, moved) in rows.items():
-        print(f"{title:30}{right:>9}{called:>9}{put:>12}{found:>9}{beside:>12}{moved:>9}")
+    for title, counts in rows.items():
+        print("{:30}{:>9}{:>9}{:>12}{:>9}{:>12}{:>9}".format(title, *counts))
     return 0
 
 
@@ -76,36 +78,36 @@ def measure(task: Task) -> list[int]:
     cameras = sorted({event.camera for event in events})
 
     # As it is.
-    none = dict.fromkeys(cameras, 0.0)
-    claimed = _offsets(events, none)
-    result = [len(cameras), sum(offset != 0.0 for offset in claimed.values())]
+    no_offsets = dict.fromkeys(cameras, 0.0)
+    estimates = _offsets(events, no_offsets)
+    result = [len(cameras), sum(offset != 0.0 for offset in estimates.values())]
 
     # With wrong clocks.
     wrong = rng.permutation(cameras)[: max(round(WRONG_SHARE * len(cameras)), 1)].tolist()
-    put = none | {
+    offsets = no_offsets | {
         camera: float(rng.choice((-1, 1)) * rng.uniform(*OFFSET_SECONDS)) for camera in wrong
     }
-    claimed = _offsets(events, put)
-    found = sum(abs(claimed[camera] - put[camera]) <= CLOCK_SECONDS_MAX for camera in wrong)
-    moved = sum(claimed[camera] != 0.0 for camera in none if put[camera] == 0.0)
-    return [*result, len(wrong), found, len(cameras) - len(wrong), moved]
+    estimates = _offsets(events, offsets)
+    hits = sum(abs(estimates[camera] - offsets[camera]) <= CLOCK_SECONDS_MAX for camera in wrong)
+    false_alarms = sum(estimates[camera] != 0.0 for camera in no_offsets if offsets[camera] == 0.0)
+    return [*result, len(wrong), hits, len(cameras) - len(wrong), false_alarms]
 
 
-def _offsets(events: Sequence[Event], put: dict[str, float]) -> dict[str, float]:
+def _offsets(events: Sequence[Event], offsets: dict[str, float]) -> dict[str, float]:
     """Return the estimated clock offset of each camera, with known ones added to the times."""
-    late = [replace(event, t=event.t + put[event.camera]) for event in events]
+    late = [replace(event, t=event.t + offsets[event.camera]) for event in events]
     topology = learned(sorted(late, key=lambda event: event.t))
-    return put | {camera.id: camera.clock_offset for camera in topology.cameras}
+    return offsets | {camera.id: camera.clock_offset for camera in topology.cameras}
 
 
 def _people(folder: Path) -> dict[str, list[Event]]:
     """Return the events of each person by time, the first at 0 s."""
     events: dict[str, list[Event]] = defaultdict(list)
-    for who, event in _events(folder):
-        events[who].append(event)
+    for person, event in _events(folder):
+        events[person].append(event)
     return {
-        who: [replace(event, t=event.t - some[0].t) for event in some]
-        for who, some in events.items()
+        person: [replace(event, t=event.t - trajectory[0].t) for event in trajectory]
+        for person, trajectory in events.items()
     }
 
 
@@ -113,14 +115,14 @@ def _events(folder: Path) -> Iterator[tuple[str, Event]]:
     """Yield who it is and the event, by time."""
     if (folder / "identities.csv").exists():
         recording = load(folder)
-        who = {
+        person_of = {
             passage.track: str(number)
-            for number, some in enumerate(recording.by_identity)
-            for passage in some
+            for number, passages in enumerate(recording.by_identity)
+            for passage in passages
         }
-        yield from (
-            (who[str(event.track)], event) for event in recording.events if str(event.track) in who
-        )
+        for event in recording.events:
+            if str(event.track) in person_of:
+                yield person_of[str(event.track)], event
     else:
-        some = [event for clip in clips_of(folder, None) for event in clip.truth]
-        yield from ((str(event.track), event) for event in sorted(some, key=lambda one: one.t))
+        events = [event for clip in clips_of(folder, None) for event in clip.truth]
+        yield from ((str(e.track), e) for e in sorted(events, key=lambda event: event.t))

@@ -126,20 +126,22 @@ class Task(Struct, frozen=True):
 def main(argv: Sequence[str]) -> int:
     """Measure, print a row for each control and return the exit status."""
     arguments = _parse(argv)
-    known = controls()
-    kinds = arguments.kinds.split(",") if arguments.kinds else [*known, CAGES]
-    unknown = [kind for kind in kinds if kind not in (*known, CAGES)]
+    controls_by_kind = controls()
+    all_kinds = [*controls_by_kind, CAGES]
+    kinds = arguments.kinds.split(",") if arguments.kinds else all_kinds
+    unknown = [kind for kind in kinds if kind not in all_kinds]
     if unknown:
-        print(
-            f"bench controls: no kind {', '.join(unknown)}; there are {', '.join(known)}, {CAGES}"
-        )
+        print(f"bench controls: no kind {', '.join(unknown)}; there are {', '.join(all_kinds)}")
         return 2
     os.environ.setdefault("OMP_NUM_THREADS", "1")  # inherited by the workers
 
     # The recordings, and what is learned of them.
     seeds = range(arguments.first_seed, arguments.first_seed + arguments.runs)
     tasks = [
-        Task(kind, title, seed) for kind in kinds for title in known.get(kind, ()) for seed in seeds
+        Task(kind, title, seed)
+        for kind in kinds
+        for title in controls_by_kind.get(kind, ())
+        for seed in seeds
     ]
     folder = arguments.data / CAGES if arguments.data else None
     if CAGES in kinds and folder is not None and (folder / "events.jsonl").is_file():
@@ -183,17 +185,17 @@ def judge(topology: Topology, ways: Mapping[CameraPair, float | None], events: i
     """
     camera = {zone.id: zone.camera for zone in topology.zones}
     right, false, least_q = set(), [], 1.0
-    for published, links in ((True, topology.links), (False, weak_links(topology))):
+    for is_published, links in ((True, topology.links), (False, weak_links(topology))):
         for link in links:
             pair = camera[link.from_], camera[link.to]
             if pair[0] == pair[1]:
                 continue
             way = ways.get(pair, math.inf)
             if way is None or abs(link.transit.q50 - way) < WAY_SECONDS_APART:
-                right |= {pair} if published else set()
+                right |= {pair} if is_published else set()
                 continue
             least_q = min(least_q, link.q_value)
-            if published:
+            if is_published:
                 false.append(
                     f"{link.from_} to {link.to} in {link.transit.q50:.1f} s, {link.relation}, "
                     f"q {link.q_value:.0e}, share {link.probability:.2f}"
@@ -218,24 +220,22 @@ def _table(tasks: Sequence[Task], outcomes: Sequence[Outcome]) -> list[str]:
     rows: dict[str, list[Outcome]] = {}
     for task, outcome in zip(tasks, outcomes, strict=True):
         rows.setdefault(task.title, []).append(outcome)
-    known = {title: control for kind in controls().values() for title, control in kind.items()}
+    control_of = {title: control for kind in controls().values() for title, control in kind.items()}
     lines = [
         f"{'':62}{'events':>8}{'runs':>6}{'false':>7}{'in runs':>9}{'least q':>10}  right ways"
     ]
     for title, runs in rows.items():
-        ways = len(known[title].ways) if title in known else 0
-        right = sum(one.right for one in runs) / len(runs)
+        ways = len(control_of[title].ways) if title in control_of else 0
+        right = sum(run.right for run in runs) / len(runs)
         lines.append(
-            f"{title:62}{sum(one.events for one in runs) // len(runs):8}{len(runs):6}"
-            f"{sum(len(one.false) for one in runs):7}{sum(bool(one.false) for one in runs):9}"
-            f"{min(one.least_q for one in runs):10.0e}"
+            f"{title:62}{sum(run.events for run in runs) // len(runs):8}{len(runs):6}"
+            f"{sum(len(run.false) for run in runs):7}{sum(bool(run.false) for run in runs):9}"
+            f"{min(run.least_q for run in runs):10.0e}"
             + (f"  {right:.1f} of {ways}" if ways else "")
         )
     false = sum(len(outcome.false) for outcome in outcomes)
-    allowed = len(outcomes) / RUNS_PER_FALSE_LINK
-    lines.append(
-        f"{false} false links in {len(outcomes)} recordings; at most {allowed:.1f} allowed"
-    )
+    limit = len(outcomes) / RUNS_PER_FALSE_LINK
+    lines.append(f"{false} false links in {len(outcomes)} recordings; at most {limit:.1f} allowed")
     for task, outcome in zip(tasks, outcomes, strict=True):
         lines += [f"  {task.title}, seed {task.seed}: {link}" for link in outcome.false]
     return lines

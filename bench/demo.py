@@ -46,11 +46,11 @@ def main(argv: list[str]) -> int:
     parser.add_argument("--plans", type=int, default=PLANS, help="other floor plans")
     parser.add_argument("--minutes", type=float, default=MINUTES, help="length of a recording")
     parser.add_argument("--films", type=Path, metavar="FOLDER", help="folder to keep the films in")
-    given = parser.parse_args(argv)
+    arguments = parser.parse_args(argv)
 
     # Record, learn and score each site.
-    sites = [(f"demo, seed {seed}", demo_plan(), seed) for seed in range(1, given.seeds + 1)]
-    sites += [(f"plan {seed}", drawn_plan(seed), seed) for seed in range(1, given.plans + 1)]
+    sites = [(f"demo, seed {seed}", demo_plan(), seed) for seed in range(1, arguments.seeds + 1)]
+    sites += [(f"plan {seed}", drawn_plan(seed), seed) for seed in range(1, arguments.plans + 1)]
     right = 0
     print(
         f"{'site':16}{'events':>8}{'zones: true':>13}{'learned':>9}{'matched':>9}"
@@ -58,8 +58,10 @@ def main(argv: list[str]) -> int:
     )
     with tempfile.TemporaryDirectory() as temporary:
         for title, plan, seed in sites:
-            films = (given.films or Path(temporary)) / title.replace(", seed", "").replace(" ", "-")
-            seconds, rng = 60.0 * given.minutes, np.random.default_rng(seed)
+            films = (arguments.films or Path(temporary)) / title.replace(", seed", "").replace(
+                " ", "-"
+            )
+            seconds, rng = 60.0 * arguments.minutes, np.random.default_rng(seed)
             walks = simulate_walks(plan, seconds, WALKERS_PER_SECOND, rng)
             truth = truth_of(plan, passages(plan, walks))
             events = recorded(plan, walks, seconds, seed, films)
@@ -114,18 +116,18 @@ def _line(title: str, events: int, result: Score) -> str:
 
 def wrong_zones(zones: Sequence[Zone], truth: Truth) -> list[str]:
     """Return a line for each zone that is missing, or is learned and not there."""
-    matched = match_zones(zones, truth.zones)
-    found = set(matched.values())
+    matches = match_zones(zones, truth.zones)
+    learned_ids = set(matches.values())
     lines = [
         f"    missing: {zone.camera} at ({zone.x:.2f}, {zone.y:.2f})"
         for zone in truth.zones
-        if zone.id not in matched
+        if zone.id not in matches
     ]
     return lines + [
         f"    not there: {zone.camera} at ({zone.x:.2f}, {zone.y:.2f}), "
         f"{zone.entries} entries, {zone.exits} exits"
         for zone in zones
-        if zone.id not in found
+        if zone.id not in learned_ids
     ]
 
 

@@ -72,17 +72,21 @@ def main(argv: list[str]) -> int:
         "--crf", type=int, default=films.CRF, help="quality of the films: lower is more bits"
     )
     parser.add_argument("--sizes", nargs="+", choices=SIZES, default=list(SIZES))
-    given = parser.parse_args(argv)
+    arguments = parser.parse_args(argv)
     if shutil.which("ffmpeg") is None:
         print("bench grab: the program ffmpeg is missing; install it", file=sys.stderr)
         return 1
     with tempfile.TemporaryDirectory() as folder:
         tables = []
-        for film in made_films(given.films or Path(folder), given.sizes, given.seconds, given.crf):
-            tables.append(measure(film, given.rounds))
+        for film in made_films(
+            arguments.films or Path(folder), arguments.sizes, arguments.seconds, arguments.crf
+        ):
+            tables.append(measure(film, arguments.rounds))
             print("\n".join(ratios.lines(tables[-1])), seen(film), sep="\n", end="\n\n", flush=True)
-    if given.json:
-        ratios.write(given.json, "grab", tables, opencv=cv2.__version__, ffmpeg=ffmpeg_version())
+    if arguments.json:
+        ratios.write(
+            arguments.json, "grab", tables, opencv=cv2.__version__, ffmpeg=ffmpeg_version()
+        )
     return 0
 
 
@@ -91,11 +95,11 @@ def made_films(folder: Path, sizes: list[str], seconds: float, crf: int) -> list
     folder.mkdir(parents=True, exist_ok=True)
     result = []
     for size_name in sizes:
-        for scene, (many, pause) in SCENES.items():
+        for scene, (count, pause) in SCENES.items():
             path = folder / f"{size_name}-{scene}-{seconds:g}s-crf{crf}.mp4"
             if not path.exists():
                 part = path.with_suffix(".part.mp4")
-                films.film(part, SIZES[size_name], films.people(many, pause, seed=3), seconds, crf)
+                films.film(part, SIZES[size_name], films.people(count, pause, seed=3), seconds, crf)
                 part.rename(path)
             result.append(
                 Film(size_name, scene, SIZES[size_name], path, round(seconds * films.FPS))
@@ -117,8 +121,8 @@ def measure(film: Film, rounds: int) -> ratios.Table:
         "the program ffmpeg, decoding alone": per_frame(decode_by_ffmpeg),
     }
     costs = ratios.take_turns(contestants, rounds)
-    wanted = {GRABBER: RATIO_MAX[film.size_name, film.scene]}
-    return ratios.compare(film.title, "CPU ms a frame", costs, DECODING, wanted)
+    targets = {GRABBER: RATIO_MAX[film.size_name, film.scene]}
+    return ratios.compare(film.title, "CPU ms a frame", costs, DECODING, targets)
 
 
 def frigate_at(detect: tuple[int, int]) -> str:
@@ -181,8 +185,10 @@ def seen(film: Film) -> str:
 
 def ffmpeg_version() -> str:
     """Return the first line of ``ffmpeg -version``."""
-    said = subprocess.run(["ffmpeg", "-version"], capture_output=True, check=True, text=True).stdout
-    return said.splitlines()[0]
+    output = subprocess.run(
+        ["ffmpeg", "-version"], capture_output=True, check=True, text=True
+    ).stdout
+    return output.splitlines()[0]
 
 
 if __name__ == "__main__":

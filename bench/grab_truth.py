@@ -80,8 +80,8 @@ class Run(Struct):
     @property
     def precision(self) -> float:
         """Share of the reported events that are true; 1.0 if there are none."""
-        reported = self.found + self.spurious
-        return self.found / reported if reported else 1.0
+        reports = self.found + self.spurious
+        return self.found / reports if reports else 1.0
 
     @property
     def recall(self) -> float:
@@ -149,51 +149,51 @@ def main(argv: list[str]) -> int:
         " of clips but one, and score it on that one, for each kind",
     )
     add("--data", metavar="FOLDER", help="folder with one-by-one/")
-    given = parser.parse_args(argv)
-    if given.model and given.variants:
+    arguments = parser.parse_args(argv)
+    if arguments.model and arguments.variants:
         parser.error("variants are without colour, which a model needs")
-    if given.warm and not given.model:
+    if arguments.warm and not arguments.model:
         parser.error("--warm needs a --model")
-    if given.data:
-        os.environ["CAMTOPOD_TEST_DATA"] = given.data
+    if arguments.data:
+        os.environ["CAMTOPOD_TEST_DATA"] = arguments.data
 
     # Score the clips.
-    detector, colour = detector_of(given.model), bool(given.model)
+    detector, colour = detector_of(arguments.model), bool(arguments.model)
     try:
-        clips = [clip for folder in given.folders for clip in clips_in(folder, colour=colour)]
-        clips = clips if given.folders else developed_with(colour=colour)
+        clips = [clip for folder in arguments.folders for clip in clips_in(folder, colour=colour)]
+        clips = clips if arguments.folders else developed_with(colour=colour)
     except TruthError as error:
         print(f"grab_truth: {error}", file=sys.stderr)
         return 1
-    score_of = partial(scored, phases=PHASES, detector=detector, warm=given.warm)
-    if given.leave_out_kinds:
-        print("\n".join(chosen(clips, given.leave_out_kinds, score_of)))
+    score_of = partial(scored, phases=PHASES, detector=detector, warm=arguments.warm)
+    if arguments.leave_out_kinds:
+        print("\n".join(chosen(clips, arguments.leave_out_kinds, score_of)))
         return 0
     scores = []
     print(_HEAD, flush=True)
-    for clip in with_variants(clips) if given.variants else clips:
+    for clip in with_variants(clips) if arguments.variants else clips:
         score, details = score_of(clip)
         scores.append(score)
-        print(_line(score), *(details if given.details else ()), sep="\n", flush=True)
+        print(_line(score), *(details if arguments.details else ()), sep="\n", flush=True)
 
     # Means, and differences from an earlier run.
     print("\n".join(summary(scores)))
-    if given.against:
-        earlier = msgspec.json.decode(given.against.read_bytes(), type=list[Score])
+    if arguments.against:
+        earlier = msgspec.json.decode(arguments.against.read_bytes(), type=list[Score])
         print("\n".join(compared(scores, earlier)))
-    if given.json:
-        given.json.write_bytes(msgspec.json.format(msgspec.json.encode(scores)))
+    if arguments.json:
+        arguments.json.write_bytes(msgspec.json.format(msgspec.json.encode(scores)))
     return 0
 
 
 def developed_with(*, colour: bool = False) -> list[Clip]:
     """Return the two clips with which the grabber was developed, as far as they are there."""
     clips = []
-    one = one_by_one()
-    if one is None:
+    path = one_by_one()
+    if path is None:
         print("one-by-one: skipped, clip not found (set --data or CAMTOPOD_TEST_DATA)")
     else:
-        clips.append(clip_of(one, HERE / "truth_one_by_one.json", "one-by-one", colour=colour))
+        clips.append(clip_of(path, HERE / "truth_one_by_one.json", "one-by-one", colour=colour))
     if not VTEST.exists():
         print(f"vtest: skipped, no {VTEST} (install Debian's opencv-doc)")
     else:
@@ -206,8 +206,8 @@ def detector_of(model: str | None) -> Callable[[], Detector | None]:
     if not model:
         return lambda: None
     settings = DetectorSettings(model=model)
-    loaded = DetectorModel(settings)
-    return lambda: Detector(loaded, settings)
+    detector_model = DetectorModel(settings)
+    return lambda: Detector(detector_model, settings)
 
 
 def grabbed(
@@ -250,14 +250,14 @@ def scored(
         phase_detector = detector()
         if phase_detector is not None and warm_detector is not None:
             phase_detector.trust = copy(warm_detector.trust)
-        began = time.process_time()
+        start = time.process_time()
         events, delays, blind_seconds = grabbed(clip, phase, phases, phase_detector)
-        cpu_seconds = time.process_time() - began
-        found, missed, _, spurious = clip.judged(events)
+        cpu_seconds = time.process_time() - start
+        pairs, misses, _, spurious = clip.judged(events)
         runs.append(
             Run(
-                len(found),
-                len(missed),
+                len(pairs),
+                len(misses),
                 len(spurious),
                 cpu_seconds,
                 max(delays, default=0.0),
@@ -267,8 +267,8 @@ def scored(
         if phase == 0:
             details = [
                 f"    {label} {event.kind} at {event.t:.1f} s ({event.x:.2f}, {event.y:.2f})"
-                for label, some in (("missed", missed), ("spurious", spurious))
-                for event in some
+                for label, errors in (("missed", misses), ("spurious", spurious))
+                for event in errors
             ]
     score = Score(clip.name, clip.variant, clip.seconds, len(clip.truth), runs, clip.kind)
     return score, details
@@ -300,27 +300,29 @@ def summary(scores: Sequence[Score]) -> list[str]:
     """Return the lines of means over the clips as they are, and over each variant."""
     lines = []
     for variant in dict.fromkeys(score.variant for score in scores):
-        some = [score for score in scores if score.variant == variant]
-        busy = [score for score in some if score.true_events]
-        quiet = [score for score in some if not score.true_events]
+        selection = [score for score in scores if score.variant == variant]
+        busy = [score for score in selection if score.true_events]
+        quiet = [score for score in selection if not score.true_events]
         line = f"{variant or 'the clips'}: "
         if busy:
             phases = len(busy[0].runs)
             by_phase = [mean(score.runs[k].f1 for score in busy) for k in range(phases)]
             line += f"mean F1 {mean(by_phase):.3f}, standard error over clips "
             line += f"{standard_error([score.f1 for score in busy]):.3f} "
-            line += f"(phases {' '.join(f'{one:.3f}' for one in by_phase)}), "
+            line += f"(phases {' '.join(f'{value:.3f}' for value in by_phase)}), "
             line += f"pooled {pooled_f1(busy):.3f}, {len(busy)} clips with "
             line += f"{sum(score.true_events for score in busy)} events; "
         if quiet:
             line += f"{sum(map(_false, quiet)):.2f} false events in "
             line += f"{sum(score.seconds for score in quiet):.0f} s without events; "
-        latest = max(run.latest_seconds for score in some for run in score.runs)
+        latest = max(run.latest_seconds for score in selection for run in score.runs)
         line += f"latest event told {latest:.1f} s after its time; "
-        blind_seconds = sum(mean(run.blind_seconds for run in score.runs) for score in some)
-        line += f"blind {blind_seconds / sum(score.seconds for score in some):.1%} of the time; "
-        lines.append(line + f"{mean(score.load for score in some):.3f} CPU s/s")
-        if len(f1 := f1_by_kind(some)) > 1:
+        blind_seconds = sum(mean(run.blind_seconds for run in score.runs) for score in selection)
+        line += (
+            f"blind {blind_seconds / sum(score.seconds for score in selection):.1%} of the time; "
+        )
+        lines.append(line + f"{mean(score.load for score in selection):.3f} CPU s/s")
+        if len(f1 := f1_by_kind(selection)) > 1:
             lines.append(clip_kinds.by_kind(f1))
         kinds = {kind: mean(values) for kind, values in f1.items()}
         name = variant or "clips"
@@ -362,15 +364,15 @@ def compared(scores: Sequence[Score], earlier: Sequence[Score]) -> list[str]:
     before = {score.key: score for score in earlier if score.true_events}
     lines = []
     for variant in dict.fromkeys(score.variant for score in scores):
-        both = [one for one in scores if one.variant == variant and one.key in before]
+        common = [score for score in scores if score.variant == variant and score.key in before]
         line = f"{variant or 'the clips'}, against the earlier run: "
-        if not both:
+        if not common:
             lines.append(line + "no clip in common")
             continue
-        changes = [score.f1 - before[score.key].f1 for score in both]
+        changes = [score.f1 - before[score.key].f1 for score in common]
         change, error = mean(changes), standard_error(changes)
-        pooled = pooled_f1(both) - pooled_f1([before[score.key] for score in both])
-        line += f"mean F1 {change:+.3f}, standard error {error:.3f} over {len(both)} clips, "
+        pooled = pooled_f1(common) - pooled_f1([before[score.key] for score in common])
+        line += f"mean F1 {change:+.3f}, standard error {error:.3f} over {len(common)} clips, "
         line += f"pooled {pooled:+.3f}: "
         if abs(change) <= error or not change:
             line += "no difference (not above its standard error)"

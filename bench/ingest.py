@@ -60,40 +60,42 @@ def main(argv: list[str]) -> int:
     parser.add_argument("--cameras", type=int, default=100)
     parser.add_argument("--events", type=int, default=100_000)
     ratios.add_arguments(parser, rounds=5)
-    given = parser.parse_args(argv)
+    arguments = parser.parse_args(argv)
     checkouts = {"": Path(bench.__path__[0]).parent}
-    if given.base:
-        checkouts[OF_BASE] = given.base.resolve()
+    if arguments.base:
+        checkouts[OF_BASE] = arguments.base.resolve()
     peaks: Peaks = defaultdict(list)
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
-        events = recording(folder, given.cameras, given.events)
+        events = recording(folder, arguments.cameras, arguments.events)
         contestants: dict[str, Callable[[], float]] = {BARE: partial(bare, folder, events)}
         for suffix, checkout in checkouts.items():
             for way, deliver in ((SPOOLS, spools), (FILE, ingest)):
                 delivery = partial(deliver, folder, checkout)
                 peak = peaks[way + suffix]
                 contestants[way + suffix] = partial(
-                    stored, folder, checkout, given.events, delivery, peak
+                    stored, folder, checkout, arguments.events, delivery, peak
                 )
-        costs = ratios.take_turns(contestants, given.rounds)
+        costs = ratios.take_turns(contestants, arguments.rounds)
 
-    title = f"{given.events} events of {given.cameras} cameras"
+    title = f"{arguments.events} events of {arguments.cameras} cameras"
     tables = [ratios.compare(title, "us an event", costs, BARE)]
-    for way in (SPOOLS, FILE) if given.base else ():
+    for way in (SPOOLS, FILE) if arguments.base else ():
         pair = (way + OF_BASE, way)
         tables.append(
             ratios.compare(
-                way, "us an event", {one: costs[one] for one in pair}, pair[0], {way: TIME_MAX}
+                way, "us an event", {name: costs[name] for name in pair}, pair[0], {way: TIME_MAX}
             )
         )
-        megabytes = {one: peaks[one][ratios.WARM_ROUNDS :] for one in pair}
+        megabytes = {name: peaks[name][ratios.WARM_ROUNDS :] for name in pair}
         tables.append(ratios.compare(f"{way}: memory", "MB", megabytes, pair[0], {way: MEMORY_MAX}))
     print("\n".join(line for table in tables for line in ratios.lines(table)))
     for row in tables[0].rows:
         print(line_of(f"events/s, {row.name}", 1e6 / row.cost.median))
-    if given.json:
-        ratios.write(given.json, "ingest", tables, cameras=given.cameras, events=given.events)
+    if arguments.json:
+        ratios.write(
+            arguments.json, "ingest", tables, cameras=arguments.cameras, events=arguments.events
+        )
     return 0
 
 
@@ -101,9 +103,9 @@ def recording(folder: Path, cameras: int, count: int) -> str:
     """Write a recording as event lines and as one message; return the path of the message."""
     events = traffic(cameras, EVENTS_PER_SECOND_PER_CAMERA * cameras, count)
     later = time.time() - AGE_SECONDS - events[-1].t
-    moved = [msgspec.structs.replace(event, t=event.t + later) for event in events]
-    (folder / "events.jsonl").write_bytes(b"".join(to_json(event) + b"\n" for event in moved))
-    return write_events(folder / "events", moved)
+    recent = [msgspec.structs.replace(event, t=event.t + later) for event in events]
+    (folder / "events.jsonl").write_bytes(b"".join(to_json(event) + b"\n" for event in recent))
+    return write_events(folder / "events", recent)
 
 
 def bare(folder: Path, events: str) -> float:
@@ -112,11 +114,11 @@ def bare(folder: Path, events: str) -> float:
     Path(database).unlink(missing_ok=True)
     with client("keep", folder, endpoint="tcp/127.0.0.1:0", database=database) as keeper:
         with client("ask", folder, endpoint=ready_at(keeper), events=events) as sender:
-            sent = result(sender)
-        kept = result(keeper)["requests"]
-    if kept != sent["requests"]:
-        raise Lost(f"{sent['requests']} requests were sent and {kept} stored")
-    return float(1e6 * sent["seconds"] / sent["events"])
+            sender_result = result(sender)
+        kept_count = result(keeper)["requests"]
+    if kept_count != sender_result["requests"]:
+        raise Lost(f"{sender_result['requests']} requests were sent and {kept_count} stored")
+    return float(1e6 * sender_result["seconds"] / sender_result["events"])
 
 
 def stored(
@@ -148,11 +150,11 @@ def ingest(folder: Path, checkout: Path, endpoint: str) -> float:
     """Run `camtopod ingest` of a checkout; return its seconds."""
     shutil.rmtree(folder / "spools", ignore_errors=True)
     command = [*PROGRAM, "--connect", endpoint, "ingest", "jsonl", str(folder / "events.jsonl")]
-    begun = time.monotonic()
+    start = time.monotonic()
     subprocess.run(
         [sys.executable, *command, "--state", str(folder / "spools")],
         check=True,
         stderr=subprocess.DEVNULL,
         **in_checkout(checkout),
     )
-    return time.monotonic() - begun
+    return time.monotonic() - start

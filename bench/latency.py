@@ -53,9 +53,9 @@ class Case:
     """The contestants and their rounds."""
 
     def __init__(
-        self, folder: Path, learned: Path, cameras: int, rate: float, seconds: float
+        self, folder: Path, state: Path, cameras: int, rate: float, seconds: float
     ) -> None:
-        self._folder, self._learned = folder, learned
+        self._folder, self._state = folder, state
         events = traffic(cameras, rate, int(rate * seconds))
         self.exits = sum(event.kind == "exit" for event in events)
         self._events = write_events(folder / "events", events)
@@ -70,7 +70,7 @@ class Case:
     def daemon(self, name: str) -> float:
         """Measure the daemon; store the round and return its median, milliseconds."""
         shutil.rmtree(self._folder / "state", ignore_errors=True)
-        shutil.copytree(self._learned, self._folder / "state")
+        shutil.copytree(self._state, self._folder / "state")
         with running(self._folder, LEARN[name]) as (endpoint, _):
             before = learned_status(endpoint)
             wait_until_it_stores(endpoint)
@@ -92,20 +92,18 @@ class Case:
                 "put_paced", self._folder, endpoint=endpoint, events=self._events, bare=bare
             ) as sender,
         ):
-            put = result(sender)
-            heard = result(ear)
-        if len(heard["ms"]) < self.exits:
-            print(f"    {name}: {self.exits} exits but only {len(heard['ms'])} answers")
-        one = Round(heard["ms"], heard["size"])
+            sender_result = result(sender)
+            receiver_result = result(ear)
+        if len(receiver_result["ms"]) < self.exits:
+            print(f"    {name}: {self.exits} exits but only {len(receiver_result['ms'])} answers")
+        turn = Round(receiver_result["ms"], receiver_result["size"])
         tail = " ".join(
-            f"p{100 * share:g} {one.quantile(share):.2f}" for share in (0.5, 0.9, 0.99, 0.999)
+            f"p{100 * share:g} {turn.quantile(share):.2f}" for share in (0.5, 0.9, 0.99, 0.999)
         )
-        print(
-            f"    {name}: {tail} ms, {one.size} bytes, published {put['late_ms']:.2f} ms late",
-            flush=True,
-        )
-        self.rounds[name].append(one)
-        return one.quantile(0.5)
+        late = sender_result["late_ms"]
+        print(f"    {name}: {tail} ms, {turn.size} bytes, published {late:.2f} ms late", flush=True)
+        self.rounds[name].append(turn)
+        return turn.quantile(0.5)
 
 
 def wait_until_it_stores(endpoint: str) -> None:
@@ -128,22 +126,22 @@ def main(argv: list[str]) -> int:
     )
     parser.add_argument("--seconds", type=float, default=20.0)
     ratios.add_arguments(parser, rounds=5)
-    given = parser.parse_args(argv)
+    arguments = parser.parse_args(argv)
 
     # Rounds of each contestant in turns.
     with tempfile.TemporaryDirectory() as name:
-        learned = learned_site(given.site or Path(name), given.cameras, given.learned)
-        case = Case(Path(name), learned, given.cameras, given.rate, given.seconds)
+        state = learned_site(arguments.site or Path(name), arguments.cameras, arguments.learned)
+        case = Case(Path(name), state, arguments.cameras, arguments.rate, arguments.seconds)
         ways: dict[str, Callable[[], float]] = {
             QUIET: partial(case.daemon, QUIET),
             REFITTING: partial(case.daemon, REFITTING),
             BARE: case.bare,
         }
-        p50 = ratios.take_turns(ways, given.rounds)
+        p50 = ratios.take_turns(ways, arguments.rounds)
 
     # Compare.
     p99 = {
-        name: [one.quantile(0.99) for one in case.rounds[name][ratios.WARM_ROUNDS :]]
+        name: [turn.quantile(0.99) for turn in case.rounds[name][ratios.WARM_ROUNDS :]]
         for name in p50
     }
     fitting = {name: p99[name] for name in (QUIET, REFITTING)}
@@ -156,10 +154,15 @@ def main(argv: list[str]) -> int:
     ]
     for table in tables:
         print("\n".join(ratios.lines(table)))
-    versions = [one.versions for one in case.rounds[REFITTING]]
+    versions = [turn.versions for turn in case.rounds[REFITTING]]
     print(f"versions made while measuring, a round: {min(versions)} .. {max(versions)}")
-    if given.json:
+    if arguments.json:
         ratios.write(
-            given.json, "latency", tables, cameras=given.cameras, rate=given.rate, versions=versions
+            arguments.json,
+            "latency",
+            tables,
+            cameras=arguments.cameras,
+            rate=arguments.rate,
+            versions=versions,
         )
     return 0

@@ -37,12 +37,12 @@ LEARN_SECONDS_MAX = 3_600.0
 """Longest wait for the learner, seconds."""
 
 
-class Taken(NamedTuple):
+class MemoryUse(NamedTuple):
     """Memory in megabytes (10^6 bytes): peak, sum of peaks, at the end; events and versions."""
 
-    most: float
-    added: float
-    settled: float
+    peak: float
+    sum_of_peaks: float
+    size: float
     events: int
     versions: int
 
@@ -55,42 +55,38 @@ def main(argv: list[str]) -> int:
     parser.add_argument("--cameras", default="100,1000,10000")
     parser.add_argument("--events", type=int, default=70_000)
     parser.add_argument("--json", type=Path, metavar="FILE", help="write the figures")
-    given = parser.parse_args(argv)
+    arguments = parser.parse_args(argv)
     rows = []
     columns = f"{'most MB':>10}{'each its most':>15}{'settled MB':>12}{'events':>9}{'versions':>10}"
     print(f"{'cameras':>8}{columns}{'to reach':>16}")
-    for cameras in map(int, given.cameras.split(",")):
-        taken = measure(cameras, given.events)
-        allowed = MEGABYTES_MAX.get(cameras)
-        wanted = (
-            ""
-            if allowed is None
-            else f"<= {allowed:.0f} {'yes' if taken.most <= allowed else 'NO'}"
-        )
-        sizes = f"{taken.most:10.0f}{taken.added:15.0f}{taken.settled:12.0f}"
-        figures = f"{sizes}{taken.events:9}{taken.versions:10}"
-        print(f"{cameras:8}{figures}{wanted:>16}", flush=True)
-        print(line_of(f"{cameras} cameras", taken.most))
-        share = taken.most / (allowed or taken.most)
-        once = Spread(taken.most, taken.settled, taken.added)
+    for cameras in map(int, arguments.cameras.split(",")):
+        use = measure(cameras, arguments.events)
+        limit = MEGABYTES_MAX.get(cameras)
+        target = "" if limit is None else f"<= {limit:.0f} {'yes' if use.peak <= limit else 'NO'}"
+        sizes = f"{use.peak:10.0f}{use.sum_of_peaks:15.0f}{use.size:12.0f}"
+        figures = f"{sizes}{use.events:9}{use.versions:10}"
+        print(f"{cameras:8}{figures}{target:>16}", flush=True)
+        print(line_of(f"{cameras} cameras", use.peak))
+        share = use.peak / (limit or use.peak)
+        once = Spread(use.peak, use.size, use.sum_of_peaks)
         rows.append(
             Row(
                 f"{cameras} cameras",
                 once,
                 Spread(share, share, share),
-                None if allowed is None else 1.0,
+                None if limit is None else 1.0,
             )
         )
-    if given.json:
+    if arguments.json:
         ratios.write(
-            given.json,
+            arguments.json,
             "memory",
             [Table("resident memory of the daemon", "MB", "what is allowed", rows)],
         )
     return 0
 
 
-def measure(cameras: int, count: int) -> Taken:
+def measure(cameras: int, count: int) -> MemoryUse:
     """Return the memory of a daemon that learns ``count`` events."""
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
@@ -99,10 +95,10 @@ def measure(cameras: int, count: int) -> Taken:
         )
         with (
             running(folder, limits=f"cameras_max = {cameras + 100}") as (endpoint, pid),
-            peak_memory(pid) as most,
+            peak_memory(pid) as peak,
         ):
             with client("deliver", folder, endpoint=endpoint, events=events) as sender:
                 result(sender)
             status = learned_status(endpoint, LEARN_SECONDS_MAX)
-            settled, added = resident(pid) / 1e6, resident(pid, most=True) / 1e6
-        return Taken(most[0] / 1e6, added, settled, status.events.stored, status.version)
+            size, sum_of_peaks = resident(pid) / 1e6, resident(pid, peak=True) / 1e6
+        return MemoryUse(peak[0] / 1e6, sum_of_peaks, size, status.events.stored, status.version)

@@ -56,37 +56,37 @@ step();
 
 def main(argv: Sequence[str]) -> int:
     """Measure, and print a line for each figure."""
-    given = _parse(argv)
+    arguments = _parse(argv)
     sys.path.append(str(SUPPORT))
-    site = importlib.import_module("synthetic_topology").synthetic_topology(given.cameras)
-    shown = importlib.import_module("page_fixture").Shown(site)
+    site = importlib.import_module("synthetic_topology").synthetic_topology(arguments.cameras)
+    page = importlib.import_module("page_fixture").Shown(site)
     chromium = importlib.import_module("chromium").chromium
     with tempfile.TemporaryDirectory() as profile, chromium(Path(profile)) as browser:
         driver = browser._driver
         driver.set_script_timeout(120)
         browser.size(1280, 800)
-        with shown.serving():
-            shown.status()
-            print(f"{given.cameras} cameras, {len(site.pairs)} pairs")
-            print(f"map on the server: {_waited(lambda: shown.ask('/data/map').text != 'null')}")
-            began = time.monotonic()
-            driver.get(shown.address)
-            print(f"first map: {_waited(lambda: browser.run(NAMED) > 0, began)}")
+        with page.serving():
+            page.status()
+            print(f"{arguments.cameras} cameras, {len(site.pairs)} pairs")
+            print(f"map on the server: {_waited(lambda: page.ask('/data/map').text != 'null')}")
+            start = time.monotonic()
+            driver.get(page.address)
+            print(f"first map: {_waited(lambda: browser.run(NAMED) > 0, start)}")
             browser.wait(lambda: browser.text("#live").startswith("running"), "the page to be live")
-            print(f"pan, all on the screen: {_steps(driver, given.steps)}")
+            print(f"pan, all on the screen: {_steps(driver, arguments.steps)}")
             browser.run("document.querySelector('.search input').focus()")
-            browser.press(site.cameras[given.cameras // 2].id, "ENTER", "ESCAPE")
+            browser.press(site.cameras[arguments.cameras // 2].id, "ENTER", "ESCAPE")
             browser.wait(lambda: not browser.count(".far"), "a camera near")
-            print(f"pan, near: {_steps(driver, given.steps)}")
+            print(f"pan, near: {_steps(driver, arguments.steps)}")
     return 0
 
 
-def _waited(condition: Callable[[], bool], began: float | None = None) -> str:
-    """Wait for a condition; return the seconds since ``began``, in words."""
-    began = time.monotonic() if began is None else began
+def _waited(condition: Callable[[], bool], start: float | None = None) -> str:
+    """Wait for a condition; return the seconds since ``start``, in words."""
+    start = time.monotonic() if start is None else start
     while not condition():
         time.sleep(0.02)
-    return f"{time.monotonic() - began:.1f} s"
+    return f"{time.monotonic() - start:.1f} s"
 
 
 def _steps(driver: Any, count: int) -> str:

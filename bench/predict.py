@@ -48,7 +48,7 @@ INPUTS = ("file", "pipe")
 HERE, BASE = "this checkout", "base"
 
 
-class Taken(NamedTuple):
+class RunCost(NamedTuple):
     """Figures of one run: processor seconds, peak of 10^6 bytes, seconds to the first line."""
 
     processor: float
@@ -58,27 +58,32 @@ class Taken(NamedTuple):
 
 def main(argv: Sequence[str]) -> int:
     """Measure, print the tables, write the figures; return the exit status."""
-    given = _parse(argv)
-    checkouts = {BASE: given.base.resolve(), HERE: Path(bench.__path__[0]).parent}
+    arguments = _parse(argv)
+    checkouts = {BASE: arguments.base.resolve(), HERE: Path(bench.__path__[0]).parent}
     tables = []
     with tempfile.TemporaryDirectory() as name:
-        events, beginning = prepare(Path(name), given.cameras, given.events)
+        events, beginning = prepare(Path(name), arguments.cameras, arguments.events)
         topologies = {
-            each: learn(checkout, beginning, Path(name, f"{each}.json"))
-            for each, checkout in checkouts.items()
+            side: learn(checkout, beginning, Path(name, f"{side}.json"))
+            for side, checkout in checkouts.items()
         }
-        for answers in given.answers.split(","):
-            for source in given.inputs.split(","):
-                runs: dict[str, list[Taken]] = {each: [] for each in checkouts}
-                for number in range(given.rounds):
-                    for each in (BASE, HERE) if number % 2 == 0 else (HERE, BASE):
-                        arguments = [*OPTIONS[answers], topologies[each]]
-                        runs[each].append(measure(checkouts[each], arguments, events, source))
-                made = tables_of(f"{answers} of a {source}", runs)
-                print("\n".join(line for table in made for line in ratios.lines(table)), flush=True)
-                tables += made
-    if given.json:
-        ratios.write(given.json, "predict", tables, cameras=given.cameras, events=given.events)
+        for answers in arguments.answers.split(","):
+            for source in arguments.inputs.split(","):
+                runs: dict[str, list[RunCost]] = {side: [] for side in checkouts}
+                for number in range(arguments.rounds):
+                    for side in (BASE, HERE) if number % 2 == 0 else (HERE, BASE):
+                        options = [*OPTIONS[answers], topologies[side]]
+                        runs[side].append(measure(checkouts[side], options, events, source))
+                input_tables = tables_of(f"{answers} of a {source}", runs)
+                print(
+                    "\n".join(line for table in input_tables for line in ratios.lines(table)),
+                    flush=True,
+                )
+                tables += input_tables
+    if arguments.json:
+        ratios.write(
+            arguments.json, "predict", tables, cameras=arguments.cameras, events=arguments.events
+        )
     return 0
 
 
@@ -119,7 +124,7 @@ def learn(checkout: Path, events: Path, topology: Path) -> str:
     return str(topology)
 
 
-def measure(checkout: Path, arguments: list[str], events: Path, source: str) -> Taken:
+def measure(checkout: Path, arguments: list[str], events: Path, source: str) -> RunCost:
     """Return the figures of one run of `camtopod predict` of a checkout.
 
     source: one of `INPUTS`.
@@ -130,7 +135,7 @@ def measure(checkout: Path, arguments: list[str], events: Path, source: str) -> 
         if source == "pipe":
             cat = subprocess.Popen(["cat", str(events)], stdout=subprocess.PIPE)
             feeding = stack.enter_context(cat).stdout
-        began = time.monotonic()
+        start = time.monotonic()
         process = subprocess.Popen(
             command,
             cwd=checkout,
@@ -140,49 +145,49 @@ def measure(checkout: Path, arguments: list[str], events: Path, source: str) -> 
         )
         if feeding is not None:
             feeding.close()
-        return _watch(process, began)
+        return _watch(process, start)
 
 
-def _watch(process: subprocess.Popen[bytes], began: float) -> Taken:
+def _watch(process: subprocess.Popen[bytes], start: float) -> RunCost:
     """Return the figures of a process that began at a monotonic time, when it has ended."""
     assert process.stdout is not None
     first: list[float] = []
-    most = 0
+    peak = 0
 
     def read() -> None:
         assert process.stdout is not None
         while process.stdout.read1(1 << 20):  # type: ignore[attr-defined]
-            first.append(time.monotonic() - began)
+            first.append(time.monotonic() - start)
             del first[1:]
 
     # Look at its memory until it ends, but is not waited for.
     reading = threading.Thread(target=read)
     reading.start()
-    ended = os.P_PID, process.pid, os.WEXITED | os.WNOWAIT | os.WNOHANG
-    while os.waitid(*ended) is None:
+    wait_arguments = os.P_PID, process.pid, os.WEXITED | os.WNOWAIT | os.WNOHANG
+    while os.waitid(*wait_arguments) is None:
         with contextlib.suppress(ValueError):  # it has just ended
-            most = max(most, resident(process.pid, most=True))
+            peak = max(peak, resident(process.pid, peak=True))
         time.sleep(LOOK_SECONDS)
     reading.join()
-    _, status, used = os.wait4(process.pid, 0)
+    _, status, usage = os.wait4(process.pid, 0)
     process.returncode = os.waitstatus_to_exitcode(status)
     process.stdout.close()
     if process.returncode != 0 or not first:
         raise RuntimeError(f"status {process.returncode} of {process.args!r}")
-    return Taken(used.ru_utime + used.ru_stime, most / 1e6, first[0])
+    return RunCost(usage.ru_utime + usage.ru_stime, peak / 1e6, first[0])
 
 
-def tables_of(title: str, runs: dict[str, list[Taken]]) -> list[ratios.Table]:
+def tables_of(title: str, runs: dict[str, list[RunCost]]) -> list[ratios.Table]:
     """Return a table of processor time, one of memory, and one of the first line."""
     return [
         ratios.compare(
-            f"{title}: {what}",
+            f"{title}: {figure}",
             unit,
-            {name: [taken[column] for taken in each] for name, each in runs.items()},
+            {name: [cost[column] for cost in costs] for name, costs in runs.items()},
             BASE,
-            {HERE: most} if most else None,
+            {HERE: limit} if limit else None,
         )
-        for column, (what, unit, most) in enumerate(MEASURES)
+        for column, (figure, unit, limit) in enumerate(MEASURES)
     ]
 
 

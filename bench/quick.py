@@ -24,10 +24,10 @@ def main(argv: Sequence[str]) -> int:
     status = 0
     for row in rows:
         try:
-            here = figures.filled(row.template, printed[row.quick]) if row.quick else "takes long"
+            text = figures.filled(row.template, printed[row.quick]) if row.quick else "takes long"
         except KeyError:
-            here, status = "failed", 1
-        print(f"{row.readme}\n    here {here:32}README {row.figure}")
+            text, status = "failed", 1
+        print(f"{row.readme}\n    here {text:32}README {row.figure}")
     return status
 
 

@@ -26,9 +26,9 @@ FOLDERS = ("real", "clips", "base")
 
 def main(argv: Sequence[str]) -> int:
     """Measure, write the results and the pages; return the exit status."""
-    given = _parse(argv)
-    stale = [row for row in figures.read() if _is_asked(row, given)]
-    if given.check:
+    arguments = _parse(argv)
+    stale = [row for row in figures.read() if _is_asked(row, arguments)]
+    if arguments.check:
         for row in stale:
             print(f"{figures.age(row.commit)} commits ago: {row.what}")
         return 1 if stale else 0
@@ -41,13 +41,13 @@ def main(argv: Sequence[str]) -> int:
     status = 0
     for command in dict.fromkeys(row.command for row in stale):
         row = next(row for row in stale if row.command == command)
-        folder = getattr(given, row.data, None)
+        folder = getattr(arguments, row.data, None)
         if not row.template or (row.data in FOLDERS and folder is None):
             print(f"left out ({DATA[row.data] if row.template else 'renewed by hand'}): {command}")
             continue
-        began = time.monotonic()
+        start = time.monotonic()
         printed = figures.run(command.replace("FOLDER", str(folder)))
-        minutes = (time.monotonic() - began) / 60.0
+        minutes = (time.monotonic() - start) / 60.0
         rows = figures.read()
         of_command = [row for row in rows if row.command == command]
         try:
@@ -65,11 +65,11 @@ def main(argv: Sequence[str]) -> int:
     return status
 
 
-def _is_asked(row: Row, given: argparse.Namespace) -> bool:
+def _is_asked(row: Row, arguments: argparse.Namespace) -> bool:
     """Return True if a row is to be measured by the options."""
-    if given.only:
-        return given.only in row.command
-    return given.all or figures.age(row.commit) > AGE_COMMITS_MAX
+    if arguments.only:
+        return arguments.only in row.command
+    return arguments.all or figures.age(row.commit) > AGE_COMMITS_MAX
 
 
 def _git(*arguments: str) -> str:

@@ -44,20 +44,20 @@ def main(argv: list[str]) -> int:
     parser.add_argument("--events", type=int, default=50_000)
     parser.add_argument("--behind", type=int, default=2_000)
     parser.add_argument("--times", type=int, default=5)
-    given = parser.parse_args(argv)
+    arguments = parser.parse_args(argv)
     with tempfile.TemporaryDirectory() as folder:
-        hours = given.events / EVENTS_PER_HOUR + 1.0
+        hours = arguments.events / EVENTS_PER_HOUR + 1.0
         events, _ = simulate(
             SimSettings(seed=1, objects_per_second=OBJECTS_PER_SECOND, hours=hours)
         )
-        size = lay_out(Path(folder), events[: given.events], given.behind)
+        size = lay_out(Path(folder), events[: arguments.events], arguments.behind)
         config = Path(folder) / "camtopod.toml"
         config.write_text(
             f'[bus]\nlisten = ["tcp/127.0.0.1:0"]\n[state]\ndirectory = "{folder}/state"\n'
             f"[learn]\nrefit_share = {SETTINGS.refit_share}\nrefit_hours = {SETTINGS.refit_hours}\n"
         )
-        seconds = [start(config) for _ in range(given.times)]
-    print(f"snapshot {size / 1e6:.2f} MB, {given.behind} entries behind it")
+        seconds = [start(config) for _ in range(arguments.times)]
+    print(f"snapshot {size / 1e6:.2f} MB, {arguments.behind} entries behind it")
     print(
         f"ready after {statistics.median(seconds):.2f} s (median of {len(seconds)}), "
         f"{max(seconds):.2f} s at most"
@@ -82,10 +82,8 @@ def lay_out(folder: Path, events: Sequence[Event], behind: int) -> int:
     )
 
     # Versions, and the snapshot behind which the last events lie.
-    made = learner.updates()
-    journal.commit(
-        [], [StoredVersion(one.epoch, one.version, one.digest, to_json(one)) for one in made]
-    )
+    versions = learner.updates()
+    journal.commit([], [StoredVersion(v.epoch, v.version, v.digest, to_json(v)) for v in versions])
     state = pack(learner.save())
     journal.commit([], snapshot=Snapshot(len(events) - behind, epoch, state))
     journal.close()
@@ -94,15 +92,15 @@ def lay_out(folder: Path, events: Sequence[Event], behind: int) -> int:
 
 def start(config: Path) -> float:
     """Return the seconds until `camtopod run` is ready, and kill it."""
-    started = time.perf_counter()
+    begin = time.perf_counter()
     command = [sys.executable, "-m", "camtopod", "--config", str(config), "run"]
     with subprocess.Popen(command, stderr=subprocess.PIPE) as process:
         assert process.stderr is not None
-        said = b""
-        while b"ready at" not in said:
-            said = process.stderr.readline()
-            if not said:
+        line = b""
+        while b"ready at" not in line:
+            line = process.stderr.readline()
+            if not line:
                 raise RuntimeError("the daemon ended before it was ready")
-        seconds = time.perf_counter() - started
+        seconds = time.perf_counter() - begin
         process.send_signal(signal.SIGKILL)
     return seconds

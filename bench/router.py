@@ -32,27 +32,29 @@ def main(argv: list[str]) -> int:
     parser.add_argument("--events", type=int, default=200_000)
     parser.add_argument("--readers", default="1,4", help="numbers of readers, comma-separated")
     ratios.add_arguments(parser, rounds=3)
-    given = parser.parse_args(argv)
-    counts = [int(count) for count in given.readers.split(",")]
+    arguments = parser.parse_args(argv)
+    counts = [int(count) for count in arguments.readers.split(",")]
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
-        rate = EVENTS_PER_SECOND_PER_CAMERA * given.cameras
-        events = write_events(folder / "events", traffic(given.cameras, rate, given.events))
+        rate = EVENTS_PER_SECOND_PER_CAMERA * arguments.cameras
+        events = write_events(folder / "events", traffic(arguments.cameras, rate, arguments.events))
         costs = ratios.take_turns(
             {
-                _name(count): partial(passed_on, folder, events, given.events, count)
+                _name(count): partial(passed_on, folder, events, arguments.events, count)
                 for count in counts
             },
-            given.rounds,
+            arguments.rounds,
         )
     table = ratios.compare(
-        f"{given.events} events passed on", "us a message", costs, _name(counts[0])
+        f"{arguments.events} events passed on", "us a message", costs, _name(counts[0])
     )
     print("\n".join(ratios.lines(table)))
     for row in table.rows:
         print(f"  {row.name}: {1e6 / row.cost.median:,.0f} messages a second of a core")
-    if given.json:
-        ratios.write(given.json, "router", [table], cameras=given.cameras, events=given.events)
+    if arguments.json:
+        ratios.write(
+            arguments.json, "router", [table], cameras=arguments.cameras, events=arguments.events
+        )
     return 0
 
 
@@ -69,11 +71,11 @@ def passed_on(folder: Path, events: str, count: int, readers: int) -> float:
         ]
         with client("put_flood", folder, endpoint=endpoint, events=events) as sender:
             result(sender)
-        received = [result(sink)["received"] for sink in sinks]
-        used = result(router)["cpu_seconds"]
-    if received != [count] * readers:
-        raise Lost(f"{count} events were published and {received} received")
-    return float(1e6 * used / (count * readers))
+        counts = [result(sink)["received"] for sink in sinks]
+        cpu_seconds = result(router)["cpu_seconds"]
+    if counts != [count] * readers:
+        raise Lost(f"{count} events were published and {counts} received")
+    return float(1e6 * cpu_seconds / (count * readers))
 
 
 def _name(readers: int) -> str:

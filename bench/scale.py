@@ -67,20 +67,22 @@ class Size(Struct):
 
 def main(argv: Sequence[str]) -> int:
     """Measure, print the table, write the figures; return the exit status."""
-    given = _parse(argv)
+    arguments = _parse(argv)
     sizes: list[Size] = []
     print(HEADER)
-    for cameras in map(int, given.cameras.split(",")):
+    for cameras in map(int, arguments.cameras.split(",")):
         with tempfile.TemporaryDirectory() as folder:
-            sizes.append(measure(Path(folder), cameras, given.hours, given.rate, given.seconds))
+            sizes.append(
+                measure(Path(folder), cameras, arguments.hours, arguments.rate, arguments.seconds)
+            )
         print(line(sizes[-1]), flush=True)
-    if given.json is not None:
+    if arguments.json is not None:
         costs = {
             f"{size.cameras} cameras": [1e3 * size.processor_seconds / size.events]
             for size in sizes
         }
         table = ratios.compare("processor time of an event", "ms", costs, next(iter(costs)))
-        ratios.write(given.json, "scale", [table], sizes=msgspec.to_builtins(sizes))
+        ratios.write(arguments.json, "scale", [table], sizes=msgspec.to_builtins(sizes))
     return 0
 
 
@@ -90,16 +92,16 @@ def measure(folder: Path, cameras: int, hours: float, rate: float, seconds: floa
     events, _ = simulate(
         SimSettings(cameras=cameras, hours=hours, seed=1, objects_per_second=objects, start=0.0)
     )
-    recorded = write_events(folder / "recorded", events)
+    recording_file = write_events(folder / "recorded", events)
     live = write_events(folder / "live", last_of(events, seconds))
     names = sorted({event.camera for event in events})
     limits = f"cameras_max = {cameras + 100}"
-    with running(folder, limits=limits) as (endpoint, pid), peak_memory(pid) as most:
+    with running(folder, limits=limits) as (endpoint, pid), peak_memory(pid) as peak:
         # The recorded events.
-        with client("deliver", folder, endpoint=endpoint, events=recorded) as sender:
+        with client("deliver", folder, endpoint=endpoint, events=recording_file) as sender:
             result(sender)
         status = learned_status(endpoint, LEARN_SECONDS_MAX)
-        spent = processor_seconds(pid, *children(pid))
+        cpu_seconds = processor_seconds(pid, *children(pid))
 
         # Fits beside live events.
         fits: list[float] = []
@@ -118,8 +120,8 @@ def measure(folder: Path, cameras: int, hours: float, rate: float, seconds: floa
         cameras,
         len(events),
         status.learner.version,
-        spent,
-        most[0] / 1e6,
+        cpu_seconds,
+        peak[0] / 1e6,
         sum(fits) / len(fits),
         delays[len(delays) // 2],
         delays[int(0.99 * len(delays))],
@@ -129,13 +131,15 @@ def measure(folder: Path, cameras: int, hours: float, rate: float, seconds: floa
 def last_of(events: Sequence[Event], seconds: float) -> list[Event]:
     """Return the events of the last seconds, with times from 0."""
     first = events[-1].t - seconds
-    return [msgspec.structs.replace(one, t=one.t - first) for one in events if one.t >= first]
+    return [
+        msgspec.structs.replace(event, t=event.t - first) for event in events if event.t >= first
+    ]
 
 
 def fit(endpoint: str, pid: int, camera: str) -> float:
     """Forget a camera, and return the learner's processor seconds until the next version."""
     before = status_of(endpoint).learner.version
-    spent = processor_seconds(*children(pid))
+    cpu_seconds = processor_seconds(*children(pid))
     with dial(Config(bus=BusSettings(connect=(endpoint,)))) as bus:
         bus.query("admin/forget", {"camera": camera}, one=True)
     deadline = time.monotonic() + LEARN_SECONDS_MAX
@@ -143,7 +147,7 @@ def fit(endpoint: str, pid: int, camera: str) -> float:
         if time.monotonic() > deadline:
             raise TimeoutError("the fit has not ended in time")
         time.sleep(0.05)
-    return processor_seconds(*children(pid)) - spent
+    return processor_seconds(*children(pid)) - cpu_seconds
 
 
 def line(size: Size) -> str:

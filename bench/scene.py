@@ -52,11 +52,11 @@ def main(argv: list[str]) -> int:
     parser.add_argument(
         "--seed", type=int, default=argparse.SUPPRESS, help="same seed, same events"
     )
-    given = vars(parser.parse_args(argv))
-    settings, simulate = SCENES[given.pop("scene")]
-    events_file, truth_file = given.pop("events"), given.pop("truth")
+    options = vars(parser.parse_args(argv))
+    settings, simulate = SCENES[options.pop("scene")]
+    events_file, truth_file = options.pop("events"), options.pop("truth")
 
-    events, truth = simulate(settings(**given))
+    events, truth = simulate(settings(**options))
 
     events_file.write_bytes(b"".join(to_json(event) + b"\n" for event in events))
     if truth_file:

@@ -90,13 +90,13 @@ def main(argv: list[str]) -> int:
     parser.add_argument(
         "--json", type=Path, metavar="FILE", help="append one line a day to this file"
     )
-    given = parser.parse_args(argv)
+    arguments = parser.parse_args(argv)
     with (
         tempfile.TemporaryDirectory() as folder,
-        contextlib.closing(Soak(Path(folder), given.cameras, given.events)) as soak,
+        contextlib.closing(Soak(Path(folder), arguments.cameras, arguments.events)) as soak,
     ):
         print("day  resident MiB  journal MiB  spool MiB  version  start s  day s")
-        for day in range(1, given.days + 1):
+        for day in range(1, arguments.days + 1):
             soak.run_day(day)
             d = soak.days[-1]
             sizes = "  ".join(
@@ -106,8 +106,8 @@ def main(argv: list[str]) -> int:
                 f"{d.day:3}  {sizes}  {d.version:7}  {d.start_seconds:7.2f}  {d.seconds:5.0f}",
                 flush=True,
             )
-            if given.json is not None:
-                with given.json.open("ab") as out:
+            if arguments.json is not None:
+                with arguments.json.open("ab") as out:
                     out.write(msgspec.json.encode(d) + b"\n")
         wrong = [
             *growth_violations(soak.days),
@@ -129,9 +129,9 @@ def growth_violations(days: Sequence[Day]) -> Iterator[str]:
             yield f"{name}: not tested, more than {since} days are needed"
             continue
         before = getattr(days[since - 1], name)
-        most = max(days[since:], key=lambda day: int(getattr(day, name)))
-        size = getattr(most, name)
-        print(f"{name}: {size / before - 1.0:+.1%} at most since day {since}, on day {most.day}")
+        largest = max(days[since:], key=lambda day: int(getattr(day, name)))
+        size = getattr(largest, name)
+        print(f"{name}: {size / before - 1.0:+.1%} at most since day {since}, on day {largest.day}")
         print(line_of(f"growth of {name}", size / before - 1.0))
         if size > (1.0 + GROWTH_MAX) * before:
             yield f"{name} has grown by more than {GROWTH_MAX:.0%}"
@@ -139,41 +139,41 @@ def growth_violations(days: Sequence[Day]) -> Iterator[str]:
 
 def bound_violations(days: Sequence[Day], bounds: Mapping[str, int]) -> Iterator[str]:
     """Yield a message for each size that exceeded its bound, or never came near it."""
-    for name, most in bounds.items():
+    for name, bound in bounds.items():
         peak = max(days, key=lambda day: int(getattr(day, name)))
         size = getattr(peak, name)
         print(
             f"{name}: at most {size} bytes, on day {peak.day}; "
-            f"its bound is {most}, and {BESIDE_BYTES[name]} beyond it are allowed"
+            f"its bound is {bound}, and {BESIDE_BYTES[name]} beyond it are allowed"
         )
-        if size > most + BESIDE_BYTES[name]:
-            yield f"{name} has {size} bytes on day {peak.day}; its bound is {most}"
-        elif size < REACHED_SHARE * most:
+        if size > bound + BESIDE_BYTES[name]:
+            yield f"{name} has {size} bytes on day {peak.day}; its bound is {bound}"
+        elif size < REACHED_SHARE * bound:
             yield f"{name} has never come near its bound, so the bound is not tested"
 
 
-def miscounted(sent: Mapping[str, int], stored: Counter[tuple[str, int]]) -> Iterator[str]:
+def miscounted(last_numbers: Mapping[str, int], counts: Counter[tuple[str, int]]) -> Iterator[str]:
     """Yield a message for events not stored exactly once; a camera's are numbered from 1."""
-    made = {(camera, seq) for camera, last in sent.items() for seq in range(1, last + 1)}
-    lost, foreign = made - stored.keys(), stored.keys() - made
-    doubled = [one for one, times in stored.items() if times > 1]
-    for what, which in (
-        ("lost", lost),
-        ("stored more than once", doubled),
+    events = {(camera, seq) for camera, last in last_numbers.items() for seq in range(1, last + 1)}
+    losses, foreign = events - counts.keys(), counts.keys() - events
+    duplicates = [event for event, times in counts.items() if times > 1]
+    for fault, faulty in (
+        ("lost", losses),
+        ("stored more than once", duplicates),
         ("stored and never sent", foreign),
     ):
-        if which:
-            yield f"{len(which)} of {len(made)} events are {what}, the first {min(which)}"
+        if faulty:
+            yield f"{len(faulty)} of {len(events)} events are {fault}, the first {min(faulty)}"
 
 
 class WorkerProcess:
     """A process of its own that answers requests, one at a time."""
 
-    def __init__(self, work: Callable[..., None], *given: Any) -> None:
-        self._pipe, other = _PROCESSES.Pipe()
-        self._process = _PROCESSES.Process(target=work, args=(other, *given))
+    def __init__(self, work: Callable[..., None], *arguments: Any) -> None:
+        self._pipe, child_pipe = _PROCESSES.Pipe()
+        self._process = _PROCESSES.Process(target=work, args=(child_pipe, *arguments))
         self._process.start()
-        other.close()
+        child_pipe.close()
 
     @property
     def resident(self) -> int:
@@ -181,17 +181,17 @@ class WorkerProcess:
         assert self._process.pid is not None
         return resident(self._process.pid)
 
-    def send(self, what: Any) -> None:
+    def send(self, request: Any) -> None:
         """Send a request without waiting."""
-        self._pipe.send(what)
+        self._pipe.send(request)
 
     def receive(self) -> Any:
         """Return the answer to a request. Raises `EOFError` if the process has ended."""
         return self._pipe.recv()
 
-    def ask(self, what: Any) -> Any:
+    def ask(self, request: Any) -> Any:
         """Send a request and return its answer."""
-        self.send(what)
+        self.send(request)
         return self.receive()
 
     def close(self) -> None:
@@ -210,20 +210,20 @@ def run_daemons(pipe: Connection, config: Config, now: Any) -> None:
                     daemon = Daemon(config, clock=lambda: float(now.value))
                     pipe.send(daemon.start())
                 case "status" if daemon is not None:
-                    made = daemon.topology
+                    version = daemon.topology
                     pipe.send(
                         (
                             daemon.status().events.waiting,
-                            (made.version, made.digest) if made else None,
+                            (version.version, version.digest) if version else None,
                         )
                     )
                 case ("newer", int(read)) if (
                     daemon is not None
                 ):  # events of the journal from here on
                     newer = (
-                        (n, one)
-                        for n, one in daemon._journal.entries(read)
-                        if one and one.kind == "event"
+                        (n, entry)
+                        for n, entry in daemon._journal.entries(read)
+                        if entry and entry.kind == "event"
                     )
                     pipe.send([(number, event.camera, event.seq) for number, event in newer])
                 case "tidy":  # collect reference cycles of earlier daemons
@@ -243,7 +243,7 @@ def run_plain_learner(pipe: Connection, settings: Settings) -> None:
         while True:
             for event in pipe.recv():
                 learner.receive(event)
-            pipe.send({one.version: one.digest for one in learner.updates()})
+            pipe.send({version.version: version.digest for version in learner.updates()})
 
 
 class Soak:
@@ -276,10 +276,10 @@ class Soak:
         self._home = WorkerProcess(run_daemons, self._config, self._now)
         self._twin = WorkerProcess(run_plain_learner, learn)
         self._expected: dict[int, str] = {}
-        self._made: dict[int, str] = {}
-        self._sent: Counter[str] = Counter()
-        self._stored: Counter[tuple[str, int]] = Counter()
-        self._read = 0  # entries of the journal
+        self._digests: dict[int, str] = {}
+        self._last_numbers: Counter[str] = Counter()
+        self._stored_counts: Counter[tuple[str, int]] = Counter()
+        self._entries_read = 0  # entries of the journal
         self._bus: Bus | None = None
         self._spool = Spool(folder / "spool.db", "boot", 100_000, SPOOL_BYTES, kept_max=100_000)
         self._publisher = Publisher(self._spool)
@@ -288,12 +288,12 @@ class Soak:
 
     def run_day(self, day: int) -> None:
         """Start the daemon, publish the day's traffic, and stop the daemon."""
-        started = time.perf_counter()
+        start = time.perf_counter()
         self._home.ask("start")
         if self._bus is None:
             self._bus = dial(self._config)  # reconnects by itself after each night
             self._publisher.attach(self._bus)
-        ready = time.perf_counter() - started
+        ready = time.perf_counter() - start
 
         # Publish in batches; the twin learns the same events.
         chance = random.Random(day)
@@ -304,7 +304,7 @@ class Soak:
             self._now.value = batch[-1].t + 1.0
             self._twin.send(batch)
             self._publisher.publish(*batch)
-            self._sent.update(event.camera for event in batch)
+            self._last_numbers.update(event.camera for event in batch)
             if not self._publisher.wait_stored(WAIT_SECONDS):
                 raise TimeoutError("events are not stored")
             self._expected |= self._twin.receive()
@@ -312,23 +312,25 @@ class Soak:
 
         # Take the sizes.
         version, digest = self._learned()
-        self._made[version] = digest
+        self._digests[version] = digest
         self._home.ask("tidy")
-        taken = self._home.resident
+        memory = self._home.resident
         self._home.ask("stop")  # folds the journal's log in, whose size depends on the moment
         journal, spool = _bytes(self._folder / "state"), _bytes(self._folder, "spool")
         self.days.append(
-            Day(day, taken, journal, spool, version, ready, time.perf_counter() - started)
+            Day(day, memory, journal, spool, version, ready, time.perf_counter() - start)
         )
 
     def wrong(self) -> Iterator[str]:
         """Yield a message for lost events, and for versions unlike those of the plain learner."""
-        yield from miscounted(self._sent, self._stored)
-        other = [
-            version for version, digest in self._made.items() if self._expected[version] != digest
+        yield from miscounted(self._last_numbers, self._stored_counts)
+        differences = [
+            version
+            for version, digest in self._digests.items()
+            if self._expected[version] != digest
         ]
-        if other:
-            yield f"versions {other} differ from those of an uninterrupted run"
+        if differences:
+            yield f"versions {differences} differ from those of an uninterrupted run"
 
     def close(self) -> None:
         """End all processes."""
@@ -343,8 +345,8 @@ class Soak:
         """Return the newest version and its digest, once the daemon is level with the twin."""
         deadline = time.monotonic() + WAIT_SECONDS
         while True:
-            waiting, newest = self._home.ask("status")
-            if waiting == 0 and newest is not None and newest[0] == max(self._expected):
+            waiting_events, newest = self._home.ask("status")
+            if waiting_events == 0 and newest is not None and newest[0] == max(self._expected):
                 return int(newest[0]), str(newest[1])
             if time.monotonic() > deadline:
                 raise TimeoutError("the daemon has not learned all events in time")
@@ -352,10 +354,10 @@ class Soak:
 
     def _count(self) -> None:
         """Count the new entries of the journal, before retention deletes them."""
-        rows = self._home.ask(("newer", self._read))
+        rows = self._home.ask(("newer", self._entries_read))
         for number, camera, seq in rows:
-            self._read = number
-            self._stored[camera, seq] += 1
+            self._entries_read = number
+            self._stored_counts[camera, seq] += 1
 
 
 def _free_port() -> int:

@@ -68,7 +68,7 @@ def authors_bandwidth(points: Floats) -> float:
 def table_5_3() -> bool:
     """Compute table 5.3 from table 5.2; return True if it is as printed."""
     rows = overlap_rows(thesis.TABLE_5_2, thesis.TABLE_5_2_CAMERAS, 0.200)
-    found = [
+    computed = [
         (
             r.camera_ab,
             r.camera_c,
@@ -83,11 +83,11 @@ def table_5_3() -> bool:
     ]
     print(
         f"table 5.3 from table 5.2 with T = 0.200: {len(rows)} rows, "
-        f"as printed: {found == thesis.TABLE_5_3}"
+        f"as printed: {computed == thesis.TABLE_5_3}"
     )
-    for row, overlap in zip(found, rows, strict=True):
+    for row, overlap in zip(computed, rows, strict=True):
         print("          ", *row, f"  |AB - (AC + CB)| = {overlap.error:.3f}")
-    return found == thesis.TABLE_5_3
+    return computed == thesis.TABLE_5_3
 
 
 def table_5_4() -> bool:
@@ -96,19 +96,21 @@ def table_5_4() -> bool:
     The last row contradicts its own text.
     """
     print("table 5.4 with T = 0.450:")
-    held = []
+    holds = []
     for row in thesis.TABLE_5_4:
         rows = overlap_rows(thesis.table_5_4_transit(row), thesis.TABLE_5_4_CAMERAS, 0.450)
-        held.append(row[:5] in [(r.camera_ab, r.camera_c, r.a + 1, r.b + 1, r.c + 1) for r in rows])
+        holds.append(
+            row[:5] in [(r.camera_ab, r.camera_c, r.a + 1, r.b + 1, r.c + 1) for r in rows]
+        )
         error = abs(row[7] - (row[5] + row[6]))
         print(
             "          ",
             *row,
             f"  |AB - (AC + CB)| = {error:.3f}",
-            "holds" if held[-1] else "contradicts its text",
+            "holds" if holds[-1] else "contradicts its text",
         )
-    print(f"           {sum(held)} of {len(held)} rows hold")
-    return held == [True] * 8 + [False]
+    print(f"           {sum(holds)} of {len(holds)} rows hold")
+    return holds == [True] * 8 + [False]
 
 
 def figure_4_4(seeds: int) -> bool:
@@ -123,11 +125,11 @@ def figure_4_4(seeds: int) -> bool:
             right: dict[str, list[bool]] = {}
             for place, truth in zip(*thesis.figure_4_4(seed, clutter), strict=True):
                 sums = cell_sums(*fixed_point(place.T))
-                started = time.perf_counter()
-                found = len(find_zones(sums).zones)
-                seconds += time.perf_counter() - started
+                start = time.perf_counter()
+                zone_count = len(find_zones(sums).zones)
+                seconds += time.perf_counter() - start
                 k = int(truth.max()) + 1
-                right.setdefault("camtopod", []).append(found == k)
+                right.setdefault("camtopod", []).append(zone_count == k)
                 plain = data_spectroscopy(sums[0], bandwidth(sums[0])).groups
                 right.setdefault("plain DaSpec", []).append(plain == k)
                 right.setdefault("HDBSCAN", []).append(hdbscan_zones(place) == k)
@@ -163,8 +165,8 @@ def k_means(place: Floats, truth: NDArray[np.intp]) -> dict[str, bool]:
     from sklearn.metrics import silhouette_score
 
     rng = np.random.default_rng(0)
-    chosen = rng.choice(len(place), min(400, len(place)), replace=False)
-    sample, truth = place[chosen], truth[chosen]
+    indices = rng.choice(len(place), min(400, len(place)), replace=False)
+    sample, truth = place[indices], truth[indices]
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
         labels = {k: KMeans(k, n_init=1, random_state=0).fit_predict(sample) for k in range(2, 8)}

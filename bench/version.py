@@ -33,10 +33,11 @@ PROGRAM = Path(__file__).parent / "support" / "versions.py"
 
 def main(argv: Sequence[str]) -> int:
     """Measure, print the tables, write the figures; return the exit status."""
-    given = _parse(argv)
-    checkouts = {BASE: given.base.resolve(), HERE: Path(bench.__path__[0]).parent}
+    arguments = _parse(argv)
+    checkouts = {BASE: arguments.base.resolve(), HERE: Path(bench.__path__[0]).parent}
     folders = {
-        name: learned(checkout, given.cameras, given.hours) for name, checkout in checkouts.items()
+        name: learned(checkout, arguments.cameras, arguments.hours)
+        for name, checkout in checkouts.items()
     }
     tables = []
     for title, target in TARGETS.items():
@@ -44,14 +45,16 @@ def main(argv: Sequence[str]) -> int:
             costs = {name: [size_of(title, folder) / 1e6] for name, folder in folders.items()}
             tables.append(ratios.compare(title, "MB", costs, BASE, {HERE: target}))
     seconds: dict[str, list[float]] = {name: [] for name in checkouts}
-    for number in range(given.rounds):
+    for number in range(arguments.rounds):
         for name in (BASE, HERE) if number % 2 == 0 else (HERE, BASE):
             seconds[name].append(1e3 * float(run(checkouts[name], "decode", folders[name])))
-    most = {HERE: TARGETS["decode and prepare"]}
-    tables.append(ratios.compare("decode and prepare", "ms", seconds, BASE, most))
+    targets = {HERE: TARGETS["decode and prepare"]}
+    tables.append(ratios.compare("decode and prepare", "ms", seconds, BASE, targets))
     print("\n".join(line for table in tables for line in ratios.lines(table)))
-    if given.json:
-        ratios.write(given.json, "version", tables, cameras=given.cameras, hours=given.hours)
+    if arguments.json:
+        ratios.write(
+            arguments.json, "version", tables, cameras=arguments.cameras, hours=arguments.hours
+        )
     return 0
 
 

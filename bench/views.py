@@ -79,12 +79,12 @@ class Passage(Struct):
     exit: Event | None
 
     @property
-    def came(self) -> float:
+    def begin(self) -> float:
         """Time of the entry, seconds."""
         return -np.inf if self.entry is None else self.entry.t
 
     @property
-    def left(self) -> float:
+    def end(self) -> float:
         """Time of the exit, seconds."""
         return np.inf if self.exit is None else self.exit.t
 
@@ -152,17 +152,22 @@ def main(argv: list[str]) -> int:
     add("--runs", type=int, default=RUNS, help="times that all is learned (default: %(default)s)")
     add("--model", metavar="FILE", help="with this detector, an ONNX file")
     add("--films", type=Path, metavar="FOLDER", help="folder to keep the rendered films in")
-    given = parser.parse_args(argv)
+    arguments = parser.parse_args(argv)
 
     # Record and learn.
     try:
-        if given.folder is None:
-            recordings = rendered(given.runs, given.films)
+        if arguments.folder is None:
+            recordings = rendered(arguments.runs, arguments.films)
         else:
-            recordings = revisited(clips_of(given.folder, given.model), given.runs, given.model)
+            recordings = revisited(
+                clips_of(arguments.folder, arguments.model), arguments.runs, arguments.model
+            )
         networks = [
-            (judged(learned(one.true), one.passages), judged(learned(one.seen), one.passages))
-            for one in recordings
+            (
+                judged(learned(recording.true), recording.passages),
+                judged(learned(recording.seen), recording.passages),
+            )
+            for recording in recordings
         ]
     except TruthError as error:
         print(f"views: {error}", file=sys.stderr)
@@ -212,10 +217,10 @@ def revisited(clips: Sequence[Clip], runs: int, model: str | None) -> list[Recor
 
     # What the grabber tells, by phase and by whose events they are; "" for nobody's.
     detector, lateness = detector_of(model), Settings().lateness_seconds
-    told: list[dict[str, list[Event]]] = []
+    grabs: list[dict[str, list[Event]]] = []
     counts = []
     for phase in range(PHASES):
-        told.append(defaultdict(list))
+        grabs.append(defaultdict(list))
         for clip in clips:
             events, delays, _ = grabbed(clip, phase, PHASES, detector())
             in_time = [
@@ -224,31 +229,33 @@ def revisited(clips: Sequence[Clip], runs: int, model: str | None) -> list[Recor
                 if delay <= lateness
             ]
             result = clip.judged(in_time)
-            counts.append((len(result.found), len(result.missed), len(result.spurious)))
-            for one, seen in result.found:
-                told[-1][str(one.track)].append(seen)
-            told[-1][""] += result.unmatched
-    found, missed, spurious = np.sum(counts, axis=0) / PHASES
+            counts.append((len(result.pairs), len(result.misses), len(result.spurious)))
+            for true_event, seen in result.pairs:
+                grabs[-1][str(true_event.track)].append(seen)
+            grabs[-1][""] += result.extras
+    hits, misses, spurious = np.sum(counts, axis=0) / PHASES
     print(
-        f"{len(clips)} views, {found + missed:.0f} true events of {len(true)} people; mean of "
-        f"{PHASES} phases: {found:.2f} found, {missed:.2f} missed, {spurious:.2f} false"
+        f"{len(clips)} views, {hits + misses:.0f} true events of {len(true)} people; mean of "
+        f"{PHASES} phases: {hits:.2f} found, {misses:.2f} missed, {spurious:.2f} false"
     )
-    return [visits(true, told, np.random.default_rng(run)) for run in range(runs)]
+    return [visits(true, grabs, np.random.default_rng(run)) for run in range(runs)]
 
 
 def visits(
-    true: dict[str, list[Event]], told: list[dict[str, list[Event]]], rng: np.random.Generator
+    true: dict[str, list[Event]],
+    grabs: list[dict[str, list[Event]]],
+    rng: np.random.Generator,
 ) -> Recording:
     """Return visitors at random times, each as one of the people.
 
-    true, told: events by person, the latter of each phase.
+    true, grabs: events by person, the latter of each phase.
     """
     recording, begin = Recording([], [], []), START
     last = max(event.t for events in true.values() for event in events)
     for visitor in range(VISITORS):
         begin += rng.exponential(BETWEEN_SECONDS)
         person = str(rng.choice(sorted(true)))
-        seen = told[int(rng.integers(len(told)))]
+        seen = grabs[int(rng.integers(len(grabs)))]
         along = seen[""] if rng.random() < ALONG_SHARE else []
 
         # Time within the visit, from that of the clips.
@@ -282,15 +289,15 @@ def passages_of(events: Iterable[Event]) -> list[Passage]:
     """Return one person's passages, by time of entry."""
     result = []
     by_camera = sorted(events, key=lambda event: (event.camera, event.t))
-    for camera, some in groupby(by_camera, key=lambda event: event.camera):
+    for camera, camera_events in groupby(by_camera, key=lambda event: event.camera):
         entry = None
-        for event in some:
+        for event in camera_events:
             if event.kind == "exit":
                 result.append(Passage(str(event.track), camera, entry, event))
             entry = event if event.kind == "entry" else None
         if entry is not None:
             result.append(Passage(str(entry.track), camera, entry, None))
-    return sorted(result, key=lambda passage: passage.came)
+    return sorted(result, key=lambda passage: passage.begin)
 
 
 def rendered(runs: int, films: Path | None) -> list[Recording]:
@@ -302,90 +309,96 @@ def rendered(runs: int, films: Path | None) -> list[Recording]:
         with tempfile.TemporaryDirectory() as temporary:
             folder = (films or Path(temporary)) / f"stops-{seed}"
             seen = recorded(plan, walks, seconds, seed, folder)
-        walked: list[Passage] = []
+        walk: list[Passage] = []
         true: list[Event] = []
-        for number, one in enumerate(passages(plan, walks)):
-            entry = Event(one.camera, "entry", START + one.t_in, *one.at_in, number)
-            left = Event(one.camera, "exit", START + one.t_out, *one.at_out, number)
-            if one.t_out < seconds:
-                walked.append(Passage(str(one.walker), one.camera, entry, left))
-                true += [entry, left]
+        for number, passage in enumerate(passages(plan, walks)):
+            entry = Event(passage.camera, "entry", START + passage.t_in, *passage.at_in, number)
+            exit_event = Event(
+                passage.camera, "exit", START + passage.t_out, *passage.at_out, number
+            )
+            if passage.t_out < seconds:
+                walk.append(Passage(str(passage.walker), passage.camera, entry, exit_event))
+                true += [entry, exit_event]
         true.sort(key=lambda event: event.t)
-        found = 0
+        hits = 0
         for camera in {event.camera for event in true}:
-            theirs, ours = ([one for one in side if one.camera == camera] for side in (true, seen))
-            found += len(match(theirs, ours, WIDTH / HEIGHT).pairs)
+            true_events, grabs = (
+                [event for event in side if event.camera == camera] for side in (true, seen)
+            )
+            hits += len(match(true_events, grabs, WIDTH / HEIGHT).pairs)
         print(
-            f"seed {seed}: {len(plan.views)} views, {len(true)} true events; {found} found, "
-            f"{len(true) - found} missed, {len(seen) - found} false",
+            f"seed {seed}: {len(plan.views)} views, {len(true)} true events; {hits} found, "
+            f"{len(true) - hits} missed, {len(seen) - hits} false",
             flush=True,
         )
-        result.append(Recording(walked, true, seen))
+        result.append(Recording(walk, true, seen))
     return result
 
 
 # -- comparison ------------------------------
 
 
-def judged(topology: Topology, walked: Sequence[Passage]) -> Network:
+def judged(topology: Topology, walk: Sequence[Passage]) -> Network:
     """Compare a topology with the true passages, which are sorted by person, then by entry."""
     # True links between the learned zones, and true pairs of cameras.
     lags: dict[tuple[str, str], list[float]] = defaultdict(list)
     exits, walks = Counter[str](), Counter[tuple[str, str]]()
     together, after = Counter[tuple[str, ...]](), Counter[tuple[str, ...]]()
-    for _, some in groupby(walked, key=lambda passage: passage.person):
-        visit = list(some)
-        for one in visit:
-            others = [o for o in visit if o.camera != one.camera]
-            beside = [o for o in others if o.came < one.left and o.left > one.came]
-            until = max((o.left for o in beside if o.left > one.left), default=np.inf)
-            following = [o for o in visit if one.left <= o.came < until][:1]
-            together.update(_cameras(one, other) for other in beside)
-            after.update(_cameras(one, other) for other in following)
-            if one.exit is None:
+    for _, group in groupby(walk, key=lambda passage: passage.person):
+        visit = list(group)
+        for passage in visit:
+            elsewhere = [o for o in visit if o.camera != passage.camera]
+            beside = [o for o in elsewhere if o.begin < passage.end and o.end > passage.begin]
+            until = max((o.end for o in beside if o.end > passage.end), default=np.inf)
+            after_exit = [o for o in visit if passage.end <= o.begin < until][:1]
+            together.update(_cameras(passage, p) for p in beside)
+            after.update(_cameras(passage, p) for p in after_exit)
+            if passage.exit is None:
                 continue
-            exits[source := zone_of(topology, one.exit)] += 1
-            entries = [o.entry for o in visit if o is not one and o.entry is not None]
+            exits[source := zone_of(topology, passage.exit)] += 1
+            entries = [o.entry for o in visit if o is not passage and o.entry is not None]
             walks.update({(source, zone_of(topology, entry)) for entry in entries})
             nearest = {}
-            for other in sorted((*beside, *following), key=lambda o: -abs(o.came - one.left)):
-                if other.entry is not None:
-                    nearest[source, zone_of(topology, other.entry)] = other.came - one.left
+            for p in sorted((*beside, *after_exit), key=lambda o: -abs(o.begin - passage.end)):
+                if p.entry is not None:
+                    nearest[source, zone_of(topology, p.entry)] = p.begin - passage.end
             for ends, lag in nearest.items():
                 lags[ends].append(lag)
     links = {
-        ends: some
-        for ends, some in lags.items()
-        if len(some) >= max(TRANSITIONS_MIN, TRANSITIONS_SHARE_MIN * exits[ends[0]])
+        ends: link_lags
+        for ends, link_lags in lags.items()
+        if len(link_lags) >= max(TRANSITIONS_MIN, TRANSITIONS_SHARE_MIN * exits[ends[0]])
     }
-    overlapped = {pair for pair, n in together.items() if n >= 2 * PAIR_WALKS_MIN}  # from both
-    pairs = overlapped | {pair for pair, n in after.items() if n >= PAIR_WALKS_MIN}
+    overlaps = {pair for pair, n in together.items() if n >= 2 * PAIR_WALKS_MIN}  # from both
+    pairs = overlaps | {pair for pair, n in after.items() if n >= PAIR_WALKS_MIN}
     pairs = {pair for pair in pairs if pair[0] != pair[1]}
 
     # What was learned.
-    found = {(link.from_, link.to): link for link in topology.links if link.relation != "visible"}
+    published = {
+        (link.from_, link.to): link for link in topology.links if link.relation != "visible"
+    }
     errors = {
         ends: abs(link.transit.q50 - median(links[ends]))
-        for ends, link in found.items()
+        for ends, link in published.items()
         if ends in links
     }
-    timed = [
+    right_times = [
         error <= max(TRANSIT_SECONDS, TRANSIT_SHARE * abs(median(links[ends])))
         for ends, error in errors.items()
     ]
     right = [pair for pair in topology.pairs if pair.cameras in pairs]
-    related = [(pair.relation == "overlapped") == (pair.cameras in overlapped) for pair in right]
+    relations = [(pair.relation == "overlapped") == (pair.cameras in overlaps) for pair in right]
     offsets = [abs(camera.clock_offset) for camera in topology.cameras]
     return Network(
         len(pairs),
         len(right),
-        sum(related),
+        sum(relations),
         len(topology.pairs) - len(right),
         sum(pair.relation == "overlapped" for pair in topology.pairs),
-        len(found),
+        len(published),
         len(errors),
-        sum(timed),
-        sum(walks[ends] <= SPURIOUS_TRANSITIONS_MAX for ends in found),
+        sum(right_times),
+        sum(walks[ends] <= SPURIOUS_TRANSITIONS_MAX for ends in published),
         median(errors.values()) if errors else 0.0,
         sum(offset > CLOCK_SECONDS_MAX for offset in offsets),
         max(offsets),
@@ -404,8 +417,8 @@ def zone_of(topology: Topology, event: Event) -> str:
     return zone if distance <= ZONE_TOLERANCE else event.camera
 
 
-def _cameras(one: Passage, other: Passage) -> tuple[str, ...]:
-    return tuple(sorted((one.camera, other.camera)))
+def _cameras(first: Passage, second: Passage) -> tuple[str, ...]:
+    return tuple(sorted((first.camera, second.camera)))
 
 
 if __name__ == "__main__":

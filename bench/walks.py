@@ -124,12 +124,12 @@ def true_walks(recording: Recording) -> tuple[dict[str, str], set[str]]:
     for passages in recording.by_identity:
         until, walk = -np.inf, ""
         for one in passages:
-            if one.came - until <= recording.window:
+            if one.begin - until <= recording.window:
                 continued.add(one.track)
             else:
                 walk = one.track
             walk_of[one.track] = walk
-            until = max(until, one.left)
+            until = max(until, one.end)
     return walk_of, continued
 
 

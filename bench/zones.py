@@ -100,13 +100,13 @@ def main(argv: list[str]) -> int:
     )
     parser.add_argument("--speed", action="store_true", help="measure the cost only")
     ratios.add_arguments(parser, rounds=7)
-    given = parser.parse_args(argv)
-    if not given.speed:
-        rightness(given.cameras, given.first)
-    table = speed(given.first, given.rounds)
+    arguments = parser.parse_args(argv)
+    if not arguments.speed:
+        rightness(arguments.cameras, arguments.first)
+    table = speed(arguments.first, arguments.rounds)
     print(*ratios.lines(table), sep="\n")
-    if given.json:
-        ratios.write(given.json, "zones", [table])
+    if arguments.json:
+        ratios.write(arguments.json, "zones", [table])
     return 0
 
 
@@ -115,26 +115,29 @@ def speed(first: int, rounds: int) -> ratios.Table:
     from sklearn.cluster import HDBSCAN
     from threadpoolctl import threadpool_limits  # comes with scikit-learn
 
-    ours, theirs = [], []
+    refreshes, fits = [], []
     for kind in KINDS:
         if kind.name in SPEED_KINDS:
             positions, _ = camera(first, kind, SPEED_EVENTS)
-            known = find_zones(cell_sums(*fixed_point(positions[: int(0.95 * SPEED_EVENTS)].T)))
-            ours.append(partial(refresh_zones, cell_sums(*fixed_point(positions.T)), known))
+            zones = find_zones(cell_sums(*fixed_point(positions[: int(0.95 * SPEED_EVENTS)].T)))
+            refreshes.append(partial(refresh_zones, cell_sums(*fixed_point(positions.T)), zones))
             method = HDBSCAN(min_cluster_size=SPEED_EVENTS // 40, copy=True)
-            theirs.append(partial(method.fit_predict, positions))
+            fits.append(partial(method.fit_predict, positions))
 
     def timed(jobs: Sequence[Callable[[], object]], repeats: int) -> float:
         """Return the CPU milliseconds of a job, with all done ``repeats`` times."""
-        began = time.process_time()
+        start = time.process_time()
         for _ in range(repeats):
             for job in jobs:
                 job()
-        return 1000 * (time.process_time() - began) / (repeats * len(jobs))
+        return 1000 * (time.process_time() - start) / (repeats * len(jobs))
 
     title = f"zones of a camera, {SPEED_EVENTS:,} events"
     with threadpool_limits(1):
-        turns = {"refreshed": partial(timed, ours, 20), "HDBSCAN": partial(timed, theirs, 1)}
+        turns = {
+            "refreshed": partial(timed, refreshes, 20),
+            "HDBSCAN": partial(timed, fits, 1),
+        }
         costs = ratios.take_turns(turns, rounds)
     return ratios.compare(title, "CPU ms", costs, "refreshed")
 
@@ -157,11 +160,11 @@ def rightness(cameras: int, first: int) -> None:
             for seed in range(first, first + cameras):
                 positions, zones = camera(seed, kind, events)
                 sums = cell_sums(*fixed_point(positions.T))
-                started = time.process_time()
-                found = len(find_zones(sums).zones)
-                seconds, refreshed = seconds + time.process_time() - started, refreshed + 1
+                start = time.process_time()
+                zone_count = len(find_zones(sums).zones)
+                seconds, refreshed = seconds + time.process_time() - start, refreshed + 1
                 plain = data_spectroscopy(sums[0], bandwidth(sums[0])).groups
-                right.append([count == zones for count in (found, plain, *others(positions))])
+                right.append([count == zones for count in (zone_count, plain, *others(positions))])
             shares = " | ".join(f"{share:.2f}" for share in np.mean(right, axis=0))
             columns.append(f"{shares:>32s}")
         print(f"{kind.name:28s}" + "".join(columns), flush=True)
@@ -204,15 +207,15 @@ def others(positions: Floats) -> tuple[int, int]:
     from sklearn.metrics import silhouette_score
 
     rng = np.random.default_rng(0)
-    few = positions[rng.choice(len(positions), min(200, len(positions)), replace=False)]
-    some = positions[
+    draw = positions[rng.choice(len(positions), min(200, len(positions)), replace=False)]
+    sample = positions[
         rng.choice(len(positions), min(SLOW_EVENTS_MAX, len(positions)), replace=False)
     ]
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
-        labels = {k: KMeans(k, n_init=1, random_state=0).fit_predict(few) for k in range(2, 8)}
-        k_means = max(labels, key=lambda k: float(silhouette_score(few, labels[k])))
-        density = HDBSCAN(min_cluster_size=max(5, len(some) // 40), copy=True).fit_predict(some)
+        labels = {k: KMeans(k, n_init=1, random_state=0).fit_predict(draw) for k in range(2, 8)}
+        k_means = max(labels, key=lambda k: float(silhouette_score(draw, labels[k])))
+        density = HDBSCAN(min_cluster_size=max(5, len(sample) // 40), copy=True).fit_predict(sample)
     return k_means, int(density.max()) + 1
 
 
@@ -238,32 +241,32 @@ def camera(seed: int, kind: Kind, events: int) -> tuple[Floats, int]:
     # Draw positions, all within the image.
     positions = _clutter(rng, kind, events, np.array(centres))
     for k, (centre, root) in enumerate(zip(centres, roots, strict=True)):
-        left = np.flatnonzero(labels == k)
-        while len(left):
-            spread = rng.standard_normal((len(left), 2))
+        rows = np.flatnonzero(labels == k)
+        while len(rows):
+            spread = rng.standard_normal((len(rows), 2))
             if kind.shape == "box":
-                spread = rng.uniform(-np.sqrt(3), np.sqrt(3), (len(left), 2))
+                spread = rng.uniform(-np.sqrt(3), np.sqrt(3), (len(rows), 2))
             elif kind.shape == "tails":
-                spread *= 0.8 / np.sqrt(rng.chisquare(3, (len(left), 1)) / 3)
-            positions[left] = centre + spread @ root.T
-            left = left[((positions[left] < 0) | (positions[left] > 1)).any(axis=1)]
+                spread *= 0.8 / np.sqrt(rng.chisquare(3, (len(rows), 1)) / 3)
+            positions[rows] = centre + spread @ root.T
+            rows = rows[((positions[rows] < 0) | (positions[rows] > 1)).any(axis=1)]
     return positions, len(centres)
 
 
 def _clutter(rng: np.random.Generator, kind: Kind, events: int, centres: Floats) -> Floats:
     """Return positions (n, 2) of clutter."""
     positions = rng.random((events, 2))
-    some = np.flatnonzero(rng.random(events) < 0.5)
+    rows = np.flatnonzero(rng.random(events) < 0.5)
     if kind.clutter == "blobs":
-        blobs = rng.uniform(0.2, 0.8, (3, 2))[rng.integers(int(rng.integers(1, 4)), size=len(some))]
-        place = blobs + rng.uniform(0.12, 0.25) * rng.standard_normal((len(some), 2))
+        blobs = rng.uniform(0.2, 0.8, (3, 2))[rng.integers(int(rng.integers(1, 4)), size=len(rows))]
+        place = blobs + rng.uniform(0.12, 0.25) * rng.standard_normal((len(rows), 2))
         inside = (np.abs(place - 0.5) < 0.5).all(axis=1)
-        positions[some[inside]] = place[inside]
+        positions[rows[inside]] = place[inside]
     elif kind.clutter == "ways":
-        a = rng.integers(len(centres), size=len(some))
-        b = (a + rng.integers(1, len(centres), size=len(some))) % len(centres)
-        way = centres[a] + rng.random((len(some), 1)) * (centres[b] - centres[a])
-        positions[some] = np.clip(way + 0.04 * rng.standard_normal(way.shape), 0, 1)
+        a = rng.integers(len(centres), size=len(rows))
+        b = (a + rng.integers(1, len(centres), size=len(rows))) % len(centres)
+        way = centres[a] + rng.random((len(rows), 1)) * (centres[b] - centres[a])
+        positions[rows] = np.clip(way + 0.04 * rng.standard_normal(way.shape), 0, 1)
     elif kind.clutter == "bent":
         positions = _on_bent_ways(rng, events, centres)
     return positions
