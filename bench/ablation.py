@@ -21,10 +21,7 @@ from __future__ import annotations
 
 import argparse
 import contextlib
-import json
 import math
-import os
-import sys
 from collections import defaultdict
 from collections.abc import Callable, Iterator, Sequence
 from importlib import import_module
@@ -38,7 +35,7 @@ from msgspec import Struct
 from bench import controls, real
 from bench.support.jobs import map_tasks
 from bench.support.measure import measure as measure_regime
-from bench.support.real_figures import calibration_error
+from bench.support.networks import data_parser, folders_in, names_from, write_json
 from bench.support.real_options import Options, label_shares
 from bench.support.regimes import REGIMES
 from camtopod.learn.prediction_model import missed_shares
@@ -96,13 +93,13 @@ class Task(Struct, frozen=True):
 
 def _without_levels(*levels: int) -> Callable[..., Any]:
     """Return a replacement of `Contexts._contexts` in which some levels are always unknown."""
-    every = import_module("camtopod.learn.next_camera.contexts").Contexts._contexts
+    method = import_module("camtopod.learn.next_camera.contexts").Contexts._contexts
 
-    def others(self: Any, *arguments: Any) -> Any:
-        found = every(self, *arguments)
-        return [(one, told * (level not in levels)) for level, (one, told) in enumerate(found)]
+    def contexts_of(self: Any, *arguments: Any) -> Any:
+        contexts = method(self, *arguments)
+        return [(c, weight * (k not in levels)) for k, (c, weight) in enumerate(contexts)]
 
-    return others
+    return contexts_of
 
 
 MECHANISMS = [
@@ -126,7 +123,7 @@ MECHANISMS = [
     Mechanism(
         "spurious transitions",
         {
-            "learn.next_camera.fit:spurious_shares": lambda pair, responsibility, evidence, *rest: (
+            "learn.next_camera.fit:spurious_shares": lambda pair, weight, evidence, *arguments: (
                 np.zeros(len(evidence))
             )
         },
@@ -141,22 +138,22 @@ MECHANISMS = [
     Mechanism(
         "test of overlap",
         {
-            "learn.next_camera.fit:negative_without_overlap": lambda problem, c, *rest: np.zeros(
-                len(c.lag), np.bool_
+            "learn.next_camera.fit:negative_without_overlap": lambda problem, c, *arguments: (
+                np.zeros(len(c.lag), np.bool_)
             )
         },
     ),
     Mechanism(
         "missed detections, prediction",
         {
-            "learn.prediction_model:missed_shares": lambda posterior, scene, bins, missed: (
+            "learn.prediction_model:missed_shares": lambda posterior, scene, bins, shares: (
                 missed_shares(posterior, scene, bins, None)
             ),
         },
     ),
     Mechanism(
         "missed detections, links",
-        {"learn.links.publishing:own_transitions": lambda table, missed: table.transit.total},
+        {"learn.links.publishing:own_transitions": lambda table, shares: table.transit.total},
     ),
     Mechanism(
         "range of lags is found",
@@ -260,8 +257,8 @@ SCALED = [
     Mechanism(
         _times(name, factor),
         {
-            f"{one}:{name}": factor * getattr(import_module(f"camtopod.{one}"), name)
-            for one in modules
+            f"{module}:{name}": factor * getattr(import_module(f"camtopod.{module}"), name)
+            for module in modules
         },
     )
     for name, modules in CONSTANTS
@@ -273,65 +270,38 @@ SCALED = [
 def main(argv: Sequence[str]) -> int:
     """Measure, print the tables and return the exit status."""
     arguments = _parse(argv)
-    os.environ.setdefault(
-        "OMP_NUM_THREADS", "1"
-    )  # inherited by the workers: two of them share two cores
-    known = [one.name for one in (SCALED if arguments.constants else MECHANISMS)]
-    names = ["", *(arguments.mechanisms.split(",") if arguments.mechanisms else known)]
-    if unknown := [name for name in names[1:] if name not in known]:
-        print(
-            f"bench ablation: no mechanism {', '.join(unknown)}; choose from {', '.join(known)}",
-            file=sys.stderr,
-        )
-        return 2
+    mechanisms, verdict = MECHANISMS, "earns its place"
+    if arguments.constants:
+        mechanisms, verdict = SCALED, "worse than as it is"
+    names = arguments.mechanisms or [mechanism.name for mechanism in mechanisms]
 
     # Networks.
-    folders = (
-        sorted(path.parent for path in arguments.data.glob("*/identities.csv"))
-        if arguments.data
-        else []
-    )
-    networks = [(REAL, str(folder)) for folder in folders]
-    networks += [
-        (kind, str(seed))
-        for kind in filter(None, arguments.regimes.split(","))
-        for seed in range(arguments.seeds)
-    ]
-    networks += [
-        (CONTROLS + kind, f"{title}|{seed}")
-        for kind in filter(None, arguments.controls.split(","))
-        for title in controls.controls()[kind]
-        for seed in range(arguments.seeds)
-    ]
-    if not folders:
+    networks = [(REAL, str(folder)) for folder in folders_in(arguments.data)]
+    if not networks:
         print("bench ablation: no real networks are measured (set --data or CAMTOPOD_REAL_DATA)")
+    for kind in arguments.regimes:
+        networks += [(kind, str(seed)) for seed in range(arguments.seeds)]
+    for kind in arguments.controls:
+        for title in controls.controls()[kind]:
+            networks += [(CONTROLS + kind, f"{title}|{seed}") for seed in range(arguments.seeds)]
 
     # Measure.
     tasks = [
         Task(name, kind, network, arguments.scale, arguments.labels)
         for kind, network in networks
-        for name in names
+        for name in ("", *names)
     ]
+    rows = map_tasks(measure, tasks, arguments.jobs)
     figures = {
         (task.mechanism, task.kind, task.network): np.array(row)
-        for task, row in zip(tasks, map_tasks(measure, tasks, arguments.jobs), strict=True)
+        for task, row in zip(tasks, rows, strict=True)
     }
 
     # Report.
-    print(
-        "\n".join(
-            table(
-                figures,
-                names[1:],
-                "worse than as it is" if arguments.constants else "earns its place",
-            )
-        )
-    )
+    print("\n".join(table(figures, names, verdict)))
     if arguments.constants:
         print("\n".join(chosen_on_the_others(figures)))
-    if arguments.json is not None:
-        rows = [[*key, *row.tolist()] for key, row in figures.items()]
-        arguments.json.write_text(json.dumps(rows, indent=1) + "\n")
+    write_json(arguments.json, [[*key, *row.tolist()] for key, row in figures.items()])
     return 0
 
 
@@ -342,50 +312,48 @@ def measure(task: Task) -> list[float]:
             return _real(Path(task.network), task.labels)
         if task.kind.startswith(CONTROLS):
             title, _, seed = task.network.rpartition("|")
-            found = controls.run(controls.Task(task.kind.removeprefix(CONTROLS), title, int(seed)))
-            return [*[math.nan] * 4, float(found.right), float(len(found.false))]
+            kind = task.kind.removeprefix(CONTROLS)
+            outcome = controls.run(controls.Task(kind, title, int(seed)))
+            return [*[math.nan] * 4, float(outcome.right), float(len(outcome.false))]
         regime = REGIMES[task.kind]
         events, truth = regime.make(int(task.network), task.scale)
         [record] = measure_regime(
             "batch", task.kind, int(task.network), events, truth, regime.learning(task.scale)
         )
-    links = record.get("f1") if not math.isnan(record.get("f1")) else record.get("pair_f1")
-    error, top1 = record.get("first_calibration_error"), record.get("top1_ratio")
-    false = record.get("false_links")
-    return [record.get("log_loss_above"), math.nan, error, top1, links, false]
+    links = record.get("f1")
+    if math.isnan(links):
+        links = record.get("pair_f1")
+    figures = [record.get(name) for name in ("first_calibration_error", "top1_ratio")]
+    return [record.get("log_loss_above"), math.nan, *figures, links, record.get("false_links")]
 
 
 def _real(folder: Path, labels: dict[str, float]) -> list[float]:
     """Return the `FIGURES` of a real network, whose identities draw labels."""
-    found = real.measure(real.Task(folder, Options(labels=labels), beside=False))
-    links = (
-        found.links.found[TOLD_NATS] / found.links.can_be_told[TOLD_NATS]
-        if found.links.can_be_told[TOLD_NATS]
-        else math.nan
-    )
-    if found.ours is None or found.told is None:
-        return [*[math.nan] * 4, links, float(found.links.false)]
-    ours, told = found.ours, found.told
-    error = calibration_error(ours.confidence, ours.right)
-    return [
-        ours.log_loss - told.log_loss,
-        ours.leave_loss - told.leave_loss,
-        error,
-        ours.top1 / told.top1,
-        links,
-        float(found.links.false),
-    ]
+    result = real.measure(folder, Options(labels=labels), beside=False)
+    links = math.nan
+    if result.links.can_be_told[TOLD_NATS]:
+        links = result.links.found[TOLD_NATS] / result.links.can_be_told[TOLD_NATS]
+    figures = [math.nan] * 4
+    ours, oracle = result.ours, result.told
+    if ours is not None and oracle is not None:
+        figures = [
+            ours.log_loss - oracle.log_loss,
+            ours.leave_loss - oracle.leave_loss,
+            ours.calibration_error,
+            ours.top1 / oracle.top1,
+        ]
+    return [*figures, links, float(result.links.false)]
 
 
 @contextlib.contextmanager
 def without(mechanism: str) -> Iterator[None]:
     """Replace a mechanism ("": none) while the block runs."""
-    replaced: dict[str, Any] = {}
-    for one in (*MECHANISMS, *SCALED):
-        if one.name == mechanism:
-            replaced |= one.replaced
+    replacements: dict[str, Any] = {}
+    for candidate in (*MECHANISMS, *SCALED):
+        if candidate.name == mechanism:
+            replacements |= candidate.replaced
     with contextlib.ExitStack() as stack:
-        for name, stand_in in replaced.items():
+        for name, stand_in in replacements.items():
             module, _, path = name.partition(":")
             *owners, attribute = path.split(".")
             owner: Any = import_module(f"camtopod.{module}")
@@ -403,13 +371,10 @@ def table(
     lines, earns = [], defaultdict[str, list[str]](list)
     for kind in kinds:
         # Means with all mechanisms.
-        networks = [network for name, one, network in figures if one == kind and name == ""]
-        whole = [
-            _mean([figures["", kind, network][k] for network in networks])
-            for k in range(len(FIGURES))
-        ]
+        networks = [key[2] for key in figures if key[:2] == ("", kind)]
+        columns = zip(*(figures["", kind, network] for network in networks), strict=True)
         lines += ["", _row(f"{kind}, {len(networks)} networks", *FIGURES)]
-        lines.append(_row("with all", *(f"{value:.3f}" for value in whole)))
+        lines.append(_row("with all", *(f"{_mean(column):.3f}" for column in columns)))
         for name in names:
             # Paired differences without one mechanism, with standard errors.
             apart = np.array(
@@ -417,14 +382,13 @@ def table(
             )
             cells = []
             for column, figure in enumerate(FIGURES):
-                each = apart[:, column][~np.isnan(apart[:, column])]
-                if len(each) == 0:
+                costs = apart[:, column][~np.isnan(apart[:, column])]
+                if len(costs) == 0:
                     cells.append("-")
                     continue
-                mean = float(each.mean())
-                error = (
-                    float(each.std(ddof=1) / math.sqrt(len(each))) if len(each) > 1 else math.nan
-                )
+                mean, error = float(costs.mean()), math.nan
+                if len(costs) > 1:
+                    error = float(costs.std(ddof=1) / math.sqrt(len(costs)))
                 cells.append(f"{mean:+.3f} ({error:.3f})")
                 cost = WORSE[column] * mean
                 if cost > 2.0 * error and (kind == REAL or cost > REGIME_COST):
@@ -455,12 +419,12 @@ def chosen_on_the_others(figures: dict[tuple[str, str, str], Any]) -> list[str]:
             continue
         loss = np.array(
             [
-                [_mean([figures[name, REAL, one][0] for one in some]) for some in networks.values()]
+                [_mean([figures[name, REAL, n][0] for n in group]) for group in networks.values()]
                 for name in names
             ]
         )
-        others = loss.sum(axis=1, keepdims=True) - loss
-        apart = loss[others.argmin(axis=0), np.arange(len(networks))] - loss[0]
+        loss_elsewhere = loss.sum(axis=1, keepdims=True) - loss
+        apart = loss[loss_elsewhere.argmin(axis=0), np.arange(len(networks))] - loss[0]
         error = float(apart.std(ddof=1) / math.sqrt(len(networks)))
         lines.append(_row(constant, f"{apart.mean():+.3f} ({error:.3f})"))
     return lines
@@ -474,8 +438,8 @@ def kind_of(network: str) -> str:
 
 def _mean(values: Sequence[float]) -> float:
     """Return the mean of the values that are not nan."""
-    there = [value for value in values if not math.isnan(value)]
-    return sum(there) / len(there) if there else math.nan
+    numbers = [value for value in values if not math.isnan(value)]
+    return sum(numbers) / len(numbers) if numbers else math.nan
 
 
 def _row(title: str, *cells: object) -> str:
@@ -483,25 +447,26 @@ def _row(title: str, *cells: object) -> str:
 
 
 def _parse(argv: Sequence[str]) -> argparse.Namespace:
-    named = os.environ.get("CAMTOPOD_REAL_DATA")
-    parser = argparse.ArgumentParser(
-        prog="python -m bench ablation",
-        description="Measure the learner without each of its mechanisms.",
-    )
-    parser.add_argument(
-        "--data", type=Path, default=Path(named) if named else None, metavar="FOLDER"
-    )
+    parser = data_parser("ablation", "Measure the learner without each of its mechanisms.")
     parser.add_argument(
         "--constants", action="store_true", help="halve and double constants instead"
     )
     parser.add_argument(
-        "--mechanisms", help="mechanisms, or constants with factors; comma-separated (default: all)"
+        "--mechanisms",
+        type=names_from([mechanism.name for mechanism in (*MECHANISMS, *SCALED)]),
+        help="mechanisms, or constants with factors; comma-separated (default: all)",
     )
     parser.add_argument(
-        "--regimes", default=DEFAULT_REGIMES, help=f"comma-separated (default: {DEFAULT_REGIMES})"
+        "--regimes",
+        type=names_from(REGIMES),
+        default=DEFAULT_REGIMES,
+        help=f"comma-separated (default: {DEFAULT_REGIMES})",
     )
     parser.add_argument(
-        "--controls", default="", help="kinds of `bench controls`, comma-separated (default: none)"
+        "--controls",
+        type=names_from(controls.controls()),
+        default="",
+        help="kinds of `bench controls`, comma-separated (default: none)",
     )
     parser.add_argument(
         "--labels", type=label_shares, default={}, help="labels drawn, as for `bench real`"
@@ -510,6 +475,5 @@ def _parse(argv: Sequence[str]) -> argparse.Namespace:
     parser.add_argument(
         "--scale", type=float, default=0.3, help="length of the simulated recordings (default 0.3)"
     )
-    parser.add_argument("--jobs", type=int, default=2, help="processes (default 2)")
     parser.add_argument("--json", type=Path, metavar="FILE")
     return parser.parse_args(argv)

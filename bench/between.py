@@ -17,16 +17,14 @@ the mean absolute error, and the share of moments at which the truth lies within
 
 from __future__ import annotations
 
-import os
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from pathlib import Path
 
 import numpy as np
 from msgspec import Struct
 
-from bench.real import networks_parser
 from bench.support.figures import line_of
-from bench.support.jobs import map_tasks
+from bench.support.networks import networks_parser, results_of
 from bench.support.recordings import Recording, load
 from camtopod.arrays import Floats
 from camtopod.learn.recording import learn_topology
@@ -61,29 +59,28 @@ class Result(Struct):
 
 def main(argv: Sequence[str]) -> int:
     """Measure, print the table and return the exit status."""
-    given = networks_parser("between", "objects between cameras").parse_args(argv)
-    folders = sorted(p.parent for p in given.data.glob("*/identities.csv")) if given.data else []
-    if given.networks:
-        folders = [folder for folder in folders if folder.name in given.networks.split(",")]
-    if not folders:
-        print("bench between: skipped, no recordings found (set --data or CAMTOPOD_REAL_DATA)")
+    parser = networks_parser("between", "objects between cameras")
+    results = results_of(parser.parse_args(argv), measure)
+    if not results:
         return 0
-    os.environ.setdefault("OMP_NUM_THREADS", "1")  # two workers share two cores
-
-    results = map_tasks(measure, folders, given.jobs)
     print(f"{'':46}{'mean absolute error':>33}{'coverage':>33}")
     print(f"{'network':20}{'moments':>8}{'truth':>9}{'expected':>9}" + 2 * _WAYS)
-    for one in results:
-        print(f"{one.name:20}{one.moments:8}{one.truth:9.2f}{one.said:9.2f}", end="")
-        print("".join(f"{figure:11.2f}" for figure in one.error + one.coverage))
-    figures = np.array([one.error + one.coverage for one in results])
-    print(f"{'mean':46}" + "".join(f"{mean:11.2f}" for mean in figures.mean(axis=0)))
-    means = zip(("error", "balance", "zero", "coverage"), figures.mean(axis=0)[:4], strict=True)
-    print("\n".join(line_of(title, float(mean)) for title, mean in means))
+    for result in results:
+        print(f"{result.name:20}{result.moments:8}{result.truth:9.2f}{result.said:9.2f}", end="")
+        print(_cells(result.error + result.coverage))
+    figures = np.array([result.error + result.coverage for result in results])
+    means = figures.mean(axis=0)
+    print(f"{'mean':46}" + _cells(means))
+    for title, mean in zip(("error", "balance", "zero", "coverage"), means[:4], strict=True):
+        print(line_of(title, float(mean)))
     if len(results) > 1:
         errors = figures.std(axis=0, ddof=1) / np.sqrt(len(results))
-        print(f"{'standard error':46}" + "".join(f"{error:11.2f}" for error in errors))
+        print(f"{'standard error':46}" + _cells(errors))
     return 0
+
+
+def _cells(figures: Iterable[float]) -> str:
+    return "".join(f"{figure:11.2f}" for figure in figures)
 
 
 def measure(folder: Path) -> Result:
@@ -93,21 +90,20 @@ def measure(folder: Path) -> Result:
 
     moments = moments_of(recording)
     since = recording.cut - HORIZON_SECONDS
-    said = replayed(topology, recording, since, moments)
+    answers = replayed(topology, recording, since, moments)
     truth = truly_between(recording, since, moments)
-    expected = np.array([one.number for one in said])
-    inside = [one.low <= n <= one.high for one, n in zip(said, truth, strict=True)]
+    expected = np.array([answer.number for answer in answers])
+    inside = [a.low <= n <= a.high for a, n in zip(answers, truth, strict=True)]
     balance = exits_less_arrivals(recording, since, moments)
-    off = [np.abs(number - truth) for number in (expected, balance, np.zeros(len(moments)))]
-    error, balance_error, zero_error = (float(one.mean()) for one in off)
-    _, balance_right, zero_right = (float(np.mean(one == 0.0)) for one in off)
+    error = float(np.abs(expected - truth).mean())
+    balance_error = float(np.abs(balance - truth).mean())
     return Result(
         recording.name,
         len(moments),
         float(truth.mean()),
         float(expected.mean()),
-        (error, balance_error, zero_error),
-        (float(np.mean(inside)), balance_right, zero_right),
+        (error, balance_error, float(truth.mean())),
+        (float(np.mean(inside)), float(np.mean(balance == truth)), float(np.mean(truth == 0.0))),
     )
 
 
@@ -148,15 +144,12 @@ def truly_between(recording: Recording, since: float, moments: Floats) -> Floats
     """Return how many identities are between cameras at each moment (n,)."""
     number = np.zeros(len(moments))
     for passages in recording.by_identity:
-        left = -np.inf
-        for one in passages:
-            if left >= since and one.begin > left:
-                number += (
-                    (left <= moments)
-                    & (moments < one.begin)
-                    & (one.begin - moments <= HORIZON_SECONDS)
-                )
-            left = max(left, one.end)
+        end = -np.inf  # of the passages so far
+        for passage in passages:
+            if end >= since and passage.begin > end:
+                soon = passage.begin - moments <= HORIZON_SECONDS
+                number += (end <= moments) & (moments < passage.begin) & soon
+            end = max(end, passage.end)
     return number
 
 

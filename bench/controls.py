@@ -17,7 +17,6 @@ from __future__ import annotations
 
 import argparse
 import math
-import os
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
@@ -26,6 +25,7 @@ from msgspec import Struct
 from bench.support.control_recordings import LIGHTS, Control, Street, Traffic, TwoSites
 from bench.support.figures import line_of
 from bench.support.jobs import map_tasks
+from bench.support.networks import data_parser, folders_in, names_from
 from bench.support.recordings import CameraPair, load
 from camtopod.learn.learner import Learner
 from camtopod.records import Event, Topology
@@ -127,27 +127,21 @@ def main(argv: Sequence[str]) -> int:
     """Measure, print a row for each control and return the exit status."""
     arguments = _parse(argv)
     controls_by_kind = controls()
-    all_kinds = [*controls_by_kind, CAGES]
-    kinds = arguments.kinds.split(",") if arguments.kinds else all_kinds
-    unknown = [kind for kind in kinds if kind not in all_kinds]
-    if unknown:
-        print(f"bench controls: no kind {', '.join(unknown)}; there are {', '.join(all_kinds)}")
-        return 2
-    os.environ.setdefault("OMP_NUM_THREADS", "1")  # inherited by the workers
 
     # The recordings, and what is learned of them.
     seeds = range(arguments.first_seed, arguments.first_seed + arguments.runs)
     tasks = [
         Task(kind, title, seed)
-        for kind in kinds
+        for kind in arguments.kinds
         for title in controls_by_kind.get(kind, ())
         for seed in seeds
     ]
-    folder = arguments.data / CAGES if arguments.data else None
-    if CAGES in kinds and folder is not None and (folder / "events.jsonl").is_file():
-        tasks += [Task(CAGES, "two cages", part, folder) for part in range(CAGES_PARTS)]
-    elif CAGES in kinds:
-        print(f"{CAGES}: skipped, no recording found (set --data or CAMTOPOD_REAL_DATA)")
+    folders = [folder for folder in folders_in(arguments.data) if folder.name == CAGES]
+    if CAGES in arguments.kinds:
+        for folder in folders:
+            tasks += [Task(CAGES, "two cages", part, folder) for part in range(CAGES_PARTS)]
+        if not folders:
+            print(f"{CAGES}: skipped, no recording found (set --data or CAMTOPOD_REAL_DATA)")
     outcomes = map_tasks(run, tasks, arguments.jobs)
 
     print("\n".join(_table(tasks, outcomes)))
@@ -242,13 +236,11 @@ def _table(tasks: Sequence[Task], outcomes: Sequence[Outcome]) -> list[str]:
 
 
 def _parse(argv: Sequence[str]) -> argparse.Namespace:
-    data = os.environ.get("CAMTOPOD_REAL_DATA")
-    parser = argparse.ArgumentParser(
-        prog="python -m bench controls", description=(__doc__ or "").partition("\n\n")[0]
-    )
+    parser = data_parser("controls", (__doc__ or "").partition("\n\n")[0])
     parser.add_argument("--runs", type=int, default=3, help="recordings of each (default 3)")
     parser.add_argument("--first-seed", type=int, default=0, help="(default 0)")
-    parser.add_argument("--kinds", help="comma-separated (default: all)")
-    parser.add_argument("--jobs", type=int, default=2, help="processes (default 2)")
-    parser.add_argument("--data", type=Path, default=Path(data) if data else None, metavar="FOLDER")
+    kinds = [*controls(), CAGES]
+    parser.add_argument(
+        "--kinds", type=names_from(kinds), default=kinds, help="comma-separated (default: all)"
+    )
     return parser.parse_args(argv)

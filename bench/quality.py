@@ -25,18 +25,17 @@ from __future__ import annotations
 
 import argparse
 import csv
-import multiprocessing
-import os
 import sys
 import time
-from collections.abc import Iterator, Sequence
-from concurrent.futures import ProcessPoolExecutor, as_completed
+from collections.abc import Sequence
 from pathlib import Path
 from typing import NamedTuple
 
 import msgspec
 
+from bench.support.jobs import completed_tasks
 from bench.support.measure import GROUPS, Record, measure
+from bench.support.networks import names_from
 from bench.support.regimes import REGIMES
 from bench.support.table import figure_lines, tables
 from camtopod.codec import read, to_json
@@ -63,14 +62,9 @@ class Task(NamedTuple):
     group: str
     scale: float
 
-    @property
-    def key(self) -> tuple[str, int, str, float]:
-        """Identify the task in the JSON file."""
-        return self.regime, self.seed, self.group, self.scale
 
-
-class Done(msgspec.Struct):
-    """A line of the JSON file: a task and its results."""
+class Result(msgspec.Struct):
+    """A line of the JSON file: a task and its records."""
 
     regime: str
     seed: int
@@ -79,70 +73,55 @@ class Done(msgspec.Struct):
     records: list[Record]
 
     @property
-    def key(self) -> tuple[str, int, str, float]:
-        """Identify the task of these results."""
-        return self.regime, self.seed, self.group, self.scale
+    def task(self) -> Task:
+        """The task of these records."""
+        return Task(self.regime, self.seed, self.group, self.scale)
 
 
 def main(argv: list[str]) -> int:
     """Measure all missing results, print the table and return the exit status."""
     arguments = _parse(argv)
-    os.environ.setdefault(
-        "OMP_NUM_THREADS", "1"
-    )  # inherited by the workers: two of them share two cores
-    known = [*REGIMES, REAL]
-    names = arguments.regimes.split(",") if arguments.regimes else known
-    unknown = [name for name in names if name not in known]
-    if unknown:
-        print(
-            f"bench quality: no regime {', '.join(unknown)}; there are {', '.join(known)}",
-            file=sys.stderr,
-        )
-        return 2
-
-    # Measure and print.
-    done = _measured(_tasks(arguments, names), arguments.jobs, arguments.json)
-    records = [record for one in done for record in one.records]
-    print("\n".join([*tables(records, names), *figure_lines(records, names)]))
+    results = _results(_tasks(arguments), arguments.jobs, arguments.json)
+    records = [record for result in results for record in result.records]
+    lines = tables(records, arguments.regimes) + figure_lines(records, arguments.regimes)
+    print("\n".join(lines))
     return 0
 
 
-def _tasks(arguments: argparse.Namespace, names: Sequence[str]) -> list[Task]:
+def _tasks(arguments: argparse.Namespace) -> list[Task]:
     """Return all tasks, seed by seed, so that an interrupted run has results of every regime."""
-    seeds = range(arguments.first_seed, arguments.first_seed + arguments.seeds)
     groups = [group for group in GROUPS if group in arguments.methods.split(",")]
     if arguments.no_baselines:
         groups = [group for group in groups if group != "baselines"]
-    made = [
-        Task(n, seed, g, arguments.scale)
-        for seed in seeds
-        for n in names
-        if n != REAL
-        for g in groups
-    ]
-    return made + [Task(REAL, 0, group, 1.0) for group in groups if REAL in names]
+    tasks = []
+    for seed in range(arguments.first_seed, arguments.first_seed + arguments.seeds):
+        for regime in arguments.regimes:
+            if regime != REAL:
+                tasks += [Task(regime, seed, group, arguments.scale) for group in groups]
+    if REAL in arguments.regimes:
+        tasks += [Task(REAL, 0, group, 1.0) for group in groups]
+    return tasks
 
 
-def _measured(tasks: Sequence[Task], jobs: int, path: Path | None) -> list[Done]:
+def _results(tasks: Sequence[Task], jobs: int, path: Path | None) -> list[Result]:
     """Return the results of the tasks.
 
     Those of earlier runs are read from ``path``; new ones are appended to it as they come.
     """
-    wanted = {task.key for task in tasks}
-    done = {one.key: one for one in _read(path) if one.key in wanted}
-    left = [task for task in tasks if task.key not in done]
-    started = time.perf_counter()
-    for number, one in enumerate(_results(left, jobs), 1):
-        done[one.key] = one
+    results = {result.task: result for result in _read(path)}
+    new_tasks = [task for task in tasks if task not in results]
+    start = time.perf_counter()
+    for number, result in enumerate(completed_tasks(run, new_tasks, jobs), 1):
+        results[result.task] = result
         if path is not None:
             with path.open("ab") as out:
-                out.write(to_json(one) + b"\n")
-        passed = time.perf_counter() - started
+                out.write(to_json(result) + b"\n")
         print(
-            f"{passed:7.0f} s, {number} of {len(left)}: {one.regime} {one.seed} {one.group}",
+            f"{time.perf_counter() - start:7.0f} s, {number} of {len(new_tasks)}: "
+            f"{result.regime} {result.seed} {result.group}",
             file=sys.stderr,
         )
-    return [done[task.key] for task in tasks]
+    return [results[task] for task in tasks]
 
 
 def _parse(argv: list[str]) -> argparse.Namespace:
@@ -160,7 +139,12 @@ def _parse(argv: list[str]) -> argparse.Namespace:
     parser.add_argument(
         "--scale", type=float, default=1.0, help="length of the recordings (default 1.0)"
     )
-    parser.add_argument("--regimes", help="comma-separated (default: all)")
+    parser.add_argument(
+        "--regimes",
+        type=names_from([*REGIMES, REAL]),
+        default=[*REGIMES, REAL],
+        help="comma-separated (default: all)",
+    )
     parser.add_argument(
         "--methods", default=",".join(GROUPS), help=f"of {','.join(GROUPS)} (default: all)"
     )
@@ -175,34 +159,26 @@ def _parse(argv: list[str]) -> argparse.Namespace:
     return parser.parse_args(argv)
 
 
-def _read(path: Path | None) -> list[Done]:
+def _read(path: Path | None) -> list[Result]:
     """Return the results of earlier runs, without a last line that was cut short by a kill."""
     if path is None or not path.exists():
         return []
     whole = path.read_bytes().rpartition(b"\n")[0] + b"\n"
     if len(whole) < path.stat().st_size:
         path.write_bytes(whole)
-    return [msgspec.json.decode(line, type=Done) for line in whole.splitlines() if line]
+    return [msgspec.json.decode(line, type=Result) for line in whole.splitlines() if line]
 
 
-def _results(tasks: Sequence[Task], jobs: int) -> Iterator[Done]:
-    """Yield results as they come."""
-    if jobs <= 1:
-        yield from map(run, tasks)
-        return
-    with ProcessPoolExecutor(jobs, mp_context=multiprocessing.get_context("spawn")) as pool:
-        for future in as_completed([pool.submit(run, task) for task in tasks]):
-            yield future.result()
-
-
-def run(task: Task) -> Done:
+def run(task: Task) -> Result:
     """Simulate (or read) the network of a task and measure it."""
     if task.regime == REAL:
-        (events, truth), settings = recorded(AUDITORIUM), Settings()
+        events, truth = recorded(AUDITORIUM)
+        settings = Settings()
     else:
         regime = REGIMES[task.regime]
-        (events, truth), settings = regime.make(task.seed, task.scale), regime.learning(task.scale)
-    return Done(*task.key, measure(task.group, task.regime, task.seed, events, truth, settings))
+        events, truth = regime.make(task.seed, task.scale)
+        settings = regime.learning(task.scale)
+    return Result(*task, measure(task.group, task.regime, task.seed, events, truth, settings))
 
 
 def recorded(folder: Path) -> tuple[list[Event], Truth]:
@@ -211,12 +187,12 @@ def recorded(folder: Path) -> tuple[list[Event], Truth]:
     events.sort(key=lambda event: event.t)
     with (folder / "identities.csv").open(newline="") as lines:
         identity = {row["track"]: int(row["identity"]) for row in csv.DictReader(lines)}
-    who = [identity.get(str(event.track), CLUTTER) for event in events]
+    persons = [identity.get(str(event.track), CLUTTER) for event in events]
 
     # Number the passages of each person.
     passages: dict[int, list[str]] = {}
     number = []
-    for event, person in zip(events, who, strict=True):
+    for event, person in zip(events, persons, strict=True):
         tracks = passages.setdefault(person, [])
         if str(event.track) not in tracks:
             tracks.append(str(event.track))
@@ -227,7 +203,7 @@ def recorded(folder: Path) -> tuple[list[Event], Truth]:
         zones=[],
         links=[],
         pairs=list(AUDITORIUM_PAIRS),
-        identity=who,
+        identity=persons,
         passage=number,
         zone=[CLUTTER] * len(events),
     )

@@ -22,15 +22,14 @@ tell are as without labels and declarations.
 
 from __future__ import annotations
 
-import argparse
-import json
-import os
 import time
+from collections import defaultdict
 from collections.abc import Sequence
+from functools import partial
 from pathlib import Path
 
 import numpy as np
-from msgspec import Struct, to_builtins
+from msgspec import Struct
 
 from bench.support.beside import (
     WHO,
@@ -40,8 +39,8 @@ from bench.support.beside import (
     mined_figures,
 )
 from bench.support.figures import line_of
-from bench.support.jobs import map_tasks
 from bench.support.match_figures import who_figures
+from bench.support.networks import networks_parser, results_of
 from bench.support.real_figures import (
     SEARCH_RECALLS,
     TELLABLE_NATS,
@@ -62,17 +61,8 @@ WIDTHS_SECONDS = (1.0, 2.0, 4.0, 8.0)
 """Bin widths of the cross-correlation, seconds."""
 LAGS_SECONDS = (-60.0, 180.0)
 """Range of lags of the cross-correlation, seconds."""
-
-
-class Task(Struct, frozen=True):
-    """A network to measure: its folder and the options.
-
-    beside: whether others (`bench.support.beside`) are measured beside us.
-    """
-
-    folder: Path
-    options: Options = Options()
-    beside: bool = True
+DEFAULTS = Options()
+"""Recordings as they are; the learner is told nothing of their sites."""
 
 
 class Result(Struct):
@@ -103,73 +93,59 @@ class Result(Struct):
 
 def main(argv: Sequence[str]) -> int:
     """Measure, print the tables and return the exit status."""
-    arguments = _parse(argv)
-    folders = (
-        sorted(path.parent for path in arguments.data.glob("*/identities.csv"))
-        if arguments.data
-        else []
-    )
-    wanted = (
-        arguments.networks.split(",") if arguments.networks else [folder.name for folder in folders]
-    )
-    folders = [folder for folder in folders if folder.name in wanted]
-    if not folders:
-        print("bench real: skipped, no recordings found (set --data or CAMTOPOD_REAL_DATA)")
-        return 0
-    os.environ.setdefault(
-        "OMP_NUM_THREADS", "1"
-    )  # inherited by the workers: two of them share two cores
-
-    # Measure and report.
+    parser = networks_parser("real", "links and predictions")
+    add_options(parser)
+    arguments = parser.parse_args(argv)
     options = options_of(arguments)
-    tasks = [Task(folder, options) for folder in folders]
-    results = map_tasks(measure, tasks, arguments.jobs)
-    tables = [*_links(results), "", *_predictions(results), "", *_beside(results)]
-    print("\n".join([f"options: {options.line()}", "", *tables]))
-    if arguments.json is not None:
-        arguments.json.write_text(json.dumps(to_builtins(results, str_keys=True), indent=1) + "\n")
+    results = results_of(arguments, partial(measure, options=options))
+    if results:
+        tables = [*_links(results), "", *_predictions(results), "", *_beside(results)]
+        print("\n".join([f"options: {options.line()}", "", *tables]))
     return 0
 
 
-def measure(task: Task) -> Result:
-    """Learn one network, predict its exits and score both."""
-    options = task.options
-    recording = with_labels(load(task.folder, options.stretch), options.labels, options.seed)
+def measure(folder: Path, options: Options = DEFAULTS, *, beside: bool = True) -> Result:
+    """Learn one network, predict its exits and score both.
+
+    beside: whether others (`bench.support.beside`) are measured beside us.
+    """
+    recording = with_labels(load(folder, options.stretch), options.labels, options.seed)
     learner = Learner(settings_of(options, recording), only_last=True)
-    started = time.process_time()
+    start = time.process_time()
     for event in recording.events:
         if event.t < recording.cut:
             learner.receive(event)
     learner.flush()
     assert learner.topology is not None
-    learned = time.process_time()
+    learn_seconds = time.process_time() - start
 
     # Predict all exits.
+    start = time.process_time()
     predictor, predictions = Predictor(learner.topology), []
     for event in recording.events:
         if event.kind == "exit":
             predictions.append(predictor.predict(event))
         predictor.observe(event)
-    predicted = time.process_time()
+    predict_seconds = time.process_time() - start
 
     # Score.
-    ours, told = prediction_figures(predictions, recording) or (None, None)
-    look, told_look = look_figures(predictions, recording)
+    ours, oracle = prediction_figures(predictions, recording) or (None, None)
+    look, oracle_look = look_figures(predictions, recording)
     return Result(
         recording.name,
         options,
         link_figures(learner.topology, recording, tellable(recording)),
         ours,
-        told,
+        oracle,
         look,
-        told_look,
+        oracle_look,
         hand_over_figure(predictions, recording),
         *who_figures(learner.topology, predictions, recording),
         [correlated(recording, width) for width in WIDTHS_SECONDS],
-        learned - started,
-        predicted - learned,
-        mined_figures(recording) if task.beside else None,
-        following_figures(predictions, recording) if task.beside else [],
+        learn_seconds,
+        predict_seconds,
+        mined_figures(recording) if beside else None,
+        following_figures(predictions, recording) if beside else [],
     )
 
 
@@ -179,11 +155,10 @@ def correlated(recording: Recording, width: float) -> list[tuple[float, bool, bo
 
     With it: whether the pair is a true link, and whether a link of the pair would count as false.
     """
-    left: dict[str, list[float]] = {camera: [] for camera in recording.cameras}
-    came: dict[str, list[float]] = {camera: [] for camera in recording.cameras}
+    times: dict[tuple[str, str], list[float]] = defaultdict(list)
     for event in recording.events:
         if event.t < recording.cut:
-            (came if event.kind == "entry" else left)[event.camera].append(event.t)
+            times[event.camera, event.kind].append(event.t)
 
     # Score each pair of cameras.
     edges = recording.stretch * np.arange(LAGS_SECONDS[0], LAGS_SECONDS[1] + width / 2, width)
@@ -193,13 +168,11 @@ def correlated(recording: Recording, width: float) -> list[tuple[float, bool, bo
         for target in recording.cameras:
             if source == target:
                 continue
-            lags = np.subtract.outer(np.array(came[target]), np.array(left[source])).ravel()
+            lags = np.subtract.outer(times[target, "entry"], times[source, "exit"]).ravel()
             counts = np.histogram(lags, edges)[0]
-            score = (
-                (counts.max() - counts.mean()) / max(float(counts.std()), 1e-9)
-                if counts.sum() >= 3
-                else -np.inf
-            )
+            score = -np.inf
+            if counts.sum() >= 3:
+                score = (counts.max() - counts.mean()) / max(float(counts.std()), 1e-9)
             pair: CameraPair = source, target
             spurious = len(transitions.get(pair, [])) <= SPURIOUS_TRANSITIONS_MAX
             scores.append((float(score), pair in links, spurious))
@@ -208,13 +181,14 @@ def correlated(recording: Recording, width: float) -> list[tuple[float, bool, bo
 
 def best_correlation(results: Sequence[Result]) -> tuple[float, float]:
     """Return precision and recall over all networks at the width and threshold with the best F1."""
-    true = sum(one.links.true for one in results)
+    true = sum(result.links.true for result in results)
     best = (0.0, 0.0, 0.0)
     for width in range(len(WIDTHS_SECONDS)):
-        rows = sorted((row for one in results for row in one.correlated[width]), reverse=True)
+        rows = sorted((row for result in results for row in result.correlated[width]), reverse=True)
         right = np.cumsum([is_true for _, is_true, _ in rows])
         false = np.cumsum([spurious for _, _, spurious in rows])
-        precision, recall = right / np.maximum(right + false, 1), right / max(true, 1)
+        precision = right / np.maximum(right + false, 1)
+        recall = right / max(true, 1)
         f1 = 2 * precision * recall / np.maximum(precision + recall, 1e-9)
         k = int(np.argmax(f1))
         best = max(best, (float(f1[k]), float(precision[k]), float(recall[k])))
@@ -224,39 +198,29 @@ def best_correlation(results: Sequence[Result]) -> tuple[float, float]:
 def _links(results: Sequence[Result]) -> list[str]:
     """Return the table of links."""
     titles = [f"of those at {least:g} nats" for least in TELLABLE_NATS]
-    lines = [
-        _row(
-            "links between cameras",
-            "true",
-            "found",
-            "false",
-            *titles,
-            "relations right",
-            "transit off by",
-        )
-    ]
-    for one in results:
-        f = one.links
-        told = [f"{f.found[least]} of {f.can_be_told[least]}" for least in TELLABLE_NATS]
-        relations = f"{f.relations_right} of {f.relations}"
-        lines.append(
-            _row(one.name, f.true, f.right, f.false, *told, relations, f"{f.transit_error:.1f} s")
-        )
+    columns = ("true", "found", "false", *titles, "relations right", "transit off by")
+    lines = [_row("links between cameras", *columns)]
+    for result in results:
+        f = result.links
+        counts = [f"{f.found[least]} of {f.can_be_told[least]}" for least in TELLABLE_NATS]
+        cells = (*counts, f"{f.relations_right} of {f.relations}", f"{f.transit_error:.1f} s")
+        lines.append(_row(result.name, f.true, f.right, f.false, *cells))
 
-    every = [one.links for one in results]
-    right, false, true, relations_right, relations_all = (
-        sum(getattr(f, name) for f in every)
-        for name in ("right", "false", "true", "relations_right", "relations")
+    # All networks together.
+    figures = [result.links for result in results]
+    true, right, false = (
+        sum(getattr(f, name) for f in figures) for name in ("true", "right", "false")
     )
-    told, shares = [], []
+    relations = f"{sum(f.relations_right for f in figures)} of {sum(f.relations for f in figures)}"
+    counts, shares = [], []
     for least in TELLABLE_NATS:
-        found, can = sum(f.found[least] for f in every), sum(f.can_be_told[least] for f in every)
-        told.append(f"{found} of {can}: {found / max(can, 1):.2f}")
-        shares.append(line_of(f"links of those at {least:g} nats", found / max(can, 1)))
-    found_of_all = f"{right}: {right / max(true, 1):.2f}"
-    lines.append(
-        _row("all", true, found_of_all, false, *told, f"{relations_right} of {relations_all}", "")
-    )
+        hits = sum(f.found[least] for f in figures)
+        tellable_links = sum(f.can_be_told[least] for f in figures)
+        share = hits / max(tellable_links, 1)
+        counts.append(f"{hits} of {tellable_links}: {share:.2f}")
+        shares.append(line_of(f"links of those at {least:g} nats", share))
+    recall_text = f"{right}: {right / max(true, 1):.2f}"
+    lines.append(_row("all", true, recall_text, false, *counts, relations, ""))
 
     # Beside it the cross-correlation.
     precision, recall = best_correlation(results)
@@ -273,74 +237,43 @@ def _links(results: Sequence[Result]) -> list[str]:
 
 def _predictions(results: Sequence[Result]) -> list[str]:
     """Return the table of predictions, ours / oracle."""
-    titles = (
-        "log loss",
-        "its leave part",
-        "top-1",
-        "top-3",
-        "calibration error",
-        "coverage",
-        "look",
-    )
-    last = ("hand-over (ours)", "saved at .9", "who", "leaving said", "leaving true")
-    lines = [_row("ours / oracle", "exits", *titles, *last)]
-    judged = [
-        (one, one.ours, one.told)
-        for one in results
-        if one.ours is not None and one.told is not None
-    ]
-    for one, ours, told in judged:
-        figures = [f"{getattr(ours, name):.2f}/{getattr(told, name):.2f}" for name in _COMPARED]
-        saved = f"{ours.saved[0.9]:.1f}/{told.saved[0.9]:.1f}" if ours.saved else ""
-        look = f"{one.look:.2f}/{one.told_look:.2f}"
-        lines.append(
-            _row(
-                one.name,
-                ours.exits,
-                *figures,
-                look,
-                f"{one.hand_over:.2f}",
-                saved,
-                f"{one.who:.2f}/{one.told_who:.2f}",
-                f"{ours.leaving:.2f}/{told.leaving:.2f}",
-                f"{ours.left:.2f}",
-            )
-        )
-    return lines + _prediction_means(results, judged)
+    columns = (*_COMPARED.values(), "look", "hand-over (ours)", "saved at .9", "who")
+    lines = [_row("ours / oracle", "exits", *columns, "leaving said", "leaving true")]
+    pairs = []
+    for result in results:
+        ours, oracle = result.ours, result.told
+        if ours is None or oracle is None:
+            continue
+        pairs.append((ours, oracle))
+        cells = [f"{getattr(ours, name):.2f}/{getattr(oracle, name):.2f}" for name in _COMPARED]
+        cells += [f"{result.look:.2f}/{result.told_look:.2f}", f"{result.hand_over:.2f}"]
+        cells.append(f"{ours.saved[0.9]:.1f}/{oracle.saved[0.9]:.1f}" if ours.saved else "")
+        cells.append(f"{result.who:.2f}/{result.told_who:.2f}")
+        cells += [f"{ours.leaving:.2f}/{oracle.leaving:.2f}", f"{ours.left:.2f}"]
+        lines.append(_row(result.name, ours.exits, *cells))
+    return lines + _prediction_means(results, pairs)
 
 
 def _prediction_means(
-    results: Sequence[Result], judged: Sequence[tuple[Result, PredictionFigures, PredictionFigures]]
+    results: Sequence[Result], pairs: Sequence[tuple[PredictionFigures, PredictionFigures]]
 ) -> list[str]:
     """Return the figures of predictions of all networks together.
 
-    judged: networks with exits to score, with our figures and the oracle's.
+    pairs: our figures and the oracle's, of the networks with exits to score.
     """
-    above, leave = (
-        np.mean([getattr(ours, name) - getattr(told, name) for _, ours, told in judged])
-        for name in ("log_loss", "leave_loss")
-    )
-    top1, top3 = (
-        np.mean([getattr(ours, name) / getattr(told, name) for _, ours, told in judged])
-        for name in ("top1", "top3")
-    )
-    calibration = [
-        calibration_error(
-            [c for f in side for c in f.confidence], [r for f in side for r in f.right]
-        )
-        for side in ([ours for _, ours, _ in judged], [told for _, _, told in judged])
-    ]
-    saved_of = {
-        recall: np.exp(
-            np.mean([np.log(o.saved[recall] / t.saved[recall]) for _, o, t in judged if o.saved])
-        )
-        for recall in SEARCH_RECALLS
-    }
-    who = [one.who / one.told_who for one in results if one.told_who > 0]
-    seconds = [
-        sum(getattr(one, name) for one in results) for name in ("learn_seconds", "predict_seconds")
-    ]
-    off = [abs(ours.leaving - ours.left) for _, ours, _ in judged]
+    above = np.mean([ours.log_loss - oracle.log_loss for ours, oracle in pairs])
+    leave = np.mean([ours.leave_loss - oracle.leave_loss for ours, oracle in pairs])
+    top1 = np.mean([ours.top1 / oracle.top1 for ours, oracle in pairs])
+    top3 = np.mean([ours.top3 / oracle.top3 for ours, oracle in pairs])
+    calibration = [_pooled_calibration([pair[side] for pair in pairs]) for side in (0, 1)]
+    savings = []
+    for recall in SEARCH_RECALLS:
+        shares = [o.saved[recall] / t.saved[recall] for o, t in pairs if o.saved]
+        savings.append(f"{np.exp(np.mean(np.log(shares))):.2f} at recall {recall:g}")
+    who = [result.who / result.told_who for result in results if result.told_who > 0]
+    learn_seconds = sum(result.learn_seconds for result in results)
+    predict_seconds = sum(result.predict_seconds for result in results)
+    off = [abs(ours.leaving - ours.left) for ours, _ in pairs]
     return [
         line_of("log loss above the oracle", float(above)),
         line_of("leaving off by", float(np.mean(off))),
@@ -351,72 +284,63 @@ def _prediction_means(
         "calibration error of the first guess, all exits together: {:.3f}, oracle {:.3f}".format(
             *calibration
         ),
-        "camera-seconds saved, share of the oracle's: "
-        + ", ".join(f"{s:.2f} at recall {r:g}" for r, s in saved_of.items()),
+        f"camera-seconds saved, share of the oracle's: {', '.join(savings)}",
         "matches by affinity, F1 as a share of the oracle's: "
         f"{np.mean(who) if who else float('nan'):.2f}",
-        "processor time: learning {:.1f} s, predicting {:.1f} s".format(*seconds),
+        f"processor time: learning {learn_seconds:.1f} s, predicting {predict_seconds:.1f} s",
     ]
+
+
+def _pooled_calibration(figures: Sequence[PredictionFigures]) -> float:
+    """Return the calibration error of the first guess over the exits of all networks."""
+    confidence = [value for f in figures for value in f.confidence]
+    return calibration_error(confidence, [is_right for f in figures for is_right in f.right])
 
 
 def _beside(results: Sequence[Result]) -> list[str]:
     """Return the tables of others beside us: links that are mined, and the next camera by rule."""
     lines = [_row("correlation miner", "true", "found", "false", "mean way off by")]
-    mined = [(one.name, one.mined) for one in results if one.mined is not None]
-    lines += [_row(name, f.true, f.right, f.false, f"{f.transit_error:.1f} s") for name, f in mined]
+    miner = {result.name: result.mined for result in results if result.mined is not None}
+    for name, f in miner.items():
+        lines.append(_row(name, f.true, f.right, f.false, f"{f.transit_error:.1f} s"))
     lines += [
-        line_of("miner, links right", sum(f.right for _, f in mined)),
-        line_of("miner, false links", sum(f.false for _, f in mined)),
+        line_of("miner, links right", sum(f.right for f in miner.values())),
+        line_of("miner, false links", sum(f.false for f in miner.values())),
     ]
-    if not mined:
+    if not miner:
         lines.append("skipped: the miner is pm4py's (AGPL), pip install -e '.[bench]'")
 
     # The next camera.
-    ours, *others = WHO
-    ours += ", told" * any(one.options.neighbours for one in results)
-    lines += ["", _row("next camera: loss/top-1", "exits", ours, *others)]
-    asked = [one for one in results if one.following]
-    for one in asked:
-        figures = [f"{f.log_loss:.2f}/{f.top1:.2f}" for f in one.following]
-        lines.append(_row(one.name, one.following[0].exits, *figures))
-    lower = [
-        sum(one.following[k].log_loss < one.following[0].log_loss for one in asked)
-        for k in range(1, len(WHO))
-    ]
-    said = "; ".join(f"{who} {n} of {len(asked)}" for who, n in zip(others, lower, strict=True))
-    lines.append(f"networks on which the log loss is lower than that of {ours}: {said}")
-    lines.append(line_of("networks asked", len(asked)))
-    lines += [
-        line_of(f"networks with lower log loss, {who}", n)
-        for who, n in zip(others, lower, strict=True)
-    ]
+    ours, *rules = WHO
+    if any(result.options.neighbours for result in results):
+        ours += ", told"
+    lines += ["", _row("next camera: loss/top-1", "exits", ours, *rules)]
+    rows = [result.following for result in results if result.following]
+    for result in results:
+        if result.following:
+            cells = [f"{f.log_loss:.2f}/{f.top1:.2f}" for f in result.following]
+            lines.append(_row(result.name, result.following[0].exits, *cells))
+    lower = {
+        rule: sum(row[k].log_loss < row[0].log_loss for row in rows)
+        for k, rule in enumerate(rules, 1)
+    }
+    counts = "; ".join(f"{rule} {number} of {len(rows)}" for rule, number in lower.items())
+    lines.append(f"networks on which the log loss is lower than that of {ours}: {counts}")
+    lines.append(line_of("networks asked", len(rows)))
+    lines += [line_of(f"networks with lower log loss, {rule}", n) for rule, n in lower.items()]
     return lines
 
 
-_COMPARED = ("log_loss", "leave_loss", "top1", "top3", "calibration_error", "coverage")
-"""Figures of the table of predictions, in order."""
+_COMPARED = {
+    "log_loss": "log loss",
+    "leave_loss": "its leave part",
+    "top1": "top-1",
+    "top3": "top-3",
+    "calibration_error": "calibration error",
+    "coverage": "coverage",
+}
+"""Titles of the figures that are compared with the oracle's, in order."""
 
 
 def _row(title: str, *cells: object) -> str:
     return "  ".join([f"{title:24}", *(f"{cell!s:>17}" for cell in cells)])
-
-
-def networks_parser(part: str, what: str) -> argparse.ArgumentParser:
-    """Return a parser with the options of a bench over real networks."""
-    named = os.environ.get("CAMTOPOD_REAL_DATA")
-    parser = argparse.ArgumentParser(
-        prog=f"python -m bench {part}", description=f"Measure {what} on real networks."
-    )
-    parser.add_argument(
-        "--data", type=Path, default=Path(named) if named else None, metavar="FOLDER"
-    )
-    parser.add_argument("--networks", help="comma-separated (default: all)")
-    parser.add_argument("--jobs", type=int, default=2, help="processes (default 2)")
-    return parser
-
-
-def _parse(argv: Sequence[str]) -> argparse.Namespace:
-    parser = networks_parser("real", "links and predictions")
-    parser.add_argument("--json", type=Path, metavar="FILE")
-    add_options(parser)
-    return parser.parse_args(argv)

@@ -18,7 +18,6 @@ time: each entry continues the newest exit of another camera.
 
 from __future__ import annotations
 
-import os
 from collections import defaultdict
 from collections.abc import Iterable, Mapping, Sequence
 from itertools import combinations
@@ -28,10 +27,9 @@ import numpy as np
 from msgspec import Struct
 from scipy.optimize import linear_sum_assignment
 
-from bench.real import networks_parser
 from bench.support.figures import line_of
-from bench.support.jobs import map_tasks
 from bench.support.match_figures import oracle_odds
+from bench.support.networks import networks_parser, results_of
 from bench.support.real_figures import calibration_error
 from bench.support.recordings import Recording, load
 from camtopod.learn.recording import learn_topology
@@ -71,28 +69,18 @@ class Result(Struct):
 
 def main(argv: Sequence[str]) -> int:
     """Measure, print the table and return the exit status."""
-    given = networks_parser("walks", "walks").parse_args(argv)
-    folders = sorted(p.parent for p in given.data.glob("*/identities.csv")) if given.data else []
-    if given.networks:
-        folders = [folder for folder in folders if folder.name in given.networks.split(",")]
-    if not folders:
-        print("bench walks: skipped, no recordings found (set --data or CAMTOPOD_REAL_DATA)")
-        return 0
-    os.environ.setdefault("OMP_NUM_THREADS", "1")  # two workers share two cores
-
-    print(f"{'network':20}{'way':14}{'entries':>9}{'continue':>10}{'said':>7}{'right':>7}", end="")
-    print(f"{'share':>7}{'sure':>6}{'calibration':>13}{'pairs: P':>10}{'R':>6}")
-    for one in map_tasks(measure, folders, given.jobs):
-        for way, f in one.ways.items():
-            print(
-                f"{one.name:20}{way:14}{one.entries:9}{one.continued:10}{f.said:7}{f.right:7}"
-                f"{f.right / max(f.said, 1):7.2f}{f.sure:6.2f}{f.error:13.3f}{f.precision:10.2f}"
-                f"{f.recall:6.2f}",
-                flush=True,
-            )
-        for way, f in one.ways.items():
-            print(line_of(f"{one.name}, {way}, said", f.said))
-            print(line_of(f"{one.name}, {way}, right", f.right))
+    results = results_of(networks_parser("walks", "walks").parse_args(argv), measure)
+    if results:
+        print(f"{'network':20}{'way':14}{'entries':>9}{'continue':>10}{'said':>7}", end="")
+        print(f"{'right':>7}{'share':>7}{'sure':>6}{'calibration':>13}{'pairs: P':>10}{'R':>6}")
+    for result in results:
+        for way, f in result.ways.items():
+            print(f"{result.name:20}{way:14}{result.entries:9}{result.continued:10}", end="")
+            print(f"{f.said:7}{f.right:7}{f.right / max(f.said, 1):7.2f}{f.sure:6.2f}", end="")
+            print(f"{f.error:13.3f}{f.precision:10.2f}{f.recall:6.2f}")
+        for way, f in result.ways.items():
+            print(line_of(f"{result.name}, {way}, said", f.said))
+            print(line_of(f"{result.name}, {way}, right", f.right))
     return 0
 
 
@@ -100,37 +88,37 @@ def measure(folder: Path) -> Result:
     """Learn one network, match its entries and score the walks."""
     recording = load(folder)
     topology = learn_topology(event for event in recording.events if event.t < recording.cut)
-    walk_of, continued = true_walks(recording)
-    judged = {
+    walk_of, continuations = true_walks(recording)
+    entries = {
         str(event.track)
         for event in recording.events
         if event.kind == "entry" and event.t >= recording.cut and str(event.track) in walk_of
     }
     first, later = matches(topology, recording.events)
-    truth = pairs(walk_of, judged)
+    truth = pairs(walk_of, entries)
     ways = {
-        "at once": scored(first, walk_of, judged, truth),
-        "after 10 s": scored(later, walk_of, judged, truth),
-        "told": compared(oracle_edges(topology, recording), walk_of, judged, truth),
-        "nearest": compared(nearest_edges(recording), walk_of, judged, truth),
+        "at once": scored(first, walk_of, entries, truth),
+        "after 10 s": scored(later, walk_of, entries, truth),
+        "told": compared(oracle_edges(topology, recording), walk_of, entries, truth),
+        "nearest": compared(nearest_edges(recording), walk_of, entries, truth),
     }
-    return Result(recording.name, len(judged), len(judged & continued), ways)
+    return Result(recording.name, len(entries), len(entries & continuations), ways)
 
 
 def true_walks(recording: Recording) -> tuple[dict[str, str], set[str]]:
     """Return the true walk of each track, and the tracks that continue one."""
     walk_of: dict[str, str] = {}
-    continued: set[str] = set()
+    continuations: set[str] = set()
     for passages in recording.by_identity:
         until, walk = -np.inf, ""
-        for one in passages:
-            if one.begin - until <= recording.window:
-                continued.add(one.track)
+        for passage in passages:
+            if passage.begin - until <= recording.window:
+                continuations.add(passage.track)
             else:
-                walk = one.track
-            walk_of[one.track] = walk
-            until = max(until, one.end)
-    return walk_of, continued
+                walk = passage.track
+            walk_of[passage.track] = walk
+            until = max(until, passage.end)
+    return walk_of, continuations
 
 
 def matches(
@@ -148,53 +136,54 @@ def matches(
     return first, later
 
 
-def pairs(walk_of: Mapping[str, str], judged: set[str]) -> Pairs:
-    """Return all pairs of judged tracks that are of one walk."""
+def pairs(walk_of: Mapping[str, str], entries: set[str]) -> Pairs:
+    """Return all pairs of entries (tracks) that are of one walk."""
     members = defaultdict(list)
-    for track in sorted(judged):
+    for track in sorted(entries):
         members[walk_of.get(track, track)].append(track)
     return {pair for tracks in members.values() for pair in combinations(tracks, 2)}
 
 
 def scored(
-    found: Mapping[str, Match], walk_of: Mapping[str, str], judged: set[str], truth: Pairs
+    matches_of: Mapping[str, Match], walk_of: Mapping[str, str], entries: set[str], truth: Pairs
 ) -> Figures:
     """Score matches by track."""
     chances: list[float] = []
     hits: list[bool] = []
-    said: list[float] = []
+    claims: list[float] = []
     right = 0
-    for track in sorted(judged):
-        match = found[track]
+    for track in sorted(entries):
+        match = matches_of[track]
         chance: dict[str, float] = defaultdict(float)
-        for one in match.from_:
-            chance[walk_of.get(str(one.track), str(one.track))] += one.probability
+        for candidate in match.from_:
+            before = str(candidate.track)
+            chance[walk_of.get(before, before)] += candidate.probability
         chances += chance.values()
         hits += [walk == walk_of[track] for walk in chance]
         if match.from_ and match.from_[0].probability > 0.5:
-            said.append(match.from_[0].probability)
+            claims.append(match.from_[0].probability)
             right += walk_of.get(str(match.from_[0].track)) == walk_of[track]
-    names = {track: found[track].walk for track in judged}
-    error = calibration_error(chances, hits) if chances else float("nan")
-    sure = float(np.mean(said)) if said else float("nan")
-    return Figures(
-        len(said), right, sure, error, *_precision_and_recall(pairs(names, judged), truth)
-    )
+    names = {track: matches_of[track].walk for track in entries}
+    error = sure = float("nan")
+    if chances:
+        error = calibration_error(chances, hits)
+    if claims:
+        sure = float(np.mean(claims))
+    precision, recall = _precision_and_recall(pairs(names, entries), truth)
+    return Figures(len(claims), right, sure, error, precision, recall)
 
 
 def compared(
-    edges: Mapping[str, str], walk_of: Mapping[str, str], judged: set[str], truth: Pairs
+    edges: Mapping[str, str], walk_of: Mapping[str, str], entries: set[str], truth: Pairs
 ) -> Figures:
     """Score edges: by track of an entry, the track of the passage that it continues."""
     names: dict[str, str] = {}
     for track, before in edges.items():  # in order of time
         names[track] = names.get(before, before)
-    some = [track for track in judged if track in edges]
-    right = sum(walk_of.get(edges[track]) == walk_of[track] for track in some)
-    found = pairs({track: names.get(track, track) for track in judged}, judged)
-    return Figures(
-        len(some), right, float("nan"), float("nan"), *_precision_and_recall(found, truth)
-    )
+    claims = [track for track in entries if track in edges]
+    right = sum(walk_of.get(edges[track]) == walk_of[track] for track in claims)
+    precision, recall = _precision_and_recall(pairs(names, entries), truth)
+    return Figures(len(claims), right, float("nan"), float("nan"), precision, recall)
 
 
 def oracle_edges(topology: Topology, recording: Recording) -> dict[str, str]:
@@ -221,19 +210,20 @@ def oracle_edges(topology: Topology, recording: Recording) -> dict[str, str]:
 def nearest_edges(recording: Recording) -> dict[str, str]:
     """Return the edges from the newest exit of another camera, each exit once."""
     edges: dict[str, str] = {}
-    waiting: list[Event] = []
+    exits: list[Event] = []
     for event in recording.events:
         if event.kind == "exit":
-            waiting.append(event)
+            exits.append(event)
             continue
-        waiting = [one for one in waiting if event.t - one.t <= recording.window]
-        elsewhere = [one for one in waiting if one.camera != event.camera]
+        exits = [exit_ for exit_ in exits if event.t - exit_.t <= recording.window]
+        elsewhere = [exit_ for exit_ in exits if exit_.camera != event.camera]
         if elsewhere:
             edges[str(event.track)] = str(elsewhere[-1].track)
-            waiting.remove(elsewhere[-1])
+            exits.remove(elsewhere[-1])
     return edges
 
 
-def _precision_and_recall(found: Pairs, truth: Pairs) -> tuple[float, float]:
-    right = len(found & truth)
-    return right / max(len(found), 1), right / max(len(truth), 1)
+def _precision_and_recall(claims: Pairs, truth: Pairs) -> tuple[float, float]:
+    """Return precision and recall of the pairs that are claimed to be of one walk."""
+    right = len(claims & truth)
+    return right / max(len(claims), 1), right / max(len(truth), 1)

@@ -137,7 +137,7 @@ def test_options_combine_and_are_shown(
 
 @pytest.fixture(scope="module")
 def plain(folder: Path) -> PredictionFigures | None:
-    return real.measure(real.Task(folder, beside=False)).ours
+    return real.measure(folder, beside=False).ours
 
 
 @pytest.mark.parametrize(
@@ -146,7 +146,7 @@ def plain(folder: Path) -> PredictionFigures | None:
 def test_each_option_is_learned_from(
     options: Options, folder: Path, plain: PredictionFigures | None
 ) -> None:
-    ours = real.measure(real.Task(folder, options, beside=False)).ours
+    ours = real.measure(folder, options, beside=False).ours
 
     assert ours is not None
     assert plain is not None
