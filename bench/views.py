@@ -374,12 +374,10 @@ def judged(topology: Topology, walk: Sequence[Passage]) -> Network:
     pairs = {pair for pair in pairs if pair[0] != pair[1]}
 
     # What was learned.
-    published = {
-        (link.from_, link.to): link for link in topology.links if link.relation != "visible"
-    }
+    link_of = {(link.from_, link.to): link for link in topology.links if link.relation != "visible"}
     errors = {
         ends: abs(link.transit.q50 - median(links[ends]))
-        for ends, link in published.items()
+        for ends, link in link_of.items()
         if ends in links
     }
     right_times = [
@@ -395,10 +393,10 @@ def judged(topology: Topology, walk: Sequence[Passage]) -> Network:
         sum(relations),
         len(topology.pairs) - len(right),
         sum(pair.relation == "overlapped" for pair in topology.pairs),
-        len(published),
+        len(link_of),
         len(errors),
         sum(right_times),
-        sum(walks[ends] <= SPURIOUS_TRANSITIONS_MAX for ends in published),
+        sum(walks[ends] <= SPURIOUS_TRANSITIONS_MAX for ends in link_of),
         median(errors.values()) if errors else 0.0,
         sum(offset > CLOCK_SECONDS_MAX for offset in offsets),
         max(offsets),

@@ -109,10 +109,10 @@ class Traffic(Struct, frozen=True):
         chance = np.random.default_rng(seed)
         times = RHYTHMS[self.rhythm](self, chance)
         camera = np.repeat(np.arange(self.cameras), [len(camera_times) for camera_times in times])
-        came = np.concatenate(times)
-        stay = np.maximum(chance.normal(self.stay, self.spread, len(came)), STAY_SECONDS_MIN)
+        begin = np.concatenate(times)
+        stay = np.maximum(chance.normal(self.stay, self.spread, len(begin)), STAY_SECONDS_MIN)
         x, y = _positions(camera, self.cameras, self.doors, chance)
-        return events_of(Passages(camera, came, came + stay, x, y), 60.0 * self.minutes)
+        return events_of(Passages(camera, begin, begin + stay, x, y), 60.0 * self.minutes)
 
 
 def _positions(
@@ -291,14 +291,14 @@ def _along(t: Floats, first: int, forth: bool, chance: Generator) -> list[Column
     mean, spread, least = STREET_STAY
     parts = []
     for view in range(first, len(ways) + 1):
-        left = t + np.maximum(chance.normal(mean, spread, len(t)), least)
+        end = t + np.maximum(chance.normal(mean, spread, len(t)), least)
         x = np.array(ends)[:, None] + chance.normal(0.0, ENDS_SD, (2, len(t)))
         y = LANES_Y[0 if forth else 1] + chance.normal(0.0, LANES_SD, (2, len(t)))
         camera = np.full(len(t), view if forth else len(ways) - view)
-        parts.append((camera, t, left, np.clip(x, 0.0, 1.0), np.clip(y, 0.0, 1.0)))
+        parts.append((camera, t, end, np.clip(x, 0.0, 1.0), np.clip(y, 0.0, 1.0)))
         if view < len(ways):
-            left = left[chance.random(len(left)) < GOES_ON]
-            t = left + ways[view] * np.exp(chance.normal(0.0, WAY_SPREAD, len(left)))
+            end = end[chance.random(len(end)) < GOES_ON]
+            t = end + ways[view] * np.exp(chance.normal(0.0, WAY_SPREAD, len(end)))
     return parts
 
 

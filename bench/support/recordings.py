@@ -99,10 +99,12 @@ class Recording(Struct):
     def links(self) -> dict[CameraPair, list[float]]:
         """Return the true links between cameras, with the lags of their transitions."""
         lags = self.transitions()
-        left = Counter[str]()
+        exits = Counter[str]()
         for (source, _), times in lags.items():
-            left[source] += len(times)
-        least = {pair: max(TRANSITIONS_MIN, TRANSITIONS_SHARE_MIN * left[pair[0]]) for pair in lags}
+            exits[source] += len(times)
+        least = {
+            pair: max(TRANSITIONS_MIN, TRANSITIONS_SHARE_MIN * exits[pair[0]]) for pair in lags
+        }
         return {pair: times for pair, times in lags.items() if len(times) >= least[pair]}
 
     def in_view(self) -> dict[str, set[str]]:
@@ -204,13 +206,13 @@ def tellable(
     names = sorted({passage.camera for passage in history})
     number = {name: k for k, name in enumerate(names)}
     camera = np.array([number[passage.camera] for passage in history])
-    came = np.array([passage.begin for passage in history]) / recording.stretch
-    left = np.array([passage.end for passage in history]) / recording.stretch
+    begin = np.array([passage.begin for passage in history]) / recording.stretch
+    end = np.array([passage.end for passage in history]) / recording.stretch
     passages = np.bincount(camera, minlength=len(number))
 
     # Arrivals by time, and their rate from outside.
-    order = np.argsort(came, kind="stable")
-    at, arrival_camera = came[order], camera[order]
+    order = np.argsort(begin, kind="stable")
+    at, arrival_camera = begin[order], camera[order]
     arrivals_of = [np.flatnonzero(arrival_camera == k) for k in range(len(number))]
     rate = np.zeros(len(at))
     for rows in arrivals_of:
@@ -235,7 +237,7 @@ def tellable(
         appears[number[source]] += share
         exits, entries = np.flatnonzero(camera == number[source]), arrivals_of[number[target]]
         density = share * _kernel(np.array(times), grid)
-        i, j, value = _candidates(density, grid, came[exits], left[exits], at[entries])
+        i, j, value = _candidates(density, grid, begin[exits], end[exits], at[entries])
         columns.append((exits[i], entries[j], value))
         pairs.append((source, target))
     if not columns:
@@ -282,7 +284,7 @@ def _kernel(lags: Floats, grid: Floats) -> Floats:
 
 
 def _candidates(
-    density: Floats, grid: Floats, came: Floats, left: Floats, arrivals: Floats
+    density: Floats, grid: Floats, begin: Floats, end: Floats, arrivals: Floats
 ) -> tuple[NDArray[np.intp], NDArray[np.intp], Floats]:
     """Return departures and arrivals with a possible lag, and the density at each lag.
 
@@ -290,11 +292,11 @@ def _candidates(
     """
     live = np.flatnonzero(density > HAZARD_MIN)
     shortest, longest = (grid[live[0]], grid[live[-1]]) if len(live) else (grid[0], grid[0])
-    low = np.searchsorted(arrivals, np.maximum(left + shortest, came))
-    n = np.maximum(np.searchsorted(arrivals, left + longest, side="right") - low, 0)
-    departure = np.repeat(np.arange(len(left)), n)
+    low = np.searchsorted(arrivals, np.maximum(end + shortest, begin))
+    n = np.maximum(np.searchsorted(arrivals, end + longest, side="right") - low, 0)
+    departure = np.repeat(np.arange(len(end)), n)
     arrival = np.arange(n.sum()) - np.repeat(np.cumsum(n) - n, n) + np.repeat(low, n)
-    value = np.interp(arrivals[arrival] - left[departure], grid, density)
+    value = np.interp(arrivals[arrival] - end[departure], grid, density)
     is_likely = value > HAZARD_MIN
     return departure[is_likely], arrival[is_likely], value[is_likely]
 
