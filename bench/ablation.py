@@ -1,20 +1,22 @@
-"""Measure the worth of each mechanism of the learner: all figures with it and without it.
+"""Measure what each mechanism of the learner is worth: all figures with it and without it.
 
     python -m bench ablation [--data FOLDER] [--constants] [--mechanisms a,b] [--regimes a,b]
                              [--controls a,b] [--seeds N] [--scale X] [--labels car:.80,van:.12]
                              [--jobs 2] [--json FILE]
 
-The networks are the real ones of `bench real` (skipped without data), simulated ones of
-`support.regimes`, and those of `bench controls`, whose links are all known. Each of the first two
-is learned in one fit of its first 70 % and scored on the rest. A difference is paired by network:
-without the mechanism, less with all. For log loss, calibration error and false links a positive
-difference is worse, for links and top-1 a negative one. A mechanism earns its place if leaving it
-out costs more than two standard errors on the real networks, or more than `REGIME_COST` and more
-than two standard errors on one kind of simulated network.
+Networks are the real ones of `bench real` (none without data), the simulated ones of
+`support.regimes`, and those of `bench controls`, whose true links are all known. The first 70 % of
+a real or simulated network is learned in one fit, and the rest is scored.
 
-With ``--constants`` no mechanism is left out; each constant is halved and doubled in turn. The last
-table cross-validates the choice: each kind of real network gets the value that is best on the other
-kinds. With ``--labels`` the identities of the real networks draw labels, as in `bench real`.
+A cost is the figure without the mechanism less the figure with all mechanisms, on the same network.
+Costs are positive where the figure is worse: log loss, calibration error and false links that are
+higher, links and top-1 that are lower. A mechanism earns its place if its cost is more than two
+standard errors on the real networks, or more than two standard errors and more than `REGIME_COST`
+on one kind of simulated network.
+
+With ``--constants`` each constant is halved and doubled instead. The last table cross-validates
+them: each kind of real network is measured with the value that is best on the other kinds. With
+``--labels`` the identities of the real networks draw labels, as in `bench real`.
 """
 
 from __future__ import annotations
@@ -57,8 +59,8 @@ KINDS = {
 DEFAULT_REGIMES = "hall,crowd,walkway,road,short,dense,faulty"
 REGIME_COST = 0.01
 """Least cost that counts on simulated networks, in the figure's unit."""
-TOLD_NATS = 6.0
-"""Evidence from which the events are considered able to tell a link, nats."""
+EVIDENCE_NATS = 6.0
+"""Least evidence of a link that the events can tell, nats."""
 FIGURES = ("log loss", "leave", "calibration", "top-1", "links", "false")
 """Figures of the table.
 
@@ -331,8 +333,8 @@ def _real(folder: Path, labels: dict[str, float]) -> list[float]:
     """Return the `FIGURES` of a real network, whose identities draw labels."""
     result = real.measure(folder, Options(labels=labels), beside=False)
     links = math.nan
-    if result.links.can_be_told[TOLD_NATS]:
-        links = result.links.found[TOLD_NATS] / result.links.can_be_told[TOLD_NATS]
+    if result.links.can_be_told[EVIDENCE_NATS]:
+        links = result.links.found[EVIDENCE_NATS] / result.links.can_be_told[EVIDENCE_NATS]
     figures = [math.nan] * 4
     ours, oracle = result.ours, result.told
     if ours is not None and oracle is not None:

@@ -2,10 +2,10 @@
 
     python -m bench animation [--out deploy/pictures/demo.svg] [--films FOLDER]
 
-The demo's cameras are rendered and seen by the grabbers' pipeline; the learner gets their events
-alone. The picture is an SVG that repeats itself: first `LEARNED` seconds of the recording with the
-links as they are published, then `SHOWN` seconds with predictions of the version learned so far.
-FOLDER keeps the films.
+The demo's cameras are rendered and analysed by the grabbers' pipeline, and the learner receives
+only its events. The picture is an SVG that repeats itself: first `LEARNED` seconds of the recording
+with the links as they are published, then `SHOWN` seconds with predictions of the version learned
+until then. ``--films`` keeps the films in FOLDER.
 """
 
 from __future__ import annotations

@@ -1,18 +1,18 @@
-"""Measure how many objects are between cameras, on real networks with known identities.
+"""Measure how well the number of objects between cameras is known, on real networks.
 
-    python -m bench between [--data FOLDER] [--networks a,b] [--jobs 2]
+    python -m bench between [--data FOLDER] [--networks a,b] [--jobs 2] [--json FILE]
 
-Networks and cut are those of `bench.real`. The first 70 % of the events are learned. Then the
-events from an hour before the cut on are replayed as the daemon hears them: every exit is
-predicted, every entry matched, and once more ten seconds later. From the cut on it is asked every
-ten minutes how many objects are between cameras; a recording with less than ten such moments is
-asked at ten equal intervals instead. The last moment is a lag window before the end.
+Networks and cut are those of `bench real`. The first 70 % of the events are learned. The events
+from an hour before the cut on are then replayed: every exit is predicted, and every entry is
+matched at once and again ten seconds later, as the daemon does. From the cut on, the number of
+objects between cameras is estimated every ten minutes, or at ten equal intervals in a recording
+with fewer than ten such moments. The last moment is a lag window before the end.
 
-The truth at a moment are the identities that have been seen since the replay began, that no camera
-sees, and that some camera sees again within an hour, or before the recording ends. Compared are the
-exits less the arrivals since the replay began, but not less than zero, and zero. The figures are
-the mean absolute error, and the share of moments at which the truth lies within the interval of
-80 %, or is the very number that is compared (coverage).
+The true number at a moment counts the identities that were seen since the replay began, are in no
+view, and are seen again within an hour or before the recording ends. Two simple estimates are
+compared: exits less entries since the replay began, but at least zero ("balance"), and zero. The
+figures are the mean absolute error, and the coverage: the share of moments at which the 80 %
+interval holds the true number, and at which a simple estimate equals it.
 """
 
 from __future__ import annotations
@@ -44,9 +44,9 @@ _WAYS = f"{'ours':>11}{'balance':>11}{'zero':>11}"
 class Result(Struct):
     """Figures of one network: means over its moments.
 
-    truth: objects between cameras. said: those expected.
-    error, coverage: absolute error, and whether the truth is covered: each of ours, of exits less
-        arrivals, and of zero.
+    truth, said: true and expected number of objects between cameras.
+    error, coverage: absolute error, and share of moments at which the truth is covered: each of
+        camtopod, of exits less entries, and of zero.
     """
 
     name: str
@@ -94,7 +94,7 @@ def measure(folder: Path) -> Result:
     truth = truly_between(recording, since, moments)
     expected = np.array([answer.number for answer in answers])
     inside = [a.low <= n <= a.high for a, n in zip(answers, truth, strict=True)]
-    balance = exits_less_arrivals(recording, since, moments)
+    balance = exits_less_entries(recording, since, moments)
     error = float(np.abs(expected - truth).mean())
     balance_error = float(np.abs(balance - truth).mean())
     return Result(
@@ -108,7 +108,7 @@ def measure(folder: Path) -> Result:
 
 
 def moments_of(recording: Recording) -> Floats:
-    """Return the moments (n,) at which it is asked, seconds."""
+    """Return the moments (n,) at which objects are counted, seconds."""
     last = recording.end - recording.window
     step = min(STEP_SECONDS, (last - recording.cut) / MOMENTS_MIN)
     return np.arange(recording.cut, last, step)
@@ -117,7 +117,7 @@ def moments_of(recording: Recording) -> Floats:
 def replayed(
     topology: Topology, recording: Recording, since: float, moments: Floats
 ) -> list[Between]:
-    """Return how many are expected at each moment (n,), by the events before it."""
+    """Return the expected number of objects at each moment (n,), by the events before it."""
     predictor = Predictor(topology)
     walks = Walks(topology, predictor.prepared)
     between = BetweenCameras(since)
@@ -153,8 +153,8 @@ def truly_between(recording: Recording, since: float, moments: Floats) -> Floats
     return number
 
 
-def exits_less_arrivals(recording: Recording, since: float, moments: Floats) -> Floats:
-    """Return the exits less the arrivals up to each moment (n,), but not less than zero."""
+def exits_less_entries(recording: Recording, since: float, moments: Floats) -> Floats:
+    """Return the exits less the entries up to each moment (n,), but not less than zero."""
     events = [event for event in recording.events if event.t >= since]
     times = np.array([event.t for event in events])
     balance = np.cumsum([1 if event.kind == "exit" else -1 for event in events])

@@ -1,15 +1,17 @@
-"""Measure how soon changes of paths are detected, and how often falsely.
+"""Measure how soon the learner detects that paths change, and how often it is wrong.
 
     python -m bench change [--seeds N] [--first-seed S] [--hours H] [--doors D]
                            [--jobs close,open,steady,score] [--objects RATE] [--rhythm SHARE]
 
-Half-way through a simulated recording some doors (paths, both directions) close, or open. A link is
-*right* from the first version after which it stays gone, or stays published; a link that never is
-counts as infinitely late. Delays are counted in passages: for a closed door those that would have
-taken it (departures at its zone times its earlier share), for an opened one those that did, both
-ends recorded. Versions come as the learner makes them, so the wait for the next one counts.
-`steady` counts versions with an alarm where nothing changes; `score` compares the learner's scores
-of itself with the truth for the same exits.
+Half-way through a simulated recording some doors (paths, in both directions) close (`close`) or
+open (`open`). A link is right from the first version after which it stays unpublished, or stays
+published; the delay of a link that is never right is infinite. Delays are in passages. For an
+opened door these are the recorded passages through it, for a closed one those that would have
+taken it: departures at its zone times its share before. Versions are made when they fall due, so
+the wait for the next version is part of the delay.
+
+`steady` counts the versions with an alarm where nothing changes. `score` compares the learner's
+scores of its own predictions with scores by the ground truth of the same exits.
 """
 
 from __future__ import annotations
@@ -37,7 +39,7 @@ SOON_PASSAGES = (20, 40, 80)
 """Numbers of passages after which the share of right links is reported."""
 
 
-class Found(NamedTuple):
+class Outcome(NamedTuple):
     """Outcome of one link: passages before the change, after it, and until it was right (nan:
     never).
 
@@ -90,7 +92,7 @@ def versions(events: Sequence[Event]) -> Iterator[Topology]:
 
 def _doors(job: str, base: SimSettings, seeds: range, doors: int) -> None:
     """Measure and print the changed links of all seeds."""
-    rows: list[Found] = []
+    rows: list[Outcome] = []
     false = 0
     for seed in seeds:
         outcomes, wrong = _measure(job, base, seed, doors)
@@ -106,7 +108,7 @@ def _doors(job: str, base: SimSettings, seeds: range, doors: int) -> None:
     print(f"{job}: {false} alarms about opening or closing for other links")
 
 
-def summary(job: str, rows: Sequence[Found]) -> list[str]:
+def summary(job: str, rows: Sequence[Outcome]) -> list[str]:
     """Return how soon links were right, and the shares that were so within some passages.
 
     The shares are of links with at least as many passages since the change.
@@ -128,7 +130,7 @@ def summary(job: str, rows: Sequence[Found]) -> list[str]:
     return lines
 
 
-def _measure(job: str, base: SimSettings, seed: int, doors: int) -> tuple[list[Found], int]:
+def _measure(job: str, base: SimSettings, seed: int, doors: int) -> tuple[list[Outcome], int]:
     """Return the changed links of one network and the number of false alarms."""
     doors_closed, doors_opened = (doors, 0) if job == "close" else (0, doors)
     settings = replace(base, seed=seed, doors_closed=doors_closed, doors_opened=doors_opened)
@@ -143,7 +145,7 @@ def _measure(job: str, base: SimSettings, seed: int, doors: int) -> tuple[list[F
     for version in reversed(history):
         ids = match_zones(version.zones, truth.zones) | ids
     outcomes = [
-        _found(job, link, ids, events, truth, history, base.start + base.hours * 1800)
+        _outcome(job, link, ids, events, truth, history, base.start + base.hours * 1800)
         for link in changed_links.values()
     ]
 
@@ -159,7 +161,7 @@ def _measure(job: str, base: SimSettings, seed: int, doors: int) -> tuple[list[F
     return outcomes, len(wrong)
 
 
-def _found(
+def _outcome(
     job: str,
     link: TrueLink,
     ids: dict[str, str],
@@ -167,7 +169,7 @@ def _found(
     truth: Truth,
     history: list[Topology],
     moment: float,
-) -> Found:
+) -> Outcome:
     """Return the outcome of one changed link."""
     # Passages, departures at the zone, and when the link became right.
     transitions = np.array(_walked(link, events, truth))
@@ -208,7 +210,7 @@ def _found(
     )
     last = [version for version in history if version.as_of <= moment][-1]
     is_known = job == "open" or any((x.from_, x.to) == key for x in last.links)
-    return Found(is_known, round(before, 1), round(after, 1), round(float(passages), 1), alarmed)
+    return Outcome(is_known, round(before, 1), round(after, 1), round(float(passages), 1), alarmed)
 
 
 def _walked(link: TrueLink, events: Sequence[Event], truth: Truth) -> list[float]:
@@ -242,7 +244,7 @@ def _steady(job: str, base: SimSettings, seeds: range, doors: int) -> None:
     print(f"steady: {wrong} of {total} versions with an alarm")
 
 
-class _Told(Scorer):
+class _OracleScorer(Scorer):
     """A scorer that also scores by the ground truth."""
 
     def __init__(self, learner: Learner, events: Sequence[Event], truth: Truth) -> None:
@@ -268,7 +270,7 @@ def _score(job: str, base: SimSettings, seeds: range, doors: int) -> None:
     for seed in seeds:
         events, truth = simulate(replace(base, seed=seed))
         learner = Learner()
-        scorer = learner._scorer = _Told(learner, events, truth)
+        scorer = learner._scorer = _OracleScorer(learner, events, truth)
         for event in events:
             learner.receive(event)
         learner.flush()

@@ -1,13 +1,14 @@
-"""Clock offsets: right clocks that are called wrong, and wrong ones that are found.
+"""Measure how often right clocks are called wrong, and how often wrong ones are found.
 
     python -m bench clocks [--runs 3] [--regimes a,b] [FOLDER ...]
 
-FOLDER holds a recording with identities (`bench.real`) or clips whose events have a person
-(`bench.views`). A recording is learned as it is, and the people of either as visitors at random
-times (`bench.views.visits`). Beside them are simulated sites (`support.regimes`). All clocks are
-right; then a third of the cameras get an offset of 2 to 40 s either way. An offset is found if it
-is estimated within half a second. Where only two clocks can be compared, nobody can tell which of
-them is wrong, so the other one may be called wrong instead.
+A FOLDER holds a recording with identities (`bench real`), or clips whose events have a person
+(`bench views`). A recording with identities is learned as it is. Besides, the people of each FOLDER
+are learned as visitors at random times (`bench.views.visits`), and sites are simulated
+(`support.regimes`). First all clocks are right; then a third of the cameras get an offset of 2 to
+40 s in either direction. An offset is found if its estimate is within half a second. Where only two
+clocks can be compared, the data does not tell which of them is wrong, so that the right one may be
+called wrong.
 """
 
 from __future__ import annotations
@@ -64,8 +65,10 @@ def main(argv: list[str]) -> int:
 
 
 def measure(task: Task) -> list[int]:
-    """Return numbers of clocks: right ones, of them called wrong; then with a third of the clocks
-    wrong those, of them found, and the right ones beside them, of them called wrong.
+    """Return six numbers of clocks.
+
+    With all clocks right: all, and those called wrong. With a third of them wrong: the wrong ones,
+    those of them that are found, the right ones, and those of them that are called wrong.
     """
     name, run, as_is = task
     rng = np.random.default_rng(run)
@@ -112,7 +115,7 @@ def _people(folder: Path) -> dict[str, list[Event]]:
 
 
 def _events(folder: Path) -> Iterator[tuple[str, Event]]:
-    """Yield who it is and the event, by time."""
+    """Yield the person and the event, by time."""
     if (folder / "identities.csv").exists():
         recording = load(folder)
         person_of = {

@@ -1,16 +1,15 @@
-"""Count links that are not there: cameras that nothing joins, and streets with lights.
+"""Count false links where the links are known: unrelated cameras, and streets with lights.
 
     python -m bench controls [--runs 3] [--first-seed S] [--kinds a,b] [--jobs 2] [--data FOLDER]
 
-A control is a kind of recording whose links are known (`support.control_recordings`); each seed
-makes another one, which is learned in one fit, as `camtopod learn` does. A link between two cameras
-is right if it is a way of the recording and the medians are within 8 s, and false otherwise. The
-least q-value is over all pairs of zones that are no way, published or not. At most one false link
-in 30 recordings is the target.
+A control is a kind of recording whose links are known (`support.control_recordings`). Each seed
+makes another recording, which is learned in one fit, as `camtopod learn` does. A link between two
+cameras is right if the recording has a way between them with a median within 8 s of the link's, and
+false otherwise. The least q-value is over all pairs of zones without a way, published or not. The
+target is at most one false link in 30 recordings.
 
-``cages`` is a real recording of ``--data`` (default: CAMTOPOD_REAL_DATA; skipped without), of two
-sites that nothing joins; each run learns another stretch of it, and links within a site are not
-judged.
+``cages`` is a real recording in ``--data`` (default: CAMTOPOD_REAL_DATA; skipped without), of two
+unrelated sites. Each run learns another stretch of it; links within a site are not judged.
 """
 
 from __future__ import annotations

@@ -1,23 +1,23 @@
-"""Measure zones, links and predictions of camtopod and of the baselines; print one table.
+"""Measure zones, links and predictions of camtopod and of the baselines on many networks.
 
-    python -m bench quality [--seeds N] [--first-seed S] [--regimes a,b] [--jobs 2]
-                            [--json FILE] [--no-baselines]
+    python -m bench quality [--seeds N] [--first-seed S] [--regimes a,b] [--methods a,b] [--jobs 2]
+                            [--scale X] [--json FILE] [--no-baselines]
 
-camtopod is measured in three modes: ``online``, fed as `camtopod learn --updates` is, with an extra
-version at 70 % of the events (for the predictions of the rest) and one at the end; ``live``, where
-each exit of the rest is predicted by the newest version that had fallen due, as in the daemon; and
-``batch``, the one fit of `camtopod learn` without ``--updates``. Each network is simulated from its
-seed (`support.regimes`). The learner was developed with seeds 0 to 9; ``--first-seed 1000`` gives
-networks unused in development. ``auditorium`` is the real recording that comes with the package.
-Each figure is a mean over networks with its standard error.
+camtopod runs in three modes. ``online`` receives event by event, as `camtopod learn --updates`
+does; a version at 70 % of the events predicts the rest, and another is made at the end. In ``live``
+the newest version that has fallen due predicts each exit of the rest, as in the daemon. ``batch``
+is the one fit of `camtopod learn`. Each network is simulated from its seed (`support.regimes`). The
+learner was developed with seeds 0 to 9; networks from ``--first-seed 1000`` on are unused in
+development. ``auditorium`` is the real recording that comes with the package. Figures are means
+over networks with their standard errors.
 
-With ``--json`` every result is appended to a file as soon as it is there. A run that finds results
-in the file measures only the missing ones. Results of an older learner have to be deleted by hand.
+With ``--json`` each result is appended to a file as soon as it is there, and results that the file
+has are not measured again. Results of an older learner have to be deleted by hand.
 
-The baselines have the true zones (without such, a camera is a zone, and camera pairs are to be
-found), no clutter, and per regime the variant and threshold with the best mean F1 on these very
-networks. Their second F1 is at the one variant and threshold that are best over all regimes
-together, which is the condition camtopod works under. The oracle (a Markov chain that is given the
+The baselines are given the true zones and no clutter. Without true zones, each camera is a zone and
+links are pairs of cameras. In each regime they have the variant and threshold with the best mean F1
+on these very networks; their second F1 is at the one variant and threshold that are best over all
+regimes, the condition under which camtopod works. The oracle (a Markov chain that is given the
 identities) has the pseudo-count that is best on each network.
 """
 

@@ -1,9 +1,9 @@
-"""Measure the rows of README's table on less, in about two minutes, beside what README says.
+"""Measure the rows of README's table on smaller inputs, within minutes, beside README's figures.
 
     python -m bench quick
 
-Everything that is measured is made by this program: nothing has to be fetched. A row that takes
-long, as thirty kills, is left out and named.
+All data is simulated, so that nothing has to be downloaded. Rows that take long, such as thirty
+kills, are named and not measured.
 """
 
 from __future__ import annotations

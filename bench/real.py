@@ -5,19 +5,23 @@
 
 Each folder in ``--data`` (default: CAMTOPOD_REAL_DATA) with events.jsonl and identities.csv is a
 network; without data the part is skipped. The first 70 % of the events are learned in one fit, as
-`camtopod learn` does. Every exit is predicted with that, as `camtopod predict` does, and those
-after the cut are scored. Compared are an oracle (a Markov chain that is given the identities) on
-the same zones, and for links the cross-correlation of cameras (Makris 2004) at the bin width and
-threshold that are best on these very networks. Beside both is pm4py's correlation miner, if it is
-installed, and for the next camera, given that there is one, the rule of Area Occupancy Detection,
-with every pair of cameras and told the true neighbours. Links are pooled over the networks, the
-saving of a search is a geometric mean, all else are plain means.
+`camtopod learn` does. Every exit is predicted with that version, as `camtopod predict` does, and
+exits after the cut are scored. Counts of links are summed over the networks, the saving of a search
+is a geometric mean, and all other figures are means over networks.
 
-With ``--stretch`` all times and stays grow by a factor, and with them the window in which an exit
-is scored and the time in which it is searched. With ``--labels`` each identity draws a label, which
-all its events have. With ``--neighbours`` the learner is told the true neighbours and that no other
-cameras are, with ``--nobody-leaves`` that the site is closed. The oracle and what the events can
-tell are as without labels and declarations.
+Beside camtopod are measured
+
+* an oracle on the same zones, a Markov chain that is given the identities
+* for links, the cross-correlation of cameras (Makris 2004), at the bin width and threshold that are
+  best on these very networks, and pm4py's correlation miner, if it is installed
+* for the next camera, if there is one, the rule of Area Occupancy Detection, with every pair of
+  cameras as neighbours and with the true neighbours
+
+``--stretch`` multiplies all times and stays, the window in which an exit is scored, and the time in
+which an object is searched. With ``--labels`` each identity draws a label, which all its events
+have. ``--neighbours`` declares the true neighbours to the learner, and all other pairs as not
+neighbours; ``--nobody-leaves`` declares a closed site. Neither labels nor declarations change the
+oracle, or which links the events can tell.
 """
 
 from __future__ import annotations

@@ -1,10 +1,10 @@
-"""Measure the time from a kill to readiness, from the snapshot and the rest of the journal.
+"""Measure how long the daemon takes to be ready again after a kill.
 
     python -m bench restart [--events 50000] [--behind 2000] [--times 5]
 
-The journal of a simulated site of 12 cameras holds ``--events`` events, the snapshot all but the
-last ``--behind``. The real `camtopod run` is started on it, timed until it receives events, and
-killed.
+The journal of a simulated site of 12 cameras has ``--events`` events; the last ``--behind`` of them
+are not in the snapshot and have to be learned again. The real `camtopod run` is started on it,
+timed until it receives events, and killed.
 """
 
 from __future__ import annotations

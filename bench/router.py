@@ -3,10 +3,10 @@
     python -m bench router [--cameras 100] [--events 200000] [--readers 1,4] [--rounds 3]
                            [--json FILE]
 
-One process publishes events as fast as they are taken; a router forwards them to a number of
-readers, each of which receives all and drops them. Measured is the router's processor time per
-message that it forwards, and its ratio to that with one reader. The router is a zenoh session in
-mode ``router``, as the daemon's own is; zenohd is the same code.
+One process publishes events as fast as they are accepted. A router forwards them to a number of
+readers, which each receive all events and drop them. Measured is the router's processor time per
+forwarded message, and its ratio to that with one reader. The router is a zenoh session in mode
+``router``, as the daemon's own is; zenohd runs the same code.
 """
 
 from __future__ import annotations

@@ -5,10 +5,10 @@
 
 The real `camtopod run` starts without state, with the limit that `deploy/large.md` raises, and
 receives the events of a simulated network (``--rate`` events a second and camera) as fast as it
-takes them. Measured are the processor time of the daemon and its learner until all is learned, with
-every version on the way, and their peak memory. Then events come at the site's own pace for
-``--seconds``, and one camera after another is forgotten, as each makes a fit at once: its processor
-time, and the time from exits to their predictions beside it.
+accepts them. Measured are the peak memory of the daemon and its learner, and their processor time
+until everything is learned, all versions on the way included. Then events come at the site's own
+rate for ``--seconds``, while one camera after another is forgotten, which starts a fit each time.
+Measured are the processor time of a fit, and the time from exits to their predictions meanwhile.
 """
 
 from __future__ import annotations

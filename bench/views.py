@@ -1,25 +1,25 @@
-"""End to end: learn what the grabber makes of several cameras, beside what is true.
+"""Measure end to end what is learned from the grabber's events, beside what true events teach.
 
     python -m bench views [FOLDER] [--runs 4] [--model FILE] [--films FOLDER]
 
 FOLDER holds synchronised clips with a truth.json (bench/support/truth_clips.py) whose events have a
-``person``, or SceneScape's recording of two cameras (bench/support/scenescape.py). Without it, the
-demo's site is rendered (about two minutes a run; --films keeps them) with people who stop and go in
-company.
+``person``, or SceneScape's recording of two cameras (bench/support/scenescape.py). Without it the
+demo's site is rendered (about two minutes a run; ``--films`` keeps the films), with people who stop
+and walk in company.
 
 Clips are too short to learn from, so each person in them stands for many visitors. A visitor comes
-at a random time, 45 s after the last one on average, and brings all events of a person, either the
-true ones or those that the grabber told in one of its four phases (`bench.grab_truth`). Times
-within a visit are stretched at random by a smooth factor, the same for both; places are blurred.
-What the grabber told and nobody did goes along with one visitor in five. What it tells later than
-the daemon waits for is not learned.
+at a random time, 45 s after the last one on average, and has all events of one person: the true
+ones, or those of the grabber in one of its four phases (`bench.grab_truth`). Times within a visit
+are stretched by a smooth random factor, the same for both; positions are blurred. Events of the
+grabber that belong to nobody are added to one visitor in five. Events that come later than the
+daemon waits for are not learned.
 
-The real learner learns either. A true link leads from an exit to an entry of the same person: of a
-passage through a view in which the person was in the meantime, or of the next one, unless all views
-that still see the person are left before. It is walked often enough (as in `bench.real`) between
-the learned zones that are next to both events; a false link by hardly anybody, at whatever time.
-Where views overlap more links are true than are needed, so the column of the true events tells what
-can be expected. All clocks are right.
+The same learner learns the true events and those of the grabber. A person walks a link from an exit
+to the entry of a passage that was under way at the exit, or to the next entry, unless every view
+that still saw the person at the exit is left before it. A link between the learned zones next to
+both events is true if it is walked often enough (as in `bench real`), and false if hardly anybody
+walks it. Where views overlap, more links are true than are needed, so the column of the
+true events shows what can be expected. All clocks are right.
 """
 
 from __future__ import annotations

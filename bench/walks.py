@@ -1,19 +1,21 @@
 """Measure walks on real networks with known identities: which events are of one object?
 
-    python -m bench walks [--data FOLDER] [--networks a,b] [--jobs 2]
+    python -m bench walks [--data FOLDER] [--networks a,b] [--jobs 2] [--json FILE]
 
-Networks and cut are those of `bench.real`. The first 70 % of the events are learned; then every
-entry is matched with earlier passages, as `camtopod predict --walks` does, and those after the cut
-are judged. A true walk holds the passages of an identity, one after the other, as long as each
-begins within the lag window of the end of those before.
+Networks and cut are those of `bench real`. The first 70 % of the events are learned. Every entry is
+then matched with earlier passages, as `camtopod predict --walks` does, and entries after the cut
+are scored. A true walk consists of passages of one identity, each of which begins within the lag
+window of the end of those before.
 
-Of walks, all pairs of passages after the cut count (pairwise precision and recall); of matches, the
-best passage of each that has more than one half, with its mean probability, and the calibration
-error of the probabilities that an entry is of each true walk: where views overlap, a match divides
-the probability among the passages of one object that are under way. Both are the first answers,
-given at the entry; the answers after ten seconds are scored beside. Compared are an oracle, which
-matches by odds that it is given the identities for (as ``who`` of `bench.real`), and the nearest in
-time: each entry continues the newest exit of another camera.
+A match makes a claim if its best passage has a probability above one half; the table shows how many
+claims there are, how many are right, and their mean probability. The calibration error is that of
+the probabilities that an entry belongs to each true walk: where views overlap, a match divides its
+probability among the passages of one object. Walks are compared by pairs of passages after the cut
+(pairwise precision and recall).
+
+``at once`` are the matches at the entry, ``after 10 s`` the revised ones. ``told`` is an oracle
+that is given the identities before the cut, as for ``who`` of `bench real`. ``nearest`` continues
+the newest exit of another camera.
 """
 
 from __future__ import annotations
@@ -43,8 +45,8 @@ Pairs = set[tuple[str, str]]
 class Figures(Struct):
     """Figures of one way to find walks.
 
-    said, right: matches with a passage of more than one half, and those that are of its walk.
-    sure: mean probability of these passages; nan without probabilities.
+    said, right: claims, and those that are right.
+    sure: mean probability of the claims; nan without probabilities.
     error: calibration error of the probabilities by true walk; nan without probabilities.
     precision, recall: of pairs of passages.
     """

@@ -9,7 +9,7 @@ the ground truth.
   `information` (Tieu, Dalley, Grimson 2005), `transfer` (Ito et al. 2011), `anonymous`
   (conditional least squares on counts), `hawkes` (Lewis, Mohler 2011)
 * zones: `zoning` (k-means, HDBSCAN, mean shift, plain DaSpec)
-* next camera: `told` (an oracle that is given the identities)
+* next camera: `oracle` (an oracle that is given the identities)
 * links between cameras: `process_mining` (pm4py's correlation miner, Pourmirza 2015)
 * next camera: `area_occupancy` (a rule of Home Assistant's)
 * entries and exits: `frigate` (its motion detection and its decoding)

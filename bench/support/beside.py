@@ -1,7 +1,8 @@
-"""Figures of others beside us on a real recording: process mining, and a rule of home automation.
+"""Figures of other methods on a real recording: process mining, and a rule of home automation.
 
-The rule (`baselines.area_occupancy`) says only which camera is next, so it is scored on the exits
-after the cut whose object appears at another camera again, whenever that is; and so are we.
+The rule (`baselines.area_occupancy`) predicts only which camera is next. It and camtopod are
+therefore scored on the exits after the cut whose object appears at another camera at any time
+later.
 """
 
 from __future__ import annotations

@@ -22,7 +22,7 @@ from bench.baselines.crossings import NARROW, WIDE, Candidates, Crossings, candi
 from bench.baselines.findings import Findings, Ranked, at, rank
 from bench.baselines.hawkes import hawkes
 from bench.baselines.information import information
-from bench.baselines.told import oracle_score, recorded_medians, transit_error
+from bench.baselines.oracle import oracle_score, recorded_medians, transit_error
 from bench.baselines.transfer import transfer
 from bench.baselines.zoning import methods
 from bench.support.prediction_scores import PredictionScore, clock_errors, score_predictions

@@ -12,8 +12,8 @@ from bench.baselines.crossings import Crossings, candidates
 from bench.baselines.findings import Findings, Ranked, at, tune
 from bench.baselines.hawkes import hawkes
 from bench.baselines.information import information
+from bench.baselines.oracle import oracle_predictions
 from bench.baselines.process_mining import mined_links
-from bench.baselines.told import oracle_predictions
 from bench.baselines.transfer import transfer
 from bench.baselines.zoning import methods
 from bench.support.recordings import Passage

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from bench import ablation, between, zones
-from bench.change import Found, summary
+from bench.change import Outcome, summary
 from bench.support.recordings import Passage, Recording, load, tellable
 from bench.support.regimes import REGIMES
 from camtopod.codec import to_json
@@ -121,7 +121,7 @@ def test_the_truth_between_cameras_is_who_no_camera_sees_and_one_will() -> None:
 
     truth = between.truly_between(recording, 0.0, moments)
     since = between.truly_between(recording, 30.0, moments)
-    balance = between.exits_less_arrivals(recording, 40.0, moments)
+    balance = between.exits_less_entries(recording, 40.0, moments)
 
     assert truth.tolist() == [0, 1, 1, 1, 0, 0, 1, 0]
     assert since.tolist() == [0, 0, 0, 0, 0, 0, 1, 0], "seen since the replay began"
@@ -185,8 +185,8 @@ def test_false_links_of_controls_are_counted(capsys: pytest.CaptureFixture[str])
 
 
 def test_what_is_never_found_takes_for_ever() -> None:
-    found = [Found(True, 50.0, 90.0, needed, needed < math.inf) for needed in (10, 30)]
-    lost = [Found(True, 50.0, 90.0, math.nan, False)] * 2
+    found = [Outcome(True, 50.0, 90.0, needed, needed < math.inf) for needed in (10, 30)]
+    lost = [Outcome(True, 50.0, 90.0, math.nan, False)] * 2
 
     everything, soon, *_ = summary("close", found + lost)
 

@@ -1,4 +1,4 @@
-"""An oracle that is given all identities: its predictions of the next camera and its transit times.
+"""An oracle that is given all identities: its predictions of the next camera, its transit times.
 
 The predictors count, before the cut, which camera followed an exit in each state (a zone, or a
 camera), or that none did. Every camera that ever followed anywhere, and leaving the site, get a
