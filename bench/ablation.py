@@ -37,7 +37,7 @@ from msgspec import Struct
 from bench import controls, real
 from bench.support.jobs import map_tasks
 from bench.support.measure import measure as measure_regime
-from bench.support.networks import data_parser, folders_in, names_from, write_json
+from bench.support.parts import data_parser, folders_in, names_from, write_json
 from bench.support.real_options import Options, label_shares
 from bench.support.regimes import REGIMES
 from camtopod.learn.prediction_model import missed_shares
@@ -449,7 +449,7 @@ def _row(title: str, *cells: object) -> str:
 
 
 def _parse(argv: Sequence[str]) -> argparse.Namespace:
-    parser = data_parser("ablation", "Measure the learner without each of its mechanisms.")
+    parser = data_parser(__name__, __doc__)
     parser.add_argument(
         "--constants", action="store_true", help="halve and double constants instead"
     )

@@ -10,8 +10,6 @@ until then. ``--films`` keeps the films in FOLDER.
 
 from __future__ import annotations
 
-import argparse
-import sys
 import tempfile
 from collections.abc import Iterable, Sequence
 from html import escape
@@ -20,6 +18,7 @@ from pathlib import Path
 import numpy as np
 
 from bench.demo import START, recorded
+from bench.support.parts import part_parser
 from camtopod.arrays import Floats, Longs
 from camtopod.cli.commands.demo import MINUTES, WALKERS_PER_SECOND
 from camtopod.learn.learner import Learner
@@ -76,9 +75,7 @@ TITLE = "Five cameras. No calibration, no floor plan, no re-identification."
 
 def main(argv: list[str]) -> int:
     """Write the picture and return the exit status."""
-    parser = argparse.ArgumentParser(
-        prog="python -m bench animation", description="Draw README's animated picture."
-    )
+    parser = part_parser(__name__, __doc__)
     parser.add_argument("--out", type=Path, default=OUT, help="SVG to write")
     parser.add_argument("--films", type=Path, metavar="FOLDER", help="folder to keep the films in")
     arguments = parser.parse_args(argv)
@@ -420,7 +417,3 @@ def captions(
         )
         for (begin, text), end in zip(sentences, ends, strict=True)
     ]
-
-
-if __name__ == "__main__":
-    sys.exit(main(sys.argv[1:]))

@@ -24,7 +24,7 @@ import numpy as np
 from msgspec import Struct
 
 from bench.support.figures import line_of
-from bench.support.networks import networks_parser, results_of
+from bench.support.parts import networks_parser, results_of
 from bench.support.recordings import Recording, load
 from camtopod.arrays import Floats
 from camtopod.learn.recording import learn_topology
@@ -59,7 +59,7 @@ class Result(Struct):
 
 def main(argv: Sequence[str]) -> int:
     """Measure, print the table and return the exit status."""
-    parser = networks_parser("between", "objects between cameras")
+    parser = networks_parser(__name__, __doc__)
     results = results_of(parser.parse_args(argv), measure)
     if not results:
         return 0

@@ -16,13 +16,13 @@ scores of its own predictions with scores by the ground truth of the same exits.
 
 from __future__ import annotations
 
-import argparse
 from collections.abc import Iterator, Sequence
 from typing import NamedTuple
 
 import numpy as np
 from msgspec.structs import replace
 
+from bench.support.parts import part_parser
 from bench.support.prediction_scores import next_entries
 from camtopod.learn.learner import Learner
 from camtopod.learn.outcomes import ScoredPrediction
@@ -57,7 +57,7 @@ class Outcome(NamedTuple):
 
 def main(argv: list[str]) -> int:
     """Run the jobs and return the exit status."""
-    parser = argparse.ArgumentParser(prog="python -m bench change")
+    parser = part_parser(__name__, __doc__)
     parser.add_argument("--seeds", type=int, default=10)
     parser.add_argument("--first-seed", type=int, default=0)
     parser.add_argument("--hours", type=float, default=1.5)

@@ -13,7 +13,6 @@ called wrong.
 
 from __future__ import annotations
 
-import argparse
 from collections import defaultdict
 from collections.abc import Iterator, Sequence
 from pathlib import Path
@@ -23,6 +22,7 @@ from msgspec.structs import replace
 
 from bench.support.jobs import map_tasks
 from bench.support.measure import CLOCK_SECONDS_MAX
+from bench.support.parts import part_parser
 from bench.support.recordings import load
 from bench.support.regimes import REGIMES
 from bench.views import clips_of, learned, visits
@@ -40,9 +40,7 @@ Task = tuple[str, int, bool]
 
 def main(argv: list[str]) -> int:
     """Print one row a site and return the exit status."""
-    parser = argparse.ArgumentParser(
-        prog="python -m bench clocks", description=(__doc__ or "").partition("\n\n")[0]
-    )
+    parser = part_parser(__name__, __doc__)
     parser.add_argument("folders", nargs="*", metavar="FOLDER")
     parser.add_argument("--runs", type=int, default=RUNS, help="(default: %(default)s)")
     parser.add_argument("--regimes", default=DEFAULT_REGIMES, help="(default: %(default)s)")

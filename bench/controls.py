@@ -24,7 +24,7 @@ from msgspec import Struct
 from bench.support.control_recordings import LIGHTS, Control, Street, Traffic, TwoSites
 from bench.support.figures import line_of
 from bench.support.jobs import map_tasks
-from bench.support.networks import data_parser, folders_in, names_from
+from bench.support.parts import data_parser, folders_in, names_from
 from bench.support.recordings import CameraPair, load
 from camtopod.learn.learner import Learner
 from camtopod.records import Event, Topology
@@ -235,7 +235,7 @@ def _table(tasks: Sequence[Task], outcomes: Sequence[Outcome]) -> list[str]:
 
 
 def _parse(argv: Sequence[str]) -> argparse.Namespace:
-    parser = data_parser("controls", (__doc__ or "").partition("\n\n")[0])
+    parser = data_parser(__name__, __doc__)
     parser.add_argument("--runs", type=int, default=3, help="recordings of each (default 3)")
     parser.add_argument("--first-seed", type=int, default=0, help="(default 0)")
     kinds = [*controls(), CAGES]

@@ -10,8 +10,6 @@ keeps the films. `camtopod demo` is the same with processes, a bus and a daemon.
 
 from __future__ import annotations
 
-import argparse
-import sys
 import tempfile
 import time
 from collections.abc import Sequence
@@ -22,6 +20,7 @@ import numpy as np
 from bench.scenes.drawn_plan import drawn_plan
 from bench.support.figures import line_of
 from bench.support.measure import harmonic_mean
+from bench.support.parts import part_parser
 from camtopod.cli.commands.demo import MINUTES, WALKERS_PER_SECOND
 from camtopod.learn.learner import Learner
 from camtopod.learn.settings import Settings
@@ -39,9 +38,7 @@ START = 1_700_000_000.0
 
 def main(argv: list[str]) -> int:
     """Print a line for each site and return the exit status."""
-    parser = argparse.ArgumentParser(
-        prog="python -m bench demo", description="Learn the demo's site without its bus."
-    )
+    parser = part_parser(__name__, __doc__)
     parser.add_argument("--seeds", type=int, default=SEEDS, help="recordings of the demo's plan")
     parser.add_argument("--plans", type=int, default=PLANS, help="other floor plans")
     parser.add_argument("--minutes", type=float, default=MINUTES, help="length of a recording")
@@ -129,7 +126,3 @@ def wrong_zones(zones: Sequence[Zone], truth: Truth) -> list[str]:
         for zone in zones
         if zone.id not in learned_ids
     ]
-
-
-if __name__ == "__main__":
-    sys.exit(main(sys.argv[1:]))

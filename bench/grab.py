@@ -10,7 +10,6 @@ the grabber opens it, every frame grabbed, none retrieved. Needs the program ffm
 
 from __future__ import annotations
 
-import argparse
 import shutil
 import subprocess
 import sys
@@ -24,6 +23,7 @@ import cv2
 
 from bench.baselines import frigate
 from bench.support import films, ratios
+from bench.support.parts import part_parser
 from camtopod.vision.grabber import Grabber
 
 DECODING = "decoding alone"
@@ -62,9 +62,7 @@ class Film(NamedTuple):
 
 def main(argv: list[str]) -> int:
     """Print the tables and return the exit status."""
-    parser = argparse.ArgumentParser(
-        prog="python -m bench grab", description="Measure the CPU cost of a camera."
-    )
+    parser = part_parser(__name__, __doc__)
     ratios.add_arguments(parser, ROUNDS)
     parser.add_argument("--seconds", type=float, default=SECONDS, help="length of a film")
     parser.add_argument("--films", type=Path, metavar="FOLDER", help="folder to keep the films in")
@@ -83,10 +81,7 @@ def main(argv: list[str]) -> int:
         ):
             tables.append(measure(film, arguments.rounds))
             print("\n".join(ratios.lines(tables[-1])), seen(film), sep="\n", end="\n\n", flush=True)
-    if arguments.json:
-        ratios.write(
-            arguments.json, "grab", tables, opencv=cv2.__version__, ffmpeg=ffmpeg_version()
-        )
+    ratios.write(arguments.json, "grab", tables, opencv=cv2.__version__, ffmpeg=ffmpeg_version())
     return 0
 
 
@@ -189,7 +184,3 @@ def ffmpeg_version() -> str:
         ["ffmpeg", "-version"], capture_output=True, check=True, text=True
     ).stdout
     return output.splitlines()[0]
-
-
-if __name__ == "__main__":
-    sys.exit(main(sys.argv[1:]))

@@ -33,7 +33,6 @@ wind, and two side by side, each with its truth changed accordingly.
 
 from __future__ import annotations
 
-import argparse
 import math
 import os
 import sys
@@ -50,6 +49,7 @@ from msgspec import Struct
 from bench.support import clip_kinds
 from bench.support.clip_variants import with_variants
 from bench.support.figures import line_of
+from bench.support.parts import part_parser
 from bench.support.truth_clips import Clip, TruthError, clip_of, clips_in
 from bench.support.watched_clips import HERE, VTEST, one_by_one
 from camtopod.records import Event
@@ -127,12 +127,7 @@ class Score(Struct):
 
 def main(argv: list[str]) -> int:
     """Print the table and return the exit status."""
-    parser = argparse.ArgumentParser(
-        prog="python -m bench grab_truth",
-        description=(__doc__ or "").partition("\n\n")[0],
-        epilog=(__doc__ or "").split("\n\n", 2)[2],
-        formatter_class=argparse.RawDescriptionHelpFormatter,
-    )
+    parser = part_parser(__name__, __doc__)
     add = parser.add_argument
     add("folders", nargs="*", type=Path, metavar="FOLDER", help="clips with their truth")
     add("--model", metavar="FILE", help="with this detector, an ONNX file")
@@ -399,7 +394,3 @@ def pooled_f1(scores: Sequence[Score]) -> float:
 def _false(score: Score) -> float:
     """Return the number of spurious events, mean over the runs."""
     return mean(run.spurious for run in score.runs)
-
-
-if __name__ == "__main__":
-    sys.exit(main(sys.argv[1:]))

@@ -13,7 +13,6 @@ checkout, made by ``git worktree add FOLDER COMMIT``.
 
 from __future__ import annotations
 
-import argparse
 import shutil
 import subprocess
 import sys
@@ -30,6 +29,7 @@ import bench
 from bench.support import ratios
 from bench.support.clients import client, ready_at, result, status_of, write_events
 from bench.support.figures import line_of
+from bench.support.parts import part_parser
 from bench.support.site import PROGRAM, in_checkout, peak_memory, running, traffic
 from camtopod.codec import to_json
 
@@ -53,9 +53,7 @@ class Lost(RuntimeError):
 
 def main(argv: list[str]) -> int:
     """Measure and return the exit status."""
-    parser = argparse.ArgumentParser(
-        prog="python -m bench ingest", description="Measure how fast a recording is stored."
-    )
+    parser = part_parser(__name__, __doc__)
     parser.add_argument("--base", type=Path, metavar="FOLDER")
     parser.add_argument("--cameras", type=int, default=100)
     parser.add_argument("--events", type=int, default=100_000)
@@ -92,10 +90,9 @@ def main(argv: list[str]) -> int:
     print("\n".join(line for table in tables for line in ratios.lines(table)))
     for row in tables[0].rows:
         print(line_of(f"events/s, {row.name}", 1e6 / row.cost.median))
-    if arguments.json:
-        ratios.write(
-            arguments.json, "ingest", tables, cameras=arguments.cameras, events=arguments.events
-        )
+    ratios.write(
+        arguments.json, "ingest", tables, cameras=arguments.cameras, events=arguments.events
+    )
     return 0
 
 

@@ -10,7 +10,6 @@ bare session that answers with as many bytes. In ``refitting`` the learner fits 
 
 from __future__ import annotations
 
-import argparse
 import shutil
 import tempfile
 import time
@@ -21,6 +20,7 @@ from typing import NamedTuple
 
 from bench.support import ratios, site
 from bench.support.clients import client, learned_status, ready_at, result, status_of, write_events
+from bench.support.parts import part_parser
 from bench.support.site import learned_site, running, traffic
 from camtopod.config import BusSettings, Config
 from camtopod.records import Event
@@ -116,10 +116,7 @@ def wait_until_it_stores(endpoint: str) -> None:
 
 def main(argv: list[str]) -> int:
     """Measure and return the exit status."""
-    parser = argparse.ArgumentParser(
-        prog="python -m bench latency",
-        description="Measure the time from an exit to its prediction.",
-    )
+    parser = part_parser(__name__, __doc__)
     site.add_arguments(parser)
     parser.add_argument(
         "--rate", type=float, default=1000.0, help="events a second, half of them exits"
@@ -156,13 +153,12 @@ def main(argv: list[str]) -> int:
         print("\n".join(ratios.lines(table)))
     versions = [turn.versions for turn in case.rounds[REFITTING]]
     print(f"versions made while measuring, a round: {min(versions)} .. {max(versions)}")
-    if arguments.json:
-        ratios.write(
-            arguments.json,
-            "latency",
-            tables,
-            cameras=arguments.cameras,
-            rate=arguments.rate,
-            versions=versions,
-        )
+    ratios.write(
+        arguments.json,
+        "latency",
+        tables,
+        cameras=arguments.cameras,
+        rate=arguments.rate,
+        versions=versions,
+    )
     return 0

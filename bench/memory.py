@@ -14,7 +14,6 @@ camera, at least 60,000). Settings are the default ones but for the number of ca
 
 from __future__ import annotations
 
-import argparse
 import tempfile
 from pathlib import Path
 from typing import NamedTuple
@@ -22,6 +21,7 @@ from typing import NamedTuple
 from bench.support import ratios
 from bench.support.clients import client, learned_status, result, write_events
 from bench.support.figures import line_of
+from bench.support.parts import part_parser
 from bench.support.ratios import Row, Spread, Table
 from bench.support.site import (
     LEARNED_PER_SECOND_PER_CAMERA,
@@ -49,9 +49,7 @@ class MemoryUse(NamedTuple):
 
 def main(argv: list[str]) -> int:
     """Measure, print the table and return the exit status."""
-    parser = argparse.ArgumentParser(
-        prog="python -m bench memory", description="Measure the daemon's memory."
-    )
+    parser = part_parser(__name__, __doc__)
     parser.add_argument("--cameras", default="100,1000,10000")
     parser.add_argument("--events", type=int, default=70_000)
     parser.add_argument("--json", type=Path, metavar="FILE", help="write the figures")
@@ -77,12 +75,11 @@ def main(argv: list[str]) -> int:
                 None if limit is None else 1.0,
             )
         )
-    if arguments.json:
-        ratios.write(
-            arguments.json,
-            "memory",
-            [Table("resident memory of the daemon", "MB", "what is allowed", rows)],
-        )
+    ratios.write(
+        arguments.json,
+        "memory",
+        [Table("resident memory of the daemon", "MB", "what is allowed", rows)],
+    )
     return 0
 
 

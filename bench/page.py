@@ -20,6 +20,8 @@ from pathlib import Path
 from statistics import median
 from typing import Any
 
+from bench.support.parts import part_parser
+
 SUPPORT = Path(__file__).parents[1] / "tests" / "support"
 """The browser, the page and the synthetic site of the tests."""
 NAMED = "return document.querySelectorAll('.labels .name').length"
@@ -96,11 +98,7 @@ def _steps(driver: Any, count: int) -> str:
 
 
 def _parse(argv: Sequence[str]) -> argparse.Namespace:
-    parser = argparse.ArgumentParser(prog="python -m bench page")
+    parser = part_parser(__name__, __doc__)
     parser.add_argument("--cameras", type=int, default=5000, help="cameras of the site")
     parser.add_argument("--steps", type=int, default=40, help="steps of each pan")
     return parser.parse_args(argv)
-
-
-if __name__ == "__main__":
-    sys.exit(main(sys.argv[1:]))

@@ -26,6 +26,7 @@ from typing import NamedTuple
 
 import bench
 from bench.support import ratios
+from bench.support.parts import part_parser
 from bench.support.site import LEARNED_PER_SECOND_PER_CAMERA, LOOK_SECONDS, resident, traffic
 from camtopod.codec import to_json
 
@@ -80,17 +81,14 @@ def main(argv: Sequence[str]) -> int:
                     flush=True,
                 )
                 tables += input_tables
-    if arguments.json:
-        ratios.write(
-            arguments.json, "predict", tables, cameras=arguments.cameras, events=arguments.events
-        )
+    ratios.write(
+        arguments.json, "predict", tables, cameras=arguments.cameras, events=arguments.events
+    )
     return 0
 
 
 def _parse(argv: Sequence[str]) -> argparse.Namespace:
-    parser = argparse.ArgumentParser(
-        prog="python -m bench predict", description="Measure camtopod predict."
-    )
+    parser = part_parser(__name__, __doc__)
     parser.add_argument("--base", type=Path, required=True, metavar="FOLDER")
     parser.add_argument("--cameras", type=int, default=12)
     parser.add_argument("--events", type=int, default=1_000_000)

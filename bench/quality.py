@@ -35,7 +35,7 @@ import msgspec
 
 from bench.support.jobs import completed_tasks
 from bench.support.measure import GROUPS, Record, measure
-from bench.support.networks import names_from
+from bench.support.parts import names_from, part_parser
 from bench.support.regimes import REGIMES
 from bench.support.table import figure_lines, tables
 from camtopod.codec import read, to_json
@@ -125,10 +125,7 @@ def _results(tasks: Sequence[Task], jobs: int, path: Path | None) -> list[Result
 
 
 def _parse(argv: list[str]) -> argparse.Namespace:
-    parser = argparse.ArgumentParser(
-        prog="python -m bench quality",
-        description="Measure camtopod and the baselines on many networks.",
-    )
+    parser = part_parser(__name__, __doc__)
     parser.add_argument("--seeds", type=int, default=10, help="networks per regime (default 10)")
     parser.add_argument(
         "--first-seed",

@@ -29,7 +29,3 @@ def main(argv: Sequence[str]) -> int:
             text, status = "failed", 1
         print(f"{row.readme}\n    here {text:32}README {row.figure}")
     return status
-
-
-if __name__ == "__main__":
-    sys.exit(main(sys.argv[1:]))

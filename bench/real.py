@@ -44,7 +44,7 @@ from bench.support.beside import (
 )
 from bench.support.figures import line_of
 from bench.support.match_figures import who_figures
-from bench.support.networks import networks_parser, results_of
+from bench.support.parts import networks_parser, results_of
 from bench.support.real_figures import (
     SEARCH_RECALLS,
     TELLABLE_NATS,
@@ -97,7 +97,7 @@ class Result(Struct):
 
 def main(argv: Sequence[str]) -> int:
     """Measure, print the tables and return the exit status."""
-    parser = networks_parser("real", "links and predictions")
+    parser = networks_parser(__name__, __doc__)
     add_options(parser)
     arguments = parser.parse_args(argv)
     options = options_of(arguments)

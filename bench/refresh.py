@@ -19,6 +19,7 @@ from collections.abc import Sequence
 
 from bench.support import figures
 from bench.support.figures import AGE_COMMITS_MAX, DATA, Row
+from bench.support.parts import part_parser
 
 FOLDERS = ("real", "clips", "base")
 """Kinds of data that are given as a folder, by option."""
@@ -77,16 +78,10 @@ def _git(*arguments: str) -> str:
 
 
 def _parse(argv: Sequence[str]) -> argparse.Namespace:
-    parser = argparse.ArgumentParser(
-        prog="python -m bench refresh", description="Measure again what the pages show."
-    )
+    parser = part_parser(__name__, __doc__)
     parser.add_argument("--check", action="store_true", help="only list what is too old")
     parser.add_argument("--all", action="store_true", help="measure every row")
     parser.add_argument("--only", metavar="WORD", help="measure the commands that have this word")
     for name in FOLDERS:
         parser.add_argument(f"--{name}", metavar="FOLDER", help=DATA[name])
     return parser.parse_args(argv)
-
-
-if __name__ == "__main__":
-    sys.exit(main(sys.argv[1:]))

@@ -9,7 +9,6 @@ timed until it receives events, and killed.
 
 from __future__ import annotations
 
-import argparse
 import signal
 import statistics
 import subprocess
@@ -20,6 +19,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from bench.support.figures import line_of
+from bench.support.parts import part_parser
 from camtopod.codec import to_json, to_msgpack
 from camtopod.learn.learner import Learner
 from camtopod.learn.settings import Settings
@@ -38,9 +38,7 @@ OBJECTS_PER_SECOND, EVENTS_PER_HOUR = 0.12, 3500.0
 
 def main(argv: list[str]) -> int:
     """Measure and return the exit status."""
-    parser = argparse.ArgumentParser(
-        prog="python -m bench restart", description="Measure the time from a kill to readiness."
-    )
+    parser = part_parser(__name__, __doc__)
     parser.add_argument("--events", type=int, default=50_000)
     parser.add_argument("--behind", type=int, default=2_000)
     parser.add_argument("--times", type=int, default=5)

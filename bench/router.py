@@ -11,7 +11,6 @@ forwarded message, and its ratio to that with one reader. The router is a zenoh 
 
 from __future__ import annotations
 
-import argparse
 import contextlib
 import tempfile
 from functools import partial
@@ -20,14 +19,13 @@ from pathlib import Path
 from bench.ingest import EVENTS_PER_SECOND_PER_CAMERA, Lost
 from bench.support import ratios
 from bench.support.clients import client, ready_at, result, write_events
+from bench.support.parts import part_parser
 from bench.support.site import traffic
 
 
 def main(argv: list[str]) -> int:
     """Measure and return the exit status."""
-    parser = argparse.ArgumentParser(
-        prog="python -m bench router", description="Measure a router's cost per message."
-    )
+    parser = part_parser(__name__, __doc__)
     parser.add_argument("--cameras", type=int, default=100)
     parser.add_argument("--events", type=int, default=200_000)
     parser.add_argument("--readers", default="1,4", help="numbers of readers, comma-separated")
@@ -51,10 +49,9 @@ def main(argv: list[str]) -> int:
     print("\n".join(ratios.lines(table)))
     for row in table.rows:
         print(f"  {row.name}: {1e6 / row.cost.median:,.0f} messages a second of a core")
-    if arguments.json:
-        ratios.write(
-            arguments.json, "router", [table], cameras=arguments.cameras, events=arguments.events
-        )
+    ratios.write(
+        arguments.json, "router", [table], cameras=arguments.cameras, events=arguments.events
+    )
     return 0
 
 

@@ -30,6 +30,7 @@ from bench.support.clients import (
     status_of,
     write_events,
 )
+from bench.support.parts import part_parser
 from bench.support.site import children, peak_memory, processor_seconds, running
 from camtopod.config.settings import BusSettings, Config
 from camtopod.records import Event
@@ -165,9 +166,7 @@ def line(size: Size) -> str:
 
 
 def _parse(argv: Sequence[str]) -> argparse.Namespace:
-    parser = argparse.ArgumentParser(
-        prog="python -m bench scale", description="Measure one daemon on large sites."
-    )
+    parser = part_parser(__name__, __doc__)
     parser.add_argument("--cameras", default="100,1000", help="sizes of site, comma-separated")
     parser.add_argument(
         "--hours", type=float, default=1.0, help="length of the recordings (default 1)"

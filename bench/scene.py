@@ -20,6 +20,7 @@ from bench.scenes.crowd import CrowdSettings, simulate_crowd
 from bench.scenes.hall import HallSettings, simulate_hall
 from bench.scenes.road import RoadSettings, simulate_road
 from bench.scenes.walkway import WalkwaySettings, simulate_walkway
+from bench.support.parts import part_parser
 from camtopod.codec import to_json
 from camtopod.records import Event
 from camtopod.sim.truth import Truth
@@ -33,9 +34,7 @@ SCENES: dict[str, tuple[type[Struct], Callable[[Any], tuple[list[Event], Truth]]
 
 
 def main(argv: list[str]) -> int:
-    parser = argparse.ArgumentParser(
-        prog="bench scene", description="Simulate a scene: events and ground truth."
-    )
+    parser = part_parser(__name__, __doc__)
     parser.add_argument("scene", choices=SCENES)
     parser.add_argument(
         "--events",

@@ -12,7 +12,6 @@ stored exactly once, and a plain learner given the same events has to have the s
 
 from __future__ import annotations
 
-import argparse
 import contextlib
 import gc
 import itertools
@@ -31,6 +30,7 @@ import msgspec
 from msgspec import Struct
 
 from bench.support.figures import line_of
+from bench.support.parts import part_parser
 from bench.support.site import resident
 from camtopod.config.settings import BusSettings, Config, KeepSettings, Limits, StateSettings
 from camtopod.learn.learner import Learner
@@ -79,9 +79,7 @@ class Day(Struct):
 
 def main(argv: list[str]) -> int:
     """Run the days; return 0 if memory and disk stayed flat and nothing was lost."""
-    parser = argparse.ArgumentParser(
-        prog="python -m bench soak", description="Run an installation for many simulated days."
-    )
+    parser = part_parser(__name__, __doc__)
     parser.add_argument("--days", type=int, default=30)
     parser.add_argument("--cameras", type=int, default=20)
     parser.add_argument(

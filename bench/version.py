@@ -23,6 +23,7 @@ from pathlib import Path
 
 import bench
 from bench.support import ratios
+from bench.support.parts import part_parser
 
 HERE, BASE = "this checkout", "base"
 TARGETS = {"map": 0.4, "file": 0.5, "bus in all": 0.35, "decode and prepare": 0.2}
@@ -51,10 +52,9 @@ def main(argv: Sequence[str]) -> int:
     targets = {HERE: TARGETS["decode and prepare"]}
     tables.append(ratios.compare("decode and prepare", "ms", seconds, BASE, targets))
     print("\n".join(line for table in tables for line in ratios.lines(table)))
-    if arguments.json:
-        ratios.write(
-            arguments.json, "version", tables, cameras=arguments.cameras, hours=arguments.hours
-        )
+    ratios.write(
+        arguments.json, "version", tables, cameras=arguments.cameras, hours=arguments.hours
+    )
     return 0
 
 
@@ -89,9 +89,7 @@ def run(checkout: Path, *arguments: object) -> str:
 
 
 def _parse(argv: Sequence[str]) -> argparse.Namespace:
-    parser = argparse.ArgumentParser(
-        prog="python -m bench version", description="Measure the bytes and the time of a version."
-    )
+    parser = part_parser(__name__, __doc__)
     parser.add_argument("--base", type=Path, required=True, metavar="FOLDER")
     parser.add_argument("--cameras", type=int, default=400)
     parser.add_argument("--hours", type=float, default=1.0)

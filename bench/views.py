@@ -24,7 +24,6 @@ true events shows what can be expected. All clocks are right.
 
 from __future__ import annotations
 
-import argparse
 import sys
 import tempfile
 from collections import Counter, defaultdict
@@ -42,6 +41,7 @@ from bench.grab_truth import PHASES, detector_of, grabbed
 from bench.scenes.recording import PAIR_WALKS_MIN
 from bench.scenes.stops import with_stops
 from bench.support.measure import CLOCK_SECONDS_MAX
+from bench.support.parts import part_parser
 from bench.support.recordings import (
     SPURIOUS_TRANSITIONS_MAX,
     TRANSITIONS_MIN,
@@ -141,12 +141,7 @@ class Recording(Struct):
 
 def main(argv: list[str]) -> int:
     """Print the table and return the exit status."""
-    parser = argparse.ArgumentParser(
-        prog="python -m bench views",
-        description=(__doc__ or "").partition("\n\n")[0],
-        epilog=(__doc__ or "").split("\n\n", 2)[2],
-        formatter_class=argparse.RawDescriptionHelpFormatter,
-    )
+    parser = part_parser(__name__, __doc__)
     add = parser.add_argument
     add("folder", nargs="?", type=Path, metavar="FOLDER", help="synchronised clips with truth")
     add("--runs", type=int, default=RUNS, help="times that all is learned (default: %(default)s)")
@@ -417,7 +412,3 @@ def zone_of(topology: Topology, event: Event) -> str:
 
 def _cameras(first: Passage, second: Passage) -> tuple[str, ...]:
     return tuple(sorted((first.camera, second.camera)))
-
-
-if __name__ == "__main__":
-    sys.exit(main(sys.argv[1:]))

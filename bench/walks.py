@@ -31,7 +31,7 @@ from scipy.optimize import linear_sum_assignment
 
 from bench.support.figures import line_of
 from bench.support.match_figures import oracle_odds
-from bench.support.networks import networks_parser, results_of
+from bench.support.parts import networks_parser, results_of
 from bench.support.real_figures import calibration_error
 from bench.support.recordings import Recording, load
 from camtopod.learn.recording import learn_topology
@@ -71,7 +71,7 @@ class Result(Struct):
 
 def main(argv: Sequence[str]) -> int:
     """Measure, print the table and return the exit status."""
-    results = results_of(networks_parser("walks", "walks").parse_args(argv), measure)
+    results = results_of(networks_parser(__name__, __doc__).parse_args(argv), measure)
     if results:
         print(f"{'network':20}{'way':14}{'entries':>9}{'continue':>10}{'said':>7}", end="")
         print(f"{'right':>7}{'share':>7}{'sure':>6}{'calibration':>13}{'pairs: P':>10}{'R':>6}")

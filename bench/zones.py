@@ -13,7 +13,6 @@ development. At the end: how often the zone numbers of a camera change in steady
 
 from __future__ import annotations
 
-import argparse
 import time
 import warnings
 from collections.abc import Callable, Sequence
@@ -23,6 +22,7 @@ from typing import NamedTuple
 import numpy as np
 
 from bench.support import ratios
+from bench.support.parts import part_parser
 from camtopod.arrays import Floats
 from camtopod.learn.zones.cells import cell_sums, fixed_point
 from camtopod.learn.zones.daspec import bandwidth, data_spectroscopy
@@ -91,7 +91,7 @@ SPEED_KINDS = ("round", "along the border", "boxes", "clutter in blobs")
 
 def main(argv: list[str]) -> int:
     """Measure, print the tables and return the exit status."""
-    parser = argparse.ArgumentParser(prog="python -m bench zones", description=__doc__)
+    parser = part_parser(__name__, __doc__)
     parser.add_argument(
         "cameras", type=int, nargs="?", default=8, help="cameras of each kind (default 8)"
     )
@@ -105,8 +105,7 @@ def main(argv: list[str]) -> int:
         rightness(arguments.cameras, arguments.first)
     table = speed(arguments.first, arguments.rounds)
     print(*ratios.lines(table), sep="\n")
-    if arguments.json:
-        ratios.write(arguments.json, "zones", [table])
+    ratios.write(arguments.json, "zones", [table])
     return 0
 
 

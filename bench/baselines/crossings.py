@@ -142,3 +142,14 @@ def lag_counts(traffic: Crossings, candidates: Candidates, width: float) -> tupl
     counts = np.bincount(candidates.pair * bins + at, minlength=zones * zones * bins)
     centres = low + width * (np.arange(bins, dtype=np.float64) + 0.5)
     return counts.reshape(zones, zones, bins).astype(np.float64), centres
+
+
+def smoother(bins: int, sd: float) -> Floats:
+    """Return a matrix (bins, bins) that spreads each bin's mass over its neighbours; rows sum to 1.
+
+    sd: standard deviation of the Gaussian kernel, in bins.
+    """
+    offset = np.arange(bins)[:, None] - np.arange(bins)[None, :]
+    kernel: Floats = np.exp(-0.5 * (offset / sd) ** 2)
+    kernel /= kernel.sum(axis=1, keepdims=True)
+    return kernel

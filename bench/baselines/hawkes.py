@@ -10,9 +10,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from bench.baselines.crossings import Candidates, Crossings
+from bench.baselines.crossings import Candidates, Crossings, smoother
 from bench.baselines.findings import Findings
-from camtopod.arrays import Floats
 
 ITERATIONS = 40
 SCALE_SECONDS, STEP = 4.0, 0.2
@@ -59,7 +58,7 @@ def hawkes(traffic: Crossings, candidates: Candidates) -> dict[str, Findings]:
     rate = np.full((zones * zones, bins), 0.5 / zones / (high - low))
     background = np.bincount(block) * 0.5 / BACKGROUND_SECONDS
     mass = np.zeros_like(rate)
-    spread = _smoother(bins)
+    spread = smoother(bins, SMOOTHING_SD_BINS)
     share = np.zeros(len(key))
 
     # EM: share of each cause of an arrival, then kernels and background.
@@ -89,11 +88,3 @@ def hawkes(traffic: Crossings, candidates: Candidates) -> dict[str, Findings]:
         "per departure": Findings(caused / exit_counts, transit),
         "likelihood": Findings(gain.reshape(zones, zones), transit),
     }
-
-
-def _smoother(bins: int) -> Floats:
-    """Return a matrix that spreads each bin's mass over its neighbours; rows sum to 1."""
-    offset = np.arange(bins)[:, None] - np.arange(bins)[None, :]
-    kernel: Floats = np.exp(-0.5 * (offset / SMOOTHING_SD_BINS) ** 2)
-    kernel /= kernel.sum(axis=1, keepdims=True)
-    return kernel

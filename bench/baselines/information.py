@@ -13,9 +13,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from bench.baselines.crossings import Candidates, Crossings
+from bench.baselines.crossings import Candidates, Crossings, smoother
 from bench.baselines.findings import Findings
-from camtopod.arrays import Floats
 
 ITERATIONS = 12
 BIN_SECONDS = 2.0
@@ -43,7 +42,7 @@ def information(traffic: Crossings, candidates: Candidates) -> dict[str, Finding
     by_arrival = candidates.arrival * zones + candidates.pair // zones
     by_departure = candidates.departure * zones + candidates.pair % zones
     hazard = np.full((zones * zones, bins), MATCHED_START / span)
-    spread = _smoother(bins)
+    spread = smoother(bins, SMOOTHING_SD_BINS)
     mass = np.zeros((zones * zones, bins))
 
     # EM: E step (share of each candidate), M step (smoothed mass and hazard).
@@ -73,11 +72,3 @@ def information(traffic: Crossings, candidates: Candidates) -> dict[str, Finding
         "in total": Findings(matches * gain, transit),
         "of the matched": Findings(np.where(matches > 2, gain, -np.inf), transit),
     }
-
-
-def _smoother(bins: int) -> Floats:
-    """Return a Parzen window over the lag bins that keeps the total mass."""
-    offset = np.arange(bins)[:, None] - np.arange(bins)[None, :]
-    kernel: Floats = np.exp(-0.5 * (offset / SMOOTHING_SD_BINS) ** 2)
-    kernel /= kernel.sum(axis=1, keepdims=True)
-    return kernel

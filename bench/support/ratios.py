@@ -8,7 +8,6 @@ rounds.
 from __future__ import annotations
 
 import argparse
-import json
 import os
 import platform
 import resource
@@ -20,6 +19,7 @@ from typing import Any
 from msgspec import Struct, to_builtins
 
 from bench.support.figures import line_of
+from bench.support.parts import write_json
 
 WARM_ROUNDS = 1
 """Rounds that are measured first and dropped: they fill file caches and load libraries."""
@@ -144,12 +144,12 @@ def add_arguments(parser: argparse.ArgumentParser, rounds: int) -> None:
     parser.add_argument("--json", type=Path, metavar="FILE", help="write the figures")
 
 
-def write(path: Path, part: str, tables: Sequence[Table], **facts: Any) -> None:
-    """Write figures and machine as JSON."""
+def write(path: Path | None, part: str, tables: Sequence[Table], **facts: Any) -> None:
+    """Write figures and machine as JSON, if a file is named."""
     machine = {
         "cores": os.cpu_count(),
         "processor": platform.machine(),
         "python": platform.python_version(),
     }
     content = {"part": part, "machine": machine, **facts, "tables": to_builtins(list(tables))}
-    path.write_text(json.dumps(content, indent=1) + "\n")
+    write_json(path, content)

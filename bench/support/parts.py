@@ -1,6 +1,6 @@
-"""What parts that measure the learner on recorded networks share: options, folders, results.
+"""What the parts of the bench share: options, folders of recordings, and files of results.
 
-A network is a folder of ``--data`` (default: CAMTOPOD_REAL_DATA) with events.jsonl and
+A real network is a folder in ``--data`` (default: CAMTOPOD_REAL_DATA) with events.jsonl and
 identities.csv.
 """
 
@@ -20,21 +20,32 @@ from bench.support.jobs import map_tasks
 _Result = TypeVar("_Result")
 
 
-def data_parser(part: str, description: str) -> argparse.ArgumentParser:
+def part_parser(module: str, docstring: str | None) -> argparse.ArgumentParser:
+    """Return a parser of a part of the bench, whose help is the docstring of its module."""
+    title, *text = (docstring or "").split("\n\n", 2)
+    return argparse.ArgumentParser(
+        prog=f"python -m {module.replace('.', ' ')}",
+        description=title,
+        epilog="".join(text[1:]),
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
+
+
+def data_parser(module: str, docstring: str | None) -> argparse.ArgumentParser:
     """Return a parser with ``--data`` and ``--jobs``, of a part of the bench."""
-    parser = argparse.ArgumentParser(prog=f"python -m bench {part}", description=description)
+    parser = part_parser(module, docstring)
     folder = os.environ.get("CAMTOPOD_REAL_DATA")
     parser.add_argument(
         "--data", type=Path, default=Path(folder) if folder else None, metavar="FOLDER"
     )
     parser.add_argument("--jobs", type=int, default=2, help="processes (default 2)")
-    parser.set_defaults(part=part)
     return parser
 
 
-def networks_parser(part: str, figures: str) -> argparse.ArgumentParser:
-    """Return a parser of a part that measures ``figures`` (in words) on each network."""
-    parser = data_parser(part, f"Measure {figures} on real networks.")
+def networks_parser(module: str, docstring: str | None) -> argparse.ArgumentParser:
+    """Return a parser of a part that measures real networks; `results_of` takes its arguments."""
+    parser = data_parser(module, docstring)
+    parser.set_defaults(part=module.replace(".", " "))
     parser.add_argument("--networks", help="comma-separated (default: all)")
     parser.add_argument("--json", type=Path, metavar="FILE", help="write the results")
     return parser
@@ -70,10 +81,7 @@ def results_of(arguments: argparse.Namespace, measure: Callable[[Path], _Result]
         names = arguments.networks.split(",")
         folders = [folder for folder in folders if folder.name in names]
     if not folders:
-        print(
-            f"bench {arguments.part}: skipped, no recordings found "
-            "(set --data or CAMTOPOD_REAL_DATA)"
-        )
+        print(f"{arguments.part}: skipped, no recordings found (set --data or CAMTOPOD_REAL_DATA)")
     results = map_tasks(measure, folders, arguments.jobs)
     if results:
         write_json(arguments.json, to_builtins(results, str_keys=True))
