@@ -114,8 +114,7 @@ MECHANISMS = [
         {"learn.next_camera.contexts:Contexts._contexts": _without_levels(1)},
     ),
     Mechanism(
-        "contexts, all",
-        {"learn.next_camera.contexts:Contexts._contexts": _without_levels(0, 1)},
+        "contexts, all", {"learn.next_camera.contexts:Contexts._contexts": _without_levels(0, 1)}
     ),
     Mechanism(
         "speed", {"learn.association.em:estimate_persistence": lambda *arguments: NO_PERSISTENCE}
@@ -130,12 +129,7 @@ MECHANISMS = [
             )
         },
     ),
-    Mechanism(
-        "entry kernels",
-        {
-            "learn.next_camera.entry_kernels:ENTRY_PAIRS_MAX": (0, 0),
-        },
-    ),
+    Mechanism("entry kernels", {"learn.next_camera.entry_kernels:ENTRY_PAIRS_MAX": (0, 0)}),
     Mechanism("overlapping views", {"learn.refit:find_overlapping": lambda *arguments: []}),
     Mechanism(
         "test of overlap",
@@ -150,7 +144,7 @@ MECHANISMS = [
         {
             "learn.prediction_model:missed_shares": lambda posterior, scene, bins, shares: (
                 missed_shares(posterior, scene, bins, None)
-            ),
+            )
         },
     ),
     Mechanism(
@@ -181,12 +175,7 @@ MECHANISMS = [
     ),
     Mechanism(
         "common cycle",
-        {
-            "learn.refit:without_cycle": lambda problem, fit: (
-                fit,
-                np.full(len(fit.counts), np.nan),
-            )
-        },
+        {"learn.refit:without_cycle": lambda problem, fit: (fit, np.full(len(fit.counts), np.nan))},
     ),
     Mechanism(
         "one occasion tells little",

@@ -75,11 +75,8 @@ def main(argv: list[str]) -> int:
                 None if limit is None else 1.0,
             )
         )
-    ratios.write(
-        arguments.json,
-        "memory",
-        [Table("resident memory of the daemon", "MB", "what is allowed", rows)],
-    )
+    table = Table("resident memory of the daemon", "MB", "what is allowed", rows)
+    ratios.write(arguments.json, "memory", [table])
     return 0
 
 

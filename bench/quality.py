@@ -128,10 +128,7 @@ def _parse(argv: list[str]) -> argparse.Namespace:
     parser = part_parser(__name__, __doc__)
     parser.add_argument("--seeds", type=int, default=10, help="networks per regime (default 10)")
     parser.add_argument(
-        "--first-seed",
-        type=int,
-        default=0,
-        help="1000: networks unused in development (default 0)",
+        "--first-seed", type=int, default=0, help="1000: networks unused in development (default 0)"
     )
     parser.add_argument(
         "--scale", type=float, default=1.0, help="length of the recordings (default 1.0)"

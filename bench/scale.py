@@ -23,13 +23,7 @@ import msgspec
 from msgspec import Struct
 
 from bench.support import ratios
-from bench.support.clients import (
-    client,
-    learned_status,
-    result,
-    status_of,
-    write_events,
-)
+from bench.support.clients import client, learned_status, result, status_of, write_events
 from bench.support.parts import part_parser
 from bench.support.site import children, peak_memory, processor_seconds, running
 from camtopod.config.settings import BusSettings, Config

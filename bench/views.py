@@ -237,9 +237,7 @@ def revisited(clips: Sequence[Clip], runs: int, model: str | None) -> list[Recor
 
 
 def visits(
-    true: dict[str, list[Event]],
-    grabs: list[dict[str, list[Event]]],
-    rng: np.random.Generator,
+    true: dict[str, list[Event]], grabs: list[dict[str, list[Event]]], rng: np.random.Generator
 ) -> Recording:
     """Return visitors at random times, each as one of the people.
 

@@ -133,10 +133,7 @@ def speed(first: int, rounds: int) -> ratios.Table:
 
     title = f"zones of a camera, {SPEED_EVENTS:,} events"
     with threadpool_limits(1):
-        turns = {
-            "refreshed": partial(timed, refreshes, 20),
-            "HDBSCAN": partial(timed, fits, 1),
-        }
+        turns = {"refreshed": partial(timed, refreshes, 20), "HDBSCAN": partial(timed, fits, 1)}
         costs = ratios.take_turns(turns, rounds)
     return ratios.compare(title, "CPU ms", costs, "refreshed")
 

@@ -141,10 +141,7 @@ def _centred(traffic: Crossings) -> tuple[Floats, Floats]:
     start = min(traffic.exits[0], traffic.entries[0])
     steps = int((max(traffic.exits[-1], traffic.entries[-1]) - start) / STEP_SECONDS) + 1
     result = []
-    for t, zone in (
-        (traffic.exits, traffic.exit_zone),
-        (traffic.entries, traffic.entry_zone),
-    ):
+    for t, zone in ((traffic.exits, traffic.exit_zone), (traffic.entries, traffic.entry_zone)):
         counts = np.zeros((steps, len(traffic.zones)))
         np.add.at(counts, (((t - start) / STEP_SECONDS).astype(np.int64), zone), 1.0)
         window = min(round(AVERAGE_SECONDS / STEP_SECONDS), steps)

@@ -67,12 +67,10 @@ def closest(traffic: Crossings) -> dict[str, Findings]:
 
 
 def _nearest(exits: Floats, entries: Floats) -> Floats:
-    """Return for each departure the nearest arrival, seconds."""
+    """Return the time of the nearest entry for each exit, seconds."""
     after = np.clip(np.searchsorted(entries, exits), 1, len(entries) - 1)
     near: Floats = np.where(
-        entries[after] - exits < exits - entries[after - 1],
-        entries[after],
-        entries[after - 1],
+        entries[after] - exits < exits - entries[after - 1], entries[after], entries[after - 1]
     )
     return near
 

@@ -12,12 +12,7 @@ import warnings
 from collections import Counter
 from collections.abc import Sequence
 
-from bench.support.recordings import (
-    TRANSITIONS_MIN,
-    TRANSITIONS_SHARE_MIN,
-    CameraPair,
-    Passage,
-)
+from bench.support.recordings import TRANSITIONS_MIN, TRANSITIONS_SHARE_MIN, CameraPair, Passage
 
 WHOLE_PASSAGES_MAX = 3000
 """Passages up to which the miner looks at all of them together; it cuts more into parts."""

@@ -128,10 +128,7 @@ def _rows() -> list[Regime]:
             window_events=10_000,
         ),
         Regime(
-            "clocks",
-            "a third of the clocks off by up to 30 s",
-            medium,
-            disturb=with_wrong_clocks,
+            "clocks", "a third of the clocks off by up to 30 s", medium, disturb=with_wrong_clocks
         ),
     ]
 

@@ -74,13 +74,7 @@ def tables(records: Sequence[Record], regimes: Sequence[str]) -> list[str]:
     for regime in regimes:
         part = [record for record in records if record.regime == regime]
         if part:
-            lines += [
-                *_ours(regime, part),
-                *_links(part, common),
-                *_zones(part),
-                *_next(part),
-                "",
-            ]
+            lines += [*_ours(regime, part), *_links(part, common), *_zones(part), *_next(part), ""]
     return [*lines, *_overview(records, regimes), "", *_targets(records), "", *_seconds(records)]
 
 
