@@ -185,7 +185,8 @@ def judge(topology: Topology, ways: Mapping[CameraPair, float | None], events: i
                 continue
             way = ways.get(pair, math.inf)
             if way is None or abs(link.transit.q50 - way) < WAY_SECONDS_APART:
-                right |= {pair} if is_published else set()
+                if is_published:
+                    right.add(pair)
                 continue
             least_q = min(least_q, link.q_value)
             if is_published:
@@ -218,14 +219,13 @@ def _table(tasks: Sequence[Task], outcomes: Sequence[Outcome]) -> list[str]:
         f"{'':62}{'events':>8}{'runs':>6}{'false':>7}{'in runs':>9}{'least q':>10}  right ways"
     ]
     for title, runs in rows.items():
-        ways = len(control_of[title].ways) if title in control_of else 0
-        right = sum(run.right for run in runs) / len(runs)
-        lines.append(
-            f"{title:62}{sum(run.events for run in runs) // len(runs):8}{len(runs):6}"
-            f"{sum(len(run.false) for run in runs):7}{sum(bool(run.false) for run in runs):9}"
-            f"{min(run.least_q for run in runs):10.0e}"
-            + (f"  {right:.1f} of {ways}" if ways else "")
-        )
+        line = f"{title:62}{sum(run.events for run in runs) // len(runs):8}{len(runs):6}"
+        line += f"{sum(len(run.false) for run in runs):7}{sum(bool(run.false) for run in runs):9}"
+        line += f"{min(run.least_q for run in runs):10.0e}"
+        if title in control_of and control_of[title].ways:
+            right = sum(run.right for run in runs) / len(runs)
+            line += f"  {right:.1f} of {len(control_of[title].ways)}"
+        lines.append(line)
     false = sum(len(outcome.false) for outcome in outcomes)
     limit = len(outcomes) / RUNS_PER_FALSE_LINK
     lines.append(f"{false} false links in {len(outcomes)} recordings; at most {limit:.1f} allowed")

@@ -125,7 +125,8 @@ def measure(folder: Path, options: Options = DEFAULTS, *, beside: bool = True) -
 
     # Predict all exits.
     start = time.process_time()
-    predictor, predictions = Predictor(learner.topology), []
+    predictor = Predictor(learner.topology)
+    predictions = []
     for event in recording.events:
         if event.kind == "exit":
             predictions.append(predictor.predict(event))
