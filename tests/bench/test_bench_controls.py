@@ -117,7 +117,9 @@ def test_the_table_names_every_false_link(
     lines = capsys.readouterr().out.splitlines()
     assert lines[1].split()[:1] == ["quiet"]
     assert "0 false links in 2 recordings" in lines[2]
-    assert controls.main(["--kinds", "loud"]) == 2
+    with pytest.raises(SystemExit):
+        controls.main(["--kinds", "loud"])
+    assert "no loud; choose from steady, cages" in capsys.readouterr().err
 
 
 def test_all_controls_have_titles_of_their_own() -> None:
