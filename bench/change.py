@@ -295,7 +295,7 @@ def _score(job: str, base: SimSettings, seeds: range, doors: int) -> None:
 def _figures(scores: list[Scores]) -> list[float]:
     """Return the means of the scores, in the order of the table."""
     m = {name: sum(getattr(mark, name) for mark in scores) for name in Scores._fields}
-    weight = max(m["followed"], 1e-9)
+    weight = max(m["return_probability"], 1e-9)
     return [
         m["loss"] / len(scores),
         m["top1"] / weight,

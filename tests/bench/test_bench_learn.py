@@ -55,7 +55,11 @@ def recordings(tmp_path_factory: pytest.TempPathFactory) -> Path:
 @pytest.mark.parametrize(
     ("part", "arguments", "shown"),
     [
-        ("change", ["--seeds", "1", "--hours", "0.04", "--jobs", "steady"], "steady"),
+        (
+            "change",
+            ["--seeds", "1", "--hours", "0.3", "--jobs", "steady,score"],
+            "mean apart: log loss",
+        ),
         ("thesis", ["1"], "table 5.3"),
     ],
 )
