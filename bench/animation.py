@@ -356,9 +356,9 @@ def aims(topology: Topology, predictions: Sequence[Prediction]) -> tuple[list[st
     pairs = {frozenset(pair.cameras) for pair in topology.pairs if pair.relation == "unseen_path"}
     dots, rings = [], []
     for prediction in predictions:
-        if not prediction.candidates:
+        if not prediction.next:
             continue
-        aim = prediction.candidates[0]
+        aim = prediction.next[0]
         begin, first, last = (at(prediction.t + s) for s in (0.0, aim.q10, aim.q90))
         if aim.probability < 0.3 or frozenset((prediction.camera, aim.camera)) not in pairs:
             continue
@@ -402,7 +402,7 @@ def captions(
     sentences += [
         (at(prediction.t), f"{prediction.camera} → {str(prediction).split('; ')[0]}")
         for prediction in predictions
-        if prediction.candidates
+        if prediction.next
     ]
     ends = [*(begin for begin, _ in sentences[1:]), 1.0]
     return [

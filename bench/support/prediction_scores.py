@@ -188,7 +188,7 @@ def _within(prediction: Prediction, entry: Event, zone: str | None) -> list[bool
 
     Without a zone it is the window of the camera's likeliest zone.
     """
-    choices = [choice for choice in prediction.candidates if choice.camera == entry.camera]
+    choices = [choice for choice in prediction.next if choice.camera == entry.camera]
     for choice in [choice for choice in choices if choice.zone == zone] or choices:
         return [choice.q10 <= entry.t - prediction.t <= choice.q90]
     return []

@@ -214,8 +214,8 @@ def prediction_figures(
             chain.learn(zone, prediction.camera, outcome, passage.lag)
         elif recording.cut <= prediction.t <= recording.end - recording.window:
             passages.append(passage)
-            shares = {LEAVE: prediction.leave} | sum_by_camera(prediction.candidates)
-            ways = [(w.camera, w.probability, (w.q10, w.q50, w.q90)) for w in prediction.candidates]
+            shares = {LEAVE: prediction.leave} | sum_by_camera(prediction.next)
+            ways = [(w.camera, w.probability, (w.q10, w.q50, w.q90)) for w in prediction.next]
             guesses.append(Guess(shares, ways))
             oracle_guesses.append(chain.guess(zone, prediction.camera))
     if not passages:
@@ -344,7 +344,7 @@ def look_figures(predictions: Sequence[Prediction], recording: Recording) -> tup
                 of_zone[prediction.zone or ""][camera] += 1
                 of_zone[f"{prediction.camera}/"][camera] += 1
             continue
-        looks = prediction.candidates if prediction.look is None else prediction.look
+        looks = prediction.next if prediction.look is None else prediction.look
         shares = sum_by_camera(way for way in looks if way.camera != prediction.camera)
         frequent = of_zone.get(prediction.zone or "") or of_zone[f"{prediction.camera}/"]
         hits.append(bool(shares) and max(shares, key=lambda camera: shares[camera]) in right)
