@@ -146,7 +146,7 @@ class Browser:
 
     def barriers(self) -> list[str]:
         """Return what axe finds wrong for people who do not see the page well or have no mouse."""
-        package = pytest.importorskip("axe_playwright_python", reason="pip install .[test]")
+        package = pytest.importorskip("axe_core_python", reason="pip install .[test]")
         axe = (files(package) / "axe.min.js").read_text("utf-8")
         told = "rule.id + ': ' + rule.nodes.map((node) => node.target + ' ' + node.any.map((one) => one.message))"
         script = f"axe.run().then((all) => arguments[0](all.violations.map((rule) => {told})))"
