@@ -33,6 +33,8 @@ WARM_SECONDS = 300.0
 """Simulated seconds until about as many objects leave the network as enter it."""
 ONCE = Settings(refit_share=1e9, refit_hours=1e9)
 """Settings with which no version falls due; one is made when all has been learned."""
+BEFORE = "before"
+"""Boot of the events that a site has learned before anything is measured."""
 LEARNED_EVENTS, LEARNED_PER_SECOND_PER_CAMERA = 60_000, 0.1
 """Events (and their rate) that a site learns before anything is measured; they fill its window."""
 HERE = Path(__file__).parents[2]
@@ -93,22 +95,22 @@ def traffic(cameras: int, events_per_second: float, count: int) -> list[Event]:
         seconds *= 1.5
 
 
-def lay_out(state: Path, events: Sequence[Event]) -> None:
-    """Write the state directory of a daemon that has learned these events.
+def lay_out(state: Path, events: Sequence[Event], site: str = "site") -> None:
+    """Write the state directory of a site's daemon that has learned these events.
 
-    Their times are moved so that the last event is a minute old.
+    Their times are moved so that the last event is a minute old, and their boot is `BEFORE`.
     """
     later = wall() - 60.0 - events[-1].t
     epoch = ulid(later)
-    learner = Learner(ONCE, "site", epoch)
+    learner = Learner(ONCE, site, epoch)
 
     # Number the events and learn them.
     entries, seqs = [], dict.fromkeys({event.camera for event in events}, 0)
     for event in events:
         seq = seqs[event.camera] = seqs[event.camera] + 1
-        moved_event = msgspec.structs.replace(event, t=event.t + later, boot="before", seq=seq)
+        moved_event = msgspec.structs.replace(event, t=event.t + later, boot=BEFORE, seq=seq)
         learner.receive(moved_event)
-        entries.append(Entry("event", event.camera, "before", seq, to_msgpack(moved_event)))
+        entries.append(Entry("event", event.camera, BEFORE, seq, to_msgpack(moved_event)))
     learner.flush()
 
     # Journal, versions and snapshot.

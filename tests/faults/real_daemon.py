@@ -33,9 +33,14 @@ def script(name: str, *arguments: object, **popen: Any) -> subprocess.Popen[byte
 
 
 class RealDaemon:
-    """A daemon with the state in ``folder``; its output is in ``said``. ``popen`` is passed on."""
+    """A daemon with the state in ``folder``; its output is in ``said``. ``popen`` is passed on.
 
-    def __init__(self, folder: Path, toml: str, **popen: Any) -> None:
+    seconds: longest wait until it is ready.
+    """
+
+    def __init__(
+        self, folder: Path, toml: str, seconds: float = READY_SECONDS, **popen: Any
+    ) -> None:
         folder.mkdir(exist_ok=True)
         config = folder / "camtopod.toml"
         config.write_text(f'{toml}[state]\ndirectory = "{folder}/state"\n')
@@ -44,7 +49,7 @@ class RealDaemon:
         self.said: list[str] = []
         self._thread = threading.Thread(target=self._listen, daemon=True)
         self._thread.start()
-        wait_for(lambda: self._ready() is not None, "the daemon to be ready", READY_SECONDS)
+        wait_for(lambda: self._ready() is not None, "the daemon to be ready", seconds)
         self.endpoint = str(self._ready())
 
     def dial(self) -> Bus:

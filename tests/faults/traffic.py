@@ -2,6 +2,11 @@
 
 traffic.py router ENDPOINT
     prints "ready" and runs until killed
+traffic.py zenohd FILE
+    runs a router as zenohd does, by its configuration; prints "ready" and runs until killed
+traffic.py play FILE FIRST
+    prints the lines of a recording from number FIRST (0 is the first) on, each at the time of its
+    event
 traffic.py flood ENDPOINT CAMERA PER_SECOND SECONDS
     publishes so many valid events a second, and prints their number
 traffic.py ask ENDPOINT CAMERA SECONDS
@@ -26,10 +31,11 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import msgspec
+import zenoh
 from serving import T0, walkers
 
 from camtopod import client
-from camtopod.codec import to_msgpack
+from camtopod.codec import event_from_json, to_msgpack
 from camtopod.config.settings import BusSettings, Config, SiteSettings
 from camtopod.records import Event
 from camtopod.serve.bus import dial, open_daemon_session
@@ -42,6 +48,20 @@ def router(endpoint: str) -> None:
     with open_daemon_session(Config(bus=BusSettings(listen=(endpoint,)))):
         print("ready", flush=True)
         signal.pause()
+
+
+def zenohd(file: str) -> None:
+    with zenoh.open(zenoh.Config.from_file(file)):
+        print("ready", flush=True)
+        signal.pause()
+
+
+def play(file: str, first: str) -> None:
+    lines = Path(file).read_bytes().splitlines(keepends=True)[int(first) :]
+    for due in as_they_fall_due([event_from_json(line) for line in lines], 1.0, T0):
+        sys.stdout.buffer.writelines(lines[: len(due)])
+        sys.stdout.buffer.flush()
+        del lines[: len(due)]
 
 
 def flood(endpoint: str, camera: str, per_second: str, seconds: str) -> None:
@@ -105,4 +125,5 @@ def as_they_fall_due(events: list[Event], speed: float, began: float) -> Iterato
 
 
 if __name__ == "__main__":
-    {"router": router, "flood": flood, "ask": ask, "publish": publish}[sys.argv[1]](*sys.argv[2:])
+    parts = (router, zenohd, play, flood, ask, publish)
+    {part.__name__: part for part in parts}[sys.argv[1]](*sys.argv[2:])
