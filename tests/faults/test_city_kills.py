@@ -171,9 +171,11 @@ class Site:
     def await_predictions(self) -> None:
         """Wait for the prediction of an exit that is still to come; this ends an outage."""
         began = time.time()
-        wait_for(
-            lambda: self._newest > began, f"predictions of {self.folder.name}", START_SECONDS_MAX
-        )
+        try:
+            wait_for(lambda: self._newest > began, f"predictions of {self.name}", START_SECONDS_MAX)
+        except AssertionError:
+            print(f"the daemon of {self.name}:", *(self._daemon.said if self._daemon else ()))
+            raise
         self.outages[-1] = (self.outages[-1][0], time.time())
 
     def finish(self) -> None:
