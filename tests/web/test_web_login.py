@@ -180,7 +180,8 @@ def test_password_and_token_are_read_from_files(
     tmp_path: Path, password: str, token: str, mode: int, said: str
 ) -> None:
     settings = WebSettings(
-        secret(tmp_path / "p", password, mode), secret(tmp_path / "t", token, mode)
+        password_file=secret(tmp_path / "p", password, mode),
+        token_file=secret(tmp_path / "t", token, mode),
     )
 
     assert web._login(Config()) is None
