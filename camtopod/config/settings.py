@@ -233,9 +233,7 @@ class WebSettings(Struct, frozen=True, forbid_unknown_fields=True):
         str,
         Meta(pattern=ADDRESS_PATTERN, description="an address and a port, like 127.0.0.1:8780"),
     ] = "127.0.0.1:8780"
-    """The page's address; the default: this machine only, 0.0.0.0:8780: every network, port 0: a
-    free one.
-    """
+    """The page's address; 0.0.0.0:8780: every network may open it, port 0: a free port."""
     password_file: str = ""
     """A file whose first line is the password that the page asks for, at least 8 characters; nobody
     else may be able to read it. A path as in [bus.tls]; empty: no password.
@@ -316,21 +314,17 @@ class Config(Struct, frozen=True, forbid_unknown_fields=True):
     @property
     def dials(self) -> tuple[str, ...]:
         """Endpoints to which all programs but the daemon connect."""
-        return self.bus.connect or self._own_endpoints
-
-    @property
-    def peers(self) -> tuple[str, ...]:
-        """Endpoints to which the daemon connects: without its own, to which its clients do."""
-        own = (*self.listens, *self._own_endpoints)
-        return tuple(endpoint for endpoint in self.bus.connect if endpoint not in own)
-
-    @property
-    def _own_endpoints(self) -> tuple[str, ...]:
-        """Where this machine reaches itself, also if it listens on all interfaces."""
-        return tuple(
+        # This machine reaches itself at its own address where it listens on all interfaces.
+        return self.bus.connect or tuple(
             endpoint.replace("/0.0.0.0:", "/127.0.0.1:").replace("/[::]:", "/[::1]:")
             for endpoint in self.listens
         )
+
+    @property
+    def peers(self) -> tuple[str, ...]:
+        """Endpoints to which a daemon that listens connects; its own are for its clients."""
+        own = (*self.listens, *replace(self, bus=replace(self.bus, connect=())).dials)
+        return tuple(endpoint for endpoint in self.bus.connect if endpoint not in own)
 
     def secrets(self, path: Path) -> list[Path]:
         """Return the files that hold secrets, if this configuration was read from ``path``."""

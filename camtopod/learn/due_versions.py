@@ -1,4 +1,4 @@
-"""When a new version is due, by the events that have been learned since the last one."""
+"""The ticks of event time, and when a new version is due: by the events learned since the last."""
 
 from __future__ import annotations
 
@@ -11,6 +11,39 @@ FIRST_TICK_SHARE = 1 / 6
 """Length of the ticks before the first version, which somebody waits for, of later ticks'."""
 REFIT_EVENTS_MIN = 10
 """Least new events for a new version, unless the last version is older than ``refit_hours``."""
+
+
+def tick_length(state: LearnerState, only_last: bool) -> int:
+    """Return the length of a tick, microseconds; shorter until there is a version.
+
+    only_last: True if there is only one, of a whole recording.
+    """
+    seconds = state.settings.version_seconds
+    if state.fitted_us is None and not only_last:
+        seconds *= FIRST_TICK_SHARE
+    return microseconds(seconds)
+
+
+def tick_of(t_us: int, state: LearnerState, only_last: bool) -> int:
+    """Return the tick with which an event at a time is learned: the first after it and the last.
+
+    Times are in microseconds; ``only_last`` as for `tick_length`.
+    """
+    tick_us = tick_length(state, only_last)
+    ticks = -(-t_us // tick_us)
+    if state.done_us is not None:
+        ticks = max(ticks, state.done_us // tick_us + 1)
+    return ticks * tick_us
+
+
+def last_tick_before(t_us: int, state: LearnerState, only_last: bool) -> int:
+    """Return the last tick before a time, or the one up to which all is learned if that is later.
+
+    The arguments are those of `tick_of`.
+    """
+    tick_us = tick_length(state, only_last)
+    last_us = (t_us - 1) // tick_us * tick_us
+    return last_us if state.done_us is None else max(last_us, state.done_us)
 
 
 def is_version_due(state: LearnerState, window: Window, tick_us: int) -> bool:

@@ -39,10 +39,12 @@ from camtopod.learn.changes import AlarmLog, News
 from camtopod.learn.declarations import declared_by
 from camtopod.learn.doubled_cameras import doubled_news, find_doubled_cameras
 from camtopod.learn.due_versions import (
-    FIRST_TICK_SHARE,
     are_zones_due,
     events_for_version,
     is_version_due,
+    last_tick_before,
+    tick_length,
+    tick_of,
 )
 from camtopod.learn.lag_range import shortest_bins
 from camtopod.learn.limits import ZONES_PER_CAMERA_MAX
@@ -113,14 +115,6 @@ class Learner:
         )
         self._alarms = AlarmLog(state.alarms)
         self._scorer = Scorer(state.scorer, state.topology)
-
-    @property
-    def _tick_us(self) -> int:
-        """Length of a tick, microseconds; shorter until there is a version."""
-        seconds = self.settings.version_seconds
-        if self.state.fitted_us is None and not self.only_last:
-            seconds *= FIRST_TICK_SHARE
-        return microseconds(seconds)
 
     @property
     def settings(self) -> Settings:
@@ -227,7 +221,8 @@ class Learner:
         after: the version before it in this epoch; None if it is the first.
         """
         self.state.topology = after
-        self.state.done_us = microseconds(t) // self._tick_us * self._tick_us
+        tick_us = tick_length(self.state, self.only_last)
+        self.state.done_us = microseconds(t) // tick_us * tick_us
         self._refit(self.state.done_us)
         self.state.fitted_us = None  # the next version is due with the first events
 
@@ -243,7 +238,8 @@ class Learner:
         oldest = self._intake.oldest_held_us
         if oldest is None:
             return None
-        return (self._tick_of(oldest) + self._intake.time.lateness_us + 1) / MICROSECONDS
+        learned_us = tick_of(oldest, self.state, self.only_last) + self._intake.time.lateness_us
+        return (learned_us + 1) / MICROSECONDS
 
     def event_time(self) -> EventTimeState:
         """Return the state of event time and watermark."""
@@ -271,14 +267,12 @@ class Learner:
 
     def resume(self) -> None:
         """Learn every tick with events that the watermark has passed; make the versions due."""
-        watermark = self._intake.time.state.watermark_us
-        if watermark is None:
-            return
         # An event at the watermark may still be received.
-        if self._last_tick_before(watermark) == self.state.done_us:
+        watermark, done_us = self._intake.time.state.watermark_us, self.state.done_us
+        if watermark is None or last_tick_before(watermark, self.state, self.only_last) == done_us:
             return
         while (oldest := self._intake.oldest_held_us) is not None:
-            tick = self._tick_of(oldest)
+            tick = tick_of(oldest, self.state, self.only_last)
             if tick >= watermark:
                 break
             self._learn(tick)
@@ -291,25 +285,15 @@ class Learner:
                 self._refit(tick)
                 if self.pauses:
                     return
-        self.state.done_us = self._last_tick_before(watermark)
+        self.state.done_us = last_tick_before(watermark, self.state, self.only_last)
 
     @property
     def is_paused(self) -> bool:
         """True if there are ticks to learn."""
         watermark, oldest = self._intake.time.state.watermark_us, self._intake.oldest_held_us
-        return watermark is not None and oldest is not None and self._tick_of(oldest) < watermark
-
-    def _last_tick_before(self, t_us: int) -> int:
-        """Return the last tick before a time, or the one up to which all is learned if later."""
-        tick_us = (t_us - 1) // self._tick_us * self._tick_us
-        return tick_us if self.state.done_us is None else max(tick_us, self.state.done_us)
-
-    def _tick_of(self, t_us: int) -> int:
-        """Return the tick with which an event is learned: the first after its time and the last."""
-        ticks = -(-t_us // self._tick_us)
-        if self.state.done_us is not None:
-            ticks = max(ticks, self.state.done_us // self._tick_us + 1)
-        return ticks * self._tick_us
+        if watermark is None or oldest is None:
+            return False
+        return tick_of(oldest, self.state, self.only_last) < watermark
 
     def _learn(self, until_us: int) -> None:
         """Move the held events up to ``until_us`` into the window, and remove old ones from it."""
