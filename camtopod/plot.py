@@ -44,7 +44,7 @@ def times(topology: Topology, from_: str, to: str, axes: Axes | None = None) -> 
 
 
 def matrix(topology: Topology, axes: Axes | None = None) -> Axes:
-    """Draw `Topology.matrix`; its last column is what no link tells."""
+    """Draw `Topology.matrix`; its last column is the probability of following no link."""
     axes = axes or pyplot.subplots(layout="constrained")[1]
     cameras, probability, unlinked = topology.matrix()
     shares = np.column_stack([np.reshape(probability, (len(cameras), -1)), unlinked])

@@ -1,6 +1,6 @@
-"""How links, predictions and matches of a topology fare against known identities.
+"""Score the links, predictions and matches of a topology by known identities.
 
-The rules are those of `bench real`. The oracle is a Markov chain that is told the identities: the
+The rules are those of `bench real`. The oracle is a Markov chain that is given the identities: the
 next cameras of all other exits at the same zone, backed off to those at its camera, and anywhere.
 """
 
@@ -40,7 +40,7 @@ Pairs = dict[tuple[str, str], int]
 Identities = Mapping[Any, object]
 """Identity of the object of each (camera, track)."""
 OnEvent = Callable[[int, str], object]
-"""Called with a number of events and what has become of them, ``predicted`` or ``matched``."""
+"""Called after each event with its number and the step, ``predicted`` or ``matched``."""
 
 
 class TruePassage(Struct, eq=False):
@@ -57,15 +57,15 @@ class TruePassage(Struct, eq=False):
 
 
 class RecordingScore(Struct, frozen=True):
-    """How a topology fares against the identities of a recording; `str` says it.
+    """Scores of a topology by the identities of a recording; `str` is the report.
 
     links: the true links that the topology has. missing: those that it has not. false: its links
         that are none; one with more than `SPURIOUS_TRANSITIONS_MAX` transitions is neither.
     exits: number of predictions that are scored.
-    predictions: for ``camtopod`` and the oracle, ``told``, the share of these whose likeliest next
-        camera is right, and the log loss, nats; empty if there are none.
+    predictions: for ``camtopod`` and the ``oracle``, the share of these whose likeliest next camera
+        is right, and the log loss, nats; empty if there are none.
     entries: number of matches. going_on: of these, the entries that go on with a walk.
-    claims: those that are said to, with more than one half. right: those of them that do.
+    claims: matches with a passage of more than one half. right: those of the same identity.
     learned: True if the topology was learned from these events, so that the scores are too good.
     """
 
@@ -93,8 +93,8 @@ class RecordingScore(Struct, frozen=True):
     def __str__(self) -> str:
         lines = [
             f"links between cameras: {len(self.links)} of {len(self.links) + len(self.missing)} "
-            f"true ones found, {len(self.false)} false; precision {_said(self.precision)}, "
-            f"recall {_said(self.recall)}"
+            f"true ones found, {len(self.false)} false; precision {_text(self.precision)}, "
+            f"recall {_text(self.recall)}"
         ]
         for name, pairs in (("missing", self.missing), ("false", self.false)):
             lines += [f"  {name}: {a} -> {b}, {n} times" for (a, b), n in sorted(pairs.items())]
@@ -103,7 +103,7 @@ class RecordingScore(Struct, frozen=True):
             f"  {name}: top-1 {top1:.2f}, log loss {loss:.2f} nats"
             for name, (top1, loss) in self.predictions.items()
         ]
-        share = _said(_ratio(self.right, self.claims))
+        share = _text(_ratio(self.right, self.claims))
         lines.append(
             f"matches: {self.going_on} of {self.entries} entries go on with a walk; {self.claims} "
             f"are said to with more than one half, {self.right} of them rightly ({share})"
@@ -128,9 +128,9 @@ def score(
 
     events: the recording, in any order; those after the learned ones are scored, or all if there
         are none.
-    identities: by (camera, track), who the object is, any value; if tracks differ between cameras,
-        None in place of the camera. Clutter has none.
-    on_event: is told how far it is.
+    identities: identity of the object of each (camera, track); None in place of the camera if
+        tracks differ between cameras. Clutter has no identity.
+    on_event: called after each event, for a display of progress.
 
     Links, the next camera of each exit, and the earlier passage of each entry are scored. Raises
     ValueError if no track has an identity.
@@ -146,8 +146,8 @@ def score(
     is_learned = not any(begin < passage.left <= end for passage in passages.values())
     if is_learned:
         begin = -math.inf
-    by_exit = _given(by_moment(predicting(topology), recording), "predicted", on_event)
-    by_entry = _given(by_moment(matching(topology), recording), "matched", on_event)
+    by_exit = _answers(by_moment(predicting(topology), recording), "predicted", on_event)
+    by_entry = _answers(by_moment(matching(topology), recording), "matched", on_event)
     matches = [match for match in by_entry if match.t > begin]
     links, missing, false = _link_score(topology, passages.values())
     exits, predictions = _prediction_score(list(by_exit), passages, begin, end)
@@ -155,10 +155,10 @@ def score(
     return RecordingScore(links, missing, false, exits, predictions, *counts, is_learned)
 
 
-def _given(
+def _answers(
     answers: Iterator[AnswerT | None], unit: str, on_event: OnEvent | None
 ) -> Iterator[AnswerT]:
-    """Yield the answers that are one."""
+    """Yield the predictions, or the matches, without the events that have none."""
     for number, answer in enumerate(answers, 1):
         if on_event is not None:
             on_event(number, unit)
@@ -228,7 +228,7 @@ def _prediction_score(
             counts[place][passage.outcome] += prediction.t <= end
 
     # Score both.
-    scores: dict[str, list[tuple[bool, float]]] = {"camtopod": [], "told": []}
+    scores: dict[str, list[tuple[bool, float]]] = {"camtopod": [], "oracle": []}
     for prediction, passage in cases:
         if not begin < prediction.t <= end:
             continue
@@ -243,7 +243,7 @@ def _prediction_score(
         predicted_shares = sum_by_camera(prediction.next)
         for name, shares in (
             ("camtopod", predicted_shares | {LEAVES: prediction.leave}),
-            ("told", baseline),
+            ("oracle", baseline),
         ):
             share = (shares.get(passage.outcome, 0.0) + LOSS_FLOOR) / (
                 1.0 + LOSS_FLOOR * len(outcomes)
@@ -251,7 +251,7 @@ def _prediction_score(
             first = max(shares, key=lambda outcome: shares[outcome])
             scores[name].append((first == passage.outcome, -math.log(share)))
 
-    return len(scores["told"]), {
+    return len(scores["oracle"]), {
         name: (
             sum(is_right for is_right, _ in rows) / len(rows),
             sum(loss for _, loss in rows) / len(rows),
@@ -284,5 +284,5 @@ def _ratio(part: int, whole: int) -> float:
     return part / whole if whole else math.nan
 
 
-def _said(share: float) -> str:
+def _text(share: float) -> str:
     return "-" if math.isnan(share) else f"{share:.2f}"

@@ -80,11 +80,11 @@ DATA = {
     "opencv-doc": "Debian's opencv-doc",
     "model": "the clips, and a detector's ONNX file",
 }
-"""What commands need, in words; bench/README says where it is to be had."""
+"""Data that commands need, in words; bench/README names the sources."""
 
 
 def line_of(name: str, value: float, error: float = math.nan) -> str:
-    """Return the line by which a part of the bench tells a figure."""
+    """Return the line in which a part of the bench prints a figure."""
     return f"figure: {name} = {value:.6g}" + ("" if math.isnan(error) else f" ± {error:.3g}")
 
 

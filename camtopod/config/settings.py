@@ -322,7 +322,7 @@ class Config(Struct, frozen=True, forbid_unknown_fields=True):
 
     @property
     def peers(self) -> tuple[str, ...]:
-        """Endpoints to which a daemon that listens connects; its own are for its clients."""
+        """Endpoints to which a daemon that listens connects, without its own."""
         own = (*self.listens, *replace(self, bus=replace(self.bus, connect=())).dials)
         return tuple(endpoint for endpoint in self.bus.connect if endpoint not in own)
 

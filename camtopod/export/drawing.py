@@ -1,4 +1,4 @@
-"""Drawing of the camera network, whatever paints it: lines, circles, and texts that hit nothing."""
+"""Drawing of a camera network, for SVG and matplotlib: lines, circles, and texts clear of them."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ ROW = 18.0
 LETTERS = {"name": 8.0, "time": 6.5}
 """Mean width of a letter, by kind of text, in wide fonts."""
 AIR = 2.0
-"""Space between a text and what is beside it."""
+"""Least gap between a text and other parts of the drawing, pixels."""
 SIDES = np.array([(0, 1), (0, -1), (1, 0), (-1, 0), (1, 1), (-1, 1), (1, -1), (-1, -1)])
 """Where a camera's name may be, best first: below it, above, right, left, and between these."""
 ALONG = (0.5, 0.4, 0.6, 1 / 3, 2 / 3)

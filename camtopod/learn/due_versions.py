@@ -8,7 +8,7 @@ from camtopod.learn.snapshot import LearnerState
 from camtopod.learn.window import Window
 
 FIRST_TICK_SHARE = 1 / 6
-"""Length of the ticks before the first version, which somebody waits for, of later ticks'."""
+"""Length of a tick before the first version, as a share of later ticks: users wait for it."""
 REFIT_EVENTS_MIN = 10
 """Least new events for a new version, unless the last version is older than ``refit_hours``."""
 

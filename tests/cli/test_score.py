@@ -59,12 +59,12 @@ def test_what_was_not_learned_is_scored_beside_the_oracle(
 
     assert err == ""
     assert "links between cameras: 1 of 1 true ones found, 0 false; precision 1.00" in out
-    told = {
+    scores = {
         name: (float(top1), float(loss))
         for name, top1, loss in re.findall(r"(\w+): top-1 (\S+), log loss (\S+) nats", out)
     }
-    assert told["camtopod"][0] == pytest.approx(told["told"][0], abs=0.02)
-    assert 0.3 < told["told"][1] <= told["camtopod"][1] < told["told"][1] + 0.1
+    assert scores["camtopod"][0] == pytest.approx(scores["oracle"][0], abs=0.02)
+    assert 0.3 < scores["oracle"][1] <= scores["camtopod"][1] < scores["oracle"][1] + 0.1
     found = re.search(r"matches: (\d+) of (\d+) entries .*; (\d+) are said .*, (\d+) of", out)
     assert found is not None
     go_on, entries, said, right = map(int, found.groups())

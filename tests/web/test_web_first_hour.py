@@ -81,7 +81,7 @@ def test_what_is_likely_and_what_is_not_known_are_told_apart(browser: Browser) -
         old = replace(said, t=time.time() - 10.5)
         for _ in range(5):
             shown.bus.publish(f"prediction/{old.camera}", old)
-        browser.wait(lambda: "Nobody is under way" in browser.text(".predictions"), "the end")
+        browser.wait(lambda: "No open predictions" in browser.text(".predictions"), "the end")
 
 
 def test_without_a_link_it_says_what_it_waits_for_and_dots_what_is_likely(browser: Browser) -> None:

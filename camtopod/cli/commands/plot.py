@@ -30,7 +30,9 @@ def add_parser(add: Any) -> None:
 def run(args: argparse.Namespace) -> None:
     """Write the figure. Raises `exits.CommandError`."""
     if len(args.places) != 2 * (args.figure == "times"):
-        raise exits.CommandError("plot: times is of two places, other figures of none", exits.USAGE)
+        raise exits.CommandError(
+            "plot: `times` needs two cameras or zones, the other figures none", exits.USAGE
+        )
     try:
         from camtopod import plot
 

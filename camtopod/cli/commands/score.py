@@ -1,4 +1,4 @@
-"""`camtopod score`: how links, predictions and matches fare against known identities."""
+"""`camtopod score`: score links, predictions and matches by known identities."""
 
 from __future__ import annotations
 
@@ -61,10 +61,8 @@ def run(args: argparse.Namespace) -> int:
 
         try:
             result = score(topology, events, identities, show)
-        except ValueError:
-            raise InputError(
-                f"no track of {args.events} has an identity in {args.identities}"
-            ) from None
+        except ValueError as error:
+            raise InputError(f"{args.events}, {args.identities}: {error}") from None
     if result.learned:
         print("camtopod: these events were learned: the scores are too good", file=sys.stderr)
     print(result)

@@ -25,13 +25,13 @@ export async function cameraPanel(app, id) {
   const recorder = story.page && h("a", { href: story.page, target: "_blank", rel: "noreferrer" }, "At the recorder ↗");
   const since = h("span", { class: "quiet" });
   const learned = h("dd", {});
-  const tellAges = () => {
+  const showAges = () => {
     const newest = app.rows.get(id)?.newest;
     since.textContent = newest ? `last event ${app.age(newest)}` : "";
     const last = story.last_event;
     learned.textContent = !last ? "–" : app.source.live ? app.age(last) : clock(last);
   };
-  tellAges();
+  showAges();
   const facts = h(
     "dl",
     { class: "figures" },
@@ -82,9 +82,9 @@ export async function cameraPanel(app, id) {
     },
     onHealth: (rows) => {
       showStatus(status, rows.get(id), since);
-      tellAges();
+      showAges();
     },
-    onTick: tellAges,
+    onTick: showAges,
   };
 }
 

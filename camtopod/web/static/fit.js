@@ -84,7 +84,7 @@ function placed(boxes, width, height, covers) {
   return PLACES.map(([along, down]) => [along * beside - left, down * above - top]).find(free) ?? null;
 }
 
-// Whether none of `boxes`, with the map's origin at (x, y), is under one of `covers`.
+// True if no box of `boxes` is covered, with the map's origin at (x, y).
 /** @param {number[][]} boxes @param {number[]} place @param {number[][]} covers */
 function isFree(boxes, [x, y], covers) {
   return boxes.every((box) =>
@@ -92,7 +92,7 @@ function isFree(boxes, [x, y], covers) {
   );
 }
 
-// Whether all of `boxes`, with the map's origin at (x, y), is in sight and none under one of `covers`.
+// True if all of `boxes` are visible and not covered, with the map's origin at (x, y).
 /** @param {number[][]} boxes @param {number[]} place @param {number} width @param {number} height @param {number[][]} covers */
 export function isFitting(boxes, [x, y], width, height, covers) {
   /** @type {(box: number[]) => boolean} */

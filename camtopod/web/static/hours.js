@@ -13,44 +13,44 @@ const DIGIT_PIXELS = [7, 8]; // width of a digit of today's count, and half its 
 
 // What the daemon has counted, and what has been seen since it was asked.
 export class Hours {
-  #told = null; // {since, first, cameras: {id: [[entries, exits] of each hour]}}
+  #counts = null; // {since, first, cameras: {id: [[entries, exits] of each hour]}}
 
   // Returns whether there was nothing before.
-  use(told) {
-    const first = told && !this.#told;
-    this.#told = told;
+  use(counts) {
+    const first = counts && !this.#counts;
+    this.#counts = counts;
     return first;
   }
 
   add({ camera, kind, t }) {
-    const hour = this.#told ? Math.floor((t - this.#told.first) / HOUR) : -1;
+    const hour = this.#counts ? Math.floor((t - this.#counts.first) / HOUR) : -1;
     if (hour < 0 || hour > 2 * SHOWN) return;
-    const counts = (this.#told.cameras[camera] ??= []);
+    const counts = (this.#counts.cameras[camera] ??= []);
     while (counts.length <= hour) counts.push([0, 0]);
     counts[hour][kind === "exit" ? 1 : 0] += 1;
   }
 
   // Entries and exits of a camera since the midnight before `now`, or null.
   today(id, now) {
-    if (!this.#told) return null;
+    if (!this.#counts) return null;
     const midnight = new Date(1000 * now).setHours(0, 0, 0, 0) / 1000;
-    const skipped = Math.max(0, Math.ceil((midnight - this.#told.first) / HOUR));
-    const counts = (this.#told.cameras[id] ?? []).slice(skipped);
+    const skipped = Math.max(0, Math.ceil((midnight - this.#counts.first) / HOUR));
+    const counts = (this.#counts.cameras[id] ?? []).slice(skipped);
     return counts.reduce(([entries, exits], [more, less]) => [entries + more, exits + less], [0, 0]);
   }
 
   // What the chart of a camera needs, or null.
   of(id, now) {
-    if (!this.#told) return null;
-    const { since, first, cameras } = this.#told;
+    if (!this.#counts) return null;
+    const { since, first, cameras } = this.#counts;
     const hours = Math.max(1, 1 + Math.floor((now - first) / HOUR));
     const counts = Array.from({ length: hours }, (_, k) => (cameras[id]?.[k] ?? [0, 0]).reduce((a, b) => a + b));
     return { since, first, counts };
   }
 }
 
-// Write on each camera of the map how many have entered, if there is room; countsOf(id): entries and exits, or null;
-// `when`: in words.
+// Shows the entries of each camera on the map, if there is room. countsOf(id): entries and exits, or null; `when`: the
+// time that they are of, in words.
 export function writeCounts(map, countsOf, when) {
   for (const node of map.nodes.values()) {
     const [wide, high] = map.halves(node);
@@ -61,7 +61,7 @@ export function writeCounts(map, countsOf, when) {
     const shown = text && full;
     if (node.entered.textContent === shown) continue;
     node.entered.textContent = shown;
-    map.tell(node);
+    map.describe(node);
   }
 }
 

@@ -35,12 +35,12 @@ class App {
   #refused = ""; // why it does
   #loading = null; // the first map; what is said of versions meanwhile is held against it
   #place = "";
-  #told = h("span", {});
+  #text = h("span", {});
   #age = h("span", { "aria-hidden": "true" }); // a screen reader need not say every second
 
   constructor() {
     this.source = openSource();
-    this.banner = h("div", { class: "banner", role: "alert", hidden: true }, this.#told, this.#age);
+    this.banner = h("div", { class: "banner", role: "alert", hidden: true }, this.#text, this.#age);
     const href = this.source.live ? link("health") : null;
     this.pill = h("a", { class: "pill off", id: "live", href, tabindex: "-1" }, "…"); // keys have the link beside it
     this.title = h("span", { class: "site" });
@@ -91,7 +91,7 @@ class App {
         lost: (since, why) => {
           this.#lost = since;
           this.#refused = why;
-          this.#tellLive();
+          this.#showLive();
         },
         prediction: (prediction) => this.#predicted(prediction, true),
         past: (prediction) => this.#predicted(prediction, false),
@@ -99,8 +99,8 @@ class App {
         seen: (events) => events.forEach((event) => this.#seen(event)),
       });
       setInterval(() => {
-        this.#tellLive();
-        this.tellToday();
+        this.#showLive();
+        this.showToday();
         this.overlays.listPredictions();
         this.#shown?.onTick?.();
       }, 1000);
@@ -109,7 +109,7 @@ class App {
     }
     this.#loading = this.load();
     await this.#loading;
-    this.#tellLive();
+    this.#showLive();
     await this.route();
   }
 
@@ -123,25 +123,25 @@ class App {
     return this.connection ? this.connection.now() : (this.map?.as_of ?? 0);
   }
 
-  #tellRecording() {
+  #showRecording() {
     const rows = [...this.rows.values()];
     const newest = rows.reduce((last, row) => Math.max(last, row.newest ?? 0), this.map?.as_of ?? 0);
     const isOld = newest && this.now() - newest > OLD_SECONDS;
     this.recorded = isOld && rows.every((row) => row.look === "off") ? newest : null;
   }
 
-  // The moment that the site is at: now, or that of the recording.
+  // The present of the site: now, or the time of the newest event of a recording.
   present() {
     return this.recorded ?? this.now();
   }
 
-  // How long ago a time was; of a recording the time itself.
+  // The age of a time in words; of a recording the time itself.
   age(t) {
     return this.recorded ? clock(t) : ago(this.now() - t);
   }
 
-  // Write on the cameras how many have entered today.
-  tellToday() {
+  // Shows the entries of today on the cameras.
+  showToday() {
     if (!this.replay.on) writeCounts(this.network, (id) => this.hours.today(id, this.present()), "today");
   }
 
@@ -185,8 +185,8 @@ class App {
       const known = before.get(id)?.newest ?? 0;
       if (known > row.newest) row.newest = known; // an event comes here before the daemon counts it
     }
-    this.#tellHealth();
-    this.#tellLive();
+    this.#showHealth();
+    this.#showLive();
     this.views.health.update();
   }
 
@@ -200,13 +200,13 @@ class App {
     }
   }
 
-  #tellHealth() {
+  #showHealth() {
     const those = (test) => new Set([...this.rows.values()].filter(test).map((row) => row.id));
     const gone = those((row) => row.state === "gone");
     this.network.health(those((row) => row.look === "bad"), gone);
-    this.overlays.tellGone(gone);
+    this.overlays.showGone(gone);
     this.network.showBetween(this.between?.pairs ?? []);
-    if (!this.map?.version) this.overlays.tellEvents([...this.rows.values()].map((row) => row.events ?? 0));
+    if (!this.map?.version) this.overlays.showEvents([...this.rows.values()].map((row) => row.events ?? 0));
     this.#shown?.onHealth?.(this.rows);
   }
 
@@ -303,9 +303,9 @@ class App {
     document.title = `${map.site} · camtopod`;
     this.network.update(map);
     this.overlays.update(map);
-    this.#tellHealth();
+    this.#showHealth();
     this.#again();
-    this.#tellLive();
+    this.#showLive();
   }
 
   // Fetch what is shown once more: it is of an older version, or could not be had before.
@@ -322,13 +322,13 @@ class App {
     if (live) this.#shown?.onPrediction?.(prediction);
   }
 
-  #tellLive() {
+  #showLive() {
     const version = this.map?.version ? `version ${count(this.map.version)}` : "no version yet";
     if (!this.source.live) {
       this.pill.textContent = `report, ${version}, ${clock(this.map.as_of)}`;
       return;
     }
-    this.#tellRecording();
+    this.#showRecording();
     const live = this.health?.live;
     const since = this.#lost ?? (live && !live.live ? live.since : null);
     const ill = since === null && [...this.rows.values()].some((row) => row.look === "bad");
@@ -344,7 +344,7 @@ class App {
     const reason = this.#lost !== null ? lost : live.reason;
     const what = this.map ? `Map, predictions and health remain at ${version}.` : "Nothing has been received yet.";
     const text = `Not live since ${clock(since)}: ${reason}. ${what} It reconnects automatically. `;
-    say(this.#told, text);
+    say(this.#text, text);
     this.#age.textContent = `(${ago(this.now() - since)})`;
   }
 

@@ -162,8 +162,8 @@ export class NetworkMap {
     return all.length > 1 && range(all.map(({ x }) => x)) > range(all.map(({ y }) => y));
   }
 
-  // Show all of it with the next frame, as large as possible with nothing under what lies on the map; where it is, if
-  // it fits there and could not be more than `kept` times as large.
+  // Fits the map into the free part of the window, with the next frame. It keeps its place if it fits there and could not
+  // be `kept` times as large.
   fit(kept = 0) {
     this.#fitting = true;
     this.#kept = kept;
@@ -230,7 +230,7 @@ export class NetworkMap {
     const before = [this.#ill, this.#gone];
     [this.#ill, this.#gone] = [ill, gone];
     for (const node of this.nodes.values())
-      if ([ill, gone].some((ids, k) => ids.has(node.id) !== before[k].has(node.id))) this.tell(node);
+      if ([ill, gone].some((ids, k) => ids.has(node.id) !== before[k].has(node.id))) this.describe(node);
     this.redraw();
   }
 
@@ -249,7 +249,7 @@ export class NetworkMap {
   }
 
   // Say of a node what is seen of it.
-  tell({ id, camera, element, entered, counts, when }) {
+  describe({ id, camera, element, entered, counts, when }) {
     const ill = this.#ill.has(id);
     const gone = this.#gone.has(id);
     element.classList.toggle("ill", ill);
@@ -325,7 +325,7 @@ export class NetworkMap {
     };
     Object.assign(node, { x, y, camera, ratio: node.ratio ?? SHOT_RATIO });
     node.element.setAttribute("transform", `translate(${x.toFixed(1)} ${y.toFixed(1)})`);
-    this.tell(node);
+    this.describe(node);
     if (held) return;
     this.nodes.set(id, node);
     node.element.append(node.entered);

@@ -105,13 +105,13 @@ export class Overlays {
   update(map) {
     if (!this.#shown && Object.keys(map.cameras).length > OPEN_MAX) this.predictions.open = false;
     this.#shown = true;
-    this.#tellAlarms(map.alarms);
+    this.#showAlarms(map.alarms);
     if (map.version) this.#wait(map.waiting);
     this.#summarise();
   }
 
-  // Say how many events there are while there is no version; one number for each camera.
-  tellEvents(events) {
+  // Shows the number of events before the first version; events: one number for each camera.
+  showEvents(events) {
     const heard = events.filter((n) => n > 0);
     const all = heard.reduce((sum, n) => sum + n, 0);
     const from = `${plural(heard.length, "camera")} so far.`;
@@ -124,7 +124,7 @@ export class Overlays {
   }
 
   // Which cameras are gone.
-  tellGone(ids) {
+  showGone(ids) {
     this.#gone = ids;
     this.#summarise();
   }
@@ -159,7 +159,7 @@ export class Overlays {
     this.#timer ??= setTimeout(() => this.#list(), LIST_MILLISECONDS);
   }
 
-  // Leave out the predictions whose time has passed.
+  // Removes predictions whose window has passed.
   listPredictions() {
     const now = this.app.present();
     const current = this.#predictions.filter(
@@ -170,7 +170,7 @@ export class Overlays {
     this.#list();
   }
 
-  #tellAlarms(all) {
+  #showAlarms(all) {
     const alarms = all.filter((alarm) => alarm.open);
     this.alarms.hidden = !alarms.length;
     this.alarmed.textContent = plural(alarms.length, "alarm");
@@ -197,7 +197,7 @@ export class Overlays {
     this.predictions.hidden = false;
     fill(
       this.list,
-      this.#predictions.length ? null : h("li", { class: "quiet" }, "Nobody is under way."),
+      this.#predictions.length ? null : h("li", { class: "quiet" }, "No open predictions."),
       this.#predictions.map(({ camera, words }) =>
         h("li", {}, h("a", { href: link("camera", camera) }, camera), " → ", h("span", { class: "quiet" }, words)),
       ),

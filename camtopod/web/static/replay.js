@@ -1,4 +1,4 @@
-// The last hour in a minute, and the map version by version, with a bar to drag. What is live waits meanwhile.
+// Replays the last hour in a minute, or the map version by version, with a slider. Live updates wait meanwhile.
 
 import { fill, h } from "./dom.js";
 import { writeCounts } from "./hours.js";
@@ -8,14 +8,14 @@ import { clock, count } from "./words.js";
 const SPEED = 60; // of the last hour
 const PLAYS_SECONDS_MIN = 10;
 const BAR_STEPS = 1000;
-const COUNT_MILLISECONDS = 200; // no number is read that changes faster
+const COUNT_MILLISECONDS = 200; // between two updates of the counts
 const STEP_PLAYS_SECONDS = 0.6; // a version
 const WAY_SECONDS_MIN = 0.4; // of a dot, from camera to camera
 
 export class Replay {
   on = false;
   #frame = 0;
-  #shift = null; // goes to a share of what is played
+  #shift = null; // moves the replay to a share of its duration
 
   constructor(app) {
     this.app = app;
@@ -60,7 +60,7 @@ export class Replay {
     if (map) network.update(map);
     if (this.fitted) network.fit();
     this.fitted = false;
-    this.app.tellToday();
+    this.app.showToday();
   }
 
   async #start(act) {
@@ -92,17 +92,17 @@ export class Replay {
       ]),
     ];
     acts.sort(([one], [other]) => one - other);
-    let told = -Infinity;
-    const tell = (at) => {
-      if (performance.now() - told < COUNT_MILLISECONDS) return clock(at);
-      told = performance.now();
+    let updated = -Infinity;
+    const label = (at) => {
+      if (performance.now() - updated < COUNT_MILLISECONDS) return clock(at);
+      updated = performance.now();
       const counts = new Map();
       for (const { camera, kind, t } of events)
         if (t <= at) (counts.get(camera) ?? counts.set(camera, [0, 0]).get(camera))[kind === "exit" ? 1 : 0] += 1;
       writeCounts(network, (id) => counts.get(id) ?? [0, 0], "in the replay");
       return clock(at);
     };
-    return this.#play(acts, from, until, takes, tell);
+    return this.#play(acts, from, until, takes, label);
   }
 
   async #grow() {
@@ -110,7 +110,7 @@ export class Replay {
     if (!steps.length) return fill(this.said, "Nothing has been learned yet.");
     const { network, map } = this.app;
     this.fitted = !network.view.touched;
-    network.view.touched = true; // the map stands still
+    network.view.touched = true; // the map keeps its place
     const acts = steps.map((step, k) => [k, () => network.update(asOf(step, map))]);
     const words = (k) => {
       const { version, as_of: t } = steps[Math.min(steps.length - 1, Math.floor(k))];
@@ -119,27 +119,27 @@ export class Replay {
     return this.#play(acts, 0, steps.length + 1, (steps.length + 1) * STEP_PLAYS_SECONDS, words);
   }
 
-  // Do `acts`, each [time, what], from one time to another in so many seconds; tell(at) returns what the bar stands at.
-  #play(acts, from, until, seconds, tell) {
+  // Runs `acts`, each [time, function], from one time to another within `seconds`; label(at): the text of a time.
+  #play(acts, from, until, seconds, label) {
     const { flow } = this.app.network;
     this.on = true;
     this.playing.hidden = false;
     this.offered.hidden = true;
     this.bar.focus({ preventScroll: true });
-    flow.clear(); // what is live
+    flow.clear(); // of live movements
     let begun = performance.now();
     let k = 0;
     this.#shift = (share) => {
       begun = performance.now() - 1000 * share * seconds;
       flow.clear();
       k = acts.filter(([t]) => t <= from + share * (until - from)).length;
-      k = Math.max(0, k - 1); // again what was last, of a map the one of that moment
+      k = Math.max(0, k - 1); // repeats the last act, which draws the map of that moment
     };
     const step = () => {
       const share = Math.min(1, (performance.now() - begun) / 1000 / seconds);
       const at = from + share * (until - from);
       for (; k < acts.length && acts[k][0] <= at; k += 1) acts[k][1]();
-      this.time.textContent = tell(at);
+      this.time.textContent = label(at);
       this.bar.value = share * BAR_STEPS;
       if (share < 1) this.#frame = requestAnimationFrame(step);
       else this.stop();
