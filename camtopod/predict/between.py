@@ -164,7 +164,8 @@ class BetweenCameras:
         pair = np.array([departure.camera for departure in exits])[exit_] * cameras + to
         by_pair = self._pairs(pair, probability, pairs_max)
         number = float(probability.sum())
-        return Between(now, self.since, round(number, 3), *interval(number), by_pair)
+        [low], [high] = intervals(np.array([number]))
+        return Between(now, self.since, round(number, 3), low, high, by_pair)
 
     def _pairs(self, pair: Rows, probability: Floats, pairs_max: int | None) -> list[BetweenPair]:
         """Return the pairs of cameras, those with most objects first.
@@ -174,13 +175,14 @@ class BetweenCameras:
         codes, at = np.unique(pair, return_inverse=True)
         number = np.bincount(at, probability).astype(float)
         order = np.argsort(-number, kind="stable")[:pairs_max]
-        names = list(self._numbers)
+        order = order[number[order] >= PROBABILITY_MIN]
+        mean, names = number[order], list(self._numbers)
+        columns = (codes[order].tolist(), mean.tolist(), *intervals(mean))
         return [
             BetweenPair(
-                names[code // len(names)], names[code % len(names)], round(mean, 3), *interval(mean)
+                names[code // len(names)], names[code % len(names)], round(mean, 3), low, high
             )
-            for code, mean in zip(codes[order].tolist(), number[order].tolist(), strict=True)
-            if mean >= PROBABILITY_MIN
+            for code, mean, low, high in zip(*columns, strict=True)
         ]
 
     def _keep(self, items: list[tuple[ExitKey, _PendingExit]]) -> None:
@@ -223,12 +225,14 @@ def _part(age: Floats, begin: Floats, end: Floats) -> Floats:
     return part
 
 
-def interval(mean: float) -> tuple[int, int]:
-    """Return the 0.1 and 0.9 quantiles of a number whose mean is expected."""
+def intervals(mean: Floats) -> tuple[list[int], list[int]]:
+    """Return the 0.1 and the 0.9 quantiles (n,) of numbers whose means (n,) are expected."""
     shape = PREDICTION_ERROR**-2
-    success = shape / (shape + mean)
-    number = np.arange(int(4.0 * mean) + 10)  # well beyond the 0.9 quantile
-    ratio = (number + shape) / (number + 1.0) * (1.0 - success)  # of the mass to that before
-    below = (success**shape * np.cumprod(np.append(1.0, ratio))).cumsum()
-    low, high = np.searchsorted(below, (0.1, 0.9)).tolist()
+    success = shape / (shape + mean)[:, None]
+    number = np.arange(int(4.0 * mean.max(initial=0.0)) + 10)  # well beyond the 0.9 quantile
+    mass = np.empty((len(mean), len(number) + 1))
+    mass[:, :1] = success**shape
+    mass[:, 1:] = (number + shape) / (number + 1.0) * (1.0 - success)  # over that of one less
+    below = mass.cumprod(axis=1).cumsum(axis=1)
+    low, high = (np.count_nonzero(below < share, axis=1).tolist() for share in (0.1, 0.9))
     return low, high

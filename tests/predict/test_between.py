@@ -15,7 +15,7 @@ from camtopod.predict.between import (
     HORIZON_SECONDS,
     PREDICTION_ERROR,
     BetweenCameras,
-    interval,
+    intervals,
 )
 from camtopod.records import Match, MatchedPassage, NextCamera, Prediction
 
@@ -92,10 +92,12 @@ def test_the_number_is_that_of_each_exit_by_itself(left, came, now) -> None:
 
 def test_intervals_are_those_of_a_negative_binomial_number() -> None:
     shape = PREDICTION_ERROR**-2
-    assert interval(0.0) == (0, 0)
-    for mean in np.geomspace(1e-6, 20_000.0, 200):
-        exact = scipy.stats.nbinom.ppf((0.1, 0.9), shape, shape / (shape + mean))
-        assert interval(float(mean)) == tuple(exact)
+    assert intervals(np.zeros(1)) == ([0], [0])
+    assert intervals(np.zeros(0)) == ([], [])
+    for means in (np.geomspace(1e-6, 300.0, 200), np.array([20_000.0])):
+        success = shape / (shape + means)
+        exact = [scipy.stats.nbinom.ppf(q, shape, success).tolist() for q in (0.1, 0.9)]
+        assert list(intervals(means)) == exact
 
 
 def test_who_has_been_seen_again_is_between_no_more() -> None:
