@@ -14,6 +14,9 @@ higher, links and top-1 that are lower. A mechanism earns its place if its cost 
 standard errors on the real networks, or more than two standard errors and more than `REGIME_COST`
 on one kind of simulated network.
 
+The figures at the end are what each mechanism is worth: its costs on the real networks as means
+over their kinds, with the standard error over kinds, as bench/README shows them.
+
 With ``--constants`` each constant is halved and doubled instead. The last table cross-validates
 them: each kind of real network is measured with the value that is best on the other kinds. With
 ``--labels`` the identities of the real networks draw labels, as in `bench real`.
@@ -35,6 +38,7 @@ import numpy as np
 from msgspec import Struct
 
 from bench import controls, real
+from bench.support.figures import line_of
 from bench.support.jobs import map_tasks
 from bench.support.measure import measure as measure_regime
 from bench.support.parts import data_parser, folders_in, names_from, write_json
@@ -71,6 +75,10 @@ are the found ones of those the events can tell (real networks), F1 of links or 
 """
 WORSE = (1.0, 1.0, 1.0, -1.0, -1.0, 1.0)
 """Sign of a difference that is worse, by figure."""
+
+
+WORTH = ("log loss", "links", "false")
+"""Figures that bench/README shows of each mechanism."""
 
 
 class Mechanism(Struct, frozen=True):
@@ -292,6 +300,7 @@ def main(argv: Sequence[str]) -> int:
     print("\n".join(table(figures, names, verdict)))
     if arguments.constants:
         print("\n".join(chosen_on_the_others(figures)))
+    print("\n".join(worth(figures, names)))
     write_json(arguments.json, [[*key, *row.tolist()] for key, row in figures.items()])
     return 0
 
@@ -391,6 +400,25 @@ def table(
         f"{verdict}:",
         *(f"  {name}: {', '.join(earns[name]) or 'NOTHING'}" for name in names),
     ]
+
+
+def worth(figures: dict[tuple[str, str, str], Any], names: Sequence[str]) -> list[str]:
+    """Return one line a mechanism and figure of `WORTH`: its cost, mean over kinds of network."""
+    networks = [key[2] for key in figures if key[:2] == ("", REAL)]
+    lines = []
+    for name in names:
+        for figure in WORTH:
+            column, by_kind = FIGURES.index(figure), defaultdict[str, list[float]](list)
+            for network in networks:
+                cost = figures[name, REAL, network][column] - figures["", REAL, network][column]
+                by_kind[kind_of(network)].append(WORSE[column] * cost)
+            costs = [mean for mean in map(_mean, by_kind.values()) if not math.isnan(mean)]
+            if costs:
+                error = math.nan
+                if len(costs) > 1:
+                    error = float(np.std(costs, ddof=1) / math.sqrt(len(costs)))
+                lines.append(line_of(f"{name}, {figure}", _mean(costs), error))
+    return lines
 
 
 def chosen_on_the_others(figures: dict[tuple[str, str, str], Any]) -> list[str]:

@@ -29,7 +29,7 @@ from __future__ import annotations
 import time
 from collections import defaultdict
 from collections.abc import Sequence
-from functools import partial
+from functools import lru_cache, partial
 from pathlib import Path
 
 import numpy as np
@@ -111,7 +111,7 @@ def main(argv: Sequence[str]) -> int:
 def measure(folder: Path, options: Options = DEFAULTS, *, beside: bool = True) -> Result:
     """Learn one network, predict its exits and score both.
 
-    beside: whether others (`bench.support.beside`) are measured beside us.
+    beside: whether others (`bench.support.beside`, `correlated`) are measured beside us.
     """
     recording = with_labels(load(folder, options.stretch), options.labels, options.seed)
     learner = Learner(settings_of(options, recording), only_last=True)
@@ -139,19 +139,25 @@ def measure(folder: Path, options: Options = DEFAULTS, *, beside: bool = True) -
     return Result(
         recording.name,
         options,
-        link_figures(learner.topology, recording, tellable(recording)),
+        link_figures(learner.topology, recording, _evidence(folder, options.stretch)),
         ours,
         oracle,
         look,
         oracle_look,
         hand_over_figure(predictions, recording),
         *who_figures(learner.topology, predictions, recording),
-        [correlated(recording, width) for width in WIDTHS_SECONDS],
+        [correlated(recording, width) for width in WIDTHS_SECONDS] if beside else [],
         learn_seconds,
         predict_seconds,
         mined_figures(recording) if beside else None,
         following_figures(predictions, recording) if beside else [],
     )
+
+
+@lru_cache(maxsize=1)
+def _evidence(folder: Path, stretch: float) -> dict[CameraPair, float]:
+    """Return the evidence of each true link; kept, as `bench.ablation` asks again and again."""
+    return tellable(load(folder, stretch))
 
 
 def correlated(recording: Recording, width: float) -> list[tuple[float, bool, bool]]:

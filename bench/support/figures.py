@@ -27,6 +27,8 @@ AGE_COMMITS_MAX = 200
 """Age from which a row is to be measured again; a release has no older one."""
 SECTIONS = ("The learner", "The daemon", "Faults", "The grabber")
 """Headings of the tables, in order."""
+MECHANISMS = "Mechanisms"
+"""Heading of the table of what mechanisms are worth; one command measures them all."""
 _LINE = re.compile(r"^figure: (?P<name>.+?) = (?P<value>\S+)(?: ± (?P<error>\S+))?$")
 
 
@@ -144,6 +146,11 @@ def tables(rows: Sequence[Row]) -> dict[str, str]:
         section: "\n".join([*head, *(_line(row) for row in rows if row.section == section)])
         for section in SECTIONS
     }
+    worth = [row for row in rows if row.section == MECHANISMS]
+    if worth:
+        lines = [f"| {row.what} | {row.figure.replace('; ', ' | ')} |" for row in worth]
+        head = ["| without | log loss | links | false links |", "|" + " --- |" * 4]
+        texts[MECHANISMS] = "\n".join([*head, *lines, "", _source(worth[0])])
     head = ["| what | figure |", "|" + " --- |" * 2]
     lines = [f"| {row.readme} | {row.figure} |" for row in rows if row.readme and not row.data]
     texts["README"] = "\n".join([*head, *lines])
@@ -168,6 +175,12 @@ def _line(row: Row) -> str:
     """Return the row of a table of bench/README."""
     cells = (row.what, row.figure, f"`{row.command}`", DATA[row.data], _minutes(row), row.commit)
     return f"| {' | '.join(cells)} |"
+
+
+def _source(row: Row) -> str:
+    """Return how the rows of a table were measured that one command makes."""
+    text = f"`{row.command}`, {DATA[row.data]}, {_minutes(row)} minutes, commit {row.commit}."
+    return textwrap.fill(text, 100, break_on_hyphens=False)
 
 
 def _minutes(row: Row) -> str:
