@@ -3,6 +3,7 @@
     python -m bench ablation [--data FOLDER] [--constants] [--mechanisms a,b] [--regimes a,b]
                              [--controls a,b] [--seeds N] [--scale X] [--labels car:.80,van:.12]
                              [--jobs 2] [--json FILE]
+    python -m bench ablation --clips FOLDER [--phases 1] [--mechanisms a,b] [--jobs 2]
 
 Networks are the real ones of `bench real` (none without data), the simulated ones of
 `support.regimes`, and those of `bench controls`, whose true links are all known. The first 70 % of
@@ -15,7 +16,9 @@ standard errors on the real networks, or more than two standard errors and more 
 on one kind of simulated network.
 
 The figures at the end are what each mechanism is worth: its costs on the real networks as means
-over their kinds, with the standard error over kinds, as bench/README shows them.
+over their kinds, with the standard error over kinds, as bench/README shows them. With ``--clips``
+they are those of the mechanisms of vision on the clips of `bench grab_truth`: F1 by kind of view,
+and false events where nothing happens.
 
 With ``--constants`` each constant is halved and doubled instead. The last table cross-validates
 them: each kind of real network is measured with the value that is best on the other kinds. With
@@ -25,28 +28,25 @@ them: each kind of real network is measured with the value that is best on the o
 from __future__ import annotations
 
 import argparse
-import contextlib
 import math
 from collections import defaultdict
-from collections.abc import Callable, Iterator, Sequence
-from importlib import import_module
+from collections.abc import Mapping, Sequence
+from functools import partial
 from pathlib import Path
-from typing import Any
-from unittest.mock import patch
+from typing import Any, NamedTuple
 
 import numpy as np
 from msgspec import Struct
 
-from bench import controls, real
+from bench import controls, grab_truth, real
 from bench.support.figures import line_of
 from bench.support.jobs import map_tasks
 from bench.support.measure import measure as measure_regime
+from bench.support.mechanisms import CONSTANTS, FACTORS, MECHANISMS, SCALED, VISION, times, without
 from bench.support.parts import data_parser, folders_in, names_from, write_json
 from bench.support.real_options import Options, label_shares
 from bench.support.regimes import REGIMES
-from camtopod.learn.prediction_model import missed_shares
-from camtopod.learn.traffic.speed import NO_PERSISTENCE
-from camtopod.topology import LagBins
+from bench.support.truth_clips import clips_in
 
 REAL = "real"
 """Kind of the real networks."""
@@ -75,20 +75,8 @@ are the found ones of those the events can tell (real networks), F1 of links or 
 """
 WORSE = (1.0, 1.0, 1.0, -1.0, -1.0, 1.0)
 """Sign of a difference that is worse, by figure."""
-
-
 WORTH = ("log loss", "links", "false")
 """Figures that bench/README shows of each mechanism."""
-
-
-class Mechanism(Struct, frozen=True):
-    """A mechanism that can be left out.
-
-    ``replaced`` maps names (``module:name``, below `camtopod`) to their replacements.
-    """
-
-    name: str
-    replaced: dict[str, Any]
 
 
 class Task(Struct, frozen=True):
@@ -101,174 +89,12 @@ class Task(Struct, frozen=True):
     labels: dict[str, float] = {}
 
 
-def _without_levels(*levels: int) -> Callable[..., Any]:
-    """Return a replacement of `Contexts._contexts` in which some levels are always unknown."""
-    method = import_module("camtopod.learn.next_camera.contexts").Contexts._contexts
-
-    def contexts_of(self: Any, *arguments: Any) -> Any:
-        contexts = method(self, *arguments)
-        return [(c, weight * (k not in levels)) for k, (c, weight) in enumerate(contexts)]
-
-    return contexts_of
-
-
-MECHANISMS = [
-    Mechanism(
-        "context: entry and block",
-        {"learn.next_camera.contexts:Contexts._contexts": _without_levels(0)},
-    ),
-    Mechanism(
-        "context: camera before",
-        {"learn.next_camera.contexts:Contexts._contexts": _without_levels(1)},
-    ),
-    Mechanism(
-        "contexts, all", {"learn.next_camera.contexts:Contexts._contexts": _without_levels(0, 1)}
-    ),
-    Mechanism(
-        "speed", {"learn.association.em:estimate_persistence": lambda *arguments: NO_PERSISTENCE}
-    ),
-    Mechanism("prior: paths are two-way", {"learn.next_camera.prior:RETURNING": 0.0}),
-    Mechanism("faint transitions", {"learn.next_camera.fit:FAINT_TRANSITIONS": 0.0}),
-    Mechanism(
-        "spurious transitions",
-        {
-            "learn.next_camera.fit:spurious_shares": lambda pair, weight, evidence, *arguments: (
-                np.zeros(len(evidence))
-            )
-        },
-    ),
-    Mechanism("entry kernels", {"learn.next_camera.entry_kernels:ENTRY_PAIRS_MAX": (0, 0)}),
-    Mechanism("overlapping views", {"learn.refit:find_overlapping": lambda *arguments: []}),
-    Mechanism(
-        "test of overlap",
-        {
-            "learn.next_camera.fit:negative_without_overlap": lambda problem, c, *arguments: (
-                np.zeros(len(c.lag), np.bool_)
-            )
-        },
-    ),
-    Mechanism(
-        "missed detections, prediction",
-        {
-            "learn.prediction_model:missed_shares": lambda posterior, scene, bins, shares: (
-                missed_shares(posterior, scene, bins, None)
-            )
-        },
-    ),
-    Mechanism(
-        "missed detections, links",
-        {"learn.links.publishing:own_transitions": lambda table, shares: table.transit.total},
-    ),
-    Mechanism(
-        "range of lags is found",
-        {"learn.refit:find_lag_bins": lambda *arguments: LagBins(-120.0, 180.0)},
-    ),
-    Mechanism(
-        "labels", {"learn.association.em:estimate_label_persistence": lambda *arguments: 0.0}
-    ),
-    Mechanism("ways through zones", {"learn.zones.partition:way_contrast": lambda *a: math.inf}),
-    Mechanism(
-        "rhythm", {"learn.traffic.labelled_events:rhythm_rates": lambda t, zone, even, n: even}
-    ),
-    Mechanism(
-        "activity of the site",
-        {
-            f"learn.{module}:activity_rates": lambda t, zone, camera, rate: rate
-            for module in ("links.cross_validation", "paths.camera_lags")
-        },
-    ),
-    Mechanism(
-        "past of a zone by age",
-        {"learn.traffic.rhythm:_past_by_age": lambda t, zone, zones: np.zeros((0, len(t)))},
-    ),
-    Mechanism(
-        "common cycle",
-        {"learn.refit:without_cycle": lambda problem, fit: (fit, np.full(len(fit.counts), np.nan))},
-    ),
-    Mechanism(
-        "one occasion tells little",
-        {
-            f"learn.links.{module}:repeated": lambda nats: nats.sum(axis=-1)
-            for module in ("significance", "cross_validation")
-        },
-    ),
-    Mechanism("changes", {"learn.refit:find_changes": lambda *arguments: []}),
-    Mechanism("over-relaxed EM", {"learn.association.em:STRIDE": 1.0}),
-    Mechanism("sparse prior", {"learn.association.joint_fit:SPARSITY": 0.0}),
-    Mechanism("second opinion", {"learn.refit:is_wanted": lambda *arguments: False}),
-    Mechanism(
-        "second opinion between zones", {"learn.paths.opinion:_has_platoons": lambda scene: False}
-    ),
-    Mechanism(
-        "second opinion on links",
-        {"learn.refit:with_second_opinion": lambda table, *arguments: table},
-    ),
-    Mechanism("anywhere", {"predict.anywhere:surplus": lambda *arguments: 0.0}),
-    Mechanism("long paths", {"learn.long_paths:find_long_paths": lambda *arguments: []}),
-    Mechanism(
-        "usual dwell times",
-        {"learn.refit:with_usual_dwell_times": lambda departures, through: departures},
-    ),
-    Mechanism(
-        "silent cameras",
-        {"predict.reporting:Reporting.is_alive": lambda self: np.ones(len(self._cameras))},
-    ),
-    Mechanism(
-        "seen before the exit",
-        {
-            "predict.hazards:Hazards.seen_before": lambda self, zone: np.zeros(
-                len(self._seen_before), np.bool_
-            )
-        },
-    ),
-]
-"""The mechanisms that are left out in turn."""
-
-CONSTANTS = (
-    ("BACK_OFF_DEPARTURES", ("learn.next_camera.contexts", "predict.contexts")),
-    ("RETURNING", ("learn.next_camera.prior",)),
-    ("FAINT_TRANSITIONS", ("learn.next_camera.fit",)),
-    ("SPREAD", ("learn.next_camera.spurious",)),
-    ("CHANCE_PRIOR", ("learn.next_camera.spurious",)),
-    ("DEPARTURES_TO_TELL", ("learn.next_camera.spurious",)),
-    ("CLEAR_NOISE_SD", ("learn.next_camera.fit", "learn.next_camera.overlapping_views")),
-    ("SPARSITY", ("learn.association.joint_fit", "learn.links.cross_validation")),
-    ("OUTSIDE_LEAST", ("learn.links.cross_validation", "learn.paths.path_fit")),
-    ("OCCASION_SHARE_MAX", ("learn.links.significance",)),
-    ("PEAK_NATS", ("learn.links.common_cycle",)),
-    ("ACTIVITY_SECONDS", ("learn.traffic.rhythm",)),
-    ("CONTRAST_MIN", ("learn.lag_range",)),
-    ("SPARE", ("learn.lag_range",)),
-    ("WAY_CONTRAST", ("learn.zones.partition",)),
-    ("DEPARTURES_PER_ZONE", ("learn.paths.opinion",)),
-    ("PLATOON_NATS", ("learn.paths.opinion",)),
-)
-"""Constants that are halved and doubled: name, and the modules that hold it."""
-FACTORS = (0.5, 2.0)
-"""Factors by which each constant is scaled."""
-
-
-def _times(name: str, factor: float) -> str:
-    return f"{name} x {factor:g}"
-
-
-SCALED = [
-    Mechanism(
-        _times(name, factor),
-        {
-            f"{module}:{name}": factor * getattr(import_module(f"camtopod.{module}"), name)
-            for module in modules
-        },
-    )
-    for name, modules in CONSTANTS
-    for factor in FACTORS
-]
-"""The constants with each factor, in the form of mechanisms."""
-
-
 def main(argv: Sequence[str]) -> int:
     """Measure, print the tables and return the exit status."""
     arguments = _parse(argv)
+    if arguments.clips is not None:
+        print("\n".join(_worth_on_clips(arguments)))
+        return 0
     mechanisms, verdict = MECHANISMS, "earns its place"
     if arguments.constants:
         mechanisms, verdict = SCALED, "worse than as it is"
@@ -345,24 +171,6 @@ def _real(folder: Path, labels: dict[str, float]) -> list[float]:
     return [*figures, links, float(result.links.false)]
 
 
-@contextlib.contextmanager
-def without(mechanism: str) -> Iterator[None]:
-    """Replace a mechanism ("": none) while the block runs."""
-    replacements: dict[str, Any] = {}
-    for candidate in (*MECHANISMS, *SCALED):
-        if candidate.name == mechanism:
-            replacements |= candidate.replaced
-    with contextlib.ExitStack() as stack:
-        for name, stand_in in replacements.items():
-            module, _, path = name.partition(":")
-            *owners, attribute = path.split(".")
-            owner: Any = import_module(f"camtopod.{module}")
-            for part in owners:
-                owner = getattr(owner, part)
-            stack.enter_context(patch.object(owner, attribute, stand_in))
-        yield
-
-
 def table(
     figures: dict[tuple[str, str, str], Any], names: Sequence[str], verdict: str = "earns its place"
 ) -> list[str]:
@@ -412,13 +220,49 @@ def worth(figures: dict[tuple[str, str, str], Any], names: Sequence[str]) -> lis
             for network in networks:
                 cost = figures[name, REAL, network][column] - figures["", REAL, network][column]
                 by_kind[kind_of(network)].append(WORSE[column] * cost)
-            costs = [mean for mean in map(_mean, by_kind.values()) if not math.isnan(mean)]
-            if costs:
-                error = math.nan
-                if len(costs) > 1:
-                    error = float(np.std(costs, ddof=1) / math.sqrt(len(costs)))
-                lines.append(line_of(f"{name}, {figure}", _mean(costs), error))
+            lines += _line_of_costs(f"{name}, {figure}", by_kind)
     return lines
+
+
+class ClipFigures(NamedTuple):
+    """Figures of all clips, analysed without one mechanism."""
+
+    f1: dict[str, list[float]]
+    """F1 of each clip with events, by kind of view."""
+    false: float
+    """False events in the others."""
+
+
+def measure_clips(mechanism: str, folder: Path, phases: int) -> ClipFigures:
+    """Analyse the clips of a folder without one mechanism ("": with all)."""
+    with without(mechanism):
+        scores = [grab_truth.scored(clip, phases)[0] for clip in clips_in(folder)]
+    return ClipFigures(grab_truth.f1_by_kind(scores), grab_truth.false_events(scores))
+
+
+def _worth_on_clips(arguments: argparse.Namespace) -> list[str]:
+    """Return two lines a mechanism of vision: its cost in F1, and in false events."""
+    names = arguments.mechanisms or [mechanism.name for mechanism in VISION]
+    measure_one = partial(measure_clips, folder=arguments.clips, phases=arguments.phases)
+    with_all, *others = map_tasks(measure_one, ["", *names], arguments.jobs)
+    lines = []
+    for name, figures in zip(names, others, strict=True):
+        costs = {
+            kind: [before - after for before, after in zip(f1, figures.f1[kind], strict=True)]
+            for kind, f1 in with_all.f1.items()
+        }
+        lines += _line_of_costs(f"{name}, F1", costs)
+        lines.append(line_of(f"{name}, false events", figures.false - with_all.false))
+    return lines
+
+
+def _line_of_costs(title: str, by_kind: Mapping[str, Sequence[float]]) -> list[str]:
+    """Return the line of a mean over kinds and its standard error; none without a figure."""
+    costs = [mean for mean in map(_mean, by_kind.values()) if not math.isnan(mean)]
+    error = math.nan
+    if len(costs) > 1:
+        error = float(np.std(costs, ddof=1) / math.sqrt(len(costs)))
+    return [line_of(title, _mean(costs), error)] if costs else []
 
 
 def chosen_on_the_others(figures: dict[tuple[str, str, str], Any]) -> list[str]:
@@ -433,7 +277,7 @@ def chosen_on_the_others(figures: dict[tuple[str, str, str], Any]) -> list[str]:
             networks[kind_of(network)].append(network)
     lines = ["", _row("real, one kind left out", "log loss")]
     for constant, _ in CONSTANTS:
-        names = ["", *(_times(constant, factor) for factor in FACTORS)]
+        names = ["", *(times(constant, factor) for factor in FACTORS)]
         if len(networks) < 2 or not {*names} <= {name for name, *_ in figures}:
             continue
         loss = np.array(
@@ -470,9 +314,11 @@ def _parse(argv: Sequence[str]) -> argparse.Namespace:
     parser.add_argument(
         "--constants", action="store_true", help="halve and double constants instead"
     )
+    parser.add_argument("--clips", type=Path, metavar="FOLDER", help="measure vision, on clips")
+    parser.add_argument("--phases", type=int, default=1, help="analyses of a clip (default 1)")
     parser.add_argument(
         "--mechanisms",
-        type=names_from([mechanism.name for mechanism in (*MECHANISMS, *SCALED)]),
+        type=names_from([mechanism.name for mechanism in (*MECHANISMS, *VISION, *SCALED)]),
         help="mechanisms, or constants with factors; comma-separated (default: all)",
     )
     parser.add_argument(

@@ -308,7 +308,7 @@ def summary(scores: Sequence[Score]) -> list[str]:
             line += f"pooled {pooled_f1(busy):.3f}, {len(busy)} clips with "
             line += f"{sum(score.true_events for score in busy)} events; "
         if quiet:
-            line += f"{sum(map(_false, quiet)):.2f} false events in "
+            line += f"{false_events(quiet):.2f} false events in "
             line += f"{sum(score.seconds for score in quiet):.0f} s without events; "
         latest = max(run.latest_seconds for score in selection for run in score.runs)
         line += f"latest event told {latest:.1f} s after its time; "
@@ -326,8 +326,13 @@ def summary(scores: Sequence[Score]) -> list[str]:
             error = standard_error(list(kinds.values()))
             lines.append(line_of(f"{name}, mean over kinds", mean(kinds.values()), error))
         lines += [line_of(f"{score.clip}, {name}", score.f1) for score in busy]
-        lines.append(line_of(f"{name}, false events without any", sum(map(_false, quiet))))
+        lines.append(line_of(f"{name}, false events without any", false_events(selection)))
     return lines
+
+
+def false_events(scores: Sequence[Score]) -> float:
+    """Return the number of false events, mean over the runs, in the clips without events."""
+    return sum(_false(score) for score in scores if not score.true_events)
 
 
 def f1_by_kind(scores: Sequence[Score]) -> dict[str, list[float]]:

@@ -13,8 +13,8 @@ from coloured_scenes import SETTINGS, ColouredScene
 from onnx_models import write_model
 from rendered_scenes import FPS, HEIGHT, WIDTH, Person, line
 
-from bench import demo, grab, grab_truth
-from bench.support import clip_variants, films, ratios
+from bench import ablation, demo, grab, grab_truth
+from bench.support import clip_variants, films, mechanisms, ratios
 from bench.support.truth_clips import Clip, Picture, clips_in
 from camtopod.records import Event
 from camtopod.vision.settings import VisionSettings
@@ -62,6 +62,27 @@ def test_a_folder_is_scored_and_compared(
     assert "1 clips with 2 events" in out
     assert "mean F1 +0.000" in out
     assert "no difference" in out
+
+
+@needs_ffmpeg
+def test_a_mechanism_of_vision_is_worth_what_is_missed_without_it(
+    folder: Path,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    (tmp_path / "walker.mp4").symlink_to(folder / "walker.mp4")
+    events = [json.loads(line) for line in (folder / "walker.jsonl").read_text().splitlines()]
+    truth = {"walker.mp4": {"events": events, "view": "street"}}
+    (tmp_path / "truth.json").write_text(json.dumps(truth))
+    blobs = mechanisms.Mechanism("blobs", {"vision.pipeline:find_blobs": lambda *arguments: []})
+    monkeypatch.setattr(mechanisms, "VISION", [blobs])
+    monkeypatch.setattr(ablation, "VISION", [blobs])
+
+    assert ablation.main(["--clips", str(tmp_path), "--jobs", "1"]) == 0
+
+    figures = capsys.readouterr().out.splitlines()
+    assert figures == ["figure: blobs, F1 = 1", "figure: blobs, false events = 0"]
 
 
 def score(clip: str, *found: int) -> grab_truth.Score:

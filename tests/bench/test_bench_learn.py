@@ -12,6 +12,7 @@ import pytest
 
 from bench import ablation, between, zones
 from bench.change import Outcome, summary
+from bench.support import mechanisms
 from bench.support.recordings import Passage, Recording, load, tellable
 from bench.support.regimes import REGIMES
 from camtopod.codec import to_json
@@ -152,14 +153,14 @@ def test_a_mechanism_is_left_out(recordings: Path, capsys: pytest.CaptureFixture
 
 
 def test_mechanisms_that_can_be_left_out_exist() -> None:
-    for mechanism in (*ablation.MECHANISMS, *ablation.SCALED):
-        with ablation.without(mechanism.name):  # fails where a name does not exist
+    for mechanism in (*mechanisms.MECHANISMS, *mechanisms.VISION, *mechanisms.SCALED):
+        with mechanisms.without(mechanism.name):  # fails where a name does not exist
             assert (fit.FAINT_TRANSITIONS == 0.0) == (mechanism.name == "faint transitions")
 
 
 def test_a_constant_is_chosen_on_the_other_kinds_of_networks() -> None:
     """Halved, it suits the walkways; doubled, the town."""
-    [(constant, _), *_] = ablation.CONSTANTS
+    [(constant, _), *_] = mechanisms.CONSTANTS
     losses = {
         "walkway-a": (0.0, -3.0, 0.0),
         "walkway-b": (0.0, -5.0, 0.0),
