@@ -27,8 +27,12 @@ AGE_COMMITS_MAX = 200
 """Age from which a row is to be measured again; a release has no older one."""
 SECTIONS = ("The learner", "The daemon", "Faults", "The grabber")
 """Headings of the tables, in order."""
-MECHANISMS = "Mechanisms"
-"""Heading of the table of what mechanisms are worth; one command measures them all."""
+MECHANISMS = {
+    "Mechanisms of the learner": ("log loss", "links", "false links"),
+    "Mechanisms of the grabber": ("F1", "false events"),
+}
+"""Headings of the tables of what mechanisms are worth, each measured by one command, and columns.
+"""
 _LINE = re.compile(r"^figure: (?P<name>.+?) = (?P<value>\S+)(?: ± (?P<error>\S+))?$")
 
 
@@ -47,7 +51,7 @@ class Figure(NamedTuple):
 class Row(Struct, omit_defaults=True):
     """One row of the tables.
 
-    section: one of `SECTIONS`.
+    section: one of `SECTIONS` and `MECHANISMS`.
     what: what is measured.
     figure: the figures, in words.
     command: command that measures it; FOLDER stands for a folder of ``data``.
@@ -146,11 +150,12 @@ def tables(rows: Sequence[Row]) -> dict[str, str]:
         section: "\n".join([*head, *(_line(row) for row in rows if row.section == section)])
         for section in SECTIONS
     }
-    worth = [row for row in rows if row.section == MECHANISMS]
-    if worth:
-        lines = [f"| {row.what} | {row.figure.replace('; ', ' | ')} |" for row in worth]
-        head = ["| without | log loss | links | false links |", "|" + " --- |" * 4]
-        texts[MECHANISMS] = "\n".join([*head, *lines, "", _source(worth[0])])
+    for section, columns in MECHANISMS.items():
+        mechanisms = [row for row in rows if row.section == section]
+        if mechanisms:
+            lines = [f"| {row.what} | {row.figure.replace('; ', ' | ')} |" for row in mechanisms]
+            head = [f"| without | {' | '.join(columns)} |", "|" + " --- |" * (1 + len(columns))]
+            texts[section] = "\n".join([*head, *lines, "", _source(mechanisms[0])])
     head = ["| what | figure |", "|" + " --- |" * 2]
     lines = [f"| {row.readme} | {row.figure} |" for row in rows if row.readme and not row.data]
     texts["README"] = "\n".join([*head, *lines])

@@ -9,10 +9,10 @@ The truth of NAME.mp4 stands beside it, in one of three forms:
 - NAME.json: passages by frame number, as in ``truth_vtest.json`` of this folder. Its
   ``frames_per_second`` is the rate at which the clip is played, whatever its header says.
 - truth.json, for several clips: {"NAME.mp4": {"events", "maybe", "skip", "span",
-  "height_by_width", "view"}}. ``events`` as lines of NAME.jsonl, with ``person`` where it is known whose
-  they are; ``maybe``: events that count neither when told nor when missed; ``skip``: areas [left,
-  top, right, bottom] in which nothing counts as wrong; ``span``: first and last second judged;
-  ``view``: kind of view.
+  "height_by_width", "view"}}. ``events`` as lines of NAME.jsonl, with ``person`` where it is known
+  whose they are; ``maybe``: events that count neither when told nor when missed; ``skip``: areas
+  [left, top, right, bottom] in which nothing counts as wrong; ``span``: first and last second
+  judged; ``view``: kind of view.
 
 An object that is in view at the beginning has no entry, one in view at the end has no exit.
 """

@@ -33,9 +33,19 @@ def test_a_table_is_put_between_its_marks_only() -> None:
     assert figures.with_tables(text, figures.tables([row])) == text
 
 
+def test_what_mechanisms_are_worth_is_a_table_with_its_command_below() -> None:
+    [section, *_] = figures.MECHANISMS
+    command = "python -m bench ablation --data FOLDER"
+    row = Row(section, "speed", "+0.010 (0.004); 0.00; 0", command, "1234567", "2026-01-01", "real")
+    lines = figures.tables([row])[section].splitlines()
+    assert lines[0] == "| without | log loss | links | false links |"
+    assert lines[2] == "| speed | +0.010 (0.004) | 0.00 | 0 |"
+    assert lines[4] == f"`{command}`, the recordings with identities, - minutes, commit 1234567."
+
+
 def test_rows_are_of_known_sections_and_data_and_readme_has_a_row_for_all() -> None:
     rows = figures.read()
-    assert {row.section for row in rows} == set(figures.SECTIONS)
+    assert {row.section for row in rows} <= {*figures.SECTIONS, *figures.MECHANISMS}
     assert all(row.data in figures.DATA for row in rows)
     assert all(
         row.quick or "campaign" in row.command for row in rows if row.readme and not row.data
