@@ -39,7 +39,8 @@ SILENT_STATUSES = 2.5
 SILENT_SECONDS_MIN = 5.0
 """Least silence that counts: a busy machine may send nothing for some seconds."""
 OLD_SECONDS = 86_400.0
-"""Event time after which a camera without a grabber is gone, and an alarm no longer open."""
+"""A day: event time after which a camera without a grabber is gone, an alarm is no longer open, and
+a backlog is counted in days."""
 AHEAD_SECONDS = 1.0
 """Time by which a camera's clock may be ahead without being said to be."""
 TEXT_MAX = 500

@@ -18,6 +18,7 @@ from msgspec import Struct, field
 from camtopod.event_numbers import EventNumbers
 from camtopod.records import CameraFigures, Event
 from camtopod.serve.ingest.names import listed
+from camtopod.words import OLD_SECONDS
 
 log = logging.getLogger(__name__)
 
@@ -216,8 +217,11 @@ class Cameras:
             return ""
         worst, seconds = max(behind.items(), key=lambda item: item[1])
         suffix = f", {len(behind) - 1} more less" * (len(behind) > 1)
+        amount = f"{math.ceil(seconds / 60.0)} min"
+        if seconds > OLD_SECONDS:
+            amount = f"{seconds / OLD_SECONDS:.0f} days"
         return (
-            f"camera {worst} catches up and is {math.ceil(seconds / 60.0)} min behind{suffix}:"
+            f"camera {worst} catches up and is {amount} behind{suffix}:"
             " its events are learned as they come, and no other camera is delayed"
         )
 

@@ -68,8 +68,13 @@ class LearnerFeeder:
 
     @property
     def waiting(self) -> int:
-        """Number of entries stored and not learned yet, or not to the end."""
-        return max(0, len(self._journal) - self.position) + self.progress.is_paused
+        """Number of entries stored and not learned yet."""
+        return max(0, len(self._journal) - self.position) + self._held
+
+    @property
+    def _held(self) -> int:
+        """Number of events that the learner holds while it pauses behind a version."""
+        return self.progress.statistics.held if self.progress.is_paused else 0
 
     @property
     def replaying(self) -> int:
@@ -85,13 +90,15 @@ class LearnerFeeder:
 
         newest: event time of the newest event stored, Unix seconds.
         """
-        watermark = self.progress.statistics.watermark or newest  # none before its first events
-        backlog = self.waiting
-        if not backlog or newest - watermark < CATCHING_UP_SECONDS:
-            self._up_to_date_at = self.position
+        progress, backlog = self.progress, self.waiting
+        learned_t = progress.deadline if progress.is_paused else progress.statistics.watermark
+        seconds = 0.0 if learned_t is None else newest - learned_t  # none before its first events
+        position = self.position - self._held
+        if not backlog or seconds < CATCHING_UP_SECONDS:
+            self._up_to_date_at = position
             return None
-        count = self.position - self._up_to_date_at
-        return CatchingUp(newest - watermark, count / (count + backlog))
+        count = position - self._up_to_date_at
+        return CatchingUp(seconds, count / (count + backlog))
 
     def work(self, stopping: threading.Event, beat: Beat = no_beat) -> None:
         """Feed the learner until ``stopping``; entries not learned by then are in the journal.

@@ -364,6 +364,10 @@ def test_who_catches_up_is_named_and_logged_once(
     assert reason() == ""
     assert len(caplog.messages) == 2
 
+    bench.hello("d")
+    bench.send("d", times={1: -400.0 * 86_400.0}, more=1)
+    assert reason().startswith("camera d catches up and is 400 days behind: its ")
+
 
 def test_a_camera_that_goes_away_amid_its_backlog_is_named_for_a_while(bench: IntakeBench) -> None:
     bench.hello("a")
