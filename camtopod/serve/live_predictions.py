@@ -31,7 +31,9 @@ FRESH_SECONDS = 30.0
 Matches of older entries are not published either.
 """
 RECENT_SECONDS = 3600.0
-"""How long events are remembered for ``recent``; older ones are no part of walks either."""
+"""How long events are remembered, before the newest one; older ones are no part of walks either."""
+OBSERVED_EVENTS_MAX = 4_000
+"""Largest number of events from before the start that predictions and walks observe."""
 RECENT_EVENTS_MAX = 50_000
 """Largest number of events that are remembered for ``recent``."""
 MATCHING_SHARE = 0.1
@@ -91,7 +93,8 @@ class Live:
         self._mutex = threading.Lock()
         self._reader: Reader | None = None
         self._recent: deque[tuple[float, SeenEvent]] = deque(maxlen=RECENT_EVENTS_MAX)
-        """With the moment of each event's receipt."""
+        """With the moment of each event's receipt, in that order."""
+        self._newest_t = -math.inf
         self._hours = HourlyCounts(clock())
         self._between = BetweenCameras(clock())
         """It begins anew when exits are not predicted, or entries not matched."""
@@ -205,18 +208,20 @@ class Live:
             predictor = self._reader.predictor
             zone, label = predictor.zone_id_of(event), predictor.prepared.labels.name(event.label)
         seen_event = SeenEvent(event.t, event.camera, event.kind, zone, event.x, event.y, label)
-        self._recent.append((receipt_time, seen_event))
         self._hours.add(seen_event)
-        while event.t - self._recent[0][1].t > RECENT_SECONDS:
+        self._newest_t = max(self._newest_t, event.t)
+        self._recent.append((receipt_time, seen_event))
+        while self._recent and self._recent[0][1].t < self._newest_t - RECENT_SECONDS:
             self._recent.popleft()
 
     def remember(self, events: Sequence[Event]) -> None:
-        """Observe events from before the start, so that the first answers consider them."""
+        """Observe events from before the start, by time: the first answers consider them."""
         with self._mutex:
             self._hours.since = min([self._hours.since, *(event.t for event in events[:1])])
             for event in events:
                 self._remember(event, event.t)
-                if self._reader is not None:
+            for event in events[-OBSERVED_EVENTS_MAX:]:
+                if self._reader is not None and event.t > self._newest_t - RECENT_SECONDS:
                     self._reader.predictor.observe(event)
                     if self._reader.walks is not None:
                         self._reader.walks.observe(event)
@@ -238,6 +243,7 @@ class Live:
         """Forget all observed events, as event time has been set back."""
         with self._mutex:
             self._recent.clear()
+            self._newest_t = -math.inf
             self._match_queue.clear()
             self._hours = HourlyCounts(self._clock())
             self._between = BetweenCameras(self._clock())
@@ -277,12 +283,12 @@ class Live:
             raise QueryError("since is a number, Unix seconds") from None
         with self._mutex:
             now = self._clock()
+            oldest_t = self._newest_t - RECENT_SECONDS
             newest = takewhile(lambda pair: pair[0] > since, reversed(self._recent))
-            events = [event for _, event in newest][::-1]
+            events = [event for _, event in newest if event.t >= oldest_t][::-1]
             if "hours" not in parameters:
                 return Recent(now, events)
-            newest_t = max((event.t for _, event in self._recent), default=-math.inf)
-            return Recent(now, events, self._hours.told(present_of(now, newest_t)))
+            return Recent(now, events, self._hours.told(present_of(now, self._newest_t)))
 
     def answer(self, key: str, parameters: dict[str, str]) -> Prediction:
         """Answer a query on ``predict/{camera}``: for an exit at x, y at t, or from a zone.

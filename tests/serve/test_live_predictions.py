@@ -247,6 +247,21 @@ def test_a_recording_is_of_its_own_time() -> None:
     assert (told.hours.first, told.hours.cameras) == (7200.0, {"a": [[1, 1]]})
 
 
+def test_of_a_recording_that_comes_by_camera_the_last_hour_is_remembered() -> None:
+    """Of each camera, however early the events of the next one begin."""
+    live = Live(lambda answer: None, lambda: 1e9)
+    times = [0.0, 1800.0, 5400.0 - RECENT_SECONDS, 4000.0, 5400.0]
+    for camera in "abc":
+        hear(live, [Event(camera, "entry", t) for t in times])
+
+    answer = live.recent("recent", {"hours": "1"})
+    assert [(event.camera, event.t) for event in answer.events] == [
+        (camera, t) for camera in "abc" for t in times[1:]
+    ]
+    assert answer.hours is not None
+    assert answer.hours.cameras == {camera: [[3, 0], [2, 0]] for camera in "abc"}
+
+
 def test_recent_events_have_labels_that_the_version_knows(learned: Topology) -> None:
     """So what no class is, as a plate sent by mistake, is not told to readers."""
     assert learned.model is not None

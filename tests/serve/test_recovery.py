@@ -11,6 +11,7 @@ from typing import Any
 
 import msgspec
 import pytest
+from msgspec.structs import replace
 from serving import closing_event, numbered, small_config, walkers
 
 from camtopod.admin import Reset, Rewind
@@ -24,7 +25,7 @@ from camtopod.serve.learner_process import recovery
 from camtopod.serve.learner_process.feeder import CATCHING_UP_SECONDS, LearnerFeeder
 from camtopod.serve.learner_process.messages import STATE, LearnProgress
 from camtopod.serve.learner_process.process import PROGRAM, LearnerEnded, LearnerProcess
-from camtopod.serve.learner_process.recovery import recover
+from camtopod.serve.learner_process.recovery import recent_events, recover
 from camtopod.serve.storage import command_entry
 from camtopod.serve.storage.journal import Entry, Journal, Snapshot
 from camtopod.serve.storage.sqlite_file import StateError
@@ -154,6 +155,33 @@ def test_it_says_how_far_it_is_behind(start: Start) -> None:
     behind = one.learning.catching_up(watermark + 1000.0)
     assert behind is not None
     assert behind.share == pytest.approx(0.4)
+
+
+def test_recent_events_are_by_time_in_whatever_order_they_were_stored(start: Start) -> None:
+    one = start()
+    one.store(sorted(EVENTS, key=lambda event: event.camera))
+
+    assert recent_events(one.journal) == sorted(EVENTS, key=lambda event: event.t)
+
+
+def test_what_a_paused_learner_holds_is_waiting(start: Start) -> None:
+    """A recording is in the learner's memory at once, and is learned tick by tick."""
+    one = start()
+    one.learn(EVENTS[:100])
+    progress = one.learning.progress
+    assert one.learning.waiting == 0
+    one.learning.progress = replace(
+        progress,
+        is_paused=True,
+        deadline=progress.statistics.watermark,
+        statistics=replace(progress.statistics, held=60, watermark=1e12),
+    )
+    assert one.learning.waiting == 60
+    behind = one.learning.catching_up(progress.statistics.watermark + 1000.0)
+    assert behind is not None
+    assert behind.seconds == pytest.approx(1000.0)
+    one.learning.progress = progress
+    assert one.learning.catching_up(progress.statistics.watermark + 1000.0) is None
 
 
 def test_a_damaged_snapshot_costs_an_epoch_and_nothing_that_was_learned(start: Start) -> None:
@@ -296,10 +324,7 @@ def test_an_event_that_cannot_be_read_any_more_holds_no_start_up(start: Start) -
     one.journal.commit([Entry("event", "a", None, None, b"{}")])
     again = start()
     again.run()
-    last = EVENTS[49].t
-    assert recovery.recent_events(again.journal) == [
-        e for e in EVENTS[:50] if e.t > last - recovery.RECENT_SECONDS
-    ]
+    assert recovery.recent_events(again.journal) == sorted(EVENTS[:50], key=lambda event: event.t)
 
 
 def test_what_a_newer_program_has_learned_is_not_thrown_away(start: Start) -> None:
@@ -313,10 +338,7 @@ def test_what_a_newer_program_has_learned_is_not_thrown_away(start: Start) -> No
 def test_what_predictions_remember(start: Start) -> None:
     one = start()
     one.learn(EVENTS[:50])
-    last = EVENTS[49].t
-    assert recovery.recent_events(one.journal) == [
-        e for e in EVENTS[:50] if e.t > last - recovery.RECENT_SECONDS
-    ]
+    assert recovery.recent_events(one.journal) == sorted(EVENTS[:50], key=lambda event: event.t)
     one.learn(EVENTS[50:])
     newest = recovery.newest_topology(one.journal)
     assert newest is not None

@@ -9,6 +9,7 @@ from __future__ import annotations
 import contextlib
 import logging
 from collections.abc import Callable, Sequence
+from operator import attrgetter
 from typing import NamedTuple
 
 import msgspec
@@ -26,10 +27,8 @@ log = logging.getLogger(__name__)
 
 DEATHS_MAX = 2
 """Number of deaths of the learner at one entry, or at its state, after which that is left out."""
-RECENT_EVENTS = 4_000
-"""Maximum number of events that predictions and walks remember at a start."""
-RECENT_SECONDS = 3600.0
-"""Maximum age of these, in seconds before the newest one."""
+RECENT_ENTRIES = 20_000
+"""Number of entries of the journal, the newest, whose events are remembered at a start."""
 
 
 class Failure(msgspec.Struct):
@@ -156,16 +155,15 @@ def newest_topology(journal: Journal) -> Topology | None:
 
 
 def recent_events(journal: Journal) -> list[Event]:
-    """Return the newest events since the last correction, for predictions to remember."""
+    """Return the newest events since the last correction, by time."""
     events: list[Event] = []
-    for _, entry in journal.entries(after=max(0, len(journal) - RECENT_EVENTS)):
+    for _, entry in journal.entries(after=max(0, len(journal) - RECENT_ENTRIES)):
         if entry is not None and entry.kind == "correction":
             events.clear()
         elif entry is not None and entry.kind == "event":
             with contextlib.suppress(codec.Rejected):  # accepted by another version
                 events.append(codec.event_from_bytes(entry.raw))
-    newest = max((event.t for event in events), default=0.0)
-    return [event for event in events if event.t > newest - RECENT_SECONDS]
+    return sorted(events, key=attrgetter("t"))
 
 
 def read_failure(journal: Journal) -> Failure:
