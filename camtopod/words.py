@@ -363,9 +363,17 @@ def origin(match: Match) -> str:
 
 
 def _outcomes(prediction: Prediction) -> list[Headline]:
-    """Return the outcomes that are said, likeliest first, but who is in view now before all."""
+    """Return the outcomes that are said, likeliest first, but who is in view now before all.
+
+    What may follow shares the probability that no camera sees the object now.
+    """
     views = seen_now(prediction)
-    shares = sum_by_camera(prediction.next) | views | {LEAVES: prediction.leave}
+    shares = sum_by_camera(prediction.next) | {LEAVES: prediction.leave}
+    if views:
+        others = {place: share for place, share in shares.items() if place not in views}
+        unseen = math.prod(1.0 - share for share in views.values())
+        scale = min(unseen / max(sum(others.values()), 1e-9), 1.0)
+        shares = views | {place: scale * share for place, share in others.items()}
     outcomes = []
     for place, share in shares.items():
         words = f"{place} {100 * share:.0f} %"

@@ -43,7 +43,15 @@ def test_who_is_seen_elsewhere_is_in_view_now() -> None:
     seen = [InView("hall", "1", 1.0, 0.5), InView("yard", "2", 1.0, 0.1)]
     both = [*seen, InView("hall", "3", 1.0, 0.25)]
     said = Prediction("lobby", "lobby/1", 1.0, "17", 9, 0.59, [HALL], None, both)
-    assert str(said) == "hall 75 %, in view now; leaves the site 59 %"
+    assert str(said) == "hall 75 %, in view now; leaves the site 25 %"
+
+
+def test_two_views_may_see_an_object_at_once_and_what_follows_is_the_rest() -> None:
+    seen = [InView("hall", "1", 1.0, 0.8), InView("yard", "2", 1.0, 0.6)]
+    bar = NextCamera("bar", "bar/1", 0.3, 1.0, 2.0, 3.0)
+    prediction = Prediction("lobby", "lobby/1", 1.0, "17", 9, 0.1, [HALL, bar], None, seen)
+    words = "hall 80 %, in view now; yard 60 %, in view now; bar 6 %, in 1 to 3 s"
+    assert str(prediction) == words
 
 
 def test_an_object_may_come_back() -> None:
