@@ -77,6 +77,7 @@ class CameraState(Struct, frozen=True):
     alive: True while its events can come.
     events: since the daemon's start; None if the daemon does not count them.
     newest (Unix seconds): event time of its newest event; None if unknown.
+    has_grabber: True while a grabber makes its events, however well; a film's has ended.
     """
 
     id: str
@@ -86,6 +87,7 @@ class CameraState(Struct, frozen=True):
     alive: bool
     events: int | None
     newest: float | None
+    has_grabber: bool = False
 
 
 class DaemonState(Struct, frozen=True):
@@ -168,14 +170,17 @@ def camera_states(
     said nothing for `silent_after` is silent, unless it had ended: a film has nothing more to say.
     A camera without a grabber that works is gone after `OLD_SECONDS`, so that what was removed
     needs no attention for ever; if it has events, it is one of another program. All other states
-    are the grabber's word: it needs attention unless it runs, has ended or has just begun.
+    are the grabber's word: it needs attention unless it runs, has ended or has just begun. A camera
+    that is there needs attention, too, while an alarm of it is open.
     """
     # Event time of each camera's newest event.
     newest: dict[str, float | None] = dict.fromkeys(grabbers)
     if topology is not None:
         newest |= {camera.id: last_events.get(camera.id) for camera in topology.cameras}
-    newest |= {name: figures.newest for name, figures in daemon.cameras.items()}
+    for name, figures in daemon.cameras.items():  # counted since its start, perhaps of a backlog
+        newest[name] = max(filter(None, (newest.get(name), figures.newest)), default=None)
     last = max([topology.as_of if topology else 0.0, *filter(None, newest.values())])
+    alarms = {alarm.subject: alarm for alarm in alarms_in_words(topology) if alarm.open}
 
     silent = {
         name
@@ -187,21 +192,27 @@ def camera_states(
     for name in newest.keys() - removed_names:
         t = newest[name]
         status = grabbers[name][0] if name in grabbers else None
-        figures = daemon.cameras.get(name)
+        counts = daemon.cameras.get(name)
         is_old = t is not None and last - t > OLD_SECONDS
         state, reason = _state_of(name, daemon, status, name in silent, is_old)
-        if figures is not None and (figures.ahead or 0.0) > AHEAD_SECONDS:
-            reason = "; ".join(filter(None, (reason, f"clock {figures.ahead:.0f} s ahead")))
-        is_there = figures.alive if figures is not None else status is not None
+        look: Appearance = "off" if reason in STARTING else _LOOKS.get(state, "bad")
+        reasons = [reason]
+        if counts is not None and (counts.ahead or 0.0) > AHEAD_SECONDS:
+            reasons.append(f"clock {counts.ahead:.0f} s ahead")
+        if name in alarms and state not in ABSENT:
+            look = "bad"
+            reasons.append(f"{alarms[name].title}: {alarms[name].detail}")
+        is_there = counts.alive if counts is not None else status is not None
         states.append(
             CameraState(
                 name,
                 state,
-                reason,
-                "off" if reason in STARTING else _LOOKS.get(state, "bad"),
+                "; ".join(filter(None, reasons)),
+                look,
                 is_there and name not in silent and state not in ABSENT,
-                None if figures is None else figures.events,
+                None if counts is None else counts.events,
                 t,
+                status is not None and state not in (ELSEWHERE, "no grabber", "ended", *ABSENT),
             )
         )
     return sorted(states, key=lambda state: (state.look != "bad", state.state in ABSENT, state.id))

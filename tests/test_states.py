@@ -108,6 +108,45 @@ def test_a_reason_says_more_than_the_state() -> None:
     assert before.reason == "counts as after"
 
 
+def test_a_camera_needs_attention_while_an_alarm_of_it_is_open() -> None:
+    known = [camera.id for camera in ALARMED.cameras]
+    alarms = [
+        Alarm(1, NOW - 9.0, "camera_silent", known[0], "no event"),
+        Alarm(2, NOW - 8.0, "camera_silent", known[1], "no event"),
+        Alarm(3, NOW - 7.0, "camera_back", known[1], "events again"),
+        Alarm(3, NOW - 7.0, "camera_silent", "lost", "no event"),
+    ]
+    names = NamesStatus(forgotten={known[2]: 3})
+    daemon = DaemonStatus(names=names, cameras={known[0]: ALIVE, "lost": CameraFigures(1, OLD)})
+    states = camera_states(daemon, {}, replace(ALARMED, alarms=alarms), {})
+    [(camera, state, reason)] = [(s.id, s.state, s.reason) for s in states if s.look == "bad"]
+    silent = f"camera silent {camera}: no event"
+    assert (camera, state, reason) == (known[0], ELSEWHERE, silent)
+
+
+def test_the_newest_event_of_a_camera_is_the_later_of_what_is_counted_and_learned() -> None:
+    names = [camera.id for camera in ALARMED.cameras]
+    counted = [NOW - 534.0, None, NOW - 1.0]
+    cameras = {name: CameraFigures(1, t) for name, t in zip(names, counted, strict=False)}
+    states = camera_states(
+        DaemonStatus(cameras=cameras), {}, ALARMED, dict.fromkeys(names, NOW - 60.0)
+    )
+    newest = {state.id: state.newest for state in states}
+    assert [newest[name] for name in names[:3]] == [NOW - 60.0, NOW - 60.0, NOW - 1.0]
+
+
+def test_a_grabber_that_makes_events_however_well_is_none_of_a_recording() -> None:
+    grabbers = {
+        "fine": (Status("running"), 0.0),
+        "silent": (Status("running"), 99.0),
+        "starts": (Status("connecting", reason=STARTING[0]), 0.0),
+        "film": (Status("ended"), 0.0),
+        "other": (Status(), 0.0),
+    }
+    states = camera_states(DaemonStatus(cameras={"other": ALIVE}), grabbers, None, {})
+    assert sorted(one.id for one in states if one.has_grabber) == ["fine", "silent", "starts"]
+
+
 # --- the daemon
 
 
