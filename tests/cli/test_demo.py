@@ -44,12 +44,17 @@ def test_demo_works_in_an_empty_directory_though_one_grabber_is_slow(tmp_path: P
     environment = {**os.environ, "PYTHONPATH": str(ROOT), "TMPDIR": str(empty)}
     command = [sys.executable, "-c", UNEVEN, str(slow), "demo", "--minutes", "4", "--out", "here"]
     pipes: Any = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE, "text": True}
+    begin = time.monotonic()
     with subprocess.Popen([*command, "--page"], cwd=empty, env=environment, **pipes) as running:
         lines = list(itertools.takewhile(lambda line: "Ctrl-C" not in line, running.stderr))
         address = next(line.split()[-1] for line in lines if "the page is at" in line)
         for path in ("data/map", "picture/hall"):
             with urllib.request.urlopen(address + path, timeout=20) as answer:
                 assert len(answer.read()) > 1000
+        with urllib.request.urlopen(address + "data/health", timeout=20) as answer:
+            health = msgspec.json.decode(answer.read())
+        last = max(camera["newest"] for camera in health["cameras"])
+        assert 0 <= health["now"] - last < time.monotonic() - begin + 30, "it has just ended"
         running.send_signal(signal.SIGINT)
         stdout, rest = running.communicate(timeout=60)
     stderr = "".join([*lines, rest])

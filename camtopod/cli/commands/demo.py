@@ -188,7 +188,8 @@ def _watched(
         address = ""
         if has_page:
             reader = replace(config, bus=BusSettings(connect=(daemon.endpoint,)))
-            address = stack.enter_context(_page(reader, work, clock))
+            # Ages on the page are those of the recording, whatever the daemon's clock skips.
+            address = stack.enter_context(_page(reader, work, DemoClock(start + seconds)))
             say(f"demo: the page is at {address}")
         say("demo: playing the videos as fast as the grabbers read them")
         with _grabbers(videos, start, daemon.endpoint, work) as grabbers:
