@@ -155,6 +155,10 @@ def test_growth_is_of_the_versions_that_the_daemon_has_kept() -> None:
         told = shown.json("/data/growth")
 
     assert [one["version"] for one in told] == [2, 3], "the first one is not kept"
+        told = f"return document.querySelector('[data-id={A}]').getAttribute('aria-label')"
+        browser.wait(lambda: "5 entries on 14 November 2023" in browser.run(told), "the day")
+        browser.run("document.querySelector('.key').open = true")
+        assert "entries on 14 November 2023" in browser.text(".key")
     assert [len(one["pairs"]) for one in told] == [1, len(SITE.pairs)]
     assert told[-1]["pairs"] == PAIRS
     assert growth.thinned(range(1, 1000))[:2] == [1, 27]

@@ -54,12 +54,13 @@ export class Hours {
 export function writeCounts(map, countsOf, when) {
   for (const node of map.nodes.values()) {
     const [wide, high] = map.halves(node);
+    const isSame = node.when === when;
     node.counts = countsOf(node.id);
     node.when = when;
     const text = node.counts && high > DIGIT_PIXELS[1] ? count(node.counts[0]) : "";
     const [full] = [`${text} in`, text, ""].filter((one) => one.length * DIGIT_PIXELS[0] < 2 * wide);
     const shown = text && full;
-    if (node.entered.textContent === shown) continue;
+    if (isSame && node.entered.textContent === shown) continue;
     node.entered.textContent = shown;
     map.describe(node);
   }

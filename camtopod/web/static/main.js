@@ -140,9 +140,11 @@ class App {
     return this.recorded ? clock(t) : ago(this.now() - t);
   }
 
-  // Shows the entries of today on the cameras.
+  // Shows the entries of today on the cameras, or of the day of a recording.
   showToday() {
-    if (!this.replay.on) writeCounts(this.network, (id) => this.hours.today(id, this.present()), "today");
+    const when = this.recorded ? `on ${day(this.recorded)}` : "today";
+    this.overlays.showDay(when);
+    if (!this.replay.on) writeCounts(this.network, (id) => this.hours.today(id, this.present()), when);
   }
 
   // Fetch the whole map, again if the server is away.

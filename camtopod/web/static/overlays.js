@@ -65,6 +65,7 @@ export class Overlays {
       h("summary", {}, "Predictions"),
       this.list,
     );
+    this.counted = h("li", { class: "quiet", hidden: !app.source.live });
     this.waiting = h("p", { class: "overlay waiting", role: "status", hidden: true });
     this.signs = SIGNS.map(([look, words]) => h("li", { hidden: true }, h("i", { class: look }), words));
     this.legend = h(
@@ -75,7 +76,7 @@ export class Overlays {
         "ul",
         {},
         this.signs,
-        app.source.live ? h("li", { class: "quiet" }, "on a camera: entries today") : null,
+        this.counted,
         h("li", { class: "quiet" }, "numbers: most frequent transit time, with arrows where the directions differ"),
       ),
     );
@@ -116,6 +117,11 @@ export class Overlays {
     const all = heard.reduce((sum, n) => sum + n, 0);
     const from = `${plural(heard.length, "camera")} so far.`;
     this.#wait(`${FIRST} ${heard.length ? `${plural(all, "event")} from ${from}` : "No camera has sent an event yet."}`);
+  }
+
+  // Of which day the numbers on the cameras are.
+  showDay(when) {
+    this.counted.textContent = `on a camera: entries ${when}`;
   }
 
   #wait(text) {
