@@ -27,7 +27,7 @@ from camtopod.web.map_data import NO_MAP, draw
 from camtopod.web.outbox import PageQueues, message
 from camtopod.web.recent_matches import RecentMatches
 from camtopod.web.versions import summary
-from camtopod.words import headline, seen_now
+from camtopod.words import SHARE_SAID_MIN, headline, seen_now
 
 PER_SECOND_MAX = 25
 """Predictions, and matches, forwarded per second, of all cameras together; people cannot follow
@@ -54,13 +54,18 @@ def shown(prediction: Prediction) -> dict[str, Any]:
     """Return the prediction in the form for the page, without a track.
 
     ``place``, ``words``: what is said of it (`camtopod.words.Headline`).
+    ``seconds``: after ``t``, when the last camera that is named can no longer be the next.
     ``now``: those that probably see it at ``t``, when it has left the view of ``camera``.
     """
     answer = headline(prediction)
+    ends = [
+        row.q90 for row in prediction.next if row.probability >= SHARE_SAID_MIN and not row.prior
+    ]
     return {
         **{name: getattr(prediction, name) for name in ("camera", "zone", "t", "version")},
         "place": answer.place,
         "words": answer.words,
+        "seconds": max(ends, default=0.0),
         "now": [Look(*item) for item in seen_now(prediction).items()],
         "next": prediction.next[:NEXT_SHOWN],
     }

@@ -2,7 +2,7 @@
 
 import { fill, h, say } from "./dom.js";
 import { go, link } from "./place.js";
-import { clock, count, plural } from "./words.js";
+import { ago, clock, count, plural } from "./words.js";
 
 const OPEN_MAX = 100; // cameras; on the map of a larger site the predictions' list would hide too much
 const HITS_SHOWN = 8;
@@ -161,19 +161,23 @@ export class Overlays {
 
   predicted(prediction) {
     if (prediction.place === prediction.camera) return; // which moves nobody on the map
-    this.#predictions = [prediction, ...this.#predictions].slice(0, PREDICTIONS_SHOWN);
+    this.#predictions = [{ ...prediction, heard: performance.now() }, ...this.#predictions].slice(0, PREDICTIONS_SHOWN);
     this.#timer ??= setTimeout(() => this.#list(), LIST_MILLISECONDS);
   }
 
-  // Removes predictions whose window has passed.
+  // Removes predictions whose windows have all passed, and says how old the others are.
   listPredictions() {
-    const now = this.app.present();
-    const current = this.#predictions.filter(
-      ({ t, next }) => now - t < Math.max(PREDICTION_SECONDS_MIN, ...next.map((one) => one.q90)),
-    );
-    if (current.length === this.#predictions.length) return;
+    const current = this.#predictions.filter((one) => this.#age(one) < Math.max(PREDICTION_SECONDS_MIN, one.seconds));
+    const isSame = current.length === this.#predictions.length;
     this.#predictions = current;
-    this.#list();
+    if (!isSame) this.#list();
+    else if (!this.#timer)
+      for (const [k, age] of [...this.list.querySelectorAll(".age")].entries()) age.textContent = ago(this.#age(current[k]));
+  }
+
+  // Seconds since the exit; those since it was heard of if they are more, as the time of a recording ends with it.
+  #age({ t, heard }) {
+    return Math.max(this.app.present() - t, (performance.now() - heard) / 1000);
   }
 
   #showAlarms(all) {
@@ -204,8 +208,13 @@ export class Overlays {
     fill(
       this.list,
       this.#predictions.length ? null : h("li", { class: "quiet" }, "No open predictions."),
-      this.#predictions.map(({ camera, words }) =>
-        h("li", {}, h("a", { href: link("camera", camera) }, camera), " → ", h("span", { class: "quiet" }, words)),
+      this.#predictions.map((one) =>
+        h(
+          "li",
+          {},
+          h("span", {}, h("a", { href: link("camera", one.camera) }, one.camera), " → ", h("span", { class: "quiet" }, one.words)),
+          h("span", { class: "age quiet" }, ago(this.#age(one))),
+        ),
       ),
     );
   }
