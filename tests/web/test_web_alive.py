@@ -13,7 +13,17 @@ from page_fixture import Shown, opened
 from serving import wait_for
 from synthetic_topology import synthetic_topology
 
-from camtopod.records import EventHours, Kind, Match, MatchedPassage, SeenEvent, Topology
+from camtopod.records import (
+    Alarm,
+    EventHours,
+    Kind,
+    Match,
+    MatchedPassage,
+    NextCamera,
+    Prediction,
+    SeenEvent,
+    Topology,
+)
 from camtopod.web import growth
 
 SITE = synthetic_topology(4, version=3, as_of=time.time())
@@ -137,15 +147,74 @@ def test_the_last_hour_is_replayed_and_so_is_how_the_map_grew(browser: Browser) 
 
 def test_a_recording_is_dated_by_its_events(browser: Browser) -> None:
     t = 1_700_000_000.0
-    shown = Shown(synthetic_topology(4, as_of=t))
+    alarm = Alarm(1, t, "camera_silent", B, "no event")
+    shown = Shown(replace(synthetic_topology(4, as_of=t), alarms=[alarm]))
     shown.bus.hours = EventHours(t, t // 3600 * 3600, {A: [[5, 0]]})
     with shown.serving():
         opened(browser, shown)
         shown.status(**{A: {"events": 5, "newest": t}})
         browser.wait(lambda: "recording of 14 November 2023" in browser.text("#live"), "its day")
         browser.wait(lambda: browser.text(f"[data-id={A}] .today") == "5 in", "those of that day")
+        told = f"return document.querySelector('[data-id={A}]').getAttribute('aria-label')"
+        browser.wait(lambda: "5 entries on 14 November 2023" in browser.run(told), "the day")
+        browser.run("document.querySelector('.key').open = true")
+        assert "entries on 14 November 2023" in browser.text(".key")
         browser.go("#/health")
         browser.wait(lambda: "2023-11-14" in browser.text(".page table"), "its last event")
+
+
+def test_a_camera_with_an_open_alarm_is_marked_wherever_it_is_shown(browser: Browser) -> None:
+    alarm = Alarm(1, SITE.as_of, "camera_silent", B, "no event")
+    shown = Shown(replace(SITE, alarms=[alarm]))
+    with shown.serving():
+        opened(browser, shown)
+        words = "running, 1 alarm, 1 camera needs attention"
+        browser.wait(lambda: browser.text("#live").startswith(words), "the header")
+        browser.wait(lambda: browser.count(".node.ill") == 1, "the map")
+        assert browser.count(f".node.ill[data-id={B}]") == 1
+        browser.go("#/health")
+        browser.wait(lambda: "1 needs attention" in browser.text(".page"), "their number")
+        assert f"camera silent {B}: no event" in browser.text(".page tbody tr")
+
+
+def test_objects_between_cameras_are_counted_once_there_was_an_event(browser: Browser) -> None:
+    shown = Shown(SITE)
+    since = time.time()
+    between = {"t": since, "since": since, "number": 0.0, "low": 0, "high": 0}
+
+    def tell(newest: float) -> None:
+        cameras = {A: {"events": 5, "newest": newest, "alive": True}}
+        status = {"state": "running", "status_seconds": 3600.0, "cameras": cameras}
+        shown.bus.publish("status/daemon", {**status, "between": between})
+
+    with shown.serving():
+        opened(browser, shown, "#/health")
+        tell(since - 5.0)
+        browser.wait(lambda: "other program" in browser.text(".page"), "the camera")
+        assert "Between cameras" not in browser.text(".page")
+        tell(since + 0.1)
+        browser.wait(lambda: "about 0.0, 0 to 0" in browser.text(".page"), "a number")
+
+
+def test_a_prediction_ages_and_leaves_though_the_time_of_a_recording_stands(
+    browser: Browser,
+) -> None:
+    t = 1_700_000_000.0
+    shown = Shown(synthetic_topology(4, as_of=t))
+    with shown.serving():
+        opened(browser, shown)
+        shown.status(**{A: {"events": 5, "newest": t}})
+        browser.wait(lambda: "recording" in browser.text("#live"), "the recording")
+        rows = [
+            NextCamera(B, f"{B}/1", 0.2, 5.0, 7.0, 9.0),
+            NextCamera(B, f"{B}/2", 0.1, 5.0, 90.0, 600.0, prior=True),
+            NextCamera("c", "c/2", 0.005, 5.0, 90.0, 600.0),
+        ]
+        shown.bus.publish(f"prediction/{A}", Prediction(A, f"{A}/1", t - 3.0, None, 1, 0.7, rows))
+        browser.wait(lambda: "leaves the site 70 %" in browser.text(".predictions"), "the exit")
+        browser.wait(lambda: "5 s ago" in browser.text(".predictions .age"), "its age")
+        browser.run("const now = performance.now(); performance.now = () => now + 11000")
+        browser.wait(lambda: "No open predictions" in browser.text(".predictions"), "the end")
 
 
 def test_growth_is_of_the_versions_that_the_daemon_has_kept() -> None:
@@ -155,10 +224,6 @@ def test_growth_is_of_the_versions_that_the_daemon_has_kept() -> None:
         told = shown.json("/data/growth")
 
     assert [one["version"] for one in told] == [2, 3], "the first one is not kept"
-        told = f"return document.querySelector('[data-id={A}]').getAttribute('aria-label')"
-        browser.wait(lambda: "5 entries on 14 November 2023" in browser.run(told), "the day")
-        browser.run("document.querySelector('.key').open = true")
-        assert "entries on 14 November 2023" in browser.text(".key")
     assert [len(one["pairs"]) for one in told] == [1, len(SITE.pairs)]
     assert told[-1]["pairs"] == PAIRS
     assert growth.thinned(range(1, 1000))[:2] == [1, 27]

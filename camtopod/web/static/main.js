@@ -124,10 +124,14 @@ class App {
   }
 
   #showRecording() {
-    const rows = [...this.rows.values()];
-    const newest = rows.reduce((last, row) => Math.max(last, row.newest ?? 0), this.map?.as_of ?? 0);
+    const newest = Math.max(this.#newest(), this.map?.as_of ?? 0);
     const isOld = newest && this.now() - newest > OLD_SECONDS;
-    this.recorded = isOld && rows.every((row) => row.look === "off") ? newest : null;
+    this.recorded = isOld && [...this.rows.values()].every((row) => !row.has_grabber) ? newest : null;
+  }
+
+  // Time of the newest event of all cameras, 0 if there is none.
+  #newest() {
+    return [...this.rows.values()].reduce((last, row) => Math.max(last, row.newest ?? 0), 0);
   }
 
   // The present of the site: now, or the time of the newest event of a recording.
@@ -168,9 +172,10 @@ class App {
     this.network.coveredBy(plan.panel);
   }
 
-  // How many objects are between cameras; undefined or null while nobody counts.
+  // How many objects are between cameras; null while nobody counts, or nothing can be counted: there was no event since.
   get between() {
-    return this.health?.live.live ? this.health.daemon.between : null;
+    const between = this.health?.live.live ? this.health.daemon.between : null;
+    return between && this.#newest() > between.since ? between : null;
   }
 
   // Ask for the health of the daemon and of every camera.
