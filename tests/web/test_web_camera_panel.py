@@ -11,6 +11,7 @@ from page_fixture import Shown, opened
 from synthetic_topology import synthetic_topology
 
 from camtopod.records import (
+    Alarm,
     DaemonStatus,
     EventHours,
     InView,
@@ -21,7 +22,11 @@ from camtopod.records import (
     Status,
 )
 
-SITE = synthetic_topology(4, as_of=time.time())
+NOW = time.time()
+SITE = replace(
+    synthetic_topology(4, as_of=NOW),
+    alarms=[Alarm(1, NOW, "link_closed", "a/1->b/1", "0.00 since")],
+)
 WITH_A_CAMERA = "running, 1 alarm, 1 camera needs attention · version 1"
 A, B, C = (camera.id for camera in SITE.cameras[:3])
 
