@@ -20,7 +20,7 @@ import { ago, clock, count, day } from "./words.js";
 const PANELS = { camera: cameraPanel, pair: pairPanel, link: linkPanel };
 const RETRY_MILLISECONDS = 2000;
 const HEALTH_MILLISECONDS = 4000;
-const CATCH_UP_MILLISECONDS = 300_000;
+const CATCH_UP_MILLISECONDS = 60_000;
 const OLD_SECONDS = 86_400; // age of the newest event from which on a site without a grabber plays a recording
 const FRESH_SECONDS = 30; // age of an event up to which it is a pulse
 
