@@ -128,7 +128,7 @@ def predictions_of(
     predictions = []
     for event in replay:
         if event.kind == "exit":
-            predictions.append(predictor.predict(event))
+            predictions.append(predictor.answer(event))
         predictor.observe(event)
     return predictions
 

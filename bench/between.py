@@ -133,7 +133,7 @@ def replayed(
         for match in walks.revised(event.t):
             between.entered(match)
         if event.kind == "exit":
-            between.left(predictor.predict(event))
+            between.left(predictor.answer(event))
         predictor.observe(event)
         if (first := walks.observe(event)) is not None:
             between.entered(first)

@@ -129,7 +129,7 @@ def measure(folder: Path, options: Options = DEFAULTS, *, beside: bool = True) -
     predictions = []
     for event in recording.events:
         if event.kind == "exit":
-            predictions.append(predictor.predict(event))
+            predictions.append(predictor.answer(event))
         predictor.observe(event)
     predict_seconds = time.process_time() - start
 

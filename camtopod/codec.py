@@ -60,6 +60,7 @@ _making = threading.Lock()
 _UNREADABLE = (msgspec.MsgspecError, ValueError, RecursionError)
 """What msgspec's decoders raise on bad input."""
 _KINDS = get_args(Kind)
+_matches_camera = re.compile(CAMERA_PATTERN).match
 _T = TypeVar("_T")
 _AT_T = " - at `$.t`"
 _NO_TIME = (
@@ -89,7 +90,7 @@ class Rejected(ValueError):
 
 def is_camera(name: str) -> bool:
     """Return True if a camera may have this id."""
-    return re.match(CAMERA_PATTERN, name) is not None
+    return _matches_camera(name) is not None
 
 
 def require_camera(name: str) -> None:
@@ -103,17 +104,33 @@ def require_event(event: Event, kind: Kind | None = None) -> None:
     """Raise `Rejected` for an event that is none, or of another kind than asked for.
 
     Events from files and from the bus are checked as they are decoded; this is for those that a
-    Python program has made.
+    Python program has made. Camera, time and position are refused in the words of an event line.
     """
+    x, y = event.x, event.y
     if event.kind not in _KINDS:
         mistake = ": the kind of an event is entry or exit"
-    elif not math.isfinite(event.t):
-        mistake = ": t is no finite number of seconds"
+    elif not (
+        T_MIN <= event.t < T_MAX
+        and _matches_camera(event.camera)
+        and (0 <= x <= 1 and 0 <= y <= 1 if x is not None and y is not None else x is y)
+    ):
+        mistake = f": {_mistake_of_line(event)}"
     elif kind not in (None, event.kind):
         mistake = f" among what should be {kind} events"
     else:
         return
     raise Rejected("bad-value", f"an {event.kind} of {event.camera} at {event.t}{mistake}")
+
+
+def _mistake_of_line(event: Event) -> str:
+    """Return why no event line may have this camera, time or position."""
+    numbers = {"t": event.t, "x": event.x, "y": event.y}
+    fields = {name: float(value) for name, value in numbers.items() if value is not None}
+    try:
+        event_from_msgpack(to_msgpack({"camera": event.camera, "kind": event.kind, **fields}))
+    except Rejected as rejection:
+        return str(rejection)
+    return "no event"
 
 
 OnLabel = Callable[[Rejected], None]

@@ -242,7 +242,7 @@ def predict(head: Topology, events: Sequence[Event]) -> Forecast:
     start = time.process_time()
     for index in range(max(0, cut - WARM_EVENTS), len(events)):
         if index >= cut and events[index].kind == "exit":
-            predictions.append(predictor.predict(events[index]))
+            predictions.append(predictor.answer(events[index]))
         predictor.observe(events[index])
     return Forecast(predictions, time.process_time() - start, head)
 
@@ -264,7 +264,7 @@ def serve(events: Sequence[Event], settings: Settings) -> tuple[Topology, Foreca
             head = learner.topology
         if predictor is not None:
             if index >= cut and event.kind == "exit":
-                predictions.append(predictor.predict(event))
+                predictions.append(predictor.answer(event))
             predictor.observe(event)
 
         # Time of the predictor, which does not count as learning.

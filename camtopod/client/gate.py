@@ -135,17 +135,19 @@ class Gate:
             way do not count as gone. Default: the newest of the given times.
 
         -inf means that no link has this lag; use ``np.maximum(odds, -20)`` if other evidence may
-        overrule that. 0 means no information: this version does not know a camera.
+        overrule that. 0 means no information: a camera has no zone yet.
 
-        Raises ValueError for an entry among the exits, an exit among the entries, or an invalid
-        time.
+        Raises `UnknownPlace` (a KeyError) for a camera that this version does not have; ValueError
+        for an entry among the exits, an exit among the entries, or an invalid time.
         """
         if now is not None and math.isnan(now):
             raise ValueError("now is not a number")
         for event in exits:
             require_event(event, "exit")
+            self.prepared.require_camera(event.camera)
         for event in entries:
             require_event(event, "entry")
+            self.prepared.require_camera(event.camera)
 
         # Zones and corrected times of the events.
         odds = np.zeros((len(exits), len(entries)))
@@ -185,8 +187,8 @@ class Gate:
         return log_density(self.prepared, answer, zones, lag, by_link)
 
     def _corrected(self, event: Event) -> float:
-        """Return the corrected time of an event; minus infinity for an unknown camera."""
-        return event.t - self._ahead.get(event.camera, math.inf)
+        """Return the corrected time of an event."""
+        return event.t - self._ahead[event.camera]
 
     def _passage(self, entry: Event) -> Passage | None:
         """Return the passage that begins with an entry; None if its zone is unknown."""

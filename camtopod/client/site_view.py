@@ -163,7 +163,6 @@ class SiteView:
             topology, predictor = self._now().topology, self._predictor
             assert predictor is not None
             if zone is None:
-                predictor.prepared.require_camera(camera)
                 return predictor.predict(event, now)
             place = zone_at(topology.version, topology.zones, zone, camera)
             return predictor.predict_from(place, event.t, track=track, now=now, label=event.label)
@@ -201,7 +200,7 @@ class SiteView:
     def affinity(
         self, exits: Sequence[Event], entries: Sequence[Event], now: float | None = None
     ) -> NDArray[np.float64]:
-        """Return `Gate.affinity` of the version held; raise `NothingLearned`, ValueError."""
+        """Return `Gate.affinity` of the version held; raise as it does, or `NothingLearned`."""
         return self._now().affinity(exits, entries, now)
 
     def _between(self) -> Between | None:

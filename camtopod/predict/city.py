@@ -13,9 +13,11 @@ from collections import defaultdict
 from collections.abc import Callable, Iterable, Iterator
 from typing import TypeVar
 
+from camtopod.codec import require_event
 from camtopod.predict.predictor import Predictor
 from camtopod.predict.walks import Walks
 from camtopod.records import Event, Match, Prediction, Topology
+from camtopod.topology import UnknownPlace
 
 AnswerT = TypeVar("AnswerT")
 
@@ -32,6 +34,7 @@ class CityPredictor:
     """
 
     def __init__(self, city: Topology) -> None:
+        self._version = city.version
         self._hearers = hearers_of(city)
         self._predictors = [Predictor(part) for part in city.parts or ()]
 
@@ -41,12 +44,16 @@ class CityPredictor:
             self._predictors[part].observe(event)
 
     def predict(self, event: Event, now: float | None = None) -> Prediction:
-        """Return the prediction of the owner's part; see `Predictor.predict`.
+        """Return the prediction of the owner's part, or raise, as `Predictor.predict`."""
+        require_event(event, "exit")
+        if event.camera not in self._hearers:
+            raise UnknownPlace("camera", event.camera, self._version, list(self._hearers))
+        return self.answer(event, now)
 
-        For a camera that no part has, the first part answers that nothing is known.
-        """
+    def answer(self, event: Event, now: float | None = None) -> Prediction:
+        """Return what `predict` does; of a camera that no part has, nothing is known."""
         owner, *_ = self._hearers.get(event.camera, (0,))
-        return self._predictors[owner].predict(event, now)
+        return self._predictors[owner].answer(event, now)
 
 
 class CityWalks:
@@ -92,7 +99,7 @@ def predicting(topology: Topology) -> Callable[[list[Event]], list[Prediction | 
     predictor = CityPredictor(topology) if topology.parts else Predictor(topology)
 
     def answer(moment: list[Event]) -> list[Prediction | None]:
-        answers = [predictor.predict(event) if event.kind == "exit" else None for event in moment]
+        answers = [predictor.answer(event) if event.kind == "exit" else None for event in moment]
         for event in moment:
             predictor.observe(event)
         return answers

@@ -146,9 +146,18 @@ class Predictor:
             exit. Later, the exit may have been observed, too, and windows may lie before ``now``
             where an arrival may have been that of the object.
 
-        Raise ValueError for an event that is no exit, or a ``now`` before it.
+        Raise `UnknownPlace` (a KeyError) for a camera that the version does not have, ValueError
+        for an event that is no exit, or a ``now`` before it.
         """
         require_event(event, "exit")
+        self.prepared.require_camera(event.camera)
+        return self.answer(event, now)
+
+    def answer(self, event: Event, now: float | None = None) -> Prediction:
+        """Return what `predict` does; of a camera that is new since the version, nothing is known.
+
+        event: an exit.
+        """
         zone = self.zone_of(event)
         track = None if event.track is None else str(event.track)
         if zone is None:

@@ -147,7 +147,7 @@ class Live:
         """Return the prediction of an exit."""
         if self._reader is None or event.kind != "exit":
             return None
-        prediction = self._reader.predictor.predict(event)
+        prediction = self._reader.predictor.answer(event)
         self._between.left(prediction)
         return self._reader.published(prediction)
 
@@ -311,7 +311,6 @@ class Live:
                 if "zone" in parameters:
                     zone = zone_at(predictor.version, predictor.zones, parameters["zone"], camera)
                     return predictor.predict_from(zone, event.t, now=now, label=event.label)
-                predictor.prepared.require_camera(camera)
                 return predictor.predict(event, now)
             except (ValueError, UnknownPlace) as error:
                 raise QueryError(str(error)) from None

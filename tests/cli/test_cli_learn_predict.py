@@ -211,6 +211,15 @@ def test_one_prediction_for_each_exit_in_input_order(run: Run, topology: Path) -
     )  # whatever the order, the same answers
 
 
+def test_of_a_camera_that_the_topology_has_not_nothing_is_known(run: Run, topology: Path) -> None:
+    stranger = replace(EVENTS[-1], camera="new")
+    events = lines([replace(stranger, kind="exit"), replace(stranger, kind="entry")])
+    for more, answer in ([], b'"zone":null'), (["--walks"], b'"from":[],"new":1.0'):
+        status, printed, _ = run("predict", topology, "-", *more, stdin=events)
+        assert status == 0
+        assert answer in printed
+
+
 def test_later_lines_change_no_answer(run: Run, topology: Path) -> None:
     """Answers to the first part of a file do not depend on later lines, also at the same moment."""
     _, whole, _ = run("predict", topology, "-", stdin=lines(EVENTS))

@@ -174,8 +174,9 @@ def test_what_is_not_there_or_makes_no_sense_is_said() -> None:
         gate.gate("a/1", math.nan, "b", 8.0)
 
 
-def test_of_an_unknown_camera_nothing_is_said() -> None:
-    odds = Gate(THREE).affinity(
+def test_of_a_camera_without_a_zone_nothing_is_said_and_an_unknown_one_is_refused() -> None:
+    gate = Gate(replace(THREE, model=None, cameras=[*THREE.cameras, Camera("new", [])]))
+    odds = gate.affinity(
         [LEFT, replace(LEFT, camera="new")], [came("b", 1008.0), came("new", 1008.0)]
     )
 
@@ -184,6 +185,11 @@ def test_of_an_unknown_camera_nothing_is_said() -> None:
     assert (odds[1] == 0).all()
     assert Gate(THREE).affinity([], [came("b", 1.0)]).shape == (0, 1)
     assert Gate(THREE).affinity([LEFT], []).shape == (1, 0)
+    for exits, entries in (([replace(LEFT, camera="new")], []), ([], [came("new", 1008.0)])):
+        with pytest.raises(UnknownPlace, match="no camera 'new'; there are"):
+            Gate(THREE).affinity(exits, entries)
+    with pytest.raises(UnknownPlace, match="no zone 'new/1'; there are"):
+        Gate(THREE).gate_gone("new/1")
 
 
 # --- how right it is ------------------------------------------------------------------------------

@@ -10,7 +10,8 @@ from msgspec.structs import replace
 from camtopod import CityPredictor, Event, Predictor, Topology, learn_topology
 from camtopod.city.merge import merge
 from camtopod.config import with_borders
-from camtopod.predict import CityWalks, Walks
+from camtopod.predict import CityWalks, Walks, predicting
+from camtopod.topology import UnknownPlace
 
 CAMERAS = ("lobby", "hall", "yard", "gate")
 OWNERS = {"lobby": "north", "hall": "north", "yard": "south", "gate": "south"}
@@ -76,13 +77,18 @@ def test_an_entry_is_matched_by_its_owners_part_alone(city: Topology) -> None:
     assert any(x.camera == "yard" and x.from_ and x.from_[0].camera == "hall" for x in matches)
 
 
-def test_of_a_camera_that_no_part_has_nothing_is_known(city: Topology) -> None:
+def test_a_camera_that_no_part_has_is_unknown(city: Topology) -> None:
     exit = Event("cellar", "exit", 1_700_000_000.0)
     predictor, walks = CityPredictor(city), CityWalks(city)
 
     predictor.observe(exit)
-    answer = predictor.predict(exit)
+    with pytest.raises(UnknownPlace, match="no camera 'cellar'; there are"):
+        predictor.predict(exit)
+    with pytest.raises(ValueError, match="among what should be exit events"):
+        predictor.predict(replace(exit, kind="entry"))
+    [answer] = predicting(city)([exit])
 
+    assert answer is not None
     assert (answer.leave, answer.next) == (1.0, [])
     assert walks.observe(exit) is None
     match = walks.observe(Event("cellar", "entry", 1_700_000_001.0))

@@ -47,6 +47,7 @@ from camtopod.records import (
 )
 from camtopod.sim.simulation import SimSettings, simulate
 from camtopod.sim.truth import Truth
+from camtopod.topology import UnknownPlace
 from camtopod.topology.lag_bins import LagBins
 from camtopod.topology.shared_constants import (
     BACK_OFF_DEPARTURES,
@@ -152,10 +153,22 @@ def test_a_camera_without_a_zone_or_without_links_leads_nowhere() -> None:
     for event, zone in (
         (replace(EXIT, x=0.8), "a/2"),
         (replace(EXIT, camera="b"), "b/1"),
-        (replace(EXIT, camera="unknown"), None),
     ):
         prediction = Predictor(THREE).predict(event)
         assert (prediction.zone, prediction.leave, prediction.next) == (zone, 1.0, [])
+
+
+def test_of_a_listed_camera_without_a_zone_nothing_is_known_and_another_is_unknown() -> None:
+    new = replace(EXIT, camera="new")
+    predictor = Predictor(replace(THREE, model=None, cameras=[*THREE.cameras, Camera("new", [])]))
+    assert predictor.predict(new) == predictor.answer(new)
+    assert str(predictor.predict(new)) == "not known yet"
+
+    predictor = Predictor(THREE)
+    predictor.observe(new)
+    with pytest.raises(UnknownPlace, match="no camera 'new'; there are"):
+        predictor.predict(new)
+    assert str(predictor.answer(new)) == "not known yet"
 
 
 def test_a_topology_that_has_only_what_the_contract_asks() -> None:

@@ -64,6 +64,16 @@ def test_exits_are_predicted_by_the_version_in_use(learned: Topology) -> None:
     assert [one.version for one in made] == [1, 2]
 
 
+def test_of_a_camera_that_is_new_since_the_version_nothing_is_known_yet(learned: Topology) -> None:
+    made: list[Prediction | Match] = []
+    live = Live(made.append, lambda: EXIT.t)
+    live.use(Reader(learned, walks=True))
+    live.hear(replace(EXIT, camera="new"))
+    assert [str(one) for one in made] == ["not known yet"]
+    with pytest.raises(QueryError, match="no camera 'new'; there are"):
+        live.answer("predict/new", {"t": str(EXIT.t)})
+
+
 def test_a_new_version_keeps_what_was_observed(learned: Topology) -> None:
     """Predictions equal those of a predictor of the new version that observed all events."""
     made: list[Prediction | Match] = []

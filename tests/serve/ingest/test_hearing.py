@@ -34,7 +34,7 @@ class Noting:
     def observe(self, event: Event) -> None:
         self.observed.append(event)
 
-    def predict(self, event: Event) -> Prediction:
+    def answer(self, event: Event) -> Prediction:
         return Prediction(event.camera, None, event.t, event.track, 1, 1.0, [])
 
     def published(self, prediction: Prediction) -> Prediction:
