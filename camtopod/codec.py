@@ -37,6 +37,10 @@ T_MAX = 32_503_680_000.0
 It ends with the year 3000, and begins a day before 1970: the times of a file may count from 0, and
 its clock may be slow.
 """
+RECORD_T_MAX = 1e11
+"""Largest time of a record, either way (`camtopod.records`): files count in seconds of any epoch,
+but not in milliseconds.
+"""
 TRACK_CHARACTERS_MAX = 128
 """Longest track, in characters or digits."""
 _JSON_STARTS = (b"{", b" ", b"\t", b"\r", b"\n")
@@ -104,13 +108,14 @@ def require_event(event: Event, kind: Kind | None = None) -> None:
     """Raise `Rejected` for an event that is none, or of another kind than asked for.
 
     Events from files and from the bus are checked as they are decoded; this is for those that a
-    Python program has made. Camera, time and position are refused in the words of an event line.
+    Python program has made. Camera, time and position are refused in the words of an event line;
+    a time may be any that a record may have.
     """
     x, y = event.x, event.y
     if event.kind not in _KINDS:
         mistake = ": the kind of an event is entry or exit"
     elif not (
-        T_MIN <= event.t < T_MAX
+        -RECORD_T_MAX <= event.t <= RECORD_T_MAX
         and _matches_camera(event.camera)
         and (0 <= x <= 1 and 0 <= y <= 1 if x is not None and y is not None else x is y)
     ):
@@ -325,6 +330,12 @@ def require_sound(topology: Topology) -> None:
     """Raise `Rejected` unless all references and values of a topology are valid."""
     for problem in soundness.problems(topology):
         raise Rejected("bad-value", problem)
+
+
+def require_topology(topology: object) -> None:
+    """Raise TypeError for what is no topology, such as the name of its file."""
+    if not isinstance(topology, Topology):
+        raise TypeError(f"{topology!r:.100} is no topology; load_topology reads one from its file")
 
 
 def load_topology(path: str | Path) -> Topology:

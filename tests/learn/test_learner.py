@@ -317,7 +317,7 @@ def test_odd_recordings(name: str) -> None:
         check(topology)
         predictor = learner.predictor()
         for event in events[-10:]:
-            prediction = predictor.predict(replace(event, kind="exit"))
+            prediction = predictor.answer(replace(event, kind="exit"))
             assert prediction.leave + sum(n.probability for n in prediction.next) == pytest.approx(
                 1.0
             )

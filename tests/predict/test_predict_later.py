@@ -139,7 +139,7 @@ def test_nobody_is_asked_about_before_leaving(now: float) -> None:
         with pytest.raises(
             ValueError, match=r"now is .*: give the time of the exit, 1000\.0, or a later one"
         ):
-            predictor.predict(event, now)
+            predictor.answer(event, now)
     with pytest.raises(ValueError, match="now is"):
         predictor.predict_from(0, 1000.0, now=now)
 
