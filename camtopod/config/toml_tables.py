@@ -5,6 +5,7 @@ The standard library's parser does not tell on which line a key is; `key_lines` 
 
 from __future__ import annotations
 
+import contextlib
 import difflib
 import re
 import tomllib
@@ -140,7 +141,7 @@ class TableReader:
                 reason = "no longer needed" if cause is None else f"no longer needed, as {cause}"
                 self.report(place, f"{reason}: delete it")
             elif key not in fields_by_name:
-                self.report(place, f"no such key{self._hint(key, list(fields_by_name))}")
+                self.report(place, f"no such key{self._hint(key, value, list(fields_by_name))}")
             elif isinstance(inner := getattr(defaults, key), Struct):
                 values[key] = self.table(inner, value, place)
             else:
@@ -157,9 +158,17 @@ class TableReader:
             place = place[:-1]
         self.problems.append(Mistake(self._lines.get(place, 1), f"{'.'.join(path)}: {text}"))
 
-    def _hint(self, key: str, keys: list[str]) -> str:
-        homes = [name for name, kind in self._tables.items() if key in kind.__struct_fields__]
-        return f"; it belongs in [{homes[0]}]" if homes else did_you_mean(key, keys)
+    def _hint(self, key: str, value: Any, keys: list[str]) -> str:
+        """Return the tables where a key that does not exist may have its value, or a like key."""
+        homes = [
+            f"[{title}]"
+            for title, kind in self._tables.items()
+            for field in fields(title, kind)
+            if field.name == key and _is_valid(field.type, value)
+        ]
+        return (
+            f"; a key of this name is in {', '.join(homes)}" if homes else did_you_mean(key, keys)
+        )
 
 
 def is_gone(table: str, key: str) -> bool:
@@ -174,7 +183,7 @@ def fields(table: str, kind: type[Struct]) -> list[msgspec.structs.FieldInfo]:
 
 def did_you_mean(key: str, keys: list[str]) -> str:
     """Return the second half of a sentence about a key that does not exist."""
-    close = difflib.get_close_matches(key, keys, n=1, cutoff=0.6)
+    close = difflib.get_close_matches(key, keys, n=1, cutoff=0.7)
     return f"; did you mean {close[0]!r}?" if close else f"; known are {', '.join(keys)}"
 
 
@@ -191,6 +200,14 @@ def _converted(kind: Any, value: Any) -> Any:
     if isinstance(result, float) and not abs(result) <= FLOAT_MAX:
         raise ValueError(f"expected a number of at most {FLOAT_MAX:g}")
     return result
+
+
+def _is_valid(kind: Any, value: Any) -> bool:
+    """Return True if a value of a file is a ``kind``."""
+    with contextlib.suppress(ValueError):
+        _converted(kind, value)
+        return True
+    return False
 
 
 def _polygons(value: Any) -> Any:

@@ -95,7 +95,7 @@ def test_every_mistake_at_once_with_its_line() -> None:
         (12, "cameras.hall.realtime: expected true or false, got a string"),
         (14, "learn.lateness_seconds: expected a number, got a string"),
         (15, "learn.window_hours: expected a number > 0.0"),
-        (16, "learn.spool_bytes_max: no such key; it belongs in [limits]"),
+        (16, "learn.spool_bytes_max: no such key; a key of this name is in [limits]"),
         (17, "learn.refit_hours: expected a number of at most 9e+09"),
         (18, "limts: no such key; did you mean 'limits'?"),
         (21, "limits.spool_events_max: expected a whole number >= 1"),
@@ -127,6 +127,16 @@ def test_every_mistake_at_once_with_its_line() -> None:
                 )
             ],
         ),
+        (
+            '[site]\nlisten = "127.0.0.1:8781"\n[bus]\nsite = "x"\nlisten_to = 1\n[web]\nlisten = 1\n',
+            [
+                (2, "site.listen: no such key; a key of this name is in [health], [web]"),
+                (4, "bus.site: no such key; known are listen, connect"),
+                (5, "bus.listen_to: no such key; did you mean 'listen'?"),
+                (7, "web.listen: expected an address and a port"),
+            ],
+        ),
+        ("[site]\nlisten = 5\n", [(2, "site.listen: no such key; known are name")]),
         ("cameras = 5\n", [(1, "cameras: expected tables [cameras.ID]")]),
         ("[cameras]\nlobby = 'x'\n", [(2, "cameras.lobby: expected a table [cameras.lobby]")]),
         (
