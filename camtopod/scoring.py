@@ -14,6 +14,7 @@ from typing import Any, TypeVar
 
 from msgspec import Struct
 
+from camtopod.codec import require_topology
 from camtopod.predict import by_moment, matching, predicting
 from camtopod.records import Event, Match, Prediction, Topology
 from camtopod.topology import camera_of, links_between_views
@@ -98,12 +99,15 @@ class RecordingScore(Struct, frozen=True):
         ]
         for name, pairs in (("missing", self.missing), ("false", self.false)):
             lines += [f"  {name}: {a} -> {b}, {n} times" for (a, b), n in sorted(pairs.items())]
-        lines.append(f"next camera of {self.exits} exits:")
+        exits = f"next camera of {self.exits} exits:"
+        lines.append(exits if self.exits else "next camera: no exits with an identity to score")
         lines += [
             f"  {name}: top-1 {top1:.2f}, log loss {loss:.2f} nats"
             for name, (top1, loss) in self.predictions.items()
         ]
         share = _text(_ratio(self.right, self.claims))
+        if not self.entries:
+            return "\n".join([*lines, "matches: no entries with an identity to score"])
         lines.append(
             f"matches: {self.going_on} of {self.entries} entries go on with a walk; {self.claims} "
             f"are said to with more than one half, {self.right} of them rightly ({share})"
@@ -133,9 +137,19 @@ def score(
     on_event: called after each event, for a display of progress.
 
     Links, the next camera of each exit, and the earlier passage of each entry are scored. Raises
-    ValueError if no track has an identity.
+    ValueError if there are no events, if no track has an identity, or for another key of
+    ``identities``.
     """
+    require_topology(topology)
+    for key in identities:
+        if not (isinstance(key, tuple) and len(key) == 2):
+            raise ValueError(
+                f"{key!r} is no key of identities: give (camera, track), or (None, track) if tracks"
+                " differ between cameras"
+            )
     recording = sorted(events, key=lambda event: event.t)
+    if not recording:
+        raise ValueError("there are no events")
     passages = passages_of(recording, identities)
     if not passages:
         raise ValueError("no track of the events has an identity")

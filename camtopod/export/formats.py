@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 from collections.abc import Callable
 
+from camtopod.codec import require_topology
 from camtopod.export.aicity import to_aicity
 from camtopod.export.dot import to_dot
 from camtopod.export.graph import with_weak_links
@@ -37,8 +38,9 @@ def export_topology(
     format: one of `FORMATS`.
     weak: with the links that have half of their evidence.
 
-    Raises ValueError for another format, OSError if the file cannot be written.
+    Raises ValueError for another format, OSError if the file cannot be written; TypeError.
     """
+    require_topology(topology)
     if format not in FORMATS:
         raise ValueError(f"no format {format!r}; there are {', '.join(FORMATS)}")
     text = FORMATS[format](with_weak_links(topology) if weak else topology)

@@ -13,7 +13,7 @@ from collections import defaultdict
 from collections.abc import Callable, Iterable, Iterator
 from typing import TypeVar
 
-from camtopod.codec import require_event
+from camtopod.codec import require_event, require_topology
 from camtopod.predict.predictor import Predictor
 from camtopod.predict.walks import Walks
 from camtopod.records import Event, Match, Prediction, Topology
@@ -34,8 +34,8 @@ class CityPredictor:
     """
 
     def __init__(self, city: Topology) -> None:
-        self._version = city.version
         self._hearers = hearers_of(city)
+        self._version = city.version
         self._predictors = [Predictor(part) for part in city.parts or ()]
 
     def observe(self, event: Event) -> None:
@@ -79,8 +79,9 @@ class CityWalks:
 def hearers_of(city: Topology) -> dict[str, list[int]]:
     """Return, by camera, the numbers of the parts that hear it, its owner's first.
 
-    Raises ValueError for a topology that is no city.
+    Raises ValueError for a topology that is no city; TypeError.
     """
+    require_topology(city)
     if not city.parts:
         raise ValueError("the topology is no city: Predictor and Walks answer for it")
     hearers: dict[str, list[int]] = defaultdict(list)

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from camtopod.codec import require_topology
 from camtopod.columns import numbers
 from camtopod.predict.anywhere import Anywhere
 from camtopod.predict.contexts import ContextMultipliers
@@ -66,7 +67,8 @@ class PreparedVersion:
     """
 
     def __init__(self, topology: Topology) -> None:
-        """Prepare a topology. Raises ValueError for a city, whose parts predict."""
+        """Prepare a topology. Raises ValueError for a city, whose parts predict; TypeError."""
+        require_topology(topology)
         if topology.parts:
             raise ValueError("the topology is a city, which has parts: CityPredictor asks them")
         model = model_of(topology)

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from camtopod import Event, learn_topology
+from camtopod import Event, learn_topology, load_topology, scoring
 from camtopod.cli.main import main
 from camtopod.codec import to_json
 
@@ -135,3 +135,29 @@ def test_identities_of_nobody_are_no_score(
     command = ["score", str(folder / "topology.json"), str(folder / "events.jsonl"), str(path)]
     assert main(command) == 66
     assert mistake in capsys.readouterr().err
+
+
+def test_what_is_not_there_is_not_scored(
+    folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    path, topology = tmp_path / "some.jsonl", str(folder / "topology.json")
+    command = ["score", topology, str(path), str(folder / "identities.csv")]
+    path.write_text("")
+    assert main(command) == 66
+    assert f"no event lines in {path}: nothing to score" in capsys.readouterr().err
+
+    lines = (folder / "events.jsonl").read_text().splitlines(keepends=True)
+    path.write_text("".join(line for line in lines if '"exit"' in line))
+    assert main(command) == 0
+    assert "matches: no entries with an identity to score\n" in capsys.readouterr().out
+    path.write_text("".join(line for line in lines if '"entry"' in line))
+    assert main(command) == 0
+    assert "next camera: no exits with an identity to score\n" in capsys.readouterr().out
+
+
+def test_identities_are_by_camera_and_track(folder: Path) -> None:
+    topology = load_topology(folder / "topology.json")
+    with pytest.raises(ValueError, match=r"'17' is no key of identities: give \(camera, track\)"):
+        scoring.score(topology, [], {"17": "x"})
+    with pytest.raises(ValueError, match="there are no events"):
+        scoring.score(topology, [], {})

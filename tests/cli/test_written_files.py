@@ -15,7 +15,7 @@ from pathlib import Path
 import pytest
 from synthetic_topology import synthetic_topology
 
-from camtopod import codec, files
+from camtopod import codec, files, learn_topology
 from camtopod.cli import exits, main
 from camtopod.cli.commands import doctor
 from camtopod.records import Event
@@ -162,3 +162,17 @@ def test_a_wrong_input_leaves_an_older_result(
         assert good.read_text() == "good"
     assert {*tmp_path.iterdir()} == {wrong, good}
     assert "nothing to ingest" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("command", [["predict"], ["predict", "--walks"], ["ingest", "jsonl"]])
+def test_an_empty_file_is_nothing_to_use(
+    command: list[str], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    path, topology = tmp_path / "events.jsonl", tmp_path / "topology.json"
+    path.write_text("")
+    topology.write_bytes(codec.to_json(learn_topology([Event("lobby", "exit", 1.0)])))
+    names = [str(path), "--out", "-"] if "ingest" in command else [str(topology), str(path)]
+    assert main.main(["--config", "none", *command, *names]) == exits.INPUT
+    said = capsys.readouterr()
+    assert f"no event lines in {path}: nothing to {command[0]}" in said.err
+    assert said.out == ""

@@ -5,6 +5,7 @@ from __future__ import annotations
 import doctest
 import subprocess
 import sys
+from collections.abc import Callable
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -43,6 +44,24 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     (path / "topology.json").write_bytes(to_json(topology))
     (path / "city.json").write_bytes(to_json(replace(topology, parts=[topology], owners=owners)))
     return path
+
+
+def test_the_name_of_a_file_is_neither_a_topology_nor_events() -> None:
+    take_topology: list[Callable[[Any], object]] = [
+        camtopod.Predictor,
+        camtopod.CityPredictor,
+        camtopod.Gate,
+        lambda name: camtopod.score(name, [], {}),
+        lambda name: camtopod.export_topology(name, "dot"),
+    ]
+    for take in take_topology:
+        with pytest.raises(
+            TypeError, match=r"'topology\.json' is no topology; load_topology reads"
+        ):
+            take("topology.json")
+    for name in ("events.jsonl", Path("events.jsonl")):
+        with pytest.raises(TypeError, match=r"events\.jsonl.* is no list of events; load_events"):
+            camtopod.learn_topology(name)  # type: ignore[arg-type]
 
 
 @pytest.mark.parametrize("name", [name for name in NAMES if name != "Site"])

@@ -102,6 +102,7 @@ def run(args: argparse.Namespace) -> int:
         # Read and publish, or write.
         source = events(args, reader, stack, stop)
         is_file = Path(args.file).is_file()
+        is_recording = is_file or (args.file == "-" and Path("/dev/stdin").is_file())
         status = exits.DONE
         if args.out is None:
             spool = open_ingest_spool(
@@ -115,8 +116,7 @@ def run(args: argparse.Namespace) -> int:
                 }
                 source = numbered_by(boot_of(Path(args.file), boots), source)
             event_batches = batches(source, TRANSACTION_EVENTS_MAX, stop, tell)
-            live = not (is_file or (args.file == "-" and Path("/dev/stdin").is_file()))
-            status = _publish(config, spool, event_batches, live, stack, stop, progress)
+            status = _publish(config, spool, event_batches, not is_recording, stack, stop, progress)
         else:
             event_batches = batches(source, TRANSACTION_EVENTS_MAX, stop, tell)
             out = stack.enter_context(open_output(args.out, live=not is_file))
@@ -127,6 +127,8 @@ def run(args: argparse.Namespace) -> int:
         # Report the unused part.
         if (summary := reader.summary()) is not None:
             log.warning("%s", summary)
+        if is_recording and not reader.lines_read and not stop.is_set():
+            raise InputError(f"no event lines in {args.file}: nothing to ingest")
         if reader.lines_read and sum(reader.rejections.values()) == reader.lines_read:
             raise InputError(
                 f"no line of {args.file} is valid {args.format}: nothing to ingest, see above"

@@ -81,7 +81,8 @@ def run(args: argparse.Namespace) -> int:
             results = (result and shortened(result, args.top) for result in answer(moment))
             return [to_json(result) + b"\n" if result else b"" for result in results]
 
-        if file.seekable():
+        is_recording = file.seekable()
+        if is_recording:
             answers = OrderedAnswers(texts, kind, 0.0)
             begin = file.tell()
             survey = Survey()
@@ -103,7 +104,7 @@ def run(args: argparse.Namespace) -> int:
         print(f"camtopod: {message} ([learn] lateness_seconds); a file is sorted", file=sys.stderr)
     if (summary := reader.summary()) is not None:
         print(f"camtopod: {summary}", file=sys.stderr)
-    if reader.lines_read and not reader.events:
+    if not reader.events and (reader.lines_read or is_recording):
         raise InputError(f"no event lines in {args.events}: nothing to predict")
     return reader.status
 

@@ -51,6 +51,8 @@ def run(args: argparse.Namespace) -> int:
     events = [line.event for line in lines]
     if (summary := reader.summary()) is not None:
         print(f"camtopod: {summary}", file=sys.stderr)
+    if not events:
+        raise InputError(f"no event lines in {args.events}: nothing to score")
     rows = table_rows_of(args.identities, ("track", "identity"), _Identity)
     identities = {(row.camera, row.track): row.identity for _, row in rows if row.identity}
 
