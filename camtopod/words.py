@@ -22,6 +22,7 @@ if TYPE_CHECKING:  # which take their words from here
         InView,
         Look,
         Match,
+        MatchedPassage,
         NextCamera,
         Prediction,
         Status,
@@ -365,12 +366,13 @@ def headline(prediction: Prediction) -> Headline:
 
 
 def origin(match: Match) -> str:
-    """Return where the object of an entry may have come from, likeliest first."""
-    shares = [(match.new, "new here")]
-    shares += [(row.probability, f"from {row.camera}") for row in match.from_]
+    """Return the entry, and the cameras that its object may have come from, likeliest first."""
+    entry = match.camera if match.track is None else f"{match.camera}, track {match.track}"
+    cameras = sum_by_camera(match.from_)
+    shares = [(match.new, "new"), *((cameras[name], f"from {name}") for name in cameras)]
     shares.sort(key=lambda share: -share[0])
     said = [f"{text} {100 * share:.0f} %" for share, text in shares if share >= SHARE_SAID_MIN]
-    return "; ".join(said[:OUTCOMES_SAID])
+    return f"{entry}: {'; '.join(said[:OUTCOMES_SAID])}"
 
 
 def _outcomes(prediction: Prediction) -> list[Headline]:
@@ -406,7 +408,7 @@ def seen_now(prediction: Prediction) -> dict[str, float]:
     return {camera: min(share, 1.0) for camera, share in shares.items() if share > LIKELY}
 
 
-def sum_by_camera(rows: Iterable[NextCamera | InView | Look]) -> dict[str, float]:
+def sum_by_camera(rows: Iterable[NextCamera | InView | Look | MatchedPassage]) -> dict[str, float]:
     """Return the sum of the probabilities by camera."""
     shares: dict[str, float] = defaultdict(float)
     for row in rows:

@@ -68,8 +68,11 @@ def test_a_match_says_where_the_object_came_from() -> None:
     passages = [MatchedPassage("yard", 1.0, 0.22), MatchedPassage("hall", 2.0, 0.15)]
     rest = [MatchedPassage("bar", 3.0, 0.004), MatchedPassage("gate", 4.0, 0.1)]
     match = Match("lobby", 9.0, 3, [*passages, *rest], 0.526, "yard:1")
-    assert str(match) == "new here 53 %; from yard 22 %; from hall 15 %"
-    assert str(replace(match, new=0.0, from_=passages[:1])) == "from yard 22 %"
+    assert str(match) == "lobby: new 53 %; from yard 22 %; from hall 15 %"
+    assert str(replace(match, new=0.0, from_=passages[:1])) == "lobby: from yard 22 %"
+    twice = [*passages, MatchedPassage("hall", 5.0, 0.21)]
+    two = replace(match, new=0.42, from_=twice, track="56")
+    assert str(two) == "lobby, track 56: new 42 %; from hall 36 %; from yard 22 %"
 
 
 def test_the_earlier_name_of_the_next_cameras_still_works() -> None:
