@@ -63,6 +63,9 @@ def test_the_command_writes_figures(
     assert main([*command, "times", LINK.from_, "nowhere"]) == 1
     assert main([*command, "map", LINK.from_]) == 2
     assert "has no link from" in capsys.readouterr().err
+    with pytest.raises(SystemExit):
+        main(command)
+    assert "required: FIGURE\n" in capsys.readouterr().err
     assert not out.exists()
 
 

@@ -52,9 +52,13 @@ def test_the_notebook_runs(
     assert " -> cam" in out
 
 
-def test_the_page_reads_a_topology(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+@pytest.mark.parametrize("cameras", [3, 8])
+def test_the_page_reads_a_topology(
+    cameras: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The first two of eight cameras are not linked."""
     [shown] = blocks((DEPLOY / "research.md").read_text(), "python")
-    topology = learn_topology(simulate(SimSettings(cameras=3, hours=0.25, seed=1))[0])
+    topology = learn_topology(simulate(SimSettings(cameras=cameras, hours=0.25, seed=1))[0])
     monkeypatch.chdir(tmp_path)
     Path("topology.json").write_bytes(to_json(topology))
 
@@ -63,5 +67,5 @@ def test_the_page_reads_a_topology(tmp_path: Path, monkeypatch: pytest.MonkeyPat
 
     assert len(names["links"]) == len(topology.links)
     assert {"from", "to", "q50"} <= set(names["links"])
-    assert len(names["graph"]) == len(names["chain"]) == 3
+    assert len(names["graph"]) == len(names["chain"]) == cameras
     assert len(names["edges"]) == len(names["mass"]) + 1 > 2

@@ -18,9 +18,14 @@ def add_parser(add: Any) -> None:
         epilog="example: camtopod plot topology.json times lobby hall --out times.pdf",
     )
     parser.add_argument("topology", metavar="TOPOLOGY.json", help="as `camtopod learn` writes it")
-    parser.add_argument("figure", choices=("map", "matrix", "times"), help="what to draw")
     parser.add_argument(
-        "places", nargs="*", metavar="FROM TO", help="of `times`: two cameras or zones"
+        "figure",
+        metavar="FIGURE",
+        choices=("map", "matrix", "times"),
+        help="what to draw: map, matrix or times",
+    )
+    parser.add_argument(
+        "places", nargs="*", default=[], metavar="FROM TO", help="of `times`: two cameras or zones"
     )
     parser.add_argument(
         "--out", metavar="FILE", required=True, help="write to FILE: .png, .pdf, .svg ..."
