@@ -149,7 +149,9 @@ def main(argv: Sequence[str] | None = None) -> int:
     except ModuleNotFoundError as error:
         name = _command_in(arguments) or "this"
         message = f"{name} needs the package {error.name!r}, which is not installed"
-        return _fail(f"{message}; see README, 'Packages'", exits.FAILED, form)
+        extras = "city, detector, keys, metrics, mqtt, plot, tables, terminal, web"
+        hint = f"`pip install 'camtopod[EXTRA]'` installs it, with one of the extras {extras}"
+        return _fail(f"{message}; {hint}", exits.FAILED, form)
     except OSError as error:
         if error.filename is not None:  # of an input, and no command translated it
             return _fail(f"cannot read {error.filename}: {error.strerror}", exits.INPUT, form)

@@ -120,10 +120,10 @@ class Versions:
                 log.warning("%s", alarm)
         links = len(links_between_views(topology))
         log.info(
-            "version %d: %d cameras, %d zones, %s between views; looked for %s",
+            "version %d: %s, %s, %s between views; looked for %s",
             topology.version,
-            len(topology.cameras),
-            len(topology.zones),
+            counted(len(topology.cameras), "camera"),
+            counted(len(topology.zones), "zone"),
             counted(links, "link"),
             range_in_words(topology),
         )

@@ -19,15 +19,16 @@ import pytest
 from model_rows import CameraModel, Model, with_rows
 from serving import camtopod, free_endpoint, small_config, wait_for
 
-from camtopod import codec
+from camtopod import codec, learn_topology
 from camtopod.cli.commands import watch
 from camtopod.cli.main import main
-from camtopod.cli.terminal.site_state import ALARMS_SHOWN, SiteState
+from camtopod.cli.terminal.site_state import ALARMS_SHOWN, SiteState, topology_lines
 from camtopod.config.settings import BusSettings
 from camtopod.records import (
     TOPOLOGY_SCHEMA,
     Alarm,
     Camera,
+    Event,
     Link,
     NextCamera,
     Prediction,
@@ -264,3 +265,8 @@ def test_plain_lines_without_rich_or_a_terminal(
 
     monkeypatch.setitem(sys.modules, "rich.console", None)
     assert not watch.on_screen(lambda rows: [], threading.Event())
+
+
+def test_one_of_a_kind_is_no_plural() -> None:
+    line, *_ = topology_lines(learn_topology([Event("lobby", "exit", 1.0)]))
+    assert "1 event, 1 camera, 1 zone, 0 links between views" in line

@@ -275,3 +275,8 @@ def test_a_tracker_s_boxes_are_published(tmp_path: Path, monkeypatch: pytest.Mon
     assert len({event.track for event in events}) == 1
     with recording("lobby") as again:
         assert again.waiting == 2, "no daemon was there"
+
+
+def test_no_message_sends_to_the_readme_which_a_package_has_not() -> None:
+    for path in (ROOT / "camtopod").rglob("*.py"):
+        assert "see README" not in " ".join(path.read_text().split()).replace('" "', ""), path

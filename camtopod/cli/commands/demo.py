@@ -28,7 +28,7 @@ from msgspec.structs import replace
 
 from camtopod.cli import exits
 from camtopod.cli.commands import web
-from camtopod.cli.common import open_output, say, until_signal, writing
+from camtopod.cli.common import counted, open_output, say, until_signal, writing
 from camtopod.cli.terminal import Progress
 from camtopod.codec import to_json
 from camtopod.config import BusSettings, Config, Limits, SiteSettings, StateSettings
@@ -284,11 +284,12 @@ def _progress(daemon: Daemon) -> str:
     """Return one line about the events and the newest topology."""
     status = daemon.status()
     topology = daemon.topology
-    events = f"{len(status.cameras)} cameras, {status.events.stored} events"
+    events = f"{counted(len(status.cameras), 'camera')}, {counted(status.events.stored, 'event')}"
     if topology is None:
         return f"{events}, nothing learned yet"
     links = sum(link.relation != "visible" for link in topology.links)
     return (
         f"{events}, version {topology.version}: "
-        f"{len(topology.zones)} zones, {links} links, {len(topology.pairs)} camera pairs"
+        f"{counted(len(topology.zones), 'zone')}, {counted(links, 'link')}, "
+        f"{counted(len(topology.pairs), 'camera pair')}"
     )

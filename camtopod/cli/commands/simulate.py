@@ -7,7 +7,7 @@ import sys
 from typing import Any
 
 from camtopod.cli import exits
-from camtopod.cli.common import open_output
+from camtopod.cli.common import counted, open_output
 from camtopod.codec import to_json
 from camtopod.records import Event
 from camtopod.sim.simulation import SimSettings, simulate
@@ -110,8 +110,9 @@ def run(args: argparse.Namespace) -> None:
     # Summarise.
     links = sum(link.relation != "visible" for link in truth.links)
     print(
-        f"{len(events)} events of {len(set(truth.identity) - {-1})} walkers past "
-        f"{len(truth.cameras)} cameras with {len(truth.zones)} zones, {links} links, "
-        f"{len(truth.pairs)} camera pairs",
+        f"{counted(len(events), 'event')} of "
+        f"{counted(len(set(truth.identity) - {-1}), 'walker')} past "
+        f"{counted(len(truth.cameras), 'camera')} with {counted(len(truth.zones), 'zone')}, "
+        f"{counted(links, 'link')}, {counted(len(truth.pairs), 'camera pair')}",
         file=sys.stderr,
     )

@@ -104,8 +104,8 @@ def topology_lines(topology: Topology | None) -> list[str]:
         return ["topology: nothing learned yet; the first version comes a minute after ten events"]
     links = len(links_between_views(topology))
     lines = [
-        f"topology: version {topology.version}, {topology.events} events, "
-        f"{len(topology.cameras)} cameras, {len(topology.zones)} zones, "
+        f"topology: version {topology.version}, {counted(topology.events, 'event')}, "
+        f"{counted(len(topology.cameras), 'camera')}, {counted(len(topology.zones), 'zone')}, "
         f"{counted(links, 'link')} between views, {topology.digest[:19]}"
     ]
     if looked_for := range_in_words(topology):

@@ -120,15 +120,15 @@ def openness_warning(config: Config) -> str | None:
         return None
     if config.listens and all(map(is_local, config.listens)):
         return (
-            "no authentication: every program of this machine can read and write everything; see "
-            "README, 'Security'"
+            "no authentication: every program of this machine can read and write everything; "
+            "`camtopod keys init` and [bus.tls] close it"
         )
     public = f"any program that reaches the bus at {', '.join(config.dials)}"
     if config.listens:
         public = f"ANYBODY ON THE NETWORK who reaches {', '.join(config.listens)}"
     return (
         f"no authentication: {public} can write events, read everything learned and answer in the"
-        " daemon's place; `camtopod keys init` and [bus.tls] close it, see README, 'Security'"
+        " daemon's place; `camtopod keys init` and [bus.tls] close it"
     )
 
 
