@@ -238,6 +238,7 @@ class Daemon:
             or intake.cameras.fast_clocks_reason(self._config.limits.future_seconds_max)
         )
         newest = max((camera.newest or 0.0 for camera in figures.values()), default=0.0)
+        newest = newest or self._live.newest_t  # none since the start
         status = DaemonStatus(
             state="degraded" if reason else "running",
             reason=redact(reason),

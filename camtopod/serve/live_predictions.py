@@ -94,7 +94,8 @@ class Live:
         self._reader: Reader | None = None
         self._recent: deque[tuple[float, SeenEvent]] = deque(maxlen=RECENT_EVENTS_MAX)
         """With the moment of each event's receipt, in that order."""
-        self._newest_t = -math.inf
+        self.newest_t = -math.inf
+        """Time of the newest event, Unix seconds."""
         self._hours = HourlyCounts(clock())
         self._between = BetweenCameras(clock())
         """It begins anew when exits are not predicted, or entries not matched."""
@@ -209,9 +210,9 @@ class Live:
             zone, label = predictor.zone_id_of(event), predictor.prepared.labels.name(event.label)
         seen_event = SeenEvent(event.t, event.camera, event.kind, zone, event.x, event.y, label)
         self._hours.add(seen_event)
-        self._newest_t = max(self._newest_t, event.t)
+        self.newest_t = max(self.newest_t, event.t)
         self._recent.append((receipt_time, seen_event))
-        while self._recent and self._recent[0][1].t < self._newest_t - RECENT_SECONDS:
+        while self._recent and self._recent[0][1].t < self.newest_t - RECENT_SECONDS:
             self._recent.popleft()
 
     def remember(self, events: Sequence[Event]) -> None:
@@ -221,7 +222,7 @@ class Live:
             for event in events:
                 self._remember(event, event.t)
             for event in events[-OBSERVED_EVENTS_MAX:]:
-                if self._reader is not None and event.t > self._newest_t - RECENT_SECONDS:
+                if self._reader is not None and event.t > self.newest_t - RECENT_SECONDS:
                     self._reader.predictor.observe(event)
                     if self._reader.walks is not None:
                         self._reader.walks.observe(event)
@@ -243,7 +244,7 @@ class Live:
         """Forget all observed events, as event time has been set back."""
         with self._mutex:
             self._recent.clear()
-            self._newest_t = -math.inf
+            self.newest_t = -math.inf
             self._match_queue.clear()
             self._hours = HourlyCounts(self._clock())
             self._between = BetweenCameras(self._clock())
@@ -283,12 +284,12 @@ class Live:
             raise QueryError("since is a number, Unix seconds") from None
         with self._mutex:
             now = self._clock()
-            oldest_t = self._newest_t - RECENT_SECONDS
+            oldest_t = self.newest_t - RECENT_SECONDS
             newest = takewhile(lambda pair: pair[0] > since, reversed(self._recent))
             events = [event for _, event in newest if event.t >= oldest_t][::-1]
             if "hours" not in parameters:
                 return Recent(now, events)
-            return Recent(now, events, self._hours.told(present_of(now, self._newest_t)))
+            return Recent(now, events, self._hours.told(present_of(now, self.newest_t)))
 
     def answer(self, key: str, parameters: dict[str, str]) -> Prediction:
         """Answer a query on ``predict/{camera}``: for an exit at x, y at t, or from a zone.

@@ -179,7 +179,7 @@ def test_what_a_paused_learner_holds_is_waiting(start: Start) -> None:
     assert one.learning.waiting == 60
     behind = one.learning.catching_up(progress.statistics.watermark + 1000.0)
     assert behind is not None
-    assert behind.seconds == pytest.approx(1000.0)
+    assert (behind.seconds, behind.share) == (pytest.approx(1000.0), 0.0)
     one.learning.progress = progress
     assert one.learning.catching_up(progress.statistics.watermark + 1000.0) is None
 

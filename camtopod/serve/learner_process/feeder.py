@@ -97,6 +97,7 @@ class LearnerFeeder:
         if not backlog or seconds < CATCHING_UP_SECONDS:
             self._up_to_date_at = position
             return None
+        self._up_to_date_at = min(self._up_to_date_at, position)
         count = position - self._up_to_date_at
         return CatchingUp(seconds, count / (count + backlog))
 
