@@ -170,6 +170,7 @@ def test_what_a_paused_learner_holds_is_waiting(start: Start) -> None:
     one.learn(EVENTS[:100])
     progress = one.learning.progress
     assert one.learning.waiting == 0
+    assert one.learning.catching_up(progress.statistics.watermark + 1000.0) is None
     one.learning.progress = replace(
         progress,
         is_paused=True,
@@ -180,8 +181,6 @@ def test_what_a_paused_learner_holds_is_waiting(start: Start) -> None:
     behind = one.learning.catching_up(progress.statistics.watermark + 1000.0)
     assert behind is not None
     assert (behind.seconds, behind.share) == (pytest.approx(1000.0), 0.0)
-    one.learning.progress = progress
-    assert one.learning.catching_up(progress.statistics.watermark + 1000.0) is None
 
 
 def test_a_damaged_snapshot_costs_an_epoch_and_nothing_that_was_learned(start: Start) -> None:
