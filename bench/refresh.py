@@ -50,7 +50,7 @@ def main(argv: Sequence[str]) -> int:
         printed = figures.run(command.replace("FOLDER", str(folder)))
         minutes = (time.monotonic() - start) / 60.0
         rows = figures.read()
-        of_command = [row for row in rows if row.command == command]
+        of_command = [row for row in rows if row.command == command and row.template]
         try:
             texts = [figures.filled(row.template, printed) for row in of_command]
         except KeyError as error:

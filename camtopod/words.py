@@ -383,10 +383,10 @@ def _outcomes(prediction: Prediction) -> list[Headline]:
     views = seen_now(prediction)
     shares = sum_by_camera(prediction.next) | {LEAVES: prediction.leave}
     if views:
-        others = {place: share for place, share in shares.items() if place not in views}
-        unseen = math.prod(1.0 - share for share in views.values())
-        scale = min(unseen / max(sum(others.values()), 1e-9), 1.0)
-        shares = views | {place: scale * share for place, share in others.items()}
+        next_shares = {place: share for place, share in shares.items() if place not in views}
+        no_view = math.prod(1.0 - share for share in views.values())
+        scale = min(no_view / max(sum(next_shares.values()), 1e-9), 1.0)
+        shares = views | {place: scale * share for place, share in next_shares.items()}
     outcomes = []
     for place, share in shares.items():
         words = f"{place} {100 * share:.0f} %"
