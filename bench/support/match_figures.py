@@ -27,9 +27,13 @@ def who_figures(
 ) -> tuple[float, float]:
     """Return F1 of matching exits and entries after the cut: by `Gate.affinity`, and by the oracle.
 
-    Matches are the edges of an assignment; they are compared with true transitions.
+    Matches are the edges of an assignment; they are compared with true transitions. Cameras without
+    events before the cut are left out.
     """
-    late = [event for event in recording.events if event.t >= recording.cut]
+    cameras = {camera.id for camera in topology.cameras}
+    late = [
+        event for event in recording.events if event.t >= recording.cut and event.camera in cameras
+    ]
     exits = [event for event in late if event.kind == "exit"]
     entries = [event for event in late if event.kind == "entry"]
     row, column = _numbered(exits), _numbered(entries)

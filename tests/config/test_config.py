@@ -131,7 +131,7 @@ def test_every_mistake_at_once_with_its_line() -> None:
             '[site]\nlisten = "127.0.0.1:8781"\n[bus]\nsite = "x"\nlisten_to = 1\n[web]\nlisten = 1\n',
             [
                 (2, "site.listen: no such key; a key of this name is in [health], [web]"),
-                (4, "bus.site: no such key; known are listen, connect"),
+                (4, "bus.site: no such key; known are connect, listen"),
                 (5, "bus.listen_to: no such key; did you mean 'listen'?"),
                 (7, "web.listen: expected an address and a port"),
             ],

@@ -16,6 +16,7 @@ from camtopod.learn.renaming import rename
 from camtopod.learn.snapshot import pack
 from camtopod.predict import Predictor
 from camtopod.records import Event, Topology
+from camtopod.topology import UnknownPlace
 from camtopod.topology.versions import alarms_follow
 
 Change = Callable[[Learner], Learner]
@@ -97,7 +98,8 @@ def test_nothing_of_a_forgotten_camera_is_left() -> None:
     clean.load(state)
     assert not known(clean, camera)
     assert {one.id for one in after.cameras} == {one.id for one in before.cameras} - {camera}
-    Predictor(after).predict(Event(camera, "exit", after.as_of, 0.5, 0.5))
+    with pytest.raises(UnknownPlace):
+        Predictor(after).predict(Event(camera, "exit", after.as_of, 0.5, 0.5))
     told([event for event in events_of("hard")[HALF:] if event.camera != camera], None, learner)
     assert not known(learner, camera)
 
