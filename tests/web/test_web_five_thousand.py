@@ -65,7 +65,9 @@ def test_all_of_a_city_is_a_few_paths(browser: Browser, city: Shown) -> None:
 
 def test_cameras_in_need_are_marked_among_all(browser: Browser, city: Shown) -> None:
     city.bus.publish(f"status/{NEAR}", {"camera": NEAR, "state": "failed", "reason": "no frame"})
-    browser.wait(lambda: browser.count(".node.ill") == 2, "the camera in need, and that of the alarm")
+    browser.wait(
+        lambda: browser.count(".node.ill") == 2, "the camera in need, and that of the alarm"
+    )
 
     assert browser.count(".far.core") > 0
 
