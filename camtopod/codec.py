@@ -333,7 +333,7 @@ def require_sound(topology: Topology) -> None:
 
 
 def require_topology(topology: object) -> None:
-    """Raise TypeError for what is no topology, such as the name of its file."""
+    """Raise TypeError for an argument of another type, such as a file name."""
     if not isinstance(topology, Topology):
         raise TypeError(f"{topology!r:.100} is no topology; load_topology reads one from its file")
 

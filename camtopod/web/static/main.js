@@ -172,7 +172,7 @@ class App {
     this.network.coveredBy(plan.panel);
   }
 
-  // How many objects are between cameras; null while nobody counts, or nothing can be counted: there was no event since.
+  // Number of objects between cameras; null without a daemon that counts them, or without events since it started.
   get between() {
     const between = this.health?.live.live ? this.health.daemon.between : null;
     return between && this.#newest() > between.since ? between : null;
