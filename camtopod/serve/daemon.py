@@ -237,8 +237,6 @@ class Daemon:
             or "; ".join(self.failing())
             or intake.cameras.fast_clocks_reason(self._config.limits.future_seconds_max)
         )
-        newest = max((camera.newest or 0.0 for camera in figures.values()), default=0.0)
-        newest = newest or self._live.newest_t  # none since the start
         status = DaemonStatus(
             state="degraded" if reason else "running",
             reason=redact(reason),
@@ -251,7 +249,7 @@ class Daemon:
             reject_samples=intake.rejects.samples(),
             dropped=dict(intake.inbox.dropped),
             learner=learning.progress.statistics,
-            catching_up=learning.catching_up(min(self._clock(), newest)),
+            catching_up=learning.catching_up(min(self._clock(), self._live.newest_t)),
             predictions=self._live.counts["predictions"],
             matches_skipped=self._live.counts["matches_skipped"],
             questions_refused=self._live.counts["questions_refused"],

@@ -18,7 +18,7 @@ from itertools import takewhile
 from msgspec.structs import replace
 
 from camtopod import codec
-from camtopod.predict import BetweenCameras, Predictor, Walks
+from camtopod.predict import RECENT_MAX, BetweenCameras, Predictor, Walks
 from camtopod.records import Between, Event, Match, Prediction, Recent, SeenEvent, Topology
 from camtopod.serve.bus import QueryError
 from camtopod.serve.hourly_counts import HourlyCounts
@@ -32,8 +32,6 @@ Matches of older entries are not published either.
 """
 RECENT_SECONDS = 3600.0
 """How long events are remembered, before the newest one; older ones are no part of walks either."""
-OBSERVED_EVENTS_MAX = 4_000
-"""Largest number of events from before the start that predictions and walks observe."""
 RECENT_EVENTS_MAX = 50_000
 """Largest number of events that are remembered for ``recent``."""
 MATCHING_SHARE = 0.1
@@ -221,7 +219,7 @@ class Live:
             self._hours.since = min([self._hours.since, *(event.t for event in events[:1])])
             for event in events:
                 self._remember(event, event.t)
-            for event in events[-OBSERVED_EVENTS_MAX:]:
+            for event in events[-2 * RECENT_MAX :]:
                 if self._reader is not None and event.t > self.newest_t - RECENT_SECONDS:
                     self._reader.predictor.observe(event)
                     if self._reader.walks is not None:
