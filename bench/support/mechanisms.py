@@ -146,11 +146,7 @@ MECHANISMS = [
     ),
     Mechanism(
         "seen before the exit",
-        {
-            "predict.hazards:Hazards.seen_before": lambda self, zone: np.zeros(
-                len(self._seen_before), np.bool_
-            )
-        },
+        {"predict.hazards:Hazards.seen_before": lambda self, zone: np.zeros(self._zones, np.bool_)},
     ),
 ]
 """The mechanisms that are left out in turn."""
