@@ -44,7 +44,7 @@ class Figure(NamedTuple):
 
     def __format__(self, spec: str) -> str:
         """Format the value, followed by the standard error in brackets, if there is one."""
-        error = "" if math.isnan(self.error) else f" ({format(self.error, spec)})"
+        error = "" if math.isnan(self.error) else f" ({format(self.error, spec.lstrip('+'))})"
         return format(self.value, spec) + error
 
 

@@ -16,6 +16,7 @@ def test_printed_figures_fill_a_template() -> None:
     assert figures.filled("{F1:.2f}; {pipe: time, here / base:.1f} s", printed) == (
         "0.90 (0.03); 0.2 s"
     )
+    assert figures.filled("{F1:+.2f}", printed) == "+0.90 (0.03)"
     assert printed["F1"].value == 0.9
     assert math.isnan(printed["pipe: time, here / base"].error)
     with pytest.raises(KeyError, match="recall"):
