@@ -66,11 +66,21 @@ _UNREADABLE = (msgspec.MsgspecError, ValueError, RecursionError)
 _KINDS = get_args(Kind)
 _matches_camera = re.compile(CAMERA_PATTERN).match
 _T = TypeVar("_T")
-_AT_T = " - at `$.t`"
 _NO_TIME = (
     "t is no number of seconds between 1970 and 3000 (milliseconds, or text?), nor ISO 8601 in a "
-    f"table{_AT_T}"
+    "table - at `$.t`"
 )
+_NO_PLACE = (
+    "x and y are fractions of the picture, 0 to 1 (pixels, or percent?): divide them by its width "
+    "and height"
+)
+_IN_WORDS = {
+    "`$.t`": _NO_TIME,
+    "`$.kind`": "kind is entry or exit, in no other words - at `$.kind`",
+    "`$.x`": f"{_NO_PLACE} - at `$.x`",
+    "`$.y`": f"{_NO_PLACE} - at `$.y`",
+}
+"""What is wrong with an event, by the place of msgspec's error."""
 _AT_TRACK = " - at `$.track`"
 _AT_LABEL = " - at `$.label"
 """In the mistake of an event whose label is of the wrong type, or too long."""
@@ -176,8 +186,10 @@ def _event(decoder: Any, raw: bytes, on_label: OnLabel | None) -> Event:
             event = _mended(raw, bad_label is not None)
     except _UNREADABLE as error:
         rejection = _rejection(error)
-        if str(rejection).endswith(_AT_T):
-            rejection = Rejected("bad-value", _NO_TIME)
+        if (words := _IN_WORDS.get(str(rejection).rpartition(" - at ")[2])) is not None:
+            rejection = Rejected("bad-value", words)
+        elif rejection.reason == "malformed" and b"NaN" in raw:
+            rejection = Rejected("malformed", "NaN is not JSON: write null, or leave the field out")
         raise rejection from None
 
     # Check relations and values that the types cannot express.

@@ -10,17 +10,26 @@ watermark trails event time by the lateness, and waits for cameras that deliver 
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Set
+from datetime import UTC, datetime
 
 import numpy as np
 from msgspec import Struct
 
 MICROSECONDS = 1_000_000
+_ZONE = re.compile(r" *(?:UTC|GMT|Z)\Z")
 
 
 def microseconds(t: float) -> int:
     """Return seconds as integer microseconds, so that equal times are equal and sums are exact."""
     return round(t * MICROSECONDS)
+
+
+def seconds_of_text(text: str) -> float:
+    """Return seconds since 1970 of ISO 8601, which is UTC if it has no zone; raise `ValueError`."""
+    moment = datetime.fromisoformat(_ZONE.sub("+00:00", text.strip()).replace("/", "-"))
+    return (moment if moment.tzinfo else moment.replace(tzinfo=UTC)).timestamp()
 
 
 def utc_text(t: float) -> str:

@@ -107,7 +107,7 @@ def frames(
         end = end or _end(stream, begin)
         message = bytes(text[: min(end or len(text), bytes_max + 1)]).strip()
         yield stream.number, message
-        stream.drop(end and end + text.startswith(b"\n", end))
+        stream.drop(bytes_max + 1 if end is None else end + text.startswith(b"\n", end))
         if end is None:
             after = b"<" if message.startswith(b"<") and b"<" in begins else b"\n"
             while after not in text:

@@ -55,6 +55,12 @@ def test_what_is_too_long_is_cut_and_what_follows_is_read() -> None:
             assert rest == [b'{"b": 1}']
 
 
+@pytest.mark.parametrize("piece", [1, 64, 1 << 16])
+def test_what_is_in_a_message_that_is_too_long_is_read_after_the_limit(piece: int) -> None:
+    stream = b'{"a": [\n' + b'  {"b": 1},\n' * 50
+    assert found(stream, piece, most=100).count(b'{"b": 1}') == 42
+
+
 @pytest.mark.parametrize(
     ("head", "unit"),
     [

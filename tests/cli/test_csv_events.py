@@ -164,6 +164,17 @@ DIALECTS = {
     "an index": text([[str(k), *row] for k, row in enumerate(ROWS)], names=["", *NAMES]),
     "other order": text([row[::-1] for row in ROWS], names=NAMES[::-1]),
     "UTC": text([["lobby", "exit", "2023-11-14 22:13:20.25 UTC", *ROWS[0][3:]], ROWS[1]]),
+    "a header again": text(ROWS[:1]) + "\ufeff" + text(ROWS[1:]),
+    "a header in another order": text(ROWS[:1])
+    + text([row[::-1] for row in ROWS[1:]], ";", names=NAMES[::-1]),
+    "in columns": "".join(
+        "".join(f"{cell or 'NA':15}" for cell in row) + "\n"
+        for row in [NAMES, ["-" * 9] * 6, *ROWS]
+    ),
+    "with rules": "".join(
+        f"| {' | '.join(row)} |\n" for row in [NAMES, [":---"] * 6, *ROWS, [""] * 6]
+    ),
+    "\\N": text([[cell or "\\N" for cell in row] for row in ROWS]),
     "slashes": text([["lobby", "exit", "2023/11/14 22:13:20.25", *ROWS[0][3:]], ROWS[1]]),
 }
 
@@ -182,6 +193,35 @@ def test_names_are_read_in_the_encoding_of_windows_too() -> None:
     for encoding in ("utf-8", "cp1252", "utf-16"):
         _, events = read(text(rows).encode(encoding))
         assert [event.camera for event in events] == ["kuche", "front_door", "kuche"]
+
+
+def test_a_camera_whose_number_was_written_as_a_float_is_the_same() -> None:
+    _, events = read(text([["1.0", *ROWS[0][1:]], ["1", *ROWS[1][1:]]]))
+    assert [event.camera for event in events] == ["1", "1"]
+
+
+@pytest.mark.parametrize("row", ["hall,ent", "hall,entry,1700", "hall,entry,1700000008.0,,"])
+def test_a_row_that_is_not_written_to_its_end_is_no_event(row: str) -> None:
+    """Else ``1700`` would be a time, and the row of the finished file a repeat of that event."""
+    reader, events = read(text(ROWS[:1]) + row)
+    assert events == WALK[:1]
+    assert reader.rejections == {"malformed": 1}
+
+
+@pytest.mark.parametrize(
+    ("row", "words"),
+    [
+        ("a,exit,1,960,0.5", "x and y are fractions of the picture, 0 to 1 (pixels"),
+        ("a,exit,1,0.5,-1", "divide them by its width and height - at `$.y`"),
+        ("a,leave,1,0.5,0.5", "kind is entry or exit, in no other words"),
+        ('{"camera":"a","kind":"exit","t":1,"x":NaN,"y":NaN}', "NaN is not JSON: write null"),
+    ],
+)
+def test_it_is_said_what_a_value_should_be(
+    row: str, words: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    read(row if row.startswith("{") else f"camera,kind,t,x,y\n{row}\n")
+    assert words in capsys.readouterr().err
 
 
 def test_two_names_of_one_id_are_refused(capsys: pytest.CaptureFixture[str]) -> None:
@@ -237,7 +277,11 @@ def test_more_cells_than_columns_are_refused(capsys: pytest.CaptureFixture[str])
         (b"PK\3\4" + bytes(26) + b"mimetypeapplication/vnd.oasis.open", "an OpenDocument file"),
         (b'{"columns":["camera","kind"],"index":[0', 'orient="records"'),
         (b'[["a","exit",1],["b","entry",2]]', "array of arrays"),
-        (b'{"events": [{"camera":"a","kind":"exit","t":1}]}', "jq -c '.[][]'"),
+        (b'{"events": [{"camera":"a","kind":"exit","t":1}]}', "jq -c '.[] | arrays | .[]'"),
+        (
+            b'{\n "version": 1,\n "site": "hq",\n "events": [\n  {\n',
+            "jq -c '.[] | arrays | .[]'",
+        ),
         (
             b'{"camera":"a","kind":"exit","t":"2023-11-14T22:13:20"}',
             "nor ISO 8601 in a table",

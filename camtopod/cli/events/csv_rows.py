@@ -21,6 +21,8 @@ BEGINNING_BYTES_MAX = 1 << 16
 _DELIMITERS = ",;\t| "
 _SEPARATOR = re.compile(r"\ufeff?sep=(.)", re.IGNORECASE)
 """First line with the delimiter, as Excel reads it."""
+_CONTENT = re.compile(rb"[0-9A-Za-z\x80-\xff]")
+"""Sign of a row: rules between the rows of a printed table have none."""
 _MESSAGE = re.compile(rb"[{<]")
 """Sign of a message: a file with such a one is a table only if its header has the right names."""
 
@@ -79,12 +81,13 @@ def rows(
     """Yield each row of a table as a line of JSON, with the number (from 1) of its line.
 
     ``t`` is seconds since 1970 or ISO 8601, which is UTC if it has no time zone. Empty cells are
-    left out. Raises `InputError` if a column is missing.
+    left out. Another header, as of tables that were joined, counts for the rows below it. Raises
+    `InputError` if a column is missing.
     """
     table = Rows(path, header.names, needed)
     delimiter = header.delimiter
-    for number, raw in enumerate(_lines(pieces)):
-        if number <= header.line or not raw or raw.startswith(b"#"):
+    for number, (raw, has_end) in enumerate(_lines(pieces)):
+        if number <= header.line or raw.startswith(b"#") or _CONTENT.search(raw) is None:
             continue
         if len(raw) > LINE_BYTES_MAX:
             yield number + 1, Rejected("too-long", f"more than {LINE_BYTES_MAX} bytes")
@@ -93,14 +96,28 @@ def rows(
             text = raw.decode()
         except UnicodeDecodeError:
             text = raw.decode("cp1252", "replace")
+        if needed[1] in text.lower() and (next_header := _complete_header(raw, needed)) is not None:
+            table, delimiter = Rows(path, next_header.names, needed), next_header.delimiter
+            continue
         cells = (
             _cells(text, delimiter) if b'"' in raw or delimiter == " " else text.split(delimiter)
         )
-        if (line := table.line(cells)) is not None:
+        if not has_end and len(cells) < table.count:
+            yield number + 1, Rejected("malformed", "it is cut off")
+        elif (line := table.line(cells)) is not None:
             yield number + 1, line
 
 
+def _complete_header(line: bytes, columns: Sequence[str]) -> TableHeader | None:
+    """Return the header that a line is; None if it lacks one of the columns."""
+    header = header_of(line, columns)
+    is_complete = header is not None and count_needed(header.names, columns) == len(columns)
+    return header if is_complete else None
+
+
 def _cells(line: str, delimiter: str) -> list[str]:
+    if delimiter == " ":
+        line = line.strip()
     return next(csv.reader([line], delimiter=delimiter, skipinitialspace=delimiter == " "), [])
 
 
@@ -119,14 +136,14 @@ def _contents(lines: list[str]) -> list[tuple[int, str]]:
     ]
 
 
-def _lines(pieces: Iterable[bytes]) -> Iterator[bytes]:
-    """Yield the lines of a text, which end as on any system; too long ones are cut."""
+def _lines(pieces: Iterable[bytes]) -> Iterator[tuple[bytes, bool]]:
+    """Yield the lines of a text, which end as on any system, and if they end; long ones are cut."""
     remainder = b""
     for piece in pieces:
         text = remainder + piece
         end = len(text) - text.endswith(b"\r")  # a line feed may follow
-        held = text[end:]
+        tail = text[end:]
         *whole, remainder = text[:end].replace(b"\r\n", b"\n").replace(b"\r", b"\n").split(b"\n")
-        remainder = remainder[: LINE_BYTES_MAX + 1] + held
-        yield from whole
-    yield remainder.rstrip(b"\r")
+        remainder = remainder[: LINE_BYTES_MAX + 1] + tail
+        yield from ((line, True) for line in whole)
+    yield remainder.rstrip(b"\r"), remainder.endswith(b"\r")

@@ -39,8 +39,9 @@ _OTHER_FORMS = {
     rb"RD[AX][234]\n": f"an R workspace: use write.csv {_TABLE}",
     rb"\xd0\xcf\x11\xe0": "an old Excel or Access file: save it as .xlsx or CSV",
     rb"%PDF": "a PDF, not the events",
-    rb'\s*\{\s*"(data|events|records|rows)"\s*:\s*\[': (
-        "one JSON object around a list of events: take them out with jq -c '.[][]'"
+    rb'\s*\{(\s*"(?!camera")\w+"\s*:\s*("[^"\n]*"|[\w.+-]+)\s*,)*'
+    rb'\s*"(data|events|records|rows|results|items)"\s*:\s*\[': (
+        "one JSON object around a list of events: take them out with jq -c '.[] | arrays | .[]'"
     ),
     rb'\s*\{\s*"(0|camera|kind|t|x|y|track|label|columns|index|schema)"\s*:\s*[\[{]': (
         "one JSON object of columns, as pandas' to_json() writes it: use "

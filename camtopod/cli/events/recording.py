@@ -42,8 +42,8 @@ Beyond that the lines are in no order, and those around a line say nothing about
 """
 LONELY_MAX = 0.1
 """Share of lines with few others within a day from which those at either end are not wrong."""
-SAME_SECONDS = 1e-6
-"""Difference of two times below which they are the same: a time has microseconds."""
+SAME_SECONDS = 1e-3
+"""Difference of two times below which they are the same: many programs write milliseconds."""
 FAULT_EVENTS_MIN = 50
 """Least number of events whose times are judged together."""
 FAULT_RATE = 50.0

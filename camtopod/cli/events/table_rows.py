@@ -13,6 +13,7 @@ from datetime import UTC, date, datetime, time
 from camtopod.adapt import folded
 from camtopod.cli.exits import InputError
 from camtopod.codec import Rejected, to_json
+from camtopod.event_time import seconds_of_text
 
 COLUMNS = ("camera", "kind", "t")
 """Columns that a table of events must have."""
@@ -20,12 +21,12 @@ NAMES_CHARACTERS_MAX = 300
 """Most characters of the columns' names in a message."""
 _MISSING = frozenset(
     {"", "NA", "N/A", "#N/A", "<NA>", "nan", "NaN", "NAN", "NaT", "null", "NULL", "None"}
+    | {"\\N", "(null)"}
 )
 """Cells without a value, as R, pandas, spreadsheets and databases write them."""
 _WHOLE = re.compile(r"([0-9]+)[.,]0+")
 """A whole number that was written as a float."""
 _DECIMAL_COMMA = re.compile(r"[-+]?[0-9]+,[0-9]+(?:[eE][-+]?[0-9]+)?")
-_ZONE = re.compile(r" *(?:UTC|GMT|Z)\Z")
 
 
 class Rows:
@@ -86,6 +87,7 @@ class Rows:
 
     def _camera(self, name: str) -> str:
         """Return the id of a camera; raise `Rejected` if another one has it."""
+        name = name_of(name)
         camera = self._cameras.get(name)
         if camera is None:
             camera = self._cameras[name] = folded(name)
@@ -138,8 +140,7 @@ def seconds(text: str) -> object:
     if isinstance(value, float):
         return value
     try:
-        moment = datetime.fromisoformat(_ZONE.sub("+00:00", text).replace("/", "-"))
-        return (moment if moment.tzinfo else moment.replace(tzinfo=UTC)).timestamp()
+        return seconds_of_text(text)
     except (ValueError, OverflowError):
         return text
 
