@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import random
 import re
 from pathlib import Path
@@ -9,6 +10,7 @@ from pathlib import Path
 import pytest
 
 from camtopod import Event, learn_topology, load_topology, scoring
+from camtopod.cli import exits
 from camtopod.cli.main import main
 from camtopod.codec import to_json
 
@@ -153,6 +155,22 @@ def test_what_is_not_there_is_not_scored(
     path.write_text("".join(line for line in lines if '"entry"' in line))
     assert main(command) == 0
     assert "next camera: no exits with an identity to score\n" in capsys.readouterr().out
+
+
+def test_identities_that_contradict_each_other_are_refused(
+    folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """As of tracks that come in several cameras, without a column for these."""
+    path = tmp_path / "identities.jsonl"
+    rows = [{"track": -1, "identity": 7}, {"track": "-1", "identity": "7"}]
+    for more, said in (
+        ({"track": -1, "identity": 8}, "another identity above"),
+        ({}, "no track of"),
+    ):
+        path.write_text("".join(json.dumps(row) + "\n" for row in [*rows, more]))
+        names = ("topology.json", "events.jsonl")
+        assert main(["score", *(str(folder / name) for name in names), str(path)]) == exits.INPUT
+        assert said in capsys.readouterr().err
 
 
 def test_identities_are_by_camera_and_track(folder: Path) -> None:

@@ -20,8 +20,8 @@ from camtopod.scoring import score
 class _Identity(Struct):
     """A row of the file of identities."""
 
-    track: str = ""
-    identity: str = ""
+    track: str | int = ""
+    identity: str | int = ""
     camera: str | None = None
 
 
@@ -53,8 +53,7 @@ def run(args: argparse.Namespace) -> int:
         print(f"camtopod: {summary}", file=sys.stderr)
     if not events:
         raise InputError(f"no event lines in {args.events}: nothing to score")
-    rows = table_rows_of(args.identities, ("track", "identity"), _Identity)
-    identities = {(row.camera, row.track): row.identity for _, row in rows if row.identity}
+    identities = _identities_of(args.identities)
 
     with Progress() as progress:
 
@@ -72,3 +71,16 @@ def run(args: argparse.Namespace) -> int:
         print(f"camtopod: {fault}", file=sys.stderr)
         return exits.FAILED
     return reader.status
+
+
+def _identities_of(path: str) -> dict[tuple[str | None, str], str]:
+    """Return identities by camera (None for any) and track. Raises `InputError`."""
+    identities: dict[tuple[str | None, str], str] = {}
+    for number, row in table_rows_of(path, ("track", "identity"), _Identity):
+        identity = str(row.identity)
+        if identity and identities.setdefault((row.camera, str(row.track)), identity) != identity:
+            raise InputError(
+                f"{path}:{number}: track {row.track} has another identity above: give the column "
+                "camera, and tracks that do not come again"
+            )
+    return identities
