@@ -7,6 +7,9 @@ from collections.abc import Callable, Mapping
 from fnmatch import fnmatchcase
 from typing import Any
 
+from msgspec import Raw, Struct
+
+from camtopod import codec
 from camtopod.adapt.camera_names import CameraNames
 from camtopod.codec import Rejected
 from camtopod.records import Event
@@ -33,8 +36,21 @@ Size = tuple[int, int]
 Sizes = Mapping[str, Size]
 """Width and height of the pictures in pixels, by camera."""
 
-_MESSAGE = re.compile(rb"(?:([^{<]*)[ \t])?([{<].*)", re.DOTALL)
-"""A JSON or XML message, and the topic (or the key of a queue) in front of it."""
+_MESSAGE = re.compile(
+    rb"(?:[\d:.,TZ+-]+[ \t]+(?=[^{<\s]))*+"
+    rb"(?:(?:([^{<]*)[ \t])?([{<].*)|([^\s{<]*/[^\s{<]*)[ \t].*)",
+    re.DOTALL,
+)
+"""A JSON or XML message, and the topic (or the key of a queue) in front of it; or the topic of a
+message in another form. Before the topic may be the time at which the message came.
+"""
+
+
+class _Envelope(Struct):
+    """A message as MQTT clients log it: in JSON, beside its topic."""
+
+    topic: Any = None
+    payload: Raw = Raw()
 
 
 class Adapter:
@@ -53,6 +69,8 @@ class Adapter:
         self.cameras = CameraNames(camera)
         self.say: Callable[[str], None] = lambda note: None
         """Tells the user something; set by the caller."""
+        self.boxes_used = self.boxes_unused = 0
+        """Boxes of the whole input, known after `close`."""
         self._noted: set[tuple[str, str]] = set()
         """Remarks that were logged, with their cameras."""
 
@@ -81,6 +99,12 @@ class Adapter:
         counts: as `TrackEvents.statistics`.
         """
         outside, unusable, beyond = (counts[name] for name in ("outside", "unusable", "beyond"))
+        if is_end:
+            trackless = 0 if counts["used"] else counts["untracked"]
+            self.boxes_used += counts["used"]
+            self.boxes_unused += outside + unusable + trackless
+            if trackless:
+                self._note(camera, f"{trackless} boxes have no track, and none is used")
         if outside >= OUTSIDE_BOXES:
             self._note(
                 camera,
@@ -140,14 +164,20 @@ def split_topic(line: bytes, pattern: str = "*") -> tuple[list[str], bytes]:
     Raises `Rejected` if there is no message, or one of another topic.
     """
     match = _MESSAGE.fullmatch(line)
-    if match is None:
-        raise Rejected("malformed", "is neither a message nor a topic and a message")
-    if match[1] is None:
-        return [], match[2]
-    topic = match[1].decode("utf-8", "replace").strip()
-    if not fnmatchcase(topic, pattern):
+    topic, message = "", None
+    if match is not None:
+        topic = (match[1] or match[3] or b"").decode("utf-8", "replace").strip()
+        message = match[2]
+    if message is not None and b'"payload"' in message:
+        envelope = codec.read(_Envelope, message)
+        if envelope.topic and (content := bytes(envelope.payload)):
+            topic = str(envelope.topic)
+            message = codec.read(str, content).encode() if content.startswith(b'"') else content
+    if topic and not fnmatchcase(topic, pattern):
         raise Rejected("other-topic", f"is not of {pattern}")
-    return topic.split("/"), match[2]
+    if message is None:
+        raise Rejected("malformed", "is neither a message nor a topic and a message")
+    return topic.split("/") if topic else [], message
 
 
 def remember(latest: dict[Any, Any], key: object, value: object) -> None:

@@ -8,7 +8,6 @@ from __future__ import annotations
 import math
 from collections import Counter
 from collections.abc import Collection, Sequence
-from datetime import UTC, datetime
 from typing import NamedTuple
 
 from camtopod import codec
@@ -16,6 +15,7 @@ from camtopod.adapt.adapter import OUTSIDE_MAX, Adapter, Size
 from camtopod.adapt.camera_names import CAMERAS_MAX
 from camtopod.adapt.tracks import TRACKS_MAX, TrackEvents
 from camtopod.codec import Rejected
+from camtopod.event_time import seconds_of_text
 from camtopod.records import Event
 
 AHEAD_SECONDS = 60.0
@@ -196,16 +196,13 @@ class StreamAdapter(Adapter):
 def seconds_of(value: str | float) -> float:
     """Return the seconds since the epoch of a time; raise `Rejected` if it is none.
 
-    value: ISO 8601 (UTC if it names no zone), or milliseconds since the epoch.
+    value: ISO 8601 (UTC if it names no zone), or seconds or milliseconds since the epoch.
     """
     try:
         if isinstance(value, str):
-            moment = datetime.fromisoformat(value.strip())
-            if moment.tzinfo is None:
-                moment = moment.replace(tzinfo=UTC)
-            t = moment.timestamp()
+            t = seconds_of_text(value)
         else:
-            t = value / 1000
+            t = value if abs(value) < codec.RECORD_T_MAX else value / 1000
     except (ValueError, OverflowError):
         raise Rejected("bad-value", "the time is not ISO 8601") from None
     if not (math.isfinite(t) and codec.T_MIN <= t < codec.T_MAX):

@@ -8,8 +8,8 @@ As in the page "Gst-nvmsgconv" of DeepStream's documentation (looked up for 5.0 
 pixels, so the size of the pictures is needed: the source's, to which deepstream-app and
 deepstream-test5 scale boxes back, or the stream muxer's where a program (deepstream-test4) does
 not.
-``@timestamp`` is ISO 8601; milliseconds since the epoch are read, too. Attributes behind the type
-(plates, ages) are not read.
+``@timestamp`` is ISO 8601; seconds and milliseconds since the epoch are read, too. Attributes
+behind the type (plates, ages) are not read.
 """
 
 from __future__ import annotations

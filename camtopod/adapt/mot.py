@@ -47,6 +47,7 @@ class Mot(Adapter):
         self._fps = fps
         self._start = start
         self._rows = array("d")
+        self._void_boxes = 0
 
     def receive(self, line: bytes) -> list[Event]:
         """Store a box. Raises `Rejected`."""
@@ -74,6 +75,8 @@ class Mot(Adapter):
         # Store, unless ignored.
         if track >= 0 and confidence != [0.0]:
             self._rows.extend((frame, track, left, top, left + width, top + height))
+        else:
+            self._void_boxes += 1
         return []
 
     def close(self) -> list[Event]:
@@ -88,7 +91,13 @@ class Mot(Adapter):
             )
         events += self._tracks.close()
         self._check_boxes(self._tracks.camera, self._tracks.statistics(), is_end=True)
+        if self._void_boxes and not len(rows):
+            self.boxes_unused = self._void_boxes
+            self._note(
+                "", f"{self._void_boxes} boxes have a negative id or confidence 0: none is used"
+            )
         if self._tracks.is_misread:
+            self.boxes_used, self.boxes_unused = 0, len(rows)
             self._note("", f"the boxes are not {self.box_form}: none is used")
             return []
         return sorted(events, key=lambda event: event.t)

@@ -101,6 +101,26 @@ def test_frigate_object_that_stands_has_not_entered_and_is_not_lost() -> None:
         assert kinds(lines) == entries
 
 
+@pytest.mark.parametrize(
+    "line",
+    [
+        "2023-11-14T22:13:2{n}.000000+0100 frigate/events {message}",
+        "170000000{n}.25 frigate/events {message}",
+        "2023-11-14 22:13:2{n}\tfrigate/events\t{message}",
+        '{{"tst": "{n}", "topic": "frigate/events", "qos": 0, "payload": {message}}}',
+        '{{"topic": "frigate/events", "payload": {quoted}}}',
+    ],
+)
+def test_messages_are_read_as_mqtt_clients_log_them(line: str) -> None:
+    """With the time at which each came, or in JSON beside the topic."""
+    messages = [message.decode() for message in says.passage()]
+    lines = [
+        line.format(n=n, message=message, quoted=json.dumps(message)).encode()
+        for n, message in enumerate(messages)
+    ]
+    assert read(Frigate(SIZES), lines) == read(Frigate(SIZES), says.passage())
+
+
 def test_frigate_lines_of_other_kinds_and_topics() -> None:
     lines = [b"home/frigate/events " + line for line in says.passage() + says.parked(moved=1)]
     assert len(read(Frigate(SIZES, ["person", "car"]), lines)) == 3
@@ -110,6 +130,8 @@ def test_frigate_lines_of_other_kinds_and_topics() -> None:
     for line, reason in (
         (b"frigate/tracked_object_update {}", "other-topic"),
         (b"frigate/events online", "malformed"),
+        (b"frigate/available online", "other-topic"),
+        (b'{"topic": "frigate/stats", "payload": {"a": 1}}', "other-topic"),
         (b'{"type": "new"}', "bad-value"),
         (b'{"id": "1", "camera": "yard", "start_time": 1, "data": {}}', "bad-value"),
         (says.message("start", box, box), "bad-value"),
@@ -419,9 +441,11 @@ def test_a_camera_that_falls_silent_has_nobody_in_view() -> None:
     assert adapter.silent(200.0) == adapter.close() == []
 
 
-def test_times_are_iso_8601_or_milliseconds() -> None:
+def test_times_are_iso_8601_or_seconds_or_milliseconds() -> None:
     assert seconds_of(1_700_000_000_250) == T + 0.25
+    assert seconds_of(1_700_000_000.25) == T + 0.25
     assert seconds_of("2023-11-14T22:13:20.250") == T + 0.25
+    assert seconds_of("2023-11-14 22:13:20.250 UTC") == T + 0.25
     assert seconds_of("2023-11-14T23:13:20.250+01:00") == T + 0.25
 
 

@@ -62,7 +62,7 @@ def test_boxes_outside_the_picture_are_said_once_and_not_used(
     options: list[str],
     said: str,
 ) -> None:
-    assert ingested(tmp_path, name, walk(line), *options) == (exits.DONE, [])
+    assert ingested(tmp_path, name, walk(line), *options) == (exits.FAILED, [])
     err = capsys.readouterr().err
     assert err.count("boxes lie outside the picture and are not used") == 1
     assert "camera lobby" in err
@@ -118,11 +118,32 @@ def test_boxes_in_another_unit_are_counted_and_said(
     options = ["--size", "1000x500"]
     options += ["--camera", "lobby", "--fps", "10"] if name == "mot" else ["--tracked"]
     line = in_unit(mot if name == "mot" else scenescape, change)
-    _, events = ingested(tmp_path, name, walk(line), *options)
+    status, events = ingested(tmp_path, name, walk(line), *options)
+    assert status == exits.FAILED
     err = capsys.readouterr().err
     assert err.count(said) == 1
     assert "width, height in pixels" in err
     assert events[1 + (name != "mot") :] == [], "live, the first boxes tell nothing yet"
+
+
+@pytest.mark.parametrize(
+    ("name", "said"),
+    [("mot", "have a negative id or confidence 0"), ("deepstream", "101 boxes have no track")],
+)
+def test_a_recording_without_a_box_of_a_track_is_no_success(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], name: str, said: str
+) -> None:
+    def untracked(t: float, x: float | None, kind: str) -> Any:
+        if name == "mot":
+            return mot(t, None, kind)
+        message = deepstream(t, x, kind)
+        message["objects"] = [text.replace("7|", "-1|", 1) for text in message["objects"]]
+        return message
+
+    options = ["--camera", "lobby", "--fps", "10"] if name == "mot" else []
+    status, events = ingested(tmp_path, name, walk(untracked), "--size", "1000x500", *options)
+    assert (status, events) == (exits.FAILED, [])
+    assert said in capsys.readouterr().err
 
 
 def test_sizes_for_corners_are_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -56,6 +56,8 @@ class LineReader:
         self.repeats = 0
         self.labels_dropped = 0
         """Events whose label is not valid; they count without it."""
+        self.lacks_boxes = False
+        """Fewer boxes of tracks could be used than `ACCEPTED_MIN`."""
         self.lines_read = 0
         self.events = 0
         self.files: list[BufferedReader] = []
@@ -126,6 +128,8 @@ class LineReader:
             self.events += len(events)
             yield from events
         events = adapter.close()
+        boxes = adapter.boxes_used + adapter.boxes_unused
+        self.lacks_boxes = adapter.boxes_used < ACCEPTED_MIN * boxes
         self.events += len(events)
         yield from events
 
@@ -163,13 +167,14 @@ class LineReader:
 
     @property
     def status(self) -> int:
-        """Exit status of the command: `exits.FAILED` if too few lines were accepted.
+        """Exit status of the command: `exits.FAILED` if too few lines, or boxes, were accepted.
 
         Neither repeats nor messages of other topics count.
         """
         used = self.accepted - self.repeats
         rejected = self.rejections.total() - self.rejections["other-topic"]
-        return exits.FAILED if used < ACCEPTED_MIN * (used + rejected) else exits.DONE
+        lacks_lines = used < ACCEPTED_MIN * (used + rejected)
+        return exits.FAILED if lacks_lines or self.lacks_boxes else exits.DONE
 
     def summary(self) -> str | None:
         """Return one line about the lines that were used; None if all of them were, in full."""
