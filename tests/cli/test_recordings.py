@@ -285,6 +285,11 @@ def test_times_that_a_spreadsheet_has_spoilt_are_named(
     assert word in said
     assert "at this traffic" not in said, "no forecast of a traffic that does not exist"
 
+    topology = str(tmp_path / "topology.json")
+    for command in (["ingest", "jsonl", str(path), "--out", "-"], ["predict", topology, str(path)]):
+        assert main(["--config", "none", *command]) == exits.FAILED
+        assert capsys.readouterr().err.count(word) == 1
+
 
 def test_times_from_zero_and_whole_seconds_are_legal(tmp_path: Path) -> None:
     for begin in (0.0, 45_244.0, 1.7e9):

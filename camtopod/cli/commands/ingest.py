@@ -23,6 +23,7 @@ from camtopod.cli import exits
 from camtopod.cli.common import configuration, counted, open_output, start_logging, until_signal
 from camtopod.cli.events.event_lines import ACCEPTED_MIN, LineReader
 from camtopod.cli.events.input_formats import add_options, events
+from camtopod.cli.events.recording import Times, fault_of, timed
 from camtopod.cli.exits import CommandError, InputError
 from camtopod.cli.site_choice import right_site
 from camtopod.cli.terminal import Progress
@@ -104,6 +105,9 @@ def run(args: argparse.Namespace) -> int:
         is_file = Path(args.file).is_file()
         is_recording = is_file or (args.file == "-" and Path("/dev/stdin").is_file())
         status = exits.DONE
+        times = Times()
+        if is_recording and args.format == "jsonl":
+            source = timed(source, times)
         if args.out is None:
             spool = open_ingest_spool(
                 config.state_directory, config.site.name, config.limits, config.sites_of
@@ -127,6 +131,9 @@ def run(args: argparse.Namespace) -> int:
         # Report the unused part.
         if (summary := reader.summary()) is not None:
             log.warning("%s", summary)
+        if (fault := fault_of(times)) is not None:
+            log.warning("%s", fault)
+            status = exits.FAILED
         if is_recording and not reader.lines_read and not stop.is_set():
             raise InputError(f"no event lines in {args.file}: nothing to ingest")
         if reader.lines_read and sum(reader.rejections.values()) == reader.lines_read:

@@ -11,9 +11,10 @@ from typing import Any
 
 from msgspec.structs import replace
 
+from camtopod.cli import exits
 from camtopod.cli.common import configuration, counted, topology_of
 from camtopod.cli.events.event_lines import LineReader, open_input
-from camtopod.cli.events.recording import Survey, right_lines
+from camtopod.cli.events.recording import Survey, Times, fault_of, right_lines, timed
 from camtopod.cli.events.time_order import OrderedAnswers, Pipe
 from camtopod.cli.exits import InputError
 from camtopod.cli.terminal import Progress
@@ -70,6 +71,7 @@ def run(args: argparse.Namespace) -> int:
     answer = matching(topology) if args.walks else predicting(topology)
     unit = "entries matched" if args.walks else "exits predicted"
     reader = LineReader()
+    times = Times()
     out = sys.stdout.buffer
     count = line_count = 0
     with open_input(args.events) as file, Progress() as progress:
@@ -90,7 +92,7 @@ def run(args: argparse.Namespace) -> int:
             line_count = survey.cameras.total()
             file.seek(begin)
             right = right_lines(reader, args.events, file, survey, wrong)
-            events = (line.event for line in right)
+            events = timed((line.event for line in right), times)
             answer_lines = answers.of(events) if is_ordered else answers.of_unordered(events)
         else:
             answers = OrderedAnswers(texts, kind, configuration(args).learn.lateness_seconds)
@@ -106,6 +108,9 @@ def run(args: argparse.Namespace) -> int:
         print(f"camtopod: {summary}", file=sys.stderr)
     if not reader.events and (reader.lines_read or is_recording):
         raise InputError(f"no event lines in {args.events}: nothing to predict")
+    if (fault := fault_of(times)) is not None:
+        print(f"camtopod: {fault}", file=sys.stderr)
+        return exits.FAILED
     return reader.status
 
 

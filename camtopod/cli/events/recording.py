@@ -18,6 +18,7 @@ from contextlib import ExitStack, contextmanager
 from io import BufferedReader
 from typing import cast
 
+import numpy as np
 from msgspec import Struct, field
 
 from camtopod.cli.events.event_lines import Line, LineReader, messages, open_input
@@ -46,6 +47,8 @@ SAME_SECONDS = 1e-3
 """Difference of two times below which they are the same: many programs write milliseconds."""
 FAULT_EVENTS_MIN = 50
 """Least number of events whose times are judged together."""
+STAMPS_MAX = 1_000_000
+"""Most events whose times are kept to be judged, the first ones."""
 FAULT_RATE = 50.0
 """Events per second and camera that no camera has over a whole recording."""
 FAULT_STEP = 20.0
@@ -306,6 +309,21 @@ def once_by_number(reader: LineReader, lines: Iterable[Line]) -> Iterator[Line]:
             yield line
         else:
             reader.repeat(line)
+
+
+def timed(events: Iterable[Event], times: Times) -> Iterator[Event]:
+    """Yield the events of a recording, in any order; sum up the times of the first at its end."""
+    stamps = array("d")
+    cameras = set()
+    for event in events:
+        if len(stamps) < STAMPS_MAX:
+            stamps.append(event.t)
+            cameras.add(event.camera)
+        yield event
+    moments = np.unique(stamps)
+    times.first, times.last = moments.min(initial=math.inf), moments.max(initial=-math.inf)
+    times.events, times.moments, times.cameras = len(stamps), len(moments), len(cameras)
+    times.is_coarse = not (moments % FAULT_STEP).any()
 
 
 def _key(event: Event) -> tuple[object, ...] | None:
