@@ -5,7 +5,7 @@ from __future__ import annotations
 import cv2
 import numpy as np
 import pytest
-from rendered_scenes import FPS, HEIGHT, WIDTH, Person, Picture, Scene, line
+from rendered_scenes import FPS, HEIGHT, WIDTH, Person, Picture, Place, Scene, line
 
 from camtopod.vision.detect.blank_areas import blank_pixels, shown_part
 from camtopod.vision.pipeline import ViewPipeline
@@ -125,6 +125,27 @@ def test_who_left_just_before_a_pause_has_left(pause: float) -> None:
     [entry, leaving] = events + pipeline.finish()
     assert (entry.kind, leaving.kind) == ("entry", "exit")
     assert leaving.t == pytest.approx(11.9, abs=0.8)
+
+
+@pytest.mark.parametrize("pause", [2.5, 6.0])
+@pytest.mark.parametrize("way", [((-0.05, 0.8), (1.05, 0.8)), ((1.05, 0.8), (-0.05, 0.8))])
+def test_who_is_at_the_border_when_the_frames_pause_has_left_or_entered(
+    way: tuple[Place, Place], pause: float
+) -> None:
+    """One comes in as a pause ends; another goes out as one begins."""
+    people = [
+        Person(line(t, *way, 6.0), tall=0.35, seed=seed) for seed, t in enumerate((8.9, 19.0))
+    ]
+    scene, pipeline = Scene(people), ViewPipeline("cam", VisionSettings())
+    events = []
+    for k in range(round((27.0 + pause) * FPS)):
+        t = k / FPS
+        if not (9.5 - pause < t < 9.5 or 24.6 < t < 24.6 + pause):
+            events += pipeline.process(t, scene.picture(t))
+    events += pipeline.finish()
+    assert [event.kind for event in events] == ["entry", "exit"] * 2
+    for event, t in zip(events, (9.2, 14.6, 19.3, 24.7), strict=True):
+        assert event.t == pytest.approx(t, abs=0.6)
 
 
 def test_a_lamp_that_goes_round_is_said_to_blind_the_camera() -> None:

@@ -223,10 +223,8 @@ class Crossings:
         edge = self._edge(frame, track, track.first, -1.0)
         if edge is None and frame.is_trusted and not track.beside_others:
             edge = "mid-view"
-        if track.from_start or (
-            edge is not None
-            and self._at_border(frame, track, track.first, edge, -1.0).t < self._start_t
-        ):
+        crossed_t = self._at_border(frame, track, track.first, edge, -1.0).t
+        if crossed_t < self._start_t or (track.from_start and crossed_t == track.first.t):
             self.note("from start", track, track.first)
             return []
         if edge is not None and edge != "learned door":

@@ -32,7 +32,7 @@ class Track:
     height: float
     width: float
     from_start: bool
-    """In view when tracking began, so without an entry."""
+    """In view when tracking began, at first or after a pause; an entry only if it just came in."""
     beside_others: bool
     """Began next to another object: more likely half of a group than a new person."""
     unmet_condition: Unmet | None

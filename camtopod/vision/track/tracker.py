@@ -97,9 +97,9 @@ class Tracker:
         patience = dt if is_paused and dt <= LATENESS_SECONDS_MAX else PATIENCE_SECONDS
         free = self._assign(t, blobs, patience, partial(costs_by_points, stature=self.stature))
 
-        # A pause in the frames ends the other tracks; their exits were known before it.
+        # A pause in the frames ends the other tracks: what was at an edge has left during it.
         lost_tracks = [track for track in self.active if is_paused and track.last.t < t]
-        events = self._end(lost_tracks, before, "interrupted")
+        events = self._end(lost_tracks, before, "interrupted", 0.0)
         free = self._assign(
             t, free, patience, partial(costs_by_area, frame, dt=dt, crossings=self.crossings)
         )
@@ -250,14 +250,21 @@ class Tracker:
         self._start = None
         return self._end(self.active, self._frame, reason)
 
-    def _end(self, tracks: Sequence[Track], frame: FrameView, reason: Reason) -> list[Event]:
+    def _end(
+        self,
+        tracks: Sequence[Track],
+        frame: FrameView,
+        reason: Reason,
+        seconds_min: float = CONFIRM_SECONDS,
+    ) -> list[Event]:
         """End tracks as of ``frame``; return the exits of objects out of sight at an edge.
 
         reason: recorded of the tracks that have no event.
+        seconds_min: time for which an object has to be out of sight.
         """
         events = []
         for track in tracks:
-            is_recent = frame.t - track.last.t <= CONFIRM_SECONDS
+            is_recent = frame.t - track.last.t < seconds_min
             if track.confirmed and (is_recent or not self.crossings.at_edge(frame, track)):
                 self.crossings.note(reason, track, track.last)
             else:
