@@ -237,8 +237,10 @@ class _Paths:
         """
         a, b = np.triu_indices(len(self._distance), 1)
         for k in np.argsort(self._distance[a, b], kind="stable"):
+            if not count:
+                break
             zones = self._spare(int(a[k]), per_camera), self._spare(int(b[k]), per_camera)
-            if count and all(zones):
+            if all(zones):
                 u, v = (int(self._rng.choice(z)) for z in zones)
                 self._join(u, v, -self._log_uniform(OVERLAP_SECONDS))
                 self._exclusive |= {u, v}
