@@ -178,7 +178,6 @@ class Crossings:
         before = border_distances(track.last.box, frame.view)
         after = border_distances(box, frame.view)
         whole = min(before) > TOUCH_PIXELS
-        seconds = max(REACH_SECONDS, frame.t - track.last.t)
         return any(
             (
                 before[side] <= self._margin
@@ -189,7 +188,7 @@ class Crossings:
                 whole
                 and after[side] <= TOUCH_PIXELS
                 and before[side]
-                > max(self._margin, seconds * speeds[side], REACH_SIZES * track.size)
+                > max(self._margin, REACH_SECONDS * speeds[side], REACH_SIZES * track.size)
             )
             for side in range(4)
         )
