@@ -8,8 +8,6 @@ from collections.abc import Callable, Sequence
 from math import dist, inf
 from typing import NamedTuple
 
-import cv2
-
 from camtopod.records import Event
 from camtopod.vision.blindness import Blindness, Cause
 from camtopod.vision.detect import Blob, Luma, MotionDetector, find_blobs, shrunk
@@ -40,10 +38,6 @@ BOOTSTRAP_SECONDS = 3.0
 """The first background is the median of the frames of this period."""
 BOOTSTRAP_FRAMES_KEPT = 100
 """Number of frames that may wait for the first background."""
-FROZEN_SECONDS_MAX = 3.0
-"""Longest time for which a picture that is repeated counts as a pause of the frames."""
-FROZEN_CHANGE_MAX = 2.0
-"""Largest change (grey levels) of a pixel of a picture that is repeated."""
 FIRST_IMAGES_PER_SECOND = 7.0
 """Images in colour that wait with them, per second: 22 in all."""
 FIRST_IMAGES_SIDE_MAX = 960
@@ -109,9 +103,6 @@ class ViewPipeline:
         self._newest_t = -inf
         self.frame_count = 0
         self._blindness = Blindness()
-        self._reference: Luma | None = None
-        """Latest picture that differs from the one before it."""
-        self._reference_t = -inf
 
     def process(self, t: float, frame: Luma, image: Luma | None = None) -> list[Event]:
         """Process the frame (H, W) captured at ``t`` (seconds) and return the events now certain.
@@ -123,10 +114,7 @@ class ViewPipeline:
         """
         self.frame_count += 1
         self._newest_t = t
-        small = shrunk(frame, self._settings.working_width)
-        if self._is_frozen(t, small):
-            return []
-        small = self._motion.filter_noise(small)
+        small = self._motion.filter_noise(shrunk(frame, self._settings.working_width))
         if self._motion.ready:
             return self._step(t, small, image)
 
@@ -143,22 +131,6 @@ class ViewPipeline:
         if enough or len(self._first_frames) >= BOOTSTRAP_FRAMES_KEPT:
             events += self._bootstrap()
         return events
-
-    def _is_frozen(self, t: float, picture: Luma) -> bool:
-        """Return True if a picture (H, W) repeats one, so that objects may have moved on.
-
-        A view without objects is believed, and one that stays the same for longer.
-        """
-        reference = self._reference
-        if (
-            reference is None
-            or reference.shape != picture.shape
-            or cv2.norm(picture, reference, cv2.NORM_INF) > FROZEN_CHANGE_MAX
-        ):
-            self._reference, self._reference_t = picture, t
-        objects = [] if self._tracker is None else self._tracker.active
-        is_seen = any(track.last.t == self._t for track in objects)
-        return is_seen and 0.0 < t - self._reference_t < FROZEN_SECONDS_MAX
 
     def _first_image(self, image: Luma | None, waiting_seconds: float) -> Luma | None:
         """Return an image to examine later, scaled down; None if enough of them wait."""

@@ -127,29 +127,6 @@ def test_who_left_just_before_a_pause_has_left(pause: float) -> None:
     assert leaving.t == pytest.approx(11.9, abs=0.8)
 
 
-@pytest.mark.parametrize("pause", [1.0, 2.5])
-@pytest.mark.parametrize("at", [7.5])
-def test_who_walks_on_while_the_picture_is_frozen_is_one_passage(at: float, pause: float) -> None:
-    scene, pipeline = Scene(WALKERS[:1]), ViewPipeline("cam", VisionSettings())
-    events = []
-    for k in range(round(SECONDS * FPS)):
-        if not at < k / FPS < at + pause:
-            picture = scene.picture(k / FPS)
-        events += pipeline.process(k / FPS, picture)
-    events += pipeline.finish()
-    assert [(event.kind, round(event.x or 0.0)) for event in events] == [("entry", 0), ("exit", 1)]
-
-
-def test_who_stands_in_a_picture_without_noise_is_one_passage() -> None:
-    comes = line(6.0, (-0.05, 0.8), (0.5, 0.8), 3.0)
-    goes = line(40.0, (0.5, 0.8), (1.05, 0.8), 3.0)
-
-    def where(t: float) -> Place | None:
-        return comes(t) or ((0.5, 0.8) if 9.0 < t < 40.0 else goes(t))
-
-    assert kinds(Scene([Person(where, tall=0.35)], noise=0.0), 48.0) == ["entry", "exit"]
-
-
 @pytest.mark.parametrize("pause", [2.5, 6.0])
 @pytest.mark.parametrize("way", [((-0.05, 0.8), (1.05, 0.8)), ((1.05, 0.8), (-0.05, 0.8))])
 def test_who_is_at_the_border_when_the_frames_pause_has_left_or_entered(
