@@ -284,12 +284,12 @@ def hear(endpoint: str, ready: str, bare: bool) -> dict[str, Any]:
     bus._session.declare_subscriber(f"{PREFIX}/bench/ended", lambda _: stop.set())
     _say_ready(bus, ready)
     stop.wait()
+    bus.close()
     sizes = [len(payload) for _, payload in messages]
     then = [
         struct.unpack("<d", payload[:8])[0] if bare else decoder.decode(payload).t
         for _, payload in messages
     ]
-    bus.close()
     return {
         "ms": [round(1000 * (now - t), 4) for (now, _), t in zip(messages, then, strict=True)],
         "size": sorted(sizes)[len(sizes) // 2] if sizes else 0,
