@@ -80,7 +80,7 @@ _IN_WORDS = {
     "`$.x`": f"{_NO_PLACE} - at `$.x`",
     "`$.y`": f"{_NO_PLACE} - at `$.y`",
 }
-"""What is wrong with an event, by the place of msgspec's error."""
+"""Mistakes of an event in words, by the field that msgspec's error names."""
 _AT_TRACK = " - at `$.track`"
 _AT_LABEL = " - at `$.label"
 """In the mistake of an event whose label is of the wrong type, or too long."""

@@ -164,17 +164,19 @@ class Survey:
         return {hour for part in (*parts[:first], *parts[end:]) for hour in part}
 
 
-class Times(Struct):
-    """The times of a recording together."""
+class Times:
+    """The times of a recording together, of its first `STAMPS_MAX` events."""
 
-    first: float = math.inf
-    last: float = -math.inf
-    events: int = 0
-    moments: int = 0
-    """Number of different times."""
-    cameras: int = 0
-    is_coarse: bool = True
-    """All are multiples of `FAULT_STEP`."""
+    def __init__(self) -> None:
+        self.stamps = array("d")
+        """Seconds, as the events came."""
+        self.cameras: set[str] = set()
+
+    def add(self, event: Event) -> None:
+        """Take an event into account."""
+        if len(self.stamps) < STAMPS_MAX:
+            self.stamps.append(event.t)
+            self.cameras.add(event.camera)
 
 
 def recorded(reader: LineReader, paths: Sequence[str], times: Times) -> Iterator[Line]:
@@ -200,7 +202,7 @@ def recorded(reader: LineReader, paths: Sequence[str], times: Times) -> Iterator
         lines = (
             heapq.merge(*streams, key=lambda line: line.event.t) if len(streams) > 1 else streams[0]
         )
-        yield from _once(reader, survey, lines, times)
+        yield from _once(reader, lines, times)
 
 
 @contextmanager
@@ -268,9 +270,7 @@ def right_lines(
             yield line
 
 
-def _once(
-    reader: LineReader, survey: Survey, lines: Iterator[Line], times: Times
-) -> Iterator[Line]:
+def _once(reader: LineReader, lines: Iterator[Line], times: Times) -> Iterator[Line]:
     """Yield lines in order of time, each event once, and sum their times up."""
     first: Event | None = None  # of this moment
     keys: set[tuple[object, ...] | None] = set()  # of this moment, if it has several events
@@ -281,9 +281,6 @@ def _once(
         if t >= until:
             first, until = event, t + SAME_SECONDS
             keys.clear()
-            times.first = min(times.first, t)
-            times.moments += 1
-            times.is_coarse = times.is_coarse and t % FAULT_STEP == 0.0
         else:
             keys.add(None if first is None else _key(first))
             key = _key(event)
@@ -291,10 +288,8 @@ def _once(
                 reader.repeat(line)
                 continue
             keys.add(key)
+        times.add(event)
         yield line
-    times.last = until - SAME_SECONDS
-    times.events = reader.events
-    times.cameras = len(survey.cameras)
 
 
 def once_by_number(reader: LineReader, lines: Iterable[Line]) -> Iterator[Line]:
@@ -312,18 +307,10 @@ def once_by_number(reader: LineReader, lines: Iterable[Line]) -> Iterator[Line]:
 
 
 def timed(events: Iterable[Event], times: Times) -> Iterator[Event]:
-    """Yield the events of a recording, in any order; sum up the times of the first at its end."""
-    stamps = array("d")
-    cameras = set()
+    """Yield the events of a recording, in any order, and take their times into account."""
     for event in events:
-        if len(stamps) < STAMPS_MAX:
-            stamps.append(event.t)
-            cameras.add(event.camera)
+        times.add(event)
         yield event
-    moments = np.unique(stamps)
-    times.first, times.last = moments.min(initial=math.inf), moments.max(initial=-math.inf)
-    times.events, times.moments, times.cameras = len(stamps), len(moments), len(cameras)
-    times.is_coarse = not (moments % FAULT_STEP).any()
 
 
 def _key(event: Event) -> tuple[object, ...] | None:
@@ -335,16 +322,17 @@ def _key(event: Event) -> tuple[object, ...] | None:
 
 def fault_of(times: Times) -> str | None:
     """Return a sentence if the times of a recording cannot be true; None if they may be."""
-    span = times.last - times.first
-    count = times.events
+    count = len(times.stamps)
     if count < FAULT_EVENTS_MIN:
         return None
-    if times.is_coarse and count >= 2 * times.moments:
+    moments = np.unique(times.stamps)
+    if count >= 2 * len(moments) and not (moments % FAULT_STEP).any():
         return (
-            f"{count} events have {times.moments} different times, all of them rounded: a "
+            f"{count} events have {len(moments)} different times, all of them rounded: a "
             "spreadsheet has shortened them (1.70E+09, or no seconds): save t with all its digits"
         )
-    if count > FAULT_RATE * times.cameras * span:
+    span = moments[-1] - moments[0]
+    if count > FAULT_RATE * len(times.cameras) * span:
         return (
             f"{count} events lie within {span:.3g} s: t is in seconds; a spreadsheet counts days "
             "(45244.9): save t as seconds since 1970, or as text in ISO 8601"

@@ -97,7 +97,7 @@ class Tracker:
         patience = dt if is_paused and dt <= LATENESS_SECONDS_MAX else PATIENCE_SECONDS
         free = self._assign(t, blobs, patience, partial(costs_by_points, stature=self.stature))
 
-        # A pause in the frames ends the other tracks: what was at an edge has left during it.
+        # A pause in the frames ends the other tracks; objects at an edge leave during the pause.
         lost_tracks = [track for track in self.active if is_paused and track.last.t < t]
         events = self._end(lost_tracks, before, "interrupted", 0.0)
         free = self._assign(
