@@ -41,7 +41,7 @@ def test_the_same_network_at_every_rate() -> None:
     ("part", "arguments"),
     [
         ("ingest", ["--base", str(ROOT), "--events", "300", "--cameras", "4", "--rounds", "1"]),
-        ("latency", ["--rate", "100", "--seconds", "1"]),
+        ("latency", ["--rate", "20", "--seconds", "2"]),
         ("router", ["--events", "300", "--readers", "1", "--cameras", "4", "--rounds", "1"]),
         ("memory", ["--events", "300", "--cameras", "4"]),
         ("version", ["--base", str(ROOT), "--cameras", "4", "--hours", "0.2", "--rounds", "1"]),

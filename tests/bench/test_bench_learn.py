@@ -58,7 +58,7 @@ def recordings(tmp_path_factory: pytest.TempPathFactory) -> Path:
     [
         (
             "change",
-            ["--seeds", "1", "--hours", "0.3", "--jobs", "steady,score"],
+            ["--seeds", "1", "--hours", "0.1", "--jobs", "steady,score"],
             "mean apart: log loss",
         ),
         ("thesis", ["1"], "table 5.3"),

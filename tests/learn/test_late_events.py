@@ -53,7 +53,7 @@ def in_order() -> tuple[list[Event], Learned]:
     return events, (zones, links)
 
 
-@settings(max_examples=6, deadline=None)
+@settings(max_examples=4, deadline=None)
 @given(st.randoms(use_true_random=False), st.sampled_from([1, 30, 10_000]))
 def test_any_interleaving_of_the_cameras_ends_with_the_same(
     chance: random.Random, stretch: int
