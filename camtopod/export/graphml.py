@@ -35,9 +35,8 @@ def to_graphml(topology: Topology) -> str:
         values = {"zones": len(camera.zones), "clock_offset": float(camera.clock_offset)}
         add("node", {"id": visible(camera.id)}, values)
     for edge in edges(topology):
-        figures = {
-            name: getattr(edge.transit, name) for name in ("mean", "sd", "q10", "q50", "q90")
-        }
+        names = ("mean", "sd", "mode", "q10", "q50", "q90")
+        figures = {name: getattr(edge.transit, name) for name in names}
         add(
             "edge",
             {"source": visible(edge.from_), "target": visible(edge.to)},

@@ -80,7 +80,7 @@ class Answer(Struct, frozen=True, omit_defaults=True):
     batch: how many events the next batch may have.
     reason: why nothing was taken, or that the batch is held; "" if ``have`` says it all.
     detail: the reason as a sentence for people.
-    late: how many events of the batch came too late to be learned.
+    late: how many events of the batch are older than those learned last.
     refused: how many of them were malformed, too many, or too far ahead of the clock.
     """
 

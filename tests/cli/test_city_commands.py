@@ -68,13 +68,18 @@ def test_events_are_cut_by_the_links_that_they_tell(folder: Path) -> None:
     assert sum(owners[a] == owners[b] for a, b in pairs) > 0.6 * len(pairs)
 
 
-def test_events_may_come_from_standard_input(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_events_may_come_from_standard_input_and_enough_of_them_must_be_valid(
+    folder: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
     simulation = ["--cameras", "12", "--hours", "0.1", "--seed", "3"]
     assert main(["simulate", *simulation, "--events", "e.jsonl", "--truth", "t.json"]) == 0
     assert main(["districts", "e.jsonl", "--out", "cut.toml"]) == 0
+    with (folder / "e.jsonl").open("ab") as file:
+        file.write(b"no event\n" * 1000)
 
     monkeypatch.setattr(sys, "stdin", typed((folder / "e.jsonl").read_bytes()))
-    assert main(["districts", "-", "--out", "again.toml"]) == 0
+    assert main(["districts", "-", "--out", "again.toml"]) == 1
+    assert "1000 of " in capsys.readouterr().err
 
     assert (folder / "again.toml").read_text() == (folder / "cut.toml").read_text()
 

@@ -219,10 +219,11 @@ def test_messages_are_found_however_they_are_written(
 def test_what_is_cut_off_costs_nothing_that_follows(
     tmp_path: Path, capsysbinary: pytest.CaptureFixture[bytes]
 ) -> None:
-    lines = [to_json(Event("lobby", "entry", T0 + n, 0.5, 0.5, "[{")) + b"\n" for n in range(2)]
+    events = [Event("lobby", "entry", T0 + n, 0.5, 0.5, "[{") for n in range(100)]
+    lines = [to_json(event) + b"\n" for event in events]
     path = tmp_path / "cut.jsonl"
     cuts = range(1, len(lines[0]) - 1)
-    path.write_bytes(b"".join(lines[0][:cut] + b"\n" + lines[1] for cut in cuts))
+    path.write_bytes(b"".join(lines[0][:cut] + b"\n" + lines[cut] for cut in cuts))
     found, said = ingested(capsysbinary, path, "jsonl", status=exits.FAILED)
     assert len(found) == len(cuts)
     assert f"{len(cuts)} of {2 * len(cuts)} lines were rejected" in said

@@ -125,12 +125,18 @@ def test_a_recording_is_stored_whole_and_none_of_an_ordered_one_is_late(
     monkeypatch: pytest.MonkeyPatch,
     capsys: pytest.CaptureFixture[str],
 ) -> None:
-    """All of it is in the spool when its delivery begins, and nothing of it is published."""
+    """All of it is in the spool when its delivery begins, and nothing of it is published.
+
+    What comes twice counts once, and a stamp that the lines around it contradict is left out.
+    """
     events = [Event(f"c{n % 50}", "entry", T0 + 3.0 * n, track=str(n)) for n in range(4_000)]
     if order == "by camera":
         events.sort(key=lambda event: event.camera)
+    written = events
     if order == "newest first, all twice":
-        events = [event for event in reversed(events) for _ in range(2)]
+        wrong = Event("c7", "entry", T0 + 9e6, track="wrong")
+        written = [event for event in reversed(events) for _ in range(2)]
+        written.insert(3_000, wrong)
     waiting: list[int] = []
     published: list[str] = []
     monkeypatch.setattr(backlogs, "SETTLE_SECONDS", 5.0)  # as outside of tests
@@ -145,14 +151,18 @@ def test_a_recording_is_stored_whole_and_none_of_an_ordered_one_is_late(
     monkeypatch.setattr(ingest_command, "Publisher", Told)
     with site(tmp_path, "a") as daemon:
         daemon.bus.subscribe("event/*", lambda key, content: published.append(key))
-        assert ingest(daemon, tmp_path, lines(tmp_path / "a.jsonl", events)) == 0
+        assert ingest(daemon, tmp_path, lines(tmp_path / "a.jsonl", written)) == 0
         status = daemon.status().events
 
     assert waiting == [len(events)]
     assert published == []
     assert stored(tmp_path, "a") == status.stored == len(events)
-    if order != "newest first, all twice":
-        assert "4000 events stored\n" in capsys.readouterr().err, "none of them late"
+    said = capsys.readouterr().err
+    if order == "newest first, all twice":
+        assert "4000 of 8001 lines are repeats, counted once" in said
+        assert "the lines of c7 around it contradict by more than a day" in said
+    else:
+        assert "4000 events stored\n" in said, "none of them late"
 
 
 def test_cameras_too_many_end_it_and_left_events_of_them_hold_nothing_up(

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import io
 import random
+import sys
 from collections.abc import Callable, Sequence
 from pathlib import Path
 
@@ -22,6 +23,13 @@ from camtopod.sim.simulation import SimSettings, simulate
 
 EVENTS = simulate(SimSettings(cameras=3, hours=0.25, seed=1))[0]
 DAY = 86_400.0
+
+
+class Piped(io.BytesIO):
+    """Content of a pipe."""
+
+    def seekable(self) -> bool:
+        return False
 
 
 def written(path: Path, events: Sequence[Event]) -> Path:
@@ -276,6 +284,7 @@ def test_times_that_a_spreadsheet_has_spoilt_are_named(
     spoilt: Callable[[float], float],
     word: str,
     tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
     capsys: pytest.CaptureFixture[str],
 ) -> None:
     path = written(tmp_path / "e.jsonl", [replace(event, t=spoilt(event.t)) for event in EVENTS])
@@ -286,7 +295,9 @@ def test_times_that_a_spreadsheet_has_spoilt_are_named(
     assert "at this traffic" not in said, "no forecast of a traffic that does not exist"
 
     topology = str(tmp_path / "topology.json")
-    for command in (["ingest", "jsonl", str(path), "--out", "-"], ["predict", topology, str(path)]):
+    ingest = ["ingest", "--out", "-", "jsonl"]
+    monkeypatch.setattr(sys, "stdin", io.TextIOWrapper(io.BufferedReader(Piped(path.read_bytes()))))
+    for command in ([*ingest, str(path)], [*ingest, "-"], ["predict", topology, str(path)]):
         assert main(["--config", "none", *command]) == exits.FAILED
         assert capsys.readouterr().err.count(word) == 1
 

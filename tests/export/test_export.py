@@ -53,6 +53,7 @@ def test_graphml_is_read_by_networkx() -> None:
     for edge in edges(TOPOLOGY):
         data = graph.edges[edge.from_, edge.to]
         assert (data["weight"], data["q90"]) == (max(edge.transit.mode, 0.1), edge.transit.q90)
+        assert data["mode"] == edge.transit.mode
         assert data["probability"] == edge.probability
 
 

@@ -19,8 +19,8 @@ from camtopod.cli.city import deployment
 from camtopod.cli.common import configuration, counted, districts_of, open_output, topology_of
 from camtopod.cli.events.event_lines import LineReader, open_input, table_rows_of
 from camtopod.cli.events.learning import feed
-from camtopod.cli.events.recording import Times
-from camtopod.cli.exits import USAGE, CommandError, InputError
+from camtopod.cli.events.recording import Times, fault_of
+from camtopod.cli.exits import FAILED, USAGE, CommandError, InputError
 from camtopod.config import Districts, districts_file, with_borders
 from camtopod.learn.learner import Learner
 from camtopod.records import CameraId, Topology
@@ -89,28 +89,40 @@ def _cameras_max(text: str) -> int:
     return int(text)
 
 
-def run(args: argparse.Namespace) -> None:
+def run(args: argparse.Namespace) -> int:
     """Write the districts, or the files that run them. Raises `OSError`, `CommandError`."""
+    reader, times = LineReader(), Times()
     if args.deploy and args.deploy[0] not in deployment.KINDS:
         raise CommandError(f"--deploy takes {' or '.join(deployment.KINDS)}, and a folder", USAGE)
     with open_input(args.source) as file:
         start = file.peek(START_BYTES)[:START_BYTES]
         if not districts_file.is_districts(start):
-            districts = _cut(args, start)
+            districts = _cut(args, start, reader, times)
         elif args.deploy and not args.table:
             districts = districts_of(Path(args.source), file.read())
         else:
             raise CommandError(f"{args.source} is cut already: give --deploy, no --table", USAGE)
     if args.deploy:
         deployment.write(districts, *args.deploy)
+    if (summary := reader.summary()) is not None:
+        print(f"camtopod: {summary}", file=sys.stderr)
+    if (fault := fault_of(times)) is not None:
+        print(f"camtopod: {fault}", file=sys.stderr)
+    return FAILED if fault else reader.status
 
 
-def _cut(args: argparse.Namespace, start: bytes) -> Districts:
+def _cut(args: argparse.Namespace, start: bytes, reader: LineReader, times: Times) -> Districts:
     """Cut, write the districts, and return them. Raises `OSError`, `CommandError`.
 
     start: the first bytes of the source.
+    reader, times: have its lines, and their times, in the end.
     """
-    topology = _topology(args, start)
+    if b"".join(start.split()).startswith(TOPOLOGY_START):
+        topology: Topology | None = topology_of(args.source)
+    else:
+        learner = Learner(configuration(args).learner, only_last=True)
+        feed(learner, reader, [args.source], times)
+        topology = learner.topology
     if topology is None or not topology.cameras:
         raise InputError(f"there are no cameras in {args.source}: nothing to cut")
     cameras, passages = [camera.id for camera in topology.cameras], passages_between(topology)
@@ -142,19 +154,6 @@ def _cut(args: argparse.Namespace, start: bytes) -> Districts:
         file=sys.stderr,
     )
     return districts
-
-
-def _topology(args: argparse.Namespace, start: bytes) -> Topology | None:
-    """Return the topology of the source; None without events."""
-    if b"".join(start.split()).startswith(TOPOLOGY_START):
-        return topology_of(args.source)
-
-    reader = LineReader()
-    learner = Learner(configuration(args).learner, only_last=True)
-    feed(learner, reader, [args.source], Times())
-    if (summary := reader.summary()) is not None:
-        print(f"camtopod: {summary}", file=sys.stderr)
-    return learner.topology
 
 
 def passages_between(topology: Topology) -> dict[tuple[str, str], float]:

@@ -104,7 +104,8 @@ def run(args: argparse.Namespace) -> int:
             )
     except (recordings.CityError, ValueError) as error:
         hint = f"\nthe same command goes on from {folder}" if folder.exists() else ""
-        raise CommandError(f"{error}{hint}") from None
+        is_unusable = reader.lines_read and not reader.events
+        raise CommandError(f"{error}{hint}", exits.INPUT if is_unusable else exits.FAILED) from None
     status, messages = read(tuple[int, list[str]], (folder / recordings.NOTE).read_bytes())
     write(city, out)
     shutil.rmtree(folder)

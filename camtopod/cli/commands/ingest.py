@@ -23,7 +23,7 @@ from camtopod.cli import exits
 from camtopod.cli.common import configuration, counted, open_output, start_logging, until_signal
 from camtopod.cli.events.event_lines import ACCEPTED_MIN, LineReader
 from camtopod.cli.events.input_formats import add_options, events
-from camtopod.cli.events.recording import Times, fault_of, timed
+from camtopod.cli.events.recording import Times, fault_of
 from camtopod.cli.exits import CommandError, InputError
 from camtopod.cli.site_choice import right_site
 from camtopod.cli.terminal import Progress
@@ -101,13 +101,11 @@ def run(args: argparse.Namespace) -> int:
                 progress.show("%d lines read, %d events", reader.lines_read, reader.events)
 
         # Read and publish, or write.
-        source = events(args, reader, stack, stop)
+        times = Times()
+        source = events(args, reader, times, stack, stop)
         is_file = Path(args.file).is_file()
         is_recording = is_file or (args.file == "-" and Path("/dev/stdin").is_file())
         status = exits.DONE
-        times = Times()
-        if is_recording and args.format == "jsonl":
-            source = timed(source, times)
         if args.out is None:
             spool = open_ingest_spool(
                 config.state_directory, config.site.name, config.limits, config.sites_of

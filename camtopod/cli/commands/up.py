@@ -1,7 +1,8 @@
 """`camtopod up`: the daemon, the grabbers and the page of one machine, in one terminal.
 
 Daemon, page and bridge are processes beside those of the cameras. This one supervises all of them:
-one that ends or hangs is started again, and hurts no other.
+one that ends or hangs is started again, and hurts no other. Where only the user can help (status 2,
+74 or 78), all ends.
 """
 
 from __future__ import annotations

@@ -16,6 +16,7 @@ from camtopod.cli.common import camera_id
 from camtopod.cli.events import broker_options
 from camtopod.cli.events.event_lines import LineReader, open_input
 from camtopod.cli.events.file_forms import pieces
+from camtopod.cli.events.recording import Times, recorded_as_written, timed
 from camtopod.cli.exits import CommandError
 from camtopod.records import Event
 
@@ -77,9 +78,15 @@ def add_options(parser: argparse.ArgumentParser) -> None:
 
 
 def events(
-    args: argparse.Namespace, reader: LineReader, stack: contextlib.ExitStack, stop: threading.Event
+    args: argparse.Namespace,
+    reader: LineReader,
+    times: Times,
+    stack: contextlib.ExitStack,
+    stop: threading.Event,
 ) -> Iterator[Event]:
     """Return the events of the input that the command line names; ``stack`` closes files.
+
+    times: has those of event lines in the end.
 
     Raises `CommandError`.
     """
@@ -99,8 +106,10 @@ def events(
     file = open_input(args.file)
     if args.file != "-":
         stack.callback(file.close)
+    if adapter is None and file.seekable():
+        return recorded_as_written(reader, args.file, file, times)
     if adapter is None:
-        return (line.event for line in reader.lines(args.file, file))
+        return timed((line.event for line in reader.lines(args.file, file)), times)
     frame_messages = frames(pieces(args.file, file), LINE_BYTES_MAX, adapter.begins)
     return reader.adapted(args.file, frame_messages, adapter)
 

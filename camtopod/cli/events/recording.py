@@ -23,7 +23,7 @@ from msgspec import Struct, field
 
 from camtopod.cli.events.event_lines import Line, LineReader, messages, open_input
 from camtopod.cli.events.time_order import by_key, sorting, sorting_failure
-from camtopod.codec import event_from_msgpack, stamp_of, to_msgpack
+from camtopod.codec import event_from_json, event_from_msgpack, stamp_of, to_msgpack
 from camtopod.event_numbers import EventNumbers
 from camtopod.event_time import utc_text
 from camtopod.records import Event
@@ -203,6 +203,31 @@ def recorded(reader: LineReader, paths: Sequence[str], times: Times) -> Iterator
             heapq.merge(*streams, key=lambda line: line.event.t) if len(streams) > 1 else streams[0]
         )
         yield from _once(reader, lines, times)
+
+
+def recorded_as_written(
+    reader: LineReader, path: str, file: BufferedReader, times: Times
+) -> Iterator[Event]:
+    """Yield the events of one file, as `recorded` does, but in the order of its lines.
+
+    A program that numbers them gives those of a file that has grown since the same numbers again.
+    """
+    survey = Survey()
+    begin = file.tell()
+    is_ordered, wrong = survey.look(path, file)
+    file.seek(begin)
+    lines = _once(reader, _by_time(reader, path, file, survey, is_ordered, wrong), times)
+    if is_ordered:
+        yield from (line.event for line in lines)
+        return
+    is_used = bytearray(1)  # by the number of the line
+    for line in lines:
+        is_used.extend(bytes(max(0, line.number + 1 - len(is_used))))
+        is_used[line.number] = True
+    file.seek(begin)
+    for number, text in messages(path, file):
+        if number < len(is_used) and is_used[number] and isinstance(text, bytes):
+            yield event_from_json(text, lambda error: None)  # labels were counted before
 
 
 @contextmanager

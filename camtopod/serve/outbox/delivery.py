@@ -38,7 +38,7 @@ class Delivery:
     def __init__(self, camera: str, queue: SiteQueue, draw_number: Callable[[], str]) -> None:
         self.camera = camera
         self.late = 0
-        """Number of this process's events that came too late to be learned."""
+        """Number of this process's events that are older than those learned last."""
         self.refusals = 0
         """Number of this process's events that the daemon has refused."""
         self.no_room = ""

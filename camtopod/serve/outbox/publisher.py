@@ -140,7 +140,7 @@ class Publisher:
         return self._drops + self._spool.dropped
 
     def outcome(self, site: str = OWNER) -> tuple[int, int]:
-        """Return how many events of this process came too late to be learned, and were refused."""
+        """Return how many events of this process were late, and how many refused."""
         late, refusals = self._sites[site].outcome() if site in self._sites else (0, 0)
         return late, refusals + self._spool.rejects.counts.total()
 

@@ -69,7 +69,7 @@ class SiteDelivery:
         )
 
     def outcome(self) -> tuple[int, int]:
-        """Return how many events of this process came too late to be learned, and were refused."""
+        """Return how many events of this process were late, and how many refused."""
         deliveries = list(self._deliveries.copy().values())
         return (
             sum(delivery.late for delivery in deliveries),
