@@ -7,8 +7,9 @@ So the learner's watermark waits for cameras with older events to deliver
 (`camtopod.event_time.EventTime.wait_for`). The journal names them, so that a replay waits for the
 same.
 
-A camera that gains less than a second a second on the clock is waited for no longer: its events are
-late, and are learned all the same. So are those of a camera that has been away alone.
+A camera that gains less than a second a second on the clock, or needs more than an hour for its
+backlog, is waited for no longer: its events are late, and are learned all the same. So are those of
+a camera that has been away alone.
 """
 
 from __future__ import annotations
@@ -32,6 +33,8 @@ UNSETTLED_SECONDS_MAX = 30.0
 """Longest time for all of them together: on a large site, some camera may always come back."""
 TRIAL_SECONDS = 60.0
 """Time in which a camera has to come as much nearer to the clock."""
+BACKLOG_SECONDS_MAX = 3600.0
+"""Longest time that a camera may need for all of its backlog, as fast as in the last trial."""
 ANY_CAMERA = ""
 """Stands for cameras that have not told of their backlogs yet."""
 
@@ -126,4 +129,4 @@ class Backlogs:
             return True
         gain = trial.behind - behind
         trial.since, trial.behind = now, behind
-        return gain >= TRIAL_SECONDS
+        return gain >= TRIAL_SECONDS * max(1.0, behind / BACKLOG_SECONDS_MAX)

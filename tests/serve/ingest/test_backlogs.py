@@ -81,6 +81,22 @@ def test_a_slow_grabber_that_is_there_is_waited_for_as_long_as_its_trial(
     assert bench.intake.backlogs.waited_cameras == set(), "it gains nothing"
 
 
+@pytest.mark.parametrize(("hours", "is_waited"), [(1, True), (24, False)])
+def test_a_backlog_of_a_day_at_three_times_real_time_keeps_no_version_waiting(
+    hours: int, is_waited: bool, bench: IntakeBench
+) -> None:
+    for name in ("a", "live"):
+        bench.intake.on_alive(name, True)
+        bench.hello(name)
+    bench.send("a", times={1: -3600.0 * hours}, more=1000)
+    bench.send("live", times={1: 0.0})
+    bench.tick(backlogs.TRIAL_SECONDS - 1.0)
+    times = {2: -3600.0 * hours + 3.0 * backlogs.TRIAL_SECONDS}
+    bench.send("a", after=1, times=times, more=1000)
+    bench.tick(2.0)
+    assert ("a" in bench.intake.backlogs.waited_cameras) == is_waited
+
+
 def test_cameras_that_come_back_again_and_again_hold_nobody_up_for_ever(
     bench: IntakeBench,
 ) -> None:
