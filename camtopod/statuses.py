@@ -1,12 +1,15 @@
-"""The newest statuses of a site, as a display receives them, for `camtopod.words`."""
+"""The newest statuses of a site, as a display receives them, for `camtopod.words`.
+
+`without_cameras` is for those that keep matches: a status says which cameras are forgotten.
+"""
 
 from __future__ import annotations
 
 import contextlib
-from collections.abc import Callable
+from collections.abc import Callable, Collection, Iterable
 
 from camtopod import codec
-from camtopod.records import DaemonStatus, Status, Topology
+from camtopod.records import DaemonStatus, Match, Status, Topology
 from camtopod.topology import last_events
 from camtopod.words import (
     CameraState,
@@ -69,3 +72,16 @@ class Statuses:
         quiet = abs(self._clock() - self.heard_at)
         alarms = alarms_in_words(topology)
         return daemon_state(self.daemon, quiet, self.cameras(topology), alarms, away)
+
+
+def without_cameras(matches: Iterable[Match], cameras: Collection[str]) -> list[Match]:
+    """Return the matches that name none of the cameras, and whose walk is through none of them."""
+    matches = list(matches)
+    walks = {match.walk for match in matches if match.camera in cameras}
+    return [
+        match
+        for match in matches
+        if match.walk not in walks
+        and match.walk.rpartition("@")[0] not in cameras
+        and all(passage.camera not in cameras for passage in match.from_)
+    ]

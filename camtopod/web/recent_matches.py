@@ -6,6 +6,7 @@ import threading
 from collections.abc import Collection
 
 from camtopod.records import Match
+from camtopod.statuses import without_cameras
 
 MATCHES_SECONDS = 3600.0
 """Age of an entry up to which its match is kept."""
@@ -39,12 +40,10 @@ class RecentMatches:
         return sorted(matches, key=lambda match: match.t)
 
     def forget(self, cameras: Collection[str]) -> None:
-        """Forget the matches that name any of the cameras."""
+        """Forget the matches that name any of the cameras, and the walks through them."""
         with self._mutex:
-            for entry, match in list(self._matches.items()):
-                names = [match.camera, *(passage.camera for passage in match.from_)]
-                if any(camera in cameras for camera in names):
-                    del self._matches[entry]
+            matches = without_cameras(self._matches.values(), cameras)
+            self._matches = {(match.camera, match.t, match.track): match for match in matches}
 
     def clear(self) -> None:
         """Forget all matches."""

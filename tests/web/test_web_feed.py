@@ -87,9 +87,11 @@ def prediction(camera: str, *probabilities: float) -> Prediction:
     return Prediction(camera, f"{camera}/1", 1.0, "somebody", 1, 0.1, next_, look, seen)
 
 
-def match(camera: str, t: float, came: str = "b", sure: float = 0.9) -> Match:
+def match(
+    camera: str, t: float, came: str = "b", sure: float = 0.9, walk: str | None = None
+) -> Match:
     earlier = [MatchedPassage(came, t - 5.0, sure, "somebody")]
-    return Match(camera, t, 1, earlier, 1.0 - sure, f"{came}@7", "somebody")
+    return Match(camera, t, 1, earlier, 1.0 - sure, walk or f"{came}@7", "somebody")
 
 
 def shown_map(rig: Rig) -> Map:
@@ -328,7 +330,11 @@ def test_matches_of_a_forgotten_camera_or_an_earlier_epoch_are_not_kept(rig: Rig
     rig.feed.show(SITE)
     rig.bus.publish("match/a", match("a", 900.0, came="b"))
     rig.bus.publish("match/b", match("b", 901.0, came="a"))
-    rig.bus.publish("match/c", match("c", 902.0, came="a"))
+    rig.bus.publish("match/c", match("c", 902.0, came="a", walk="d@8"))
+    walks = {"begins there": "b@1", "passes there": "d@1"}
+    for k, walk in enumerate(walks.values()):
+        rig.bus.publish("match/a", match("a", 910.0 + k, came="c", walk=walk))
+    rig.bus.publish("match/b", match("b", 905.0, came="d", walk=walks["passes there"]))
     rig.bus.publish("status/daemon", {"state": "running", "names": {"forgotten": {"b": 0}}})
 
     assert [one.camera for one in rig.feed.walks(0.0)] == ["c"]
