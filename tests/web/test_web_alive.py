@@ -117,6 +117,28 @@ def test_a_walk_goes_on_along_the_map_and_is_shown_on_it(browser: Browser) -> No
         assert browser.complaints() == []
 
 
+def test_a_walk_through_a_forgotten_camera_leaves_the_page(browser: Browser) -> None:
+    shown = Shown(SITE)
+    now = time.time()
+    other = next(camera.id for camera in SITE.cameras if camera.id not in (A, B))
+    with shown.serving():
+        opened(browser, shown)
+        for t, camera in ((now - 2.0, A), (now, other)):
+            came = [MatchedPassage(camera, t - 1.0, 0.9)]
+            match = Match(B, t, 3, came, 0.1, f"{camera}@{now - 20.0}")
+            shown.bus.publish(f"match/{B}", match)
+        browser.run("document.querySelector('.walks').open = true")
+        browser.wait(lambda: browser.count(".walks li") == 2, "both walks")
+        browser.run("document.querySelector('.walks li:last-child a').click()")
+        browser.wait(lambda: browser.count(".node.chosen") == 2, "the older one on the map")
+        shown.bus.publish("status/daemon", {"state": "running", "names": {"forgotten": {A: 0}}})
+        shown.publish(replace(SITE, version=4))
+        browser.wait(lambda: browser.count(".walks li") == 1, "one less")
+        assert A not in browser.text(".walks li")
+        browser.wait(lambda: browser.count(".node.chosen") == 0, "nothing to be marked")
+        assert browser.complaints() == []
+
+
 def test_the_last_hour_is_replayed_and_so_is_how_the_map_grew(browser: Browser) -> None:
     shown = Shown(older(1, 0), older(2, 1), SITE)
     now = time.time()

@@ -186,6 +186,7 @@ class App {
       if (!(error instanceof Away)) throw error; // the server is away, which the banner says
       return;
     }
+    this.walks.forget(this.health.daemon.names?.forgotten ?? {});
     const before = this.rows;
     this.rows = new Map(this.health.cameras.map((row) => [row.id, row]));
     for (const [id, row] of this.rows) {

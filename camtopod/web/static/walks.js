@@ -1,7 +1,7 @@
 // Recent walks, newest first: entries that are of one object by their times. Each leads to its way on the map.
 
 import { fill, h } from "./dom.js";
-import { link } from "./place.js";
+import { go, link } from "./place.js";
 import { clock, percent } from "./words.js";
 
 const WALKS_MAX = 300; // remembered
@@ -57,6 +57,16 @@ export class Walks {
     const steps = old.steps.filter((step) => step.t >= first.t);
     for (const step of steps) this.#of.set(`${step.camera} ${step.t}`, walk);
     return steps;
+  }
+
+  // Forget the walks through any of the cameras, the keys of `names`.
+  forget(names) {
+    for (const [name, { steps }] of this.#walks) {
+      if (!steps.some((step) => Object.hasOwn(names, step.camera))) continue;
+      this.#walks.delete(name);
+      if (name === this.marked) go("map");
+      this.#timer ??= setTimeout(() => this.#draw(), LIST_MILLISECONDS);
+    }
   }
 
   // Mark a walk in the list, or none; its cameras.
