@@ -7,11 +7,13 @@ what its object has been seen again since, by the matches of later entries.
 from __future__ import annotations
 
 from collections import defaultdict
+from collections.abc import Collection
 
 from msgspec import Struct, field
 from msgspec.structs import replace
 
 from camtopod.records import Match, Prediction
+from camtopod.statuses import without_cameras
 from camtopod.words import LIKELY, sum_by_camera
 
 MEMORY_SECONDS = 3600.0
@@ -119,6 +121,21 @@ class Arrivals:
             for key, match in list(self._entries.items())[-ENTRIES_MAX:]
             if abs(now - key[1]) < MEMORY_SECONDS
         }
+
+    def forget_cameras(self, cameras: Collection[str]) -> None:
+        """Forget exits and entries at cameras, walks through them, and that somebody goes there."""
+        matches = without_cameras(self._entries.values(), cameras)
+        self._entries = {(match.camera, match.t, match.track): match for match in matches}
+        self._exits = {key: self._exits[key] for key in self._exits if key[0] not in cameras}
+        for departure in self._exits.values():
+            prediction = departure.prediction
+            departure.prediction = replace(
+                prediction,
+                next=[row for row in prediction.next if row.camera not in cameras],
+                look=[row for row in prediction.look or () if row.camera not in cameras],
+            )
+            for entry in [entry for entry in departure.seen if entry[0] in cameras]:
+                del departure.seen[entry]
 
     def expected(self, now: float) -> dict[str, Awaited]:
         """Return, by camera, how probable it is that somebody is still to come there.

@@ -126,6 +126,29 @@ def test_a_walk_of_hours_keeps_its_entries_under_its_newest_name() -> None:
     assert {match.walk for match in last.passages} == {f"yard@{T + 20.5}"}
 
 
+def test_a_forgotten_camera_is_in_no_walk_and_nobody_is_expected_from_or_at_it() -> None:
+    seen = Arrivals()
+    seen.left(exit_at("lobby", T, ("hall", 0.6, 5, 60)))
+    seen.left(exit_at("yard", T, ("lobby", 0.7, 5, 60), ("hall", 0.3, 5, 60)))
+    seen.left(
+        exit_at("gate", T, ("hall", 0.9, 5, 60), look=[Look("lobby", 0.9), Look("hall", 0.1)])
+    )
+    seen.entered(entry("lobby", T + 6, "hall@1", ("yard", T, 0.9)))
+    seen.entered(entry("hall", T + 15, "hall@1", ("stairs", T + 12, 0.9)))
+    seen.entered(entry("yard", T + 15, "yard@1"))
+
+    seen.forget_cameras({"lobby"})
+    after = seen.expected(T + 20)
+    looks = seen.looks(T + 10)
+    stairs = seen.entered(entry("stairs", T + 20, "hall@1", ("hall", T + 18, 0.9)))
+    yard = seen.entered(entry("gate", T + 20, "yard@1", ("yard", T + 18, 0.9)))
+
+    assert after == {"hall": Awaited(pytest.approx(1 - 0.7 * 0.1), "gate", T + 5, T + 60)}
+    assert looks == {}
+    assert [match.camera for match in stairs.passages] == ["stairs"]
+    assert [match.camera for match in yard.passages] == ["yard", "gate"]
+
+
 def test_two_entries_of_one_moment_are_two() -> None:
     seen = Arrivals()
     seen.entered(entry("lobby", T, "lobby@1", track="7"))

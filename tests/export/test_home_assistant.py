@@ -34,6 +34,7 @@ from camtopod.records import (
     Look,
     Match,
     MatchedPassage,
+    NamesStatus,
     NextCamera,
     Prediction,
     SelfScore,
@@ -330,6 +331,19 @@ def test_who_comes_is_known_from_predictions_and_matches() -> None:
     assert (of("expected", T0 + 6), of("look_here", T0 + 6)) == ("OFF", "ON")
     assert of("look_here", T0 + 17) == "OFF"
     assert site.events(T0 + 17) == []
+
+    # A camera is forgotten: its passages are in no walk, and nobody comes from there.
+    bus.publish("match/lobby", Match("lobby", T0 + 18, 9, [], 1.0, "yard@1"))
+    bus.publish("prediction/lobby", to_hall(0.2, ("hall", 0.8)))
+    site.events(T0 + 18)
+    names = NamesStatus(forgotten={"lobby": 0})
+    bus.publish("status/daemon", DaemonStatus("running", names=names))
+    bus.publish("match/hall", msgspec.structs.replace(match, t=T0 + 20, from_=[], walk="yard@1"))
+    [messages] = site.events(T0 + 20)
+    passages = decoded(messages)[TOPICS.walk]["passages"]
+    assert [passage["camera"] for passage in passages] == ["hall"]
+    bus.publish("status/hall", Status("running"))
+    assert (of("expected", T0 + 3), of("look_here", T0 + 3)) == ("OFF", "OFF")
 
 
 # --- with a broker --------------------------------------------------------------------------------

@@ -76,6 +76,7 @@ class HomeAssistantState:
 
     def events(self, now: float) -> list[homeassistant.Messages]:
         """Return the messages of the entries since the last call, oldest first."""
+        self._arrivals.forget_cameras(self._statuses.daemon.names.forgotten)
         result = []
         while self._answers:
             answer = self._answers.popleft()
