@@ -101,10 +101,11 @@ class Routes:
         return details_or_404(f"the link {from_} → {to}", details)
 
     def walks(self, request: Request) -> Response:
-        """Return the newest matches, oldest first."""
-        return content(
-            [shown_match(match) for match in self._feed.walks(-math.inf)[-MATCHES_SHOWN:]]
-        )
+        """Return the newest matches or, with ``all``, those of the last hour, oldest first."""
+        matches = self._feed.walks(-math.inf)
+        if "all" not in request.query_params:
+            matches = matches[-MATCHES_SHOWN:]
+        return content([shown_match(match) for match in matches])
 
     def pictures(self, request: Request) -> Response:
         """Return the cameras of which there is a picture."""

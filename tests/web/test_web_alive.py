@@ -7,6 +7,7 @@ import re
 import time
 from pathlib import Path
 
+import pytest
 from chromium import Browser
 from msgspec.structs import replace
 from page_fixture import Shown, opened
@@ -24,7 +25,7 @@ from camtopod.records import (
     SeenEvent,
     Topology,
 )
-from camtopod.web import growth
+from camtopod.web import app, growth
 
 SITE = synthetic_topology(4, version=3, as_of=time.time())
 WAY = next(link for link in SITE.links if link.relation == "unseen")
@@ -146,7 +147,13 @@ def test_the_last_hour_is_replayed_and_so_is_how_the_map_grew(browser: Browser) 
         seen(A, "exit", now - 3550.0),
         seen(B, "entry", now - 3550.0 + WAY.transit.q50),
     ]
-    with shown.serving():
+    doubtful = MatchedPassage(A, now - 3550.0, 0.4)
+    sure = replace(doubtful, probability=0.9)
+    match = Match(B, now - 3550.0 + WAY.transit.q50, 3, [doubtful], 0.6, f"{B}@1")
+    with shown.serving(), pytest.MonkeyPatch.context() as patch:
+        patch.setattr(app, "MATCHES_SHOWN", 1)  # of those that a page begins with
+        for entry in (replace(match, from_=[sure]), replace(match, t=now - 3549.0)):
+            shown.bus.publish(f"match/{B}", entry)
         opened(browser, shown)
         browser.run(WATCH, A)
         browser.run("document.querySelector('.replay').open = true")
@@ -157,7 +164,7 @@ def test_the_last_hour_is_replayed_and_so_is_how_the_map_grew(browser: Browser) 
         browser.wait(lambda: browser.text(f"[data-id={B}] .today") == "1 in", "the entry")
         assert browser.text(f"[data-id={A}] .today") == "0 in", "only what is replayed"
         looks = {look for look, _ in browser.run("return shown")}
-        assert looks == {"pulse exit", "dot", "pulse entry"}
+        assert looks == {"pulse exit", "dot walk", "pulse entry"}
         browser.run(press, 2)
         browser.wait(lambda: "The last hour" in browser.text(".replay"), "the end")
 
@@ -253,17 +260,35 @@ def test_growth_is_of_the_versions_that_the_daemon_has_kept() -> None:
     assert growth.thinned(range(0)) == []
 
 
+def test_a_replay_joins_nothing_that_the_daemon_has_not(browser: Browser) -> None:
+    shown = Shown(SITE)
+    now = time.time()
+    shown.bus.told = [
+        seen(A, "exit", now - 3550.0),
+        seen(B, "entry", now - 3550.0 + WAY.transit.q50),
+    ]
+    with shown.serving():
+        opened(browser, shown)
+        browser.run(WATCH, A)
+        browser.run("document.querySelector('.replay button').click()")
+        browser.wait(lambda: len(browser.run("return shown")) > 0, "the exit")
+        browser.run(DRAG, 1000 * (WAY.transit.q50 + 0.1) / (WAY.transit.q50 + 1.0))
+        browser.wait(lambda: browser.text(f"[data-id={B}] .today") == "1 in", "the entry")
+        assert {look for look, _ in browser.run("return shown")} <= {"pulse exit", "pulse entry"}
+
+
 def test_one_file_has_the_last_hour_and_no_walk(browser: Browser, tmp_path: Path) -> None:
     shown = Shown(older(2, 1), SITE)
     now = time.time()
-    shown.bus.told = [seen(A, "exit", now - 3550.0)]
+    times = [now - 3550.0, now - 3550.0 + WAY.transit.q50]
+    shown.bus.told = [seen(A, "exit", times[0]), seen(B, "entry", times[1])]
     with shown.serving():
         wait_for(lambda: bool(shown.json("/data/versions")), "the newest version")
         shown.bus.publish(f"match/{B}", Match(B, now, 3, [], 1.0, f"{B}@{now}", "somebody"))
         answer = shown.ask("/report.html")
     assert answer.headers["content-disposition"] == "attachment"
     held = json.loads(re.findall(r'id="report">(.*?)</script>', answer.text)[0])
-    assert [one["t"] for one in held["recent"]["events"]] == [now - 3550.0]
+    assert [one["t"] for one in held["recent"]["events"]] == times
     assert [one["version"] for one in held["growth"]] == [2, 3]
     assert f"{B}@" not in answer.text
     assert '"track"' not in answer.text
@@ -274,4 +299,7 @@ def test_one_file_has_the_last_hour_and_no_walk(browser: Browser, tmp_path: Path
     browser.run(WATCH, A)
     browser.run("document.querySelector('.replay button').click()")
     browser.wait(lambda: bool(browser.run("return shown")), "the exit")
+    browser.run(DRAG, 1000)
+    browser.wait(lambda: len(browser.run("return shown")) == 2, "the exit and the entry")
+    assert {look for look, _ in browser.run("return shown")} == {"pulse exit", "pulse entry"}
     assert browser.complaints() == []

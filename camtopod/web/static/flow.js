@@ -51,10 +51,10 @@ export class Flow {
     this.#begin(this.above, "dot walk", before.camera, camera, { started, takes: WALK_SECONDS, until, t, walk });
   }
 
-  // A dot on a way that is known, in `takes` seconds.
+  // A step of a walk of before, in `takes` seconds.
   go(from, to, takes) {
     const started = performance.now() / 1000;
-    this.#begin(this.below, "dot", from, to, { started, takes, until: takes });
+    this.#begin(this.above, "dot walk", from, to, { started, takes, until: takes });
   }
 
   clear() {

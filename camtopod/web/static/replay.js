@@ -11,6 +11,7 @@ const BAR_STEPS = 1000;
 const COUNT_MILLISECONDS = 200; // between two updates of the counts
 const STEP_PLAYS_SECONDS = 0.6; // a version
 const WAY_SECONDS_MIN = 0.4; // of a dot, from camera to camera
+const LIKELY = 0.5; // probability above which an entry continues the walk of a passage
 
 export class Replay {
   on = false;
@@ -36,7 +37,7 @@ export class Replay {
       {},
       hasRecent ? button("The last hour in a minute", () => this.#hour()) : null,
       hasGrowth ? button("The map, version by version", () => this.#grow()) : null,
-      hasRecent ? h("p", { class: "quiet" }, "In it, dots join exits with the entries that fit best by the times of the links.") : null,
+      hasRecent && live ? h("p", { class: "quiet" }, "In it, dots are walks, as the daemon told them.") : null,
       live ? h("p", {}, h("a", { href: "report.html", download: true }, "All of this as one file")) : null,
     );
     this.element = h(
@@ -76,7 +77,8 @@ export class Replay {
   }
 
   async #hour() {
-    const { events } = await this.app.source.recent();
+    const { source } = this.app;
+    const [{ events }, matches] = await Promise.all([source.recent(), source.walks(true)]);
     if (!events.length) return fill(this.said, "There was nothing in the last hour.");
     const { network } = this.app;
     const { flow, pulses } = network;
@@ -86,10 +88,12 @@ export class Replay {
     const speed = (until - from) / takes;
     const acts = [
       ...events.map((event) => [event.t, () => pulses.show(event)]),
-      ...joined(events, this.app.map?.edges ?? {}).map((way) => [
-        way.t,
-        () => flow.go(way.from, way.to, Math.max(WAY_SECONDS_MIN, way.takes / speed)),
-      ]),
+      ...matches
+        .filter(({ from: [before] }) => before?.probability > LIKELY)
+        .map(({ camera, t, from: [before] }) => [
+          Math.min(before.t, t),
+          () => flow.go(before.camera, camera, Math.max(WAY_SECONDS_MIN, Math.abs(t - before.t) / speed)),
+        ]),
     ];
     acts.sort(([one], [other]) => one - other);
     let updated = -Infinity;
@@ -157,40 +161,4 @@ function asOf({ cameras, pairs }, map) {
     cameras: those(map.cameras, (id) => cameras.includes(id)),
     edges: Object.fromEntries(Object.entries(edges).map(([key, edge]) => [key, { ...edge, relation: pairs[key] }])),
   };
-}
-
-// Ways between cameras, {from, to, t, takes}: each entry with the exit that fits best by the transit times of the links.
-function joined(events, edges) {
-  const inTime = [...events].sort((one, other) => one.t - other.t);
-  const exits = Map.groupBy(inTime.filter(({ kind }) => kind === "exit"), ({ camera }) => camera);
-  const ways = Object.values(edges).flatMap((edge) => (edge.published ? edge.ways : []));
-  const into = Map.groupBy(ways, ({ to }) => to);
-  const taken = new Set();
-  const found = [];
-  for (const entry of inTime.filter(({ kind }) => kind === "entry")) {
-    let best = null;
-    let least = Infinity;
-    for (const { from, transit } of into.get(entry.camera) ?? []) {
-      const those = exits.get(from) ?? [];
-      for (let k = firstFrom(those, entry.t - transit.q90); k < those.length && those[k].t <= entry.t - transit.q10; k += 1) {
-        const off = Math.abs(entry.t - those[k].t - transit.mode) / (transit.q90 - transit.q10);
-        if (off < least && !taken.has(those[k])) [best, least] = [those[k], off];
-      }
-    }
-    if (!best) continue;
-    taken.add(best);
-    found.push({ from: best.camera, to: entry.camera, t: Math.min(best.t, entry.t), takes: Math.abs(entry.t - best.t) });
-  }
-  return found;
-}
-
-// The first of some events, by time, that is not before `t`.
-function firstFrom(events, t) {
-  let [low, high] = [0, events.length];
-  while (low < high) {
-    const middle = (low + high) >> 1;
-    if (events[middle].t < t) low = middle + 1;
-    else high = middle;
-  }
-  return low;
 }

@@ -42,9 +42,9 @@ class Server {
   async hours() {
     return (await get("data/hours")).hours;
   }
-  // Newest matches, oldest first.
-  walks() {
-    return get("data/walks");
+  // Newest matches, or all of the last hour, oldest first.
+  walks(all = false) {
+    return get(all ? "data/walks?all" : "data/walks");
   }
   // Cameras and pairs of earlier versions, oldest first.
   growth() {
@@ -95,6 +95,9 @@ class Report {
   }
   async recent() {
     return this.held.recent;
+  }
+  async walks() {
+    return []; // nothing in a file joins passages of two cameras
   }
   async growth() {
     return this.held.growth;
