@@ -20,6 +20,7 @@ from camtopod.predict.city import (
     matching as matching,
     predicting as predicting,
 )
+from camtopod.predict.hand_over import cameras_to_watch as cameras_to_watch
 from camtopod.predict.outlook import (
     Departure as Departure,
     Outlook as Outlook,

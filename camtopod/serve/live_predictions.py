@@ -18,7 +18,7 @@ from itertools import takewhile
 from msgspec.structs import replace
 
 from camtopod import codec
-from camtopod.predict import RECENT_MAX, BetweenCameras, Predictor, Walks
+from camtopod.predict import RECENT_MAX, BetweenCameras, Predictor, Walks, cameras_to_watch
 from camtopod.records import Between, Event, Match, Prediction, Recent, SeenEvent, Topology
 from camtopod.serve.bus import QueryError
 from camtopod.serve.hourly_counts import HourlyCounts
@@ -61,7 +61,9 @@ class Reader:
 
     def published(self, prediction: Prediction) -> Prediction:
         """Return a prediction as it is published: without walks, nothing joins two passages."""
-        return prediction if self.walks is not None else replace(prediction, in_view=None)
+        if self.walks is not None or prediction.in_view is None:
+            return prediction
+        return replace(prediction, look=cameras_to_watch((), prediction.next), in_view=None)
 
     def take_over(self, older: Reader) -> None:
         """Take over the observed events from the reader of an older version; this must be new."""

@@ -17,7 +17,9 @@ from camtopod.records import (
     Between,
     Event,
     InView,
+    Look,
     Match,
+    NextCamera,
     Prediction,
     Topology,
 )
@@ -295,6 +297,11 @@ def test_a_question_may_give_the_label() -> None:
 
 def test_without_walks_no_prediction_names_a_passage_of_another_camera(learned: Topology) -> None:
     passage = InView("b", "7", 1.7e9, 0.9)
-    prediction = Prediction("a", "a/1", 1.7e9, "1", 1, 1.0, [], in_view=[passage])
+    rows = [NextCamera(camera, f"{camera}/1", 0.3, 1.0, 2.0, 3.0) for camera in "bc"]
+    looks = [Look("b", 0.93), Look("c", 0.03)]
+    prediction = Prediction("a", "a/1", 1.7e9, "1", 1, 0.4, rows, looks, [passage])
     assert Reader(learned, walks=True).published(prediction) == prediction
-    assert Reader(learned, walks=False).published(prediction).in_view is None
+    published = Reader(learned, walks=False).published(prediction)
+    assert published == replace(prediction, look=[Look("b", 0.3), Look("c", 0.3)], in_view=None)
+    alone = replace(prediction, look=None, in_view=None)
+    assert Reader(learned, walks=False).published(alone) == alone, "no view overlaps"
