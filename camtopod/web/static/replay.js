@@ -37,7 +37,7 @@ export class Replay {
       {},
       hasRecent ? button("The last hour in a minute", () => this.#hour()) : null,
       hasGrowth ? button("The map, version by version", () => this.#grow()) : null,
-      hasRecent && live ? h("p", { class: "quiet" }, "In it, dots are walks, as the daemon told them.") : null,
+      hasRecent && live ? h("p", { class: "quiet" }, "In it, dots are walks.") : null,
       live ? h("p", {}, h("a", { href: "report.html", download: true }, "All of this as one file")) : null,
     );
     this.element = h(
