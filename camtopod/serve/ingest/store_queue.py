@@ -14,17 +14,17 @@ from camtopod.serve.ingest.received import Received
 
 
 class StoreQueue:
-    """A queue; `take` and `done` are called from one thread, the others from any."""
+    """A queue; `take` and `done` are called from one thread, `put` from one at a time."""
 
     def __init__(self) -> None:
         self._ready: queue.SimpleQueue[Received] = queue.SimpleQueue()
-        self._batch_size = 0
+        self._put_count = self._stored_count = self._batch_size = 0
         self._is_closed = False
 
     @property
     def waiting(self) -> int:
         """Number of events that are not stored yet."""
-        return self._ready.qsize() + self._batch_size
+        return self._put_count - self._stored_count
 
     @property
     def is_finished(self) -> bool:
@@ -33,6 +33,7 @@ class StoreQueue:
 
     def put(self, ready: Sequence[Received]) -> None:
         """Append events."""
+        self._put_count += len(ready)
         for item in ready:
             self._ready.put(item)
 
@@ -58,4 +59,4 @@ class StoreQueue:
 
     def done(self) -> None:
         """Note that the events taken are stored."""
-        self._batch_size = 0
+        self._stored_count += self._batch_size

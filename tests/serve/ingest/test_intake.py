@@ -479,3 +479,20 @@ def test_three_hundred_cameras_come_back_at_once(bench: IntakeBench) -> None:
     assert bench.intake.counts["stored"] == 18_000
     assert bench.intake.counts["late"] == 0
     assert turns < 40
+
+
+# --- operators' commands --------------------------------------------------------------------------
+
+
+def test_events_wait_until_they_are_stored(
+    bench: IntakeBench, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A command is stored after the events that were received before it."""
+    waiting: list[int] = []
+    pause = "camtopod.serve.ingest.store_queue.time.sleep"
+    monkeypatch.setattr(pause, lambda _: waiting.append(bench.intake.queue.waiting))
+    bench.hello()
+    bench.store({1: -3})
+    assert waiting
+    assert 0 not in waiting
+    assert bench.intake.queue.waiting == 0
