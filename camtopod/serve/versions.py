@@ -83,9 +83,14 @@ class Versions:
         return not {camera.id for camera in version.cameras} & {*self.erased_names}
 
     def publish_newest(self) -> None:
-        """Publish the newest version again."""
-        for key in PARTS:
-            self._bus.publish(key, self.answer(key, {}), schema_of(key))
+        """Publish the newest version again, unless it may not be given."""
+        try:
+            parts = {key: self.answer(key, {}) for key in PARTS}
+        except QueryError as error:
+            log.warning("not published again: %s", error)
+            return
+        for key, part in parts.items():
+            self._bus.publish(key, part, schema_of(key))
 
     def learned(self, progress: LearnProgress, state: bytes) -> Learned:
         """Return what to store of the learner's progress, and to do once it is stored."""

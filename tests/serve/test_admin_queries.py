@@ -19,6 +19,7 @@ from camtopod.records import CameraFigures, Event, Recent
 from camtopod.serve.admin_queries import Done, command_of, parameters_of
 from camtopod.serve.bus import Bus, QueryError, TopologySubscriber
 from camtopod.serve.daemon import Daemon
+from camtopod.serve.ingest import Names, read_names
 from camtopod.serve.storage import Journal
 
 
@@ -125,6 +126,24 @@ def test_a_forgotten_camera_leaves_at_once_and_its_spool_empties(
     publisher.publish(*(fresh("b", 30 + n) for n in range(3)))
     wait_for(lambda: daemon.status().cameras.get("b", CameraFigures()).events == 3, "its events")
     assert daemon.status().names.forgotten == {}
+
+
+def killed_after(site: Site, daemon: Daemon, *commands: Command) -> Daemon:
+    """Kill the daemon when it has stored commands and learned none; start it again."""
+    daemon.stop()
+    with contextlib.closing(Journal(site.directory / "state")) as journal:
+        for command in commands:
+            names = Names(read_names(journal), lambda: NOW)
+            _, item, _ = names.prepare(command, set("abc"))
+            journal.commit([item.entry], meta=item.meta)
+    return site.daemon()
+
+
+def test_killed_between_forget_and_the_next_version_it_starts_again(site: Site) -> None:
+    daemon = site.daemon()
+    learned(daemon, site.client(daemon))
+    daemon = killed_after(site, daemon, Forget("b"))
+    wait_for(lambda: "b" not in cameras(daemon), "the next version")
 
 
 def test_events_of_a_forgotten_camera_are_not_kept_in_memory(site: Site) -> None:
