@@ -387,7 +387,7 @@ class Daemon:
 
     def _forget_cameras(self) -> None:
         """Let predictions and earlier versions forget cameras, too."""
-        self._versions.erased_names = self._intake.names.erased
+        self._versions.erased = self._intake.names.state.erased
         self._live.forget_cameras(self._intake.names.state.forgotten)
 
     def _join_bus(self, bus: Bus) -> None:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import logging
 import re
 import sqlite3
-from collections.abc import Callable, Collection
+from collections.abc import Callable, Mapping
 
 from msgspec.structs import replace
 
@@ -32,6 +32,9 @@ PARTS: dict[str, Callable[[Topology], Topology | VersionModel | None]] = {
 }
 """Part of a version, by the key of the bus, in the order in which they are published."""
 
+SINCE_KEY = "versions since"
+"""Key in the journal's ``meta`` of the first versions after cameras were forgotten."""
+
 
 def schema_of(key: str) -> str:
     """Return the name of the type of the messages on a key."""
@@ -51,8 +54,11 @@ class Versions:
         self._walks = walks
         self.newest: Topology | None = None
         """Its map."""
-        self.erased_names: Collection[str] = ()
-        """Cameras of which nothing is kept; earlier versions with one of them are not given."""
+        self.erased: Mapping[str, int] = {}
+        """Cameras, by the entry of the journal up to which nothing is kept of them."""
+        # Camera -> that entry, and epoch and number of the first version that was made after it.
+        since = (journal.meta(SINCE_KEY) or "{}").encode()
+        self._since = codec.read(dict[str, tuple[int, str, int]], since)
         if (version := newest_topology(journal)) is not None:
             live.use(Reader(version, walks))
             self.newest = map_of(version)
@@ -79,8 +85,14 @@ class Versions:
         raise QueryError(f"version {number} of epoch {epoch} is not kept")
 
     def _is_kept(self, version: Topology) -> bool:
-        """Return True if no camera of a version has been forgotten."""
-        return not {camera.id for camera in version.cameras} & {*self.erased_names}
+        """Return True unless a camera of a version has been forgotten after it was made."""
+        key = version.epoch, version.version
+        names = {camera.id for camera in version.cameras} & self.erased.keys()
+        return all(self._is_past(name) and self._since[name][1:] <= key for name in names)
+
+    def _is_past(self, name: str) -> bool:
+        """Return True if a version was made after the entry up to which a camera is erased."""
+        return name in self._since and self._since[name][0] == self.erased[name]
 
     def publish_newest(self) -> None:
         """Publish the newest version again, unless it may not be given."""
@@ -97,6 +109,7 @@ class Versions:
         # Prepare predictions here, as this takes long; others go on meanwhile.
         versions = [(version, _decoded(version)) for version in progress.versions]
         newest = versions[-1] if versions else None
+        meta = self._note_first(progress)
         reader = newest and Reader(newest[1], self._walks, newest[0].outside)
 
         def publish() -> None:
@@ -109,7 +122,20 @@ class Versions:
             [version.stored for version in progress.versions],
             Snapshot(progress.position, progress.epoch, state),
             publish,
+            meta,
         )
+
+    def _note_first(self, progress: LearnProgress) -> dict[str, str]:
+        """Note the first versions since cameras were erased; return what is to be stored of it."""
+        if not (self.erased and progress.versions):
+            return {}
+        first = progress.versions[0].stored
+        self._since = {
+            name: self._since[name] if self._is_past(name) else (number, first.epoch, first.version)
+            for name, number in self.erased.items()
+            if number <= progress.position
+        }
+        return {SINCE_KEY: codec.to_json(self._since).decode()}
 
     def _publish(self, version: NewVersion, topology: Topology) -> None:
         """Publish a version that is stored, with its delta, and log its alarms."""

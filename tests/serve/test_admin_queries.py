@@ -10,12 +10,21 @@ from pathlib import Path
 
 import msgspec
 import pytest
-from serving import T0, WAIT_SECONDS, all_out, closing_event, numbered, wait_for, walkers
+from serving import (
+    SPAN_SECONDS,
+    T0,
+    WAIT_SECONDS,
+    all_out,
+    closing_event,
+    numbered,
+    wait_for,
+    walkers,
+)
 from test_daemon import NOW, Site, caught_up, journal_of, put
 
 from camtopod import codec
 from camtopod.admin import Command, Forget, Rename, Reset, TakeBack
-from camtopod.records import CameraFigures, Event, Recent
+from camtopod.records import CameraFigures, Event, Recent, Topology
 from camtopod.serve.admin_queries import Done, command_of, parameters_of
 from camtopod.serve.bus import Bus, QueryError, TopologySubscriber
 from camtopod.serve.daemon import Daemon
@@ -134,7 +143,7 @@ def killed_after(site: Site, daemon: Daemon, *commands: Command) -> Daemon:
     with contextlib.closing(Journal(site.directory / "state")) as journal:
         for command in commands:
             names = Names(read_names(journal), lambda: NOW)
-            _, item, _ = names.prepare(command, set("abc"))
+            _, item, _ = names.prepare(command, set("abc"), len(journal) + 1)
             journal.commit([item.entry], meta=item.meta)
     return site.daemon()
 
@@ -144,6 +153,38 @@ def test_killed_between_forget_and_the_next_version_it_starts_again(site: Site) 
     learned(daemon, site.client(daemon))
     daemon = killed_after(site, daemon, Forget("b"))
     wait_for(lambda: "b" not in cameras(daemon), "the next version")
+
+
+def test_what_was_forgotten_is_gone_though_it_was_taken_back_at_once(site: Site) -> None:
+    daemon = site.daemon()
+    learned(daemon, site.client(daemon))
+    assert daemon.topology is not None
+    version = {"version": str(daemon.topology.version)}
+    daemon = killed_after(site, daemon, Forget("b"), TakeBack("b"))
+    wait_for(lambda: "b" not in cameras(daemon), "the next version")
+    bus = site.client(daemon)
+    assert "is not kept" in refusal(bus, "topology", version)
+
+    def raw_of(camera: str) -> set[bytes]:
+        entries = (entry for _, entry in daemon._journal.entries())
+        return {entry.raw for entry in entries if entry is not None and entry.camera == camera}
+
+    wait_for(lambda: raw_of("b") == {b""}, "its events to leave the journal")
+
+    # What it sends then is learned, stays, and is in versions, also after a start.
+    put(bus, Event("b", "entry", NOW - 5 * SPAN_SECONDS), fresh("c", 1), fresh("late", 1))
+    wait_for(lambda: daemon.status().events.stored == 3, "the events")
+    ask(bus, Forget("a"))
+    wait_for(lambda: cameras(daemon) & {"a", "b"} == {"b"}, "the version with it")
+    for _ in range(2):
+        assert raw_of("b") > {b""}
+        [(_, answer)] = bus.query("topology", seconds=WAIT_SECONDS, one=True)
+        newest = codec.read(Topology, answer, pack=True)
+        assert "b" in {camera.id for camera in newest.cameras}
+        assert "is not kept" in refusal(bus, "topology", version)
+        daemon.stop()
+        daemon = site.daemon()
+        bus = site.client(daemon)
 
 
 def test_events_of_a_forgotten_camera_are_not_kept_in_memory(site: Site) -> None:

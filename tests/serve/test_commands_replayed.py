@@ -32,10 +32,10 @@ def give(one: Installation, command: Command, learn: bool = True) -> None:
         command = Reset(command.t, one.epoch, one.new_epoch())
     names = Names(read_names(one.journal), lambda: 1.0)
     if isinstance(command, TakeBack):
-        received = names.prepare(Forget("x"), site)[1]
+        received = names.prepare(Forget("x"), site, len(one.journal) + 1)[1]
         one.journal.commit([received.entry], meta=received.meta)
     names.state = read_names(one.journal)
-    received = names.prepare(command, site)[1]
+    received = names.prepare(command, site, len(one.journal) + 1)[1]
     one.journal.commit([received.entry], meta=received.meta)
     if learn:
         one.run()
@@ -141,25 +141,43 @@ def test_other_declarations_begin_an_epoch(start: Start) -> None:
 
 def test_events_that_count_for_a_renamed_camera_are_not_erased() -> None:
     """Not even where its old name was taken back, and is forgotten as that of another camera."""
-    names = Names(NamesState(), lambda: 9.0)
-    for command, erased in (
-        (Forget("a"), {"a"}),
-        (Rename("b", "yard"), {"a"}),
-        (Forget("b", until=1.0), {"a"}),
-        (TakeBack("b"), {"a"}),
-        (Forget("b"), {"a"}),
-        (TakeBack("a"), set()),
+    state = NamesState()
+    for number, (command, erased) in enumerate(
+        [
+            (Forget("a"), {"a": 0}),
+            (Rename("b", "yard"), {"a": 0}),
+            (Forget("b", until=1.0), {"a": 0}),
+            (TakeBack("b"), {"a": 0}),
+            (Forget("b"), {"a": 0}),
+            (TakeBack("a"), {"a": 0}),
+            (Forget("a"), {"a": 6}),
+            (Rename("yard", "a"), {"a": 6}),
+            (Reset(3.0), {"a": 6}),
+            (Rename("a", "gate"), {"a": 6}),
+            (Forget("gate"), {"a": 10, "gate": 10}),
+        ]
     ):
-        names.state = carried_out(names.state, command, {"a", "b"}, 2.0)[0]
-        assert names.erased == erased, command
+        cameras = {"a", "b", "yard"} if number > 1 else {"a", "b"}
+        state = carried_out(state, command, cameras, 2.0, number)[0]
+        assert state.erased == erased, command
+
+
+def test_what_is_erased_follows_from_the_commands(start: Start) -> None:
+    one = start()
+    give(one, Forget("b"), learn=False)
+    give(one, TakeBack("x"), learn=False)
+    state = read_names(one.journal)
+    assert state.erased == {"b": 1, "x": 2}
+    one.journal._db.execute("DELETE FROM meta WHERE key = 'names'")
+    assert read_names(one.journal).erased == state.erased
 
 
 def test_what_the_old_name_sends_late_takes_no_declaration_away() -> None:
     """The daemon forgets the old name by itself once the camera sends under the new one."""
     state = NamesState()
-    state, _ = carried_out(state, Rename("b", "yard"), {"a", "b"}, 1.0)
-    state, _ = carried_out(state, Forget("b", until=1.0), {"b"}, 1.0)
-    state, _ = carried_out(state, Rename("yard", "gate"), {"a", "yard"}, 1.0)
+    state, _ = carried_out(state, Rename("b", "yard"), {"a", "b"}, 1.0, 1)
+    state, _ = carried_out(state, Forget("b", until=1.0), {"b"}, 1.0, 1)
+    state, _ = carried_out(state, Rename("yard", "gate"), {"a", "yard"}, 1.0, 1)
     assert present_names(state) == {"b": "gate", "yard": "gate"}
-    state, _ = carried_out(state, Forget("gate"), {"a", "gate"}, 2.0)
+    state, _ = carried_out(state, Forget("gate"), {"a", "gate"}, 2.0, 1)
     assert set(present_names(state).values()) == {""}

@@ -71,14 +71,15 @@ def test_nothing_is_kept_of_a_forgotten_camera_once_a_state_without_it_is(
     monkeypatch.setattr(journal_schema, "ERASED_ROWS_MAX", 3)
     yard = [Entry("event", "yard", None, None, b"raw"), Entry("future", "yard", "b", 1, b"raw")]
     command = Entry("command", "", None, None, b"forget yard")
+    again = Entry("event", "yard", "b", 2, b"raw")
     journal.commit([yard[0], entry(1), yard[1]], snapshot=Snapshot(3, "E", b"with"))
-    journal.commit([command, entry(2)])
-    assert not journal.forget(["yard"])
-    assert [one for _, one in journal.entries()] == [yard[0], entry(1), yard[1], command, entry(2)]
+    journal.commit([command, entry(2), again])
+    assert not journal.forget({"yard": 4})
+    assert [one for _, one in journal.entries()][:3] == [yard[0], entry(1), yard[1]]
 
     journal.commit([], snapshot=Snapshot(5, "E", b"without"))
-    assert journal.forget(["yard"])
-    assert not journal.forget(["yard"])
+    assert journal.forget({"yard": 4})
+    assert not journal.forget({"yard": 4})
     numbers = [Entry("refused", "yard", one.boot, one.seq, b"") for one in yard]
     assert [one for _, one in journal.entries()] == [
         numbers[0],
@@ -86,9 +87,10 @@ def test_nothing_is_kept_of_a_forgotten_camera_once_a_state_without_it_is(
         numbers[1],
         command,
         entry(2),
+        again,
     ]
     assert journal.snapshots() == [Snapshot(5, "E", b"without")]
-    assert journal.numbers() == {("lobby", "b1"): 2, ("yard", "b"): 1}
+    assert journal.numbers() == {("lobby", "b1"): 2, ("yard", "b"): 2}
 
 
 def test_a_directory_has_one_daemon(journal: Journal, tmp_path: Path) -> None:
@@ -249,7 +251,7 @@ def test_commands_are_kept_for_ever_and_the_oldest_entry_is_another(tmp_path: Pa
         journal.commit([entry(3)], snapshot=Snapshot(3, "E", b""), now=NOW + 9 * 86_400)
         journal.commit([], snapshot=Snapshot(4, "E", b""))
         journal.prune(NOW + 9 * 86_400)
-        assert journal.commands() == [(NOW, command)]
+        assert journal.commands() == [(2, NOW, command)]
         assert (journal.first(), kept(journal)) == (4, [4])
 
 

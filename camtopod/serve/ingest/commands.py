@@ -42,7 +42,6 @@ def execute(
         senders = {*intake.numbers.cameras, *cameras.status(), *cameras.heard()}
         if topology is not None:
             senders.update(camera.id for camera in topology.cameras)
-        names, item, effect = intake.names.prepare(command, senders)
 
         # Store it after the events received before.
         deadline = time.monotonic() + STORED_SECONDS_MAX
@@ -51,6 +50,8 @@ def execute(
                 reason = intake.writer.reason or "the disk does not answer"
                 raise CommandRefused(f"{reason}; nothing has changed, try again later")
             time.sleep(0.005)
+        number = intake.writer.next_number
+        names, item, effect = intake.names.prepare(command, senders, number)
         intake.writer.store_command(item.entry, item.meta)
 
         # Put it in force.

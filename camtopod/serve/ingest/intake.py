@@ -214,7 +214,7 @@ class Intake:
         self.queue.done()
         for name in {entry.camera for entry in entries}:
             self._answers.note_stored(name)
-        self.writer.prune(self.names.erased)
+        self.writer.prune(self.names.state.erased)
         return True
 
     def _take(self, name: str, content: bytes, reply: Reply, wall: float, now: float) -> None:

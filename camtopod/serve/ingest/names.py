@@ -46,6 +46,8 @@ class NamesState(Struct, frozen=True):
     shared: names that were taken back after they had ended, so that earlier events under them are
         another camera's.
     since (Unix seconds): when the site was reset; None if it never was.
+    erased: names that were ever forgotten, but for those with events of a renamed camera, each with
+        the number of the entry up to which nothing is kept of it: that of the command.
     """
 
     forgotten: dict[str, float] = {}
@@ -53,6 +55,7 @@ class NamesState(Struct, frozen=True):
     ended: dict[str, tuple[str, float]] = {}
     since: float | None = None
     shared: tuple[str, ...] = ()
+    erased: dict[str, int] = {}
 
 
 def read_names(journal: Journal) -> NamesState:
@@ -60,11 +63,11 @@ def read_names(journal: Journal) -> NamesState:
     if (content := journal.meta(NAMES_KEY)) is not None:
         return codec.read(NamesState, content.encode())
     state = NamesState()
-    for t, entry in journal.commands():
+    for number, t, entry in journal.commands():
         try:
             command = read_command(entry.raw)
             camera = getattr(command, "camera", getattr(command, "old", ""))
-            state, _ = carried_out(state, command, {camera}, t)
+            state, _ = carried_out(state, command, {camera}, t, number)
         except (codec.Rejected, CommandRefused) as error:
             log.error("a command in the journal is left out: %s", error)
     return state
@@ -93,12 +96,13 @@ def missing_names(
 
 
 def carried_out(
-    state: NamesState, command: Command, cameras: Set[str], now: float
+    state: NamesState, command: Command, cameras: Set[str], now: float, number: int
 ) -> tuple[NamesState, str]:
     """Return the state after a command, and its effect, as a sentence for the operator.
 
     cameras: those that have ever sent anything.
     now: Unix seconds.
+    number: that of the command's entry in the journal.
 
     Raises `CommandRefused`.
     """
@@ -106,15 +110,15 @@ def carried_out(
     camera_names = {state.aliases.get(name, name) for name in {*cameras, *state.aliases}}
     camera_names -= state.forgotten.keys()
     match command:
-        case Forget(camera, until):
-            return _forget(state, camera, until, camera_names, now)
+        case Forget(camera):
+            return _forget(state, command, camera_names, now, number)
         case TakeBack(camera):
             return _take_back(state, camera)
         case Rename(old, new):
             return _rename(state, old, new, camera_names)
         case Reset(t):
             return (
-                NamesState(since=t),
+                NamesState(since=t, erased=state.erased),
                 f"the site begins anew, in epoch {command.epoch}: no camera is known, no name is"
                 " forgotten, and events from before this moment are not learned",
             )
@@ -123,19 +127,24 @@ def carried_out(
 
 
 def _forget(
-    state: NamesState, camera: str, until: float | None, camera_names: Set[str], now: float
+    state: NamesState, command: Forget, camera_names: Set[str], now: float, number: int
 ) -> tuple[NamesState, str]:
+    camera, until = command.camera, command.until
     _require(camera, camera_names | state.aliases.keys())
 
     # Forget its old names, too: events under them would count for it.
     names = [camera, *(old for old, new in state.aliases.items() if new == camera)]
+    names += [old for old, (name, _) in state.ended.items() if name == camera]
     forgotten = dict.fromkeys(names, now) | state.forgotten
     aliases = {old: new for old, new in state.aliases.items() if old not in names}
-    ended = {old: end for old, end in state.ended.items() if end[0] != camera}
+    ended = {old: end for old, end in state.ended.items() if old not in names}
+    erased = state.erased
     if until is not None and camera in state.aliases:
         ended[camera] = (state.aliases[camera], until)
+    else:
+        erased = erased | {name: number for name in names if name not in state.shared}
     return (
-        replace(state, forgotten=forgotten, aliases=aliases, ended=ended),
+        replace(state, forgotten=forgotten, aliases=aliases, ended=ended, erased=erased),
         f"{camera} is forgotten: the next version is without it, and its events, also under an"
         f" older name, are refused until `camtopod forget --take-back {camera}`",
     )
@@ -210,14 +219,16 @@ class Names:
         self.refusals: Counter[str] = Counter()
         """Events refused since the start, by forgotten name; "" for those before the reset."""
 
-    def prepare(self, command: Command, cameras: Set[str]) -> tuple[NamesState, Received, str]:
+    def prepare(
+        self, command: Command, cameras: Set[str], number: int
+    ) -> tuple[NamesState, Received, str]:
         """Return the state after a command, its entry, and its effect in words.
 
         Raises `CommandRefused`.
 
-        cameras: those that have ever sent anything.
+        cameras, number: see `carried_out`.
         """
-        state, effect = carried_out(self.state, command, cameras, self._clock())
+        state, effect = carried_out(self.state, command, cameras, self._clock(), number)
         return state, command_received(command, {NAMES_KEY: codec.to_json(state).decode()}), effect
 
     def apply(self, item: Received) -> list[Received]:
@@ -228,8 +239,8 @@ class Names:
         """
         event = item.event
         if event is None:  # from the future, or invalid
-            is_erased = item.entry.camera in self.erased
-            return [item.only_number() if is_erased else item]
+            is_forgotten = item.entry.camera in self.state.forgotten
+            return [item.only_number() if is_forgotten else item]
         present_event = self.renamed(event)
         if present_event is None:
             return self._refuse(item, event)
@@ -256,12 +267,6 @@ class Names:
         """Return the present names of cameras, without forgotten ones. Any thread."""
         state = self.state
         return {state.aliases.get(name, name) for name in names} - state.forgotten.keys()
-
-    @property
-    def erased(self) -> set[str]:
-        """Forgotten names without events that count for a renamed camera. Any thread."""
-        state = self.state
-        return state.forgotten.keys() - state.ended.keys() - {*state.shared}
 
     def status(self) -> NamesStatus:
         """Return the part of the daemon's status about names. Any thread."""
@@ -293,6 +298,6 @@ class Names:
         items = []
         for old in [alias for alias, name in self.state.aliases.items() if name == first.camera]:
             log.info("%s sends under its new name: %s has ended", first.camera, old)
-            self.state, item, _ = self.prepare(Forget(old, first.t), {old})
+            self.state, item, _ = self.prepare(Forget(old, first.t), {old}, 0)  # erases nothing
             items.append(item)
         return items

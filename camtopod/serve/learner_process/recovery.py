@@ -78,7 +78,7 @@ def recover(
 
     # Entries that follow may begin further epochs, the last of which is the journal's.
     epochs = [
-        _epochs(entry) for _, entry in journal.commands(position) if entry.kind == "correction"
+        _epochs(entry) for *_, entry in journal.commands(position) if entry.kind == "correction"
     ]
     if epochs and epochs[-1][1] == epoch:
         epoch = epochs[0][0]
@@ -128,14 +128,14 @@ def event_time(
     """
     time = EventTime(learn.lateness_seconds, learn.ahead_seconds_max)
     time.load(recovery.progress.event_time)
-    for _, entry in journal.commands(recovery.position):
+    for *_, entry in journal.commands(recovery.position):
         with contextlib.suppress(codec.Rejected):  # by another version
             match read_command(entry.raw):
                 case Reset():
                     time.load(EventTimeState())
                 case Rewind(to):
                     time.rewind(microseconds(to))
-    for _, entry in journal.commands(recovery.position, "('waits')")[-1:]:
+    for *_, entry in journal.commands(recovery.position, "('waits')")[-1:]:
         time.wait_for(codec.read(set[str], entry.raw))
     for event in recent:
         time.note(microseconds(event.t), event.camera)

@@ -270,10 +270,10 @@ class Journal:
                 )
             return count > 0 and until <= oldest
 
-    def forget(self, cameras: Sequence[str]) -> bool:
+    def forget(self, cameras: Mapping[str, int]) -> bool:
         """Delete some of what is kept of forgotten cameras; return True if more is left.
 
-        As `prune`, it is called again and again.
+        As `prune`, it is called again and again. ``cameras``: the last entry to delete of each.
         """
         with self._access(), sqlite_file.transaction(self._db):
             return journal_schema.forget(self._db, cameras)
@@ -299,13 +299,13 @@ class Journal:
                 after = row[0]
                 yield row[0], Entry(*row[2:7]) if sound(row) else None
 
-    def commands(self, after: int = 0, kinds: str = _COMMANDS) -> list[tuple[float, Entry]]:
-        """Return the commands and corrections after an entry, and when they were stored.
+    def commands(self, after: int = 0, kinds: str = _COMMANDS) -> list[tuple[int, float, Entry]]:
+        """Return commands and corrections after an entry: number, when it was stored, entry.
 
         kinds: other kinds, in SQL. Raises `sqlite3.Error`.
         """
         rows = self._rows(f"entry WHERE id > ? AND kind IN {kinds} ORDER BY id", after)
-        return [(row[1], Entry(*row[2:7])) for row in rows]
+        return [(*row[:2], Entry(*row[2:7])) for row in rows]
 
     def skip(self, number: int) -> None:
         """Mark an entry, if there is one, as skipped. Raises `sqlite3.Error`."""

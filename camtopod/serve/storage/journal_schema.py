@@ -9,7 +9,7 @@ from __future__ import annotations
 import functools
 import logging
 import sqlite3
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from itertools import chain
 from pathlib import Path
 from typing import Any
@@ -32,7 +32,7 @@ should be few statements.
 ERASED_ROWS_MAX = 20_000
 """Most entries that are searched at a time for events of forgotten cameras."""
 ERASED_KEY = "erased"
-"""Key in ``meta``: the last command, and up to which entry forgotten cameras are erased since."""
+"""Key in ``meta``: the entry up to which forgotten cameras are to be erased, and are erased."""
 NAMES_KEY = "names"
 """Key in ``meta`` of forgotten and renamed cameras; see `camtopod.serve.ingest.names`."""
 
@@ -112,15 +112,17 @@ def insert(database: sqlite3.Connection, into: str, rows: Sequence[tuple[Any, ..
         database.execute(_values(into, len(chunk[0]), len(chunk)), [*chain.from_iterable(chunk)])
 
 
-def forget(database: sqlite3.Connection, cameras: Sequence[str]) -> bool:
+def forget(database: sqlite3.Connection, cameras: Mapping[str, int]) -> bool:
     """Delete some of what is kept of forgotten cameras; return True if more is left.
 
+    cameras: by name, the entry up to which nothing is kept.
+
     Of their events the numbers stay. Nothing is deleted before a state is kept that was made after
-    the last command; then older states, which contain the cameras, are deleted as well.
+    the last of these entries; then older states, which contain cameras, are deleted as well.
     """
-    ends = "SELECT (SELECT MAX(id) FROM entry WHERE kind = 'command'), MAX(position) FROM snapshot"
-    command, newest = database.execute(ends).fetchone()
-    if command is None or (newest or 0) < command:
+    command = max(cameras.values())
+    newest = database.execute("SELECT MAX(position) FROM snapshot").fetchone()[0] or 0
+    if newest < command:
         return False
     last, _, erased = (read_meta(database, ERASED_KEY) or "").partition(" ")
     after = int(erased) if last == str(command) else 0
@@ -133,7 +135,7 @@ def forget(database: sqlite3.Connection, cameras: Sequence[str]) -> bool:
         f" AND camera IN ({', '.join('?' * len(cameras))})",
         (after, until, *cameras),
     ).fetchall()
-    numbers = [(*row[:2], "refused", *row[2:], b"") for row in rows]
+    numbers = [(*row[:2], "refused", *row[2:], b"") for row in rows if row[0] <= cameras[row[2]]]
     insert(database, "INSERT OR REPLACE INTO entry", numbers)
     database.execute("DELETE FROM snapshot WHERE position < ?", (command,))
     write_meta(database, ERASED_KEY, f"{command} {until}")

@@ -11,7 +11,7 @@ import collections
 import logging
 import sqlite3
 import threading
-from collections.abc import Callable, Collection, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import NamedTuple
 
 from camtopod.serve.runtime import Beat, Clock, no_beat
@@ -24,11 +24,13 @@ class Learned(NamedTuple):
     """What the learner has made in a step, to be stored in one transaction.
 
     publish: called once it is stored.
+    meta: see `Journal.commit`.
     """
 
     versions: list[StoredVersion]
     snapshot: Snapshot
     publish: Callable[[], None]
+    meta: Mapping[str, str] = {}
 
 
 class JournalWriter:
@@ -65,6 +67,9 @@ class JournalWriter:
         results = [self._results.popleft() for _ in range(len(self._results))]
         versions = [version for result in results for version in result.versions]
         snapshot = results[-1].snapshot if results else None
+        meta = dict(meta or {})
+        for result in results:
+            meta |= result.meta
 
         # Retry until it succeeds, or until the daemon stops.
         while True:
@@ -88,14 +93,19 @@ class JournalWriter:
         self._too_much = self._too_much or bool(results)
         return new
 
+    @property
+    def next_number(self) -> int:
+        """Number of the entry that is stored next."""
+        return len(self._journal) + 1
+
     def store_command(self, entry: Entry, meta: Mapping[str, str]) -> None:
         """Commit an operator's command at once, or raise `sqlite3.Error`: it is not tried again."""
         self._journal.commit([entry], now=self._clock(), meta=meta)
 
-    def prune(self, cameras: Collection[str] = ()) -> None:
+    def prune(self, cameras: Mapping[str, int]) -> None:
         """After a snapshot, delete some of what is kept for too long, the rest in later calls.
 
-        cameras: names of cameras of which nothing is kept.
+        cameras: see `Journal.forget`.
         """
         if not self._too_much:
             return
@@ -103,6 +113,6 @@ class JournalWriter:
         try:
             self._too_much = self._journal.prune(self._clock())
             if cameras:
-                self._too_much |= self._journal.forget(sorted(cameras))
+                self._too_much |= self._journal.forget(cameras)
         except sqlite3.Error as error:
             log.warning("cannot delete old entries of the journal: %s; trying again later", error)
