@@ -382,7 +382,8 @@ class Daemon:
         # Learning, and what predictions remember.
         self._on_progress(recovery.progress)
         self._learning = LearnerFeeder(recovery, process, self._journal, self._on_progress)
-        self._live.remember(recent)
+        erased = self._intake.names.state.erased
+        self._live.remember([event for n, event in recent if n > erased.get(event.camera, 0)])
         self._forget_cameras()
 
     def _forget_cameras(self) -> None:

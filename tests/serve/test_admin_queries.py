@@ -196,7 +196,13 @@ def test_events_of_a_forgotten_camera_are_not_kept_in_memory(site: Site) -> None
     ask(bus, Forget("b"))
     assert recent_cameras(bus) == set("ac")
     daemon.stop()
-    assert recent_cameras(site.client(site.daemon())) == set("ac"), "nor made again at a start"
+    daemon = site.daemon()
+    bus = site.client(daemon)
+    assert recent_cameras(bus) == set("ac"), "nor made again at a start"
+
+    ask(bus, TakeBack("b"))
+    daemon.stop()
+    assert recent_cameras(site.client(site.daemon())) == set("ac"), "it begins anew"
 
 
 def test_a_command_is_in_force_when_it_is_stored_and_not_before(

@@ -9,7 +9,6 @@ from __future__ import annotations
 import contextlib
 import logging
 from collections.abc import Callable, Sequence
-from operator import attrgetter
 from typing import NamedTuple
 
 import msgspec
@@ -120,11 +119,11 @@ def _epochs(entry: Entry) -> tuple[str, str]:
 
 
 def event_time(
-    journal: Journal, recovery: Recovered, learn: LearnSettings, recent: Sequence[Event]
+    journal: Journal, recovery: Recovered, learn: LearnSettings, recent: Sequence[tuple[int, Event]]
 ) -> EventTime:
     """Return event time as the learner will have it after the stored entries.
 
-    recent: the newest events since the last correction.
+    recent: see `recent_events`.
     """
     time = EventTime(learn.lateness_seconds, learn.ahead_seconds_max)
     time.load(recovery.progress.event_time)
@@ -137,7 +136,7 @@ def event_time(
                     time.rewind(microseconds(to))
     for *_, entry in journal.commands(recovery.position, "('waits')")[-1:]:
         time.wait_for(codec.read(set[str], entry.raw))
-    for event in recent:
+    for _, event in recent:
         time.note(microseconds(event.t), event.camera)
     return time
 
@@ -154,16 +153,16 @@ def newest_topology(journal: Journal) -> Topology | None:
         return None
 
 
-def recent_events(journal: Journal) -> list[Event]:
-    """Return the newest events since the last correction, by time."""
-    events: list[Event] = []
-    for _, entry in journal.entries(after=max(0, len(journal) - RECENT_ENTRIES)):
+def recent_events(journal: Journal) -> list[tuple[int, Event]]:
+    """Return the newest events since the last correction, with their numbers, by time."""
+    events: list[tuple[int, Event]] = []
+    for number, entry in journal.entries(after=max(0, len(journal) - RECENT_ENTRIES)):
         if entry is not None and entry.kind == "correction":
             events.clear()
         elif entry is not None and entry.kind == "event":
             with contextlib.suppress(codec.Rejected):  # accepted by another version
-                events.append(codec.event_from_bytes(entry.raw))
-    return sorted(events, key=attrgetter("t"))
+                events.append((number, codec.event_from_bytes(entry.raw)))
+    return sorted(events, key=lambda pair: pair[1].t)
 
 
 def read_failure(journal: Journal) -> Failure:
