@@ -76,6 +76,12 @@ def followed(view: TopologySubscriber, daemon: Daemon) -> bool:
     return held is not None and newest is not None and held.digest == newest.digest
 
 
+def raw_of(daemon: Daemon, camera: str) -> set[bytes]:
+    """Return what the journal has of a camera's events."""
+    entries = (entry for _, entry in daemon._journal.entries())
+    return {entry.raw for entry in entries if entry is not None and entry.camera == camera}
+
+
 def fresh(camera: str, number: int, kind: str = "entry") -> Event:
     """Return an event after all that `learned` has sent."""
     return Event(camera, kind, NOW - 100.0 + number, 0.5, 0.5, str(number))  # type: ignore[arg-type]
@@ -109,13 +115,8 @@ def test_a_forgotten_camera_leaves_at_once_and_its_spool_empties(
     wait_for(lambda: followed(view, daemon), "it to be followed")
     assert "b" not in daemon.status().cameras
     wait_for(lambda: "is not kept" in refusal(bus, "topology", {"version": version}), "a refusal")
-
-    def raw_of(camera: str) -> set[bytes]:
-        entries = (entry for _, entry in daemon._journal.entries())
-        return {entry.raw for entry in entries if entry is not None and entry.camera == camera}
-
-    wait_for(lambda: raw_of("b") == {b""}, "its events to leave the journal")
-    assert b"" not in raw_of("a")
+    wait_for(lambda: raw_of(daemon, "b") == {b""}, "its events to leave the journal")
+    assert b"" not in raw_of(daemon, "a")
 
     # Its events are refused, and leave the spool; those of others are learned.
     publisher = site.publisher()
@@ -155,6 +156,18 @@ def test_killed_between_forget_and_the_next_version_it_starts_again(site: Site) 
     wait_for(lambda: "b" not in cameras(daemon), "the next version")
 
 
+def test_erasing_goes_on_after_a_start(site: Site, monkeypatch: pytest.MonkeyPatch) -> None:
+    daemon = site.daemon()
+    learned(daemon, site.client(daemon))
+    with monkeypatch.context() as patch:
+        patch.setattr(Journal, "forget", lambda *given: True)
+        ask(site.client(daemon), Forget("b"))
+        wait_for(lambda: "b" not in cameras(daemon), "the next version")
+        daemon.stop()
+    daemon = site.daemon()
+    wait_for(lambda: raw_of(daemon, "b") == {b""}, "its events to leave the journal", 5.0)
+
+
 def test_what_was_forgotten_is_gone_though_it_was_taken_back_at_once(site: Site) -> None:
     daemon = site.daemon()
     learned(daemon, site.client(daemon))
@@ -164,12 +177,7 @@ def test_what_was_forgotten_is_gone_though_it_was_taken_back_at_once(site: Site)
     wait_for(lambda: "b" not in cameras(daemon), "the next version")
     bus = site.client(daemon)
     assert "is not kept" in refusal(bus, "topology", version)
-
-    def raw_of(camera: str) -> set[bytes]:
-        entries = (entry for _, entry in daemon._journal.entries())
-        return {entry.raw for entry in entries if entry is not None and entry.camera == camera}
-
-    wait_for(lambda: raw_of("b") == {b""}, "its events to leave the journal")
+    wait_for(lambda: raw_of(daemon, "b") == {b""}, "its events to leave the journal")
 
     # What it sends then is learned, stays, and is in versions, also after a start.
     put(bus, Event("b", "entry", NOW - 5 * SPAN_SECONDS), fresh("c", 1), fresh("late", 1))
@@ -177,7 +185,7 @@ def test_what_was_forgotten_is_gone_though_it_was_taken_back_at_once(site: Site)
     ask(bus, Forget("a"))
     wait_for(lambda: cameras(daemon) & {"a", "b"} == {"b"}, "the version with it")
     for _ in range(2):
-        assert raw_of("b") > {b""}
+        assert raw_of(daemon, "b") > {b""}
         [(_, answer)] = bus.query("topology", seconds=WAIT_SECONDS, one=True)
         newest = codec.read(Topology, answer, pack=True)
         assert "b" in {camera.id for camera in newest.cameras}

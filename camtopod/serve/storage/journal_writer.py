@@ -40,8 +40,8 @@ class JournalWriter:
         self._journal = journal
         self._clock = clock
         self._results: collections.deque[Learned] = collections.deque()
-        # True if the journal may hold more than its retention.
-        self._too_much = False
+        # True if the journal may hold more than its retention, as at a start.
+        self._too_much = True
         self.reason = ""
         """Reason why nothing is stored at the moment, or ""."""
 
