@@ -1,8 +1,8 @@
 """Memory of passages: of objects that are in a view (open passages), and of those that just left.
 
 A passage is known by the track of its object: it begins with the entry and ends with the exit of
-the same track at the same camera. Predictions and walks remember their open passages in the same
-way, `OpenPassages`, each in its own: predictions hear an event at once, walks in order of time.
+the same track at the same camera, whichever of the two is heard first. Predictions and walks
+remember their open passages in the same way, `OpenPassages`, each in its own.
 """
 
 from __future__ import annotations
@@ -105,6 +105,16 @@ class RecentPassages:
         that ended then.
         """
 
+    def begin(self, camera: str, track: str, t: float, passage: Passage) -> bool:
+        """Begin a passage at ``t`` by the camera's clock; return False if its exit was heard."""
+        ended_at, ended_passage = self._ended_passages.get((camera, track), (-math.inf, None))
+        if ended_at > t or (ended_at == t and ended_passage is None):
+            self._ended_passages[camera, track] = ended_at, passage
+            self._note_last_exit(camera, track, ended_at, passage)
+            return False
+        self.open.begin(camera, track, passage)
+        return True
+
     def end(self, camera: str, track: str, t: float) -> Passage | None:
         """End the passage of a track at ``t`` by the camera's clock; return it if it was open."""
         passage = self.open.end(camera, track)
@@ -190,10 +200,12 @@ class RecentPassages:
 
     def _note_last_exit(self, camera: str, track: str, t: float, passage: Passage | None) -> None:
         """Add an exit to the newest exits of its camera, or let it replace earlier ones."""
-        if camera not in self._last_exits or self._last_exits[camera][0] != t:
-            self._last_exits[camera] = t, []
-        if passage is not None:
-            self._last_exits[camera][1].append((track, passage))
+        newest, ended_passages = self._last_exits.get(camera, (-math.inf, []))
+        if t > newest:
+            ended_passages = []
+            self._last_exits[camera] = t, ended_passages
+        if t >= newest and passage is not None:
+            ended_passages.append((track, passage))
 
 
 def _moved(passage: Passage, new_zones: dict[int, int], labels: dict[int, int]) -> Passage:

@@ -281,8 +281,7 @@ class Predictor:
 
         # Since the exit, as far as they are reported by the moment of the question.
         if departure.elapsed:
-            offsets = self.prepared.offset_of
-            report_t = arrivals.t + (offsets[arrivals.zone] - offsets[zone])
+            report_t = self._reported(zone)
             since = (report_t >= t) & (report_t <= t + departure.elapsed)
             rows = np.concatenate((rows, np.flatnonzero(since)))
             if len(arrivals.t) == RECENT_MAX:  # older ones may have been forgotten
@@ -297,6 +296,12 @@ class Predictor:
             memory_start,
             self._reporting.is_alive(),
         )
+
+    def _reported(self, zone: int) -> Floats:
+        """Return the times (n,) of all arrivals as if by the clock of a zone's camera, seconds."""
+        offsets = self.prepared.offset_of
+        times: Floats = self._arrivals.t + (offsets[self._arrivals.zone] - offsets[zone])
+        return times
 
     def _arrivals_before(self, zone: int, t: float, start: float) -> Rows:
         """Return the arrivals (rows) that may be of an object leaving at a zone.
@@ -350,12 +355,12 @@ class Predictor:
         previous = max(causes, key=causes.__getitem__, default=None)
         sure = causes[previous] / rate if previous is not None else 0.0
         passage = Passage(t, event.camera, zone, previous, sure, label)
-        self._passages.open.begin(event.camera, str(event.track), passage)
-        self._add_simultaneous_cause(passage)
+        if self._passages.begin(event.camera, str(event.track), event.t, passage):
+            self._add_in_view(passage, np.flatnonzero(self._arrivals.t >= t))
         self._passages.forget_stale(t)
 
     def _observe_exit(self, event: Event, zone: int, t: float) -> None:
-        """Store an exit, and add it to the possible causes of arrivals before it.
+        """Store an exit, and add it to the possible causes of arrivals that were heard before it.
 
         zone, t: index of the zone, and corrected time, as of `_observe_entry`.
         """
@@ -365,28 +370,33 @@ class Predictor:
         label = self.prepared.labels.number(event.label, (passage or UNKNOWN).label)
         self._exits.append(t, zone, label)
 
-        # The hazard of the exit takes the place of the rate of an object in view.
-        arrivals = self._arrivals
-        rows = self._arrivals_before(zone, t, (passage or UNKNOWN).t)
+        # The hazard of the exit takes the place of the rate of an object in view; after the exit,
+        # of all that follows from the entry, too.
+        arrivals, labels = self._arrivals, self.prepared.labels
+        rows_before = self._arrivals_before(zone, t, (passage or UNKNOWN).t)
+        rows_after = np.flatnonzero(self._reported(zone) > t)
+        rows = np.concatenate((rows_before, rows_after))
         targets = arrivals.zone[rows]
-        labels, arrival_labels = self.prepared.labels, arrivals.label[rows]
         rates = self.prepared.hazards.rates_from(zone, targets, arrivals.t[rows] - t)
-        arrivals.rate[rows] += rates * labels.agreement(label, arrival_labels, targets)
+        arrivals.rate[rows] += rates * labels.agreement(label, arrivals.label[rows], targets)
         if passage is not None:
+            targets = arrivals.zone[rows_before]
             rates = self.prepared.hazards.rates_before_exit(event.camera, targets)
-            arrivals.rate[rows] -= rates * labels.agreement(passage.label, arrival_labels, targets)
+            rates *= labels.agreement(passage.label, arrivals.label[rows_before], targets)
+            arrivals.rate[rows_before] -= rates
+            self._add_in_view(passage, rows_after, -1.0)
 
-    def _add_simultaneous_cause(self, passage: Passage) -> None:
-        """Add a passage that begins to the causes of arrivals in other views at the same time."""
-        arrivals = self._arrivals
-        for row in range(len(arrivals.t) - 1, -1, -1):
-            if arrivals.t[row] != passage.t:
-                break
-            target = int(arrivals.zone[row])
-            if self.zones[target].camera != passage.camera:
-                arrivals.rate[row] += self.prepared.rate_in_view(
-                    passage, target, passage.t, int(arrivals.label[row])
-                )
+    def _add_in_view(self, passage: Passage, rows: Rows, factor: float = 1.0) -> None:
+        """Add the rates of an object in view, times a factor, to arrivals in other views."""
+        arrivals, camera_of = self._arrivals, self.prepared.camera_of
+        rows = rows[camera_of[arrivals.zone[rows]] != camera_of[passage.entry]]
+        if not len(rows):
+            return
+        hazards, targets = self.prepared.hazards, arrivals.zone[rows]
+        rates = hazards.rates_before_exit(passage.camera, targets)
+        rates += hazards.rates_entered(passage.entry, targets, arrivals.t[rows] - passage.t)
+        agreement = self.prepared.labels.agreement(passage.label, arrivals.label[rows], targets)
+        arrivals.rate[rows] += factor * rates * agreement
 
     def _causes(self, zone: int, t: float, label: int) -> dict[str, float]:
         """Return, by camera, the rate (1/s) at which objects known from it arrive at a zone.
@@ -413,7 +423,7 @@ class Predictor:
         for camera in hazards.rates_before(zone):
             for passage in self._passages.open.of(camera).values() if camera != own_camera else ():
                 rate = self.prepared.rate_in_view(passage, zone, t, label)
-                if rate:
+                if rate and passage.t <= t:
                     causes[camera] = causes.get(camera, 0.0) + rate
         return causes
 

@@ -60,6 +60,11 @@ class WalkStep:
         self.expected: ExitOutlook | None = None
         """Outlook after the exit; None until the first candidate needs it."""
 
+    def begin_as(self, step: WalkStep) -> None:
+        """Take the entry of another step; this one was known by its exit alone."""
+        self.t, self.name, self.entry, self.entry_t = step.t, step.name, step.entry, step.entry_t
+        self.expected = None
+
     @property
     def walk(self) -> str:
         """Name of its walk: that of the oldest passage before it that is remembered."""

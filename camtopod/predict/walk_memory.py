@@ -7,6 +7,7 @@ its name and what it continues, so that walks keep theirs for an hour (`WalkMemo
 from __future__ import annotations
 
 import itertools
+import math
 from collections import deque
 from collections.abc import Collection, Iterable
 
@@ -27,11 +28,13 @@ EVENTS_MAX = 200_000
 
 
 class WalkMemory:
-    """Passages by camera and by zone; events come in order of time."""
+    """Passages by camera and by zone; events come about in order of time."""
 
     def __init__(self) -> None:
         self.open: OpenPassages[WalkStep] = OpenPassages()
         """Passages in view; one without a track has its name as that."""
+        self._ended_steps: dict[tuple[str, str], WalkStep] = {}
+        """The newest passages that ended, by (camera, track), as far as they may be continued."""
         self.steps_by_exit: dict[int, deque[WalkStep]] = {}
         """The newest passages by zone of exit, oldest first."""
         self.recent: deque[WalkStep] = deque()
@@ -48,7 +51,9 @@ class WalkMemory:
         return _steps(itertools.chain(self._past_events, self._events))
 
     def begin(self, event: Event, entry: int | None, t: float) -> WalkStep:
-        """Return a new passage that begins with an event, under a name of its own.
+        """Return the passage that begins with an event, under a name of its own.
+
+        It is a new one, or that of an exit that was heard before its entry.
 
         entry: index of the zone of entry; None if unknown.
         t (seconds): corrected time of the event.
@@ -58,14 +63,21 @@ class WalkMemory:
         name = next(name for name in names if name not in self._names)
         track = None if event.track is None else str(event.track)
         step = WalkStep(event.camera, track, event.t, name, entry, t)
-        step.label = event.label
+        ended_step = self._ended_steps.get((event.camera, track or ""))
+        if event.kind == "entry" and ended_step and event.t <= ended_step.t == ended_step.exit_t:
+            self._names.discard(ended_step.name)
+            ended_step.begin_as(step)
+            step = ended_step
+        step.label = step.label or event.label
         self._events.append((event.t, step))
         self._names.add(name)
         return step
 
     def add_open(self, step: WalkStep) -> None:
-        """Add a passage that has begun to those in view."""
-        self.open.begin(step.camera, step.track or step.name, step)
+        """Add a passage that has begun to those in view, unless its exit was heard."""
+        ended_step = self._ended_steps.get((step.camera, step.track or ""), step)
+        if step.exit_t is None and (ended_step.exit_t or -math.inf) <= step.t:
+            self.open.begin(step.camera, step.track or step.name, step)
 
     def end(self, step: WalkStep, zone: int | None, t: float) -> None:
         """Add the exit of a passage.
@@ -75,6 +87,8 @@ class WalkMemory:
         """
         step.exit_t = t
         self._events.append((t, step))
+        if step.track:
+            self._ended_steps[step.camera, step.track] = step
         if zone is not None:
             step.zone = zone
             self.steps_by_exit.setdefault(zone, deque(maxlen=CANDIDATES_MAX)).append(step)
@@ -115,6 +129,8 @@ class WalkMemory:
     def _release(self, step: WalkStep) -> None:
         """Release the state that matching needs of a passage."""
         step.is_final = True
+        if self._ended_steps.get(key := (step.camera, step.track or "")) is step:
+            del self._ended_steps[key]
         if step in (zone_steps := self.steps_by_exit.get(step.zone, deque())):
             zone_steps.remove(step)
         step.edges, step.claims, step.expected = [], {}, None
@@ -130,6 +146,9 @@ class WalkMemory:
             for events in (self._events, self._past_events)
         )
         self.recent = deque(step for step in self.recent if step.name not in names)
+        self._ended_steps = {
+            key: step for key, step in self._ended_steps.items() if key[0] not in cameras
+        }
         self._names -= names
         for camera in cameras:
             for key in list(self.open.of(camera)):

@@ -40,7 +40,7 @@ UNSEEN_IN_VIEW = 0.5
 
 
 class Walks:
-    """The walks of the last hour, by one version of the topology; events come in order of time."""
+    """The walks of the last hour, by one version; events come about in order of time."""
 
     def __init__(
         self,
@@ -103,7 +103,10 @@ class Walks:
             return None
         if zone is not None:
             step.outside = float(self._outside[zone])
-            for edge in self._likely(step, self._candidates(step, zone), t):
+            edges = self._candidates(step, zone)
+            if step.exit_t is not None:  # heard before
+                edges = [edge for edge in edges if edge.source.entry_t < t]
+            for edge in self._likely(step, edges, t):
                 edge.add()
             self._settle(step, t)
         self._memory.add_open(step)
@@ -263,7 +266,7 @@ class Walks:
                 continue
             for source_step in list(self._memory.open.of(camera).values())[-CANDIDATES_MAX:]:
                 rate = self._rate_in_view(source_step, step)
-                if rate > 0.0:
+                if rate > 0.0 and source_step.entry_t <= t:
                     edges.append(WalkEdge(source_step, step, step.camera, rate))
         return self._with_simultaneous(edges, step, zone)
 
