@@ -9,8 +9,9 @@ another zone before, or comes from outside, at a constant rate. All values are l
     gate_gone(...) ln of 1     an object that left there is not seen again, or not yet
 
 ``gate - gate_new - gate_gone`` is the log odds that an exit and an entry belong to one object
-rather than to two. `Gate.affinity` computes it for many; the matching with the largest sum is the
-most likely of all. `affinity` uses links only, except on a site that nobody leaves.
+rather than to two. `Gate.affinity` computes it for many, by links only: who may appear anywhere
+counts as gone, and as from outside, except on a site that nobody leaves. The matching with the
+largest sum is the most likely of all.
 """
 
 from __future__ import annotations
@@ -21,7 +22,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from camtopod.arrays import Floats, Rows
+from camtopod.arrays import Floats
 from camtopod.codec import require_event
 from camtopod.predict import (
     Departure,
@@ -90,11 +91,8 @@ class Gate:
         if not math.isfinite(lag):
             raise ValueError(f"t_exit {t_exit} and t_entry {t_entry}: finite numbers of seconds")
         answer = outlook(self.prepared, Departure(source))
-        lags = np.full(len(zones), lag)
-        link_density = self._log_density(answer, zones, lags)
-        density = log_density(self.prepared, answer, zones, lags)
-        by_link = link_density > density - math.log(2.0)
-        return float(np.logaddexp.reduce(np.where(by_link, link_density, density)))
+        density = log_density(self.prepared, answer, zones, np.full(len(zones), lag))
+        return float(np.logaddexp.reduce(density))
 
     def gate_new(self, to_camera: str, to_zone: str | None = None) -> float:
         """Return ln of the rate (1/s) at which objects from outside appear at a camera or zone.
@@ -161,6 +159,7 @@ class Gate:
         until = max([*exit_t, *entry_t.tolist()]) if now is None else now
 
         # Row of each exit: the transition against leaving the site and an arrival from outside.
+        links_only = not self.prepared.anywhere.nobody_leaves
         new = np.log(self._outside)[to]
         labels = self.prepared.labels
         entry_labels = np.array([labels.number(entries[k].label) for k in columns])
@@ -175,16 +174,13 @@ class Gate:
                 passage = None if entry is None else self._passage(entry)
                 block = block_of(event.x, event.y)
                 answer = outlook(self.prepared, Departure(zone, exit_t[row], passage, block))
-                density = self._log_density(answer, to, entry_t - exit_t[row])
-                odds[row, columns] = density - new - _log_unseen(answer, until - exit_t[row])
+                lags = entry_t - exit_t[row]
+                density = log_density(self.prepared, answer, to, lags, links_only)
+                log_unseen = _log_unseen(answer, until - exit_t[row], links_only)
+                odds[row, columns] = density - new - log_unseen
                 label = labels.number(event.label or (entry or event).label)
                 odds[row, columns] += np.log(labels.agreement(label, entry_labels, to))
         return odds
-
-    def _log_density(self, answer: Outlook, zones: Rows, lag: Floats) -> Floats:
-        """Return the `log_density` of links; on a site that nobody leaves, of all appearances."""
-        by_link = not self.prepared.anywhere.nobody_leaves
-        return log_density(self.prepared, answer, zones, lag, by_link)
 
     def _corrected(self, event: Event) -> float:
         """Return the corrected time of an event."""
@@ -206,9 +202,9 @@ class Gate:
         return zone_at(self.topology.version, self.topology.zones, zone, camera)
 
 
-def _log_unseen(answer: Outlook, seconds: float) -> float:
-    """Return ln of the probability of not having been seen some seconds after the exit."""
-    return math.log(float(answer.unseen(np.array([seconds]))[0]))
+def _log_unseen(answer: Outlook, seconds: float, links_only: bool = False) -> float:
+    """Return ln of the `Outlook.unseen` of some seconds after the exit."""
+    return math.log(float(answer.unseen(np.array([seconds]), links_only)[0]))
 
 
 def _entry_of(event: Event, entries: Sequence[Event]) -> Event | None:

@@ -23,6 +23,7 @@ from bench.support.prediction_scores import next_entries
 from camtopod.client import Gate, UnknownPlace
 from camtopod.learn.learner import Learner
 from camtopod.learn.settings import Settings
+from camtopod.predict import anywhere
 from camtopod.predict.predictor import Predictor
 from camtopod.records import (
     TOPOLOGY_SCHEMA,
@@ -117,8 +118,14 @@ def test_clocks_that_are_ahead_are_taken_into_account() -> None:
     assert odds == pytest.approx(right.affinity([LEFT], [came("b", 1008.0)]))
 
 
-def test_odds_are_those_of_one_object_against_two() -> None:
+def test_odds_are_those_of_one_object_against_two(monkeypatch: pytest.MonkeyPatch) -> None:
+    """By links: who may appear anywhere counts as gone, and as from outside."""
+    exits, entries = [LEFT], [came("b", 1009.0), came("c", 1021.0, None)]
+    by_links = Gate(THREE).affinity(exits, entries, now=1e9)
+    monkeypatch.setattr(anywhere, "surplus", lambda departures, leave, cameras: 0.0)
     gate = Gate(THREE)
+    assert by_links == pytest.approx(gate.affinity(exits, entries, now=1e9))
+
     exits = [LEFT, replace(LEFT, t=1004.0, x=0.9)]
     entries = [came("b", 1009.0), came("c", 1021.0, None), came("a", 1030.0, 0.9)]
     odds = gate.affinity(exits, entries)

@@ -14,6 +14,7 @@ from camtopod.client import Gate
 from camtopod.learn.recording import learn_topology
 from camtopod.predict import Departure, Predictor, PreparedVersion, log_density, outlook
 from camtopod.records import Topology
+from camtopod.words import sum_by_camera
 
 
 def agree(topology: Topology) -> None:
@@ -27,11 +28,38 @@ def agree(topology: Topology) -> None:
         assert prediction.leave + sum(probabilities) == pytest.approx(1.0, abs=1e-6)
 
 
+def sums(topology: Topology) -> None:
+    """Check the integrals of `Gate.gate` from the busiest zones against the `Predictor`."""
+    prepared = PreparedVersion(topology)
+    gate, predictor = Gate(topology, prepared), Predictor(topology, prepared)
+    exits = [zone.exits for zone in topology.zones]
+    for zone in np.argsort(exits)[-2:].tolist():
+        record, answer = topology.zones[zone], outlook(prepared, Departure(zone))
+        delays = [0.0] if answer.table is None else np.unique(answer.table.outcomes.delay)
+        edges = np.unique([prepared.hazards.bins.edges + delay for delay in delays])
+        edges = np.unique(np.append(edges, [0.0, prepared.longest_lag]))
+        lags = list(zip(edges[:-1].tolist(), np.diff(edges).tolist(), strict=True))
+        prediction = predictor.predict_from(zone, topology.as_of + 10.0)
+        expected = sum_by_camera(prediction.next)
+        left_t = prepared.clock_offset[record.camera]
+        total = math.exp(gate.gate_gone(record.id))
+        for camera, ahead in prepared.clock_offset.items():
+            integral = sum(
+                math.exp(gate.gate(record.id, left_t, camera, lag + width / 2 + ahead)) * width
+                for lag, width in lags
+            )
+            assert integral == pytest.approx(expected.get(camera, 0.0), abs=1e-3)
+            total += integral
+        assert total == pytest.approx(1.0, abs=1e-3)
+
+
 @pytest.mark.parametrize("kind", ["hall", "crowd", "walkway", "road", "short"])
 def test_the_gate_and_a_fresh_predictor_agree_on_recordings(kind: str) -> None:
     """Nothing is switched off: overlapping views, paths, doubt, and what may be anywhere."""
     events, _ = REGIMES[kind].make(1, 0.1)
-    agree(learn_topology(events[:4000]))
+    topology = learn_topology(events[:4000])
+    agree(topology)
+    sums(topology)
 
 
 @settings(max_examples=30)
