@@ -40,6 +40,7 @@ class CityPredictor:
 
     def observe(self, event: Event) -> None:
         """Observe an event; see `Predictor.observe`."""
+        require_event(event)
         for part in self._hearers.get(event.camera, ()):
             self._predictors[part].observe(event)
 

@@ -20,6 +20,7 @@ from camtopod import codec
 from camtopod.records import Match, Prediction
 from camtopod.serve.bus import JSON, Bus, QueryError
 from camtopod.serve.city_bus import CityBus
+from camtopod.serve.live_predictions import asked_exit
 from camtopod.topology import UnknownPlace
 from camtopod.web.feed import Feed
 from camtopod.web.outbox import PageQueues
@@ -132,10 +133,12 @@ class Api:
         """Return the daemon's prediction for an exit: `ASKED` are those of ``predict/{camera}``."""
         parameters = dict(request.query_params)
         camera = parameters.pop("camera", "")
-        if not codec.is_camera(camera):
-            return error(400, "camera: the id of the camera whose view the object left")
         if unknown := sorted(set(parameters) - set(ASKED)):
             return error(400, f"unknown parameter {unknown[0][:20]!r}: use {', '.join(ASKED)}")
+        try:
+            asked_exit(camera, parameters, 0.0)
+        except QueryError as refusal:
+            return error(400, str(refusal))
         newest, names = self._feed.topology, self._feed.names()
         if newest is not None and camera not in names:
             return error(404, str(UnknownPlace("camera", camera, newest.version, sorted(names))))

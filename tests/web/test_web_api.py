@@ -101,7 +101,7 @@ def test_a_prediction_is_the_daemon_s(api: str, learned_daemon: LearnedDaemon) -
 
 def test_a_wrong_question_is_answered_with_what_is_wrong(api: str) -> None:
     for query, said in (
-        ("predict", "the id of the camera"),
+        ("predict", "Expected a camera id"),
         ("predict?camera=a&place=3", "unknown parameter 'place': use zone, x, y, t, now, label"),
         ("predict?camera=a&zone=b/1", "has no zone of a called 'b/1'; there are a/"),
         ("predict?camera=a&zone=a/1%3Bt=5", "an id of the topology or a number"),
