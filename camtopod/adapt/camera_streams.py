@@ -26,7 +26,7 @@ SILENT_SECONDS = 2.5
 """Time without a frame after which a camera's objects have left.
 
 Many cameras send nothing while the view is empty. An exit that waited for the next frame would be
-told too late. Of those that do send then, frames are late.
+late. Of those that do send then, frames are late.
 """
 
 Box = tuple[float, float, float, float]

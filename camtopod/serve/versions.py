@@ -126,7 +126,7 @@ class Versions:
         )
 
     def _note_first(self, progress: LearnProgress) -> dict[str, str]:
-        """Note the first versions since cameras were erased; return what is to be stored of it."""
+        """Note the first versions since cameras were erased; return the rows of `meta` for it."""
         if not (self.erased and progress.versions):
             return {}
         first = progress.versions[0].stored
