@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import cv2
 import numpy as np
 import pytest
 from rendered_scenes import FPS, HEIGHT, WIDTH, Person, Picture, Place, Scene, line
 
-from camtopod.vision.detect.blank_areas import blank_pixels, shown_part
+from camtopod.vision.detect.blank_areas import blank_pixels
 from camtopod.vision.pipeline import ViewPipeline
 from camtopod.vision.settings import VisionSettings
 
@@ -96,6 +98,47 @@ def test_the_edge_of_a_picture_between_bars_is_the_edge_of_the_view(
         assert event.x == pytest.approx(x, abs=0.12)
 
 
+def circle(picture: Picture) -> None:
+    """Leave the picture of a fisheye lens in the middle, 9/16 as high as the picture is wide."""
+    radius = WIDTH * 9 / 32
+    y, x = np.mgrid[:HEIGHT, :WIDTH] + 0.5
+    picture[(x - WIDTH / 2) ** 2 + (y - HEIGHT / 2) ** 2 > radius**2] = 0
+
+
+def quarter(picture: Picture) -> None:
+    """Take away the upper left one of four tiles."""
+    picture[: HEIGHT // 2, : WIDTH // 2] = 0
+
+
+@pytest.mark.parametrize(
+    ("front", "a", "b"),
+    [
+        *[(circle, (x, y), (1 - x, y)) for x, y in ((0.26, 0.3), (0.23, 0.6), (0.27, 0.75))],
+        (circle, (0.4, 0.86), (0.6, 0.17)),
+        (quarter, (1.0, 0.45), (0.5, 0.45)),
+        (quarter, (0.2, 1.0), (0.2, 0.5)),
+        (quarter, (0.0, 0.85), (1.0, 0.85)),
+        (quarter, (0.75, 1.0), (0.75, 0.0)),
+    ],
+)
+def test_what_is_shown_at_all_is_the_view(
+    front: Callable[[Picture], None], a: Place, b: Place
+) -> None:
+    """People pass from one edge of what is shown, at a foot point, to another, and back.
+
+    Of many rows and columns less than half is shown.
+    """
+    a_out, b_out = (
+        (p[0] + 0.3 * (p[0] - q[0]), p[1] + 0.3 * (p[1] - q[1])) for p, q in ((a, b), (b, a))
+    )
+    there, back = line(5.0, a_out, b_out, 8.0), line(15.0, b_out, a_out, 8.0)
+    people = [Person(there, 0.15, shade=20, seed=1), Person(back, 0.15, shade=235, seed=2)]
+    events = Scene(people, noise=0.0, front=front).events(26.0)
+    assert [event.kind for event in events] == ["entry", "exit"] * 2
+    for event, (x, y) in zip(events, (a, b, b, a), strict=True):
+        assert (event.x, event.y) == pytest.approx((x, y), abs=0.15)
+
+
 def test_what_shows_nothing_is_blank() -> None:
     rng = np.random.default_rng(3)
     frames = [rng.normal(30, 3, (90, 160)).clip(0, 255).astype(np.uint8) for _ in range(9)]
@@ -107,7 +150,6 @@ def test_what_shows_nothing_is_blank() -> None:
     blank = blank_pixels(frames) > 0
     assert blank[:20, :150].all()
     assert not blank[20:].any()
-    assert shown_part(~blank) == (0.0, 20.0, 160.0, 90.0)
     assert not blank_pixels([np.zeros((90, 160), np.uint8)] * 3).any()  # a covered lens
     ground = Scene([], noise=0.0, light=lambda t: 0.1).picture(0.0)  # a codec drops the noise
     assert not blank_pixels([ground] * 9).any()

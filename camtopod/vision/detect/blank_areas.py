@@ -12,8 +12,6 @@ from math import hypot
 import cv2
 import numpy as np
 
-from camtopod.arrays import Bools
-from camtopod.vision.boxes import Box
 from camtopod.vision.detect.background import Luma
 
 LEVEL_MAX = 40
@@ -46,7 +44,7 @@ def blank_pixels(frames: Sequence[Luma]) -> Luma:
     levels = np.bincount(_border(highest)[_border(steady)], minlength=1)
     off = np.abs(highest.astype(np.int16) - int(levels.argmax()))
     blank = (steady & (off <= RANGE_MAX)).astype(np.uint8)
-    side = round(WIDTH_MIN * hypot(*blank.shape))
+    side = round(WIDTH_MIN * hypot(*blank.shape)) | 1  # an even one would move the areas
     square = np.ones((side, side), np.uint8)
     blank = cv2.morphologyEx(
         blank, cv2.MORPH_OPEN, square, borderType=cv2.BORDER_CONSTANT, borderValue=(0,)
@@ -62,17 +60,3 @@ def blank_pixels(frames: Sequence[Luma]) -> Luma:
 def _border(image: Luma) -> Luma:
     """Return the pixels at the border of an image (H, W)."""
     return np.concatenate((image[0], image[-1], image[:, 0], image[:, -1]))
-
-
-def shown_part(mask: Bools) -> Box:
-    """Return the part (left, top, right, bottom) of a picture that shows something, pixels.
-
-    mask (H, W): True where it does. Rows and columns count of which half is shown.
-    """
-    columns, rows = mask.mean(axis=0) > 0.5, mask.mean(axis=1) > 0.5
-    return (
-        float(columns.argmax()),
-        float(rows.argmax()),
-        float(len(columns) - columns[::-1].argmax()),
-        float(len(rows) - rows[::-1].argmax()),
-    )

@@ -21,7 +21,7 @@ import numpy as np
 from camtopod.vision.boxes import Box, pixels
 from camtopod.vision.detect import shake
 from camtopod.vision.detect.background import MEDIAN_SAMPLES, Background, Luma
-from camtopod.vision.detect.blank_areas import blank_pixels, shown_part
+from camtopod.vision.detect.blank_areas import blank_pixels
 from camtopod.vision.detect.object_contrast import ObjectContrast
 from camtopod.vision.detect.swaying import Swaying
 from camtopod.vision.detect.wiener import NOISE_TO_FILTER, temporal_noise, wiener
@@ -127,7 +127,8 @@ class MotionDetector:
         self.watched_mask = cv2.subtract(
             watched_pixels(self._settings.ignore, *frames[0].shape), blank
         )
-        self._picture_view = shown_part(blank == 0)
+        left, top, width, height = cv2.boundingRect(255 - blank)
+        self._picture_view = (float(left), float(top), float(left + width), float(top + height))
         scene = frames[len(frames) // 2]
         shifts = [shake.shift(frame, scene, self.watched_mask) for frame in frames]
         self.shake = sum(shifts) / len(shifts)

@@ -15,7 +15,6 @@ import numpy.typing as npt
 
 from camtopod.vision.boxes import Box
 from camtopod.vision.detect.background import Luma
-from camtopod.vision.detect.blank_areas import shown_part
 
 Map = npt.NDArray[np.float64]
 """Affine map from places of the scene to those of an image, (3, 3)."""
@@ -94,9 +93,17 @@ def _residual(image: Luma, scene: Luma, weight_mask: Luma) -> float:
 def view(scene: Luma, by: Map) -> Box:
     """Return the part (left, top, right, bottom) of ``scene`` that an image shows, pixels.
 
+    Rows and columns count of which half is shown.
     by: the map from the scene to the image.
     """
-    return shown_part(warped(np.full_like(scene, 255), np.zeros_like(scene), by) != 0)
+    shown = warped(np.full_like(scene, 255), np.zeros_like(scene), by) != 0
+    columns, rows = shown.mean(axis=0) > 0.5, shown.mean(axis=1) > 0.5
+    return (
+        float(columns.argmax()),
+        float(rows.argmax()),
+        float(len(columns) - columns[::-1].argmax()),
+        float(len(rows) - rows[::-1].argmax()),
+    )
 
 
 def warped(image: Luma, scene: Luma, by: Map) -> Luma:
