@@ -139,6 +139,36 @@ def test_what_is_shown_at_all_is_the_view(
         assert (event.x, event.y) == pytest.approx((x, y), abs=0.15)
 
 
+@pytest.mark.parametrize("seconds", [0.1, 10.0])
+def test_who_walks_where_the_picture_was_black_at_first_is_counted(seconds: float) -> None:
+    """The upper half is as dark as a side of a yard at night, then it has light."""
+
+    class Yard(Scene):
+        def picture(self, t: float) -> Picture:
+            picture = super().picture(t)
+            light = np.interp(t, [20.0, 20.0 + seconds], [0.01, 1.0])
+            picture[: HEIGHT // 2] = (picture[: HEIGHT // 2] * light).astype(np.uint8)
+            return picture
+
+    people = [
+        Person(line(t, (-0.05, y), (1.05, y), 6.0), 0.2, seed=seed)
+        for seed, (t, y) in enumerate([(6.0, 0.9), (45.0, 0.9), (55.0, 0.4)])
+    ]
+    assert kinds(Yard(people, noise=0.3), 65.0) == ["entry", "exit"] * 3
+
+
+def test_a_text_or_headlights_where_nothing_is_shown_change_nothing() -> None:
+    scene, pipeline = barred(0.15, 16), ViewPipeline("cam", VisionSettings())
+    for k in range(round(30 * FPS)):
+        picture = scene.picture(k / FPS)
+        if k / FPS > 8.0:
+            picture[:20, :20] = 200
+        if 10.0 < k / FPS < 16.0:
+            picture[:, :28] = 90
+        pipeline.process(k / FPS, picture)
+    assert pipeline.statistics()["relearned"] == 0
+
+
 def test_what_shows_nothing_is_blank() -> None:
     rng = np.random.default_rng(3)
     frames = [rng.normal(30, 3, (90, 160)).clip(0, 255).astype(np.uint8) for _ in range(9)]

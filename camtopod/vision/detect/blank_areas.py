@@ -2,6 +2,7 @@
 
 These are areas at the border of the picture that are black, all of one level that never changes,
 unlike the dark parts of a scene. They count as ignored areas: objects that move into one leave.
+Once they show something, as the dark side of a yard does by day, the scene is learned anew.
 """
 
 from __future__ import annotations
@@ -11,6 +12,7 @@ from math import hypot
 
 import cv2
 import numpy as np
+import numpy.typing as npt
 
 from camtopod.vision.detect.background import Luma
 
@@ -31,6 +33,12 @@ WIDTH_MIN = 0.025
 
 A narrower one changes nothing: objects that near to the border of the picture are at the border.
 """
+SHOWN_SHARE = 0.25
+"""Share of the blank pixels that show something, such as one tile of several, not a text alone."""
+SHOWN_SECONDS = 8.0
+"""Time for which they have to show something; headlights pass."""
+_STRIDE = 8
+"""Rows and columns (pixels) from one that is looked at again to the next."""
 _NEIGHBOURS = np.ones((3, 3), np.uint8)
 
 
@@ -60,3 +68,27 @@ def blank_pixels(frames: Sequence[Luma]) -> Luma:
 def _border(image: Luma) -> Luma:
     """Return the pixels at the border of an image (H, W)."""
     return np.concatenate((image[0], image[-1], image[:, 0], image[:, -1]))
+
+
+class BlankAreas:
+    """The blank areas of one scene, as long as they show nothing."""
+
+    def __init__(self, mask: Luma, frame: Luma) -> None:
+        """Begin with the blank pixels, those of a mask (H, W) that are not 0, as in ``frame``."""
+        self._is_blank = mask[::_STRIDE, ::_STRIDE] != 0
+        self._levels = self._looked_at(frame)
+        self._shown_seconds = 0.0
+
+    def _looked_at(self, frame: Luma) -> npt.NDArray[np.int16]:
+        """Return the levels of the pixels that are looked at, (pixels,)."""
+        return np.asarray(frame[::_STRIDE, ::_STRIDE][self._is_blank], np.int16)
+
+    def are_shown(self, frame: Luma, dt: float) -> bool:
+        """Return True if they have shown something for long, up to ``frame``.
+
+        dt: time from the last frame, seconds.
+        """
+        changes = np.abs(self._looked_at(frame) - self._levels)
+        is_shown = np.count_nonzero(changes >= STEP_MIN) > SHOWN_SHARE * len(changes)
+        self._shown_seconds = self._shown_seconds + dt if is_shown else 0.0
+        return self._shown_seconds > SHOWN_SECONDS

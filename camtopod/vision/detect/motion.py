@@ -21,7 +21,7 @@ import numpy as np
 from camtopod.vision.boxes import Box, pixels
 from camtopod.vision.detect import shake
 from camtopod.vision.detect.background import MEDIAN_SAMPLES, Background, Luma
-from camtopod.vision.detect.blank_areas import blank_pixels
+from camtopod.vision.detect.blank_areas import BlankAreas, blank_pixels
 from camtopod.vision.detect.object_contrast import ObjectContrast
 from camtopod.vision.detect.swaying import Swaying
 from camtopod.vision.detect.wiener import NOISE_TO_FILTER, temporal_noise, wiener
@@ -123,10 +123,10 @@ class MotionDetector:
     def bootstrap(self, frames: list[Luma]) -> None:
         """Take the median of ``frames`` (some of them) as the settled scene."""
         frames = frames[:: -(-len(frames) // MEDIAN_SAMPLES)]
+        watched_mask = watched_pixels(self._settings.ignore, *frames[0].shape)
         blank = blank_pixels(frames)
-        self.watched_mask = cv2.subtract(
-            watched_pixels(self._settings.ignore, *frames[0].shape), blank
-        )
+        self.watched_mask = cv2.subtract(watched_mask, blank)
+        self._blank_areas = BlankAreas(cv2.bitwise_and(blank, watched_mask), frames[-1])
         left, top, width, height = cv2.boundingRect(255 - blank)
         self._picture_view = (float(left), float(top), float(left + width), float(top + height))
         scene = frames[len(frames) // 2]
@@ -161,6 +161,10 @@ class MotionDetector:
         Returns None if light or another scene hides the objects. If the image has changed for good,
         the detector is not `ready` then; the caller forgets its objects and bootstraps again.
         """
+        if self._blank_areas.are_shown(frame, dt):
+            self._learn_anew()
+            return None
+
         # If the camera shakes, the frame is aligned with the scene in the light of the last one.
         if self.shake > SHAKE_PIXELS:
             self._map = shake.aligning(frame, self._expected, self._settled_mask, self._map)
@@ -193,8 +197,7 @@ class MotionDetector:
         if self._has_changed(moving_mask):
             self._changed_seconds += dt
             if self._changed_seconds > CHANGED_SECONDS:
-                self.ready = False
-                self.relearn_count += 1
+                self._learn_anew()
             return None
         self._changed_seconds = 0.0
 
@@ -224,9 +227,13 @@ class MotionDetector:
             self._held_map, self._held_seconds = self._map, 0.0
         self._held_seconds += dt
         if self._held_seconds > HELD_SECONDS:
-            self.ready = False
-            self.relearn_count += 1
+            self._learn_anew()
         return not self.ready
+
+    def _learn_anew(self) -> None:
+        """End this scene."""
+        self.ready = False
+        self.relearn_count += 1
 
     def _has_changed(self, moving_mask: Luma) -> bool:
         """Return True if most of the image differs, or a large part of it since the last frame."""
