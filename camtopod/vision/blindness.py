@@ -11,7 +11,7 @@ Cause = Literal["light", "contrast", "turning"]
 
 light: it changes large parts of the picture.
 contrast: the scene has hardly any.
-turning: the view is another one for the third time within minutes.
+turning: the scene was learned anew for the third time within minutes.
 """
 
 BLIND_SECONDS = 10.0
@@ -34,8 +34,8 @@ REASONS: dict[Cause, str] = {
         "the picture too bright, or is there too little light?"
     ),
     "turning": (
-        "the scene changes again and again, as when a camera turns or strong light comes and goes: "
-        "let the camera stand still"
+        "the scene changes again and again, as when a camera turns, strong light comes and goes or "
+        "large vehicles halt: let the camera stand still, with a wider view"
     ),
 }
 """Words for each cause."""

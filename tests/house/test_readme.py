@@ -246,10 +246,10 @@ def test_tracks_are_handed_over_without_a_daemon() -> None:
     for kind, name in (("exit", "exits"), ("entry", "entries")):
         names[name] = [event for event in events[-60:] if event.kind == kind]
     exec(block_with("Gate("), names)
+    assert len(names["pairs"]) > 5
     assert all(
         names["exits"][row].camera != names["entries"][column].camera
-        for row, column in zip(*names["pairs"], strict=True)
-        if names["odds"][row, column] > 0
+        for row, column in names["pairs"]
     )
 
 
