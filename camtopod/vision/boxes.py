@@ -95,16 +95,15 @@ def touches_border(box: Box, view: Box) -> bool:
     return min(border_distances(box, view)) <= TOUCH_PIXELS
 
 
-def to_border(box: Box, other_boxes: Sequence[Box], size: Size, reach: float) -> Box:
-    """Return the box with each side moved to the border of an image that is within ``reach``
+def to_border(box: Box, other_boxes: Sequence[Box], view: Box, reach: float) -> Box:
+    """Return the box with each side moved to the border of a view that is within ``reach``
     pixels of it, if one of the others touches the border there.
     """
-    ends = (0.0, 0.0, float(size[0]), float(size[1]))
     left, top, right, bottom = (
         end
         if abs(value - end) <= reach
         and any(abs(neighbour[side] - end) <= TOUCH_PIXELS for neighbour in other_boxes)
         else value
-        for side, (value, end) in enumerate(zip(box, ends, strict=True))
+        for side, (value, end) in enumerate(zip(box, view, strict=True))
     )
     return (left, top, right, bottom)

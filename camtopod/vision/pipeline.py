@@ -189,7 +189,12 @@ class ViewPipeline:
         is_trusted = False
         if self._detector is not None:
             objects = self._detector.step(
-                t, image, motion.moving_mask, blobs, [track.box for track in self._tracker.active]
+                t,
+                image,
+                motion,
+                self._motion.view,
+                blobs,
+                [track.box for track in self._tracker.active],
             )
             is_trusted = self._detector.result.is_trusted
         frame_view = FrameView(t, self._motion.view, self._newest_t, is_trusted)

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from coloured_scenes import FACTOR, SETTINGS, ColouredScene
 from onnx_models import write_model
-from rendered_scenes import HEIGHT, WIDTH, Person, Place, line
+from rendered_scenes import FPS, HEIGHT, WIDTH, Person, Place, line
 
 from camtopod.codec import to_json
 from camtopod.records import Event
@@ -19,9 +19,9 @@ from camtopod.vision.boxes import Box, area, box_height, common_area
 from camtopod.vision.detect import Blob
 from camtopod.vision.detector.detector import Detector
 from camtopod.vision.detector.model import Detection, DetectorModel, Image as Picture
-from camtopod.vision.detector.trust import Trust
-from camtopod.vision.pipeline import FIRST_IMAGES_PER_SECOND, ViewPipeline
-from camtopod.vision.settings import DetectorSettings
+from camtopod.vision.detector.trust import Trust, objects
+from camtopod.vision.pipeline import FIRST_IMAGES_PER_SECOND, Analysis, ViewPipeline
+from camtopod.vision.settings import DetectorSettings, VisionSettings
 
 SIDE_BY_SIDE = (
     Person(line(5.0, (-0.05, 0.7), (1.05, 0.7), 8.0), seed=1),
@@ -97,11 +97,9 @@ class Timed(Detector):
         super().__init__(model, settings)
         self.drawn = model
 
-    def step(
-        self, t: float, image: Picture, moving: Picture, blobs: list[Blob], tracked: Sequence[Box]
-    ) -> list[Blob] | None:
+    def step(self, t: float, *frame: Any) -> list[Blob] | None:
         self.drawn.t = t
-        return super().step(t, image, moving, blobs, tracked)
+        return super().step(t, *frame)
 
 
 def drawn(scene: ColouredScene, rate: float = 7.0, **faults: Any) -> Timed:
@@ -277,6 +275,48 @@ def test_the_first_pictures_are_examined_too() -> None:
     )
     assert kinds(scene.events(14, None)) == ["entry", "exit"]
     assert kinds(scene.events(14, trusted(scene))) == ["entry", "entry", "exit", "exit"]
+
+
+def test_the_boxes_are_those_of_the_scene_after_the_camera_has_turned() -> None:
+    """It trembles by a pixel and turns from 4 s to 8 s; one who walks to and fro is followed."""
+    margin, turn = 20, 12
+    scene = ColouredScene([Person(lambda t: (0.5 + 0.3 * np.sin(t / 2), 0.8), tall=0.4)])
+    column, offs = 0, []
+
+    class Shown(Drawn):
+        def infer(self, picture: Picture, crop: Box) -> list[Detection]:
+            return [
+                detection._replace(box=tuple(np.subtract(detection.box, [FACTOR * column, 0] * 2)))
+                for detection in super().infer(picture, crop)
+            ]
+
+    def observe(seen: Analysis) -> None:
+        if seen.t > 12.0:
+            left = scene.boxes(seen.t)[0][0] / FACTOR
+            offs.extend(track.last.box[0] - left + margin for track in seen.tracks)
+
+    turning = Timed(Shown(scene), DetectorSettings("m.onnx", looks_per_second_max=7.0))
+    turning.trust = trusted(ColouredScene(ALONE)).trust
+    settings = VisionSettings(working_width=WIDTH - 2 * margin)
+    view = ViewPipeline("cam", settings, observe, turning)
+    rng = np.random.default_rng(4)
+    for k in range(round(16 * FPS)):
+        t = k / FPS
+        column = margin + round(turn * min(max((t - 4) / 4, 0.0), 1.0)) + int(rng.integers(-1, 2))
+        columns = slice(FACTOR * column, FACTOR * (column + WIDTH - 2 * margin))
+        picture = np.ascontiguousarray(scene.picture(t)[:, columns])
+        view.process(t, cv2.cvtColor(picture, cv2.COLOR_BGR2GRAY), picture)
+    assert len(offs) > 20
+    assert abs(np.median(offs)) < 2.0
+
+
+def test_a_box_ends_at_the_edge_of_what_is_shown_if_its_motion_does() -> None:
+    moving = np.zeros((HEIGHT, WIDTH), np.uint8)
+    moving[60:100, 20:40] = 255
+    blob = Blob(20.0, 60.0, 40.0, 100.0, 30.0)
+    person = Detection((24.0, 60.0, 40.0, 100.0), 0.8, "person")
+    [cut_person], _ = objects([person], moving, [blob], [], (20.0, 0.0, 172.0, 144.0), 0.5)
+    assert cut_person.box == blob.box
 
 
 # --- where it is not trusted ---------------------------------------------------------------------

@@ -13,6 +13,8 @@ from camtopod.vision.detect.blobs import (
 )
 from camtopod.vision.detect.motion import (
     DIFFERENCE_MIN as DIFFERENCE_MIN,
+    Motion as Motion,
     MotionDetector as MotionDetector,
 )
+from camtopod.vision.detect.shake import moved as moved
 from camtopod.vision.detect.shrink import shrunk as shrunk

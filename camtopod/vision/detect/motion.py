@@ -76,6 +76,8 @@ class Motion:
 
     frame: Luma
     """The frame, aligned with the scene if the camera shakes."""
+    by: shake.Map
+    """The map from the scene to the frame as it was."""
     moving_mask: Luma
     """Changed pixels without shadows and reflections."""
     change_mask: Luma
@@ -171,8 +173,9 @@ class MotionDetector:
             if self._stands_elsewhere(frame, dt):
                 return None
             frame = shake.warped(frame, self._expected, self._map)
-            shift = shake.length(self._map, frame.shape)
+            shift, by = shake.length(self._map, frame.shape), self._map
         else:
+            by = shake.IDENTITY
             shift = shake.shift(frame, self._expected, self._settled_mask)
         self.shake += _NOISE_RATE * (shift - self.shake)
         expected = self._background.expected(frame, self._settled_mask, self.noise)
@@ -215,7 +218,7 @@ class MotionDetector:
         # Opening removes lines, such as outlines of furniture.
         solid[part] = cv2.morphologyEx(solid[part], cv2.MORPH_OPEN, _CROSS)
         is_plain = contrast < _PLAIN_SHARE * least
-        return Motion(frame, solid, moving_mask, differs, expected, light < 1.0, is_plain)
+        return Motion(frame, by, solid, moving_mask, differs, expected, light < 1.0, is_plain)
 
     def _stands_elsewhere(self, frame: Luma, dt: float) -> bool:
         """Return True if the camera stands still, but not where the scene is: it is learned anew.

@@ -122,6 +122,18 @@ def warped(image: Luma, scene: Luma, by: Map) -> Luma:
     )
 
 
+def moved(box: Box, by: Map, shape: tuple[int, ...]) -> Box:
+    """Return a box of the scene as an image of ``shape`` shows it, pixels; its turn is left out.
+
+    by: the map from the scene to the image; with the inverse, a box of the image in the scene.
+    """
+    middle = np.array([shape[1], shape[0]]) / 2
+    corners = (np.array(box).reshape(2, 2) - middle) @ by[:2, :2].T
+    corners += by[:2, 2] * max(shape) / 2 + middle
+    left, top, right, bottom = corners.ravel().tolist()
+    return (left, top, right, bottom)
+
+
 def length(by: Map, shape: tuple[int, ...]) -> float:
     """Return how far (pixels) a map moves the middle of an image of ``shape``."""
     return hypot(by[0, 2], by[1, 2]) * max(shape) / 2

@@ -11,8 +11,10 @@ import time
 from collections.abc import Sequence
 from typing import NamedTuple, Protocol
 
+import numpy as np
+
 from camtopod.vision.boxes import Box, Size, scaled
-from camtopod.vision.detect import Blob, Luma
+from camtopod.vision.detect import Blob, Motion, moved
 from camtopod.vision.detector.crops import crop_around
 from camtopod.vision.detector.model import Detection, Image
 from camtopod.vision.detector.trust import Trust, objects
@@ -34,7 +36,7 @@ class InferenceModel(Protocol):
 
 
 class DetectorResult(NamedTuple):
-    """What the detector found in a frame, in pixels of the working image."""
+    """What the detector found in a frame, in pixels of the scene at working size."""
 
     detections: Sequence[Detection] = ()
     is_trusted: bool = False
@@ -62,7 +64,8 @@ class Detector:
         self,
         t: float,
         image: Image | None,
-        moving_mask: Luma,
+        motion: Motion,
+        view: Box,
         blobs: list[Blob],
         track_boxes: Sequence[Box],
     ) -> list[Blob] | None:
@@ -70,8 +73,9 @@ class Detector:
 
         image (H, W, 3): blue, green, red; larger than the working image, or as large. None if it
             was not kept.
-        moving_mask (h, w): mask of moving pixels of the working image.
-        blobs, track_boxes: motion and tracks, pixels of the working image.
+        motion: the same frame against the scene, at working size.
+        view: part of the scene that it shows; this and what follows in pixels of the scene.
+        blobs, track_boxes: motion and tracks.
         """
         is_trusted = self.trust.is_trusted
         regions = [*(blob.box for blob in blobs), *track_boxes]
@@ -83,9 +87,10 @@ class Detector:
 
         # One inference on all that moves or is tracked.
         self._due = max(self._due + 1.0 / self._settings.looks_per_second_max, t)
-        factor = image.shape[1] / moving_mask.shape[1]
+        shape = motion.frame.shape
+        factor = image.shape[1] / shape[1]
         crop = crop_around(
-            [scaled(box, factor) for box in regions],
+            [scaled(moved(box, motion.by, shape), factor) for box in regions],
             (image.shape[1], image.shape[0]),
             self._model.size,
         )
@@ -93,14 +98,17 @@ class Detector:
         model_detections = self._model.infer(image, crop)
         self._inference_seconds += time.perf_counter() - start
         self._inferences += 1
+        back = np.asarray(np.linalg.inv(motion.by), np.float64)
         detections = [
-            detection._replace(box=scaled(detection.box, 1 / factor))
+            detection._replace(box=moved(scaled(detection.box, 1 / factor), back, shape))
             for detection in model_detections
         ]
 
         # Is it trusted? Then its boxes are the objects.
-        boxes, outside = objects(detections, moving_mask, blobs, track_boxes, self._settings.score)
-        self.trust.add(float((moving_mask != 0).mean()), outside)
+        boxes, outside = objects(
+            detections, motion.moving_mask, blobs, track_boxes, view, self._settings.score
+        )
+        self.trust.add(float((motion.moving_mask != 0).mean()), outside)
         self.result = DetectorResult(detections, self.trust.is_trusted, self.trust.share)
         return boxes if self.trust.is_trusted else blobs
 

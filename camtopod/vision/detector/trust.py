@@ -60,6 +60,7 @@ def objects(
     moving_mask: Luma,
     blobs: Sequence[Blob],
     track_boxes: Sequence[Box],
+    view: Box,
     score_min: float,
 ) -> tuple[list[Blob], float]:
     """Return the objects of a trusted detector, and the moving area that they do not explain.
@@ -71,12 +72,12 @@ def objects(
 
     moving_mask (H, W): mask of moving pixels of the working image; boxes are in its pixels, areas
         in shares of it.
+    view: part of the scene that the image shows, pixels.
     """
-    height, width = moving_mask.shape
     free_pixels = moving_mask != 0
     result = []
     for detection in sorted(detections, key=lambda detection: -detection.score):
-        part = free_pixels[pixels(detection.box, (height, width))]
+        part = free_pixels[pixels(detection.box, moving_mask.shape)]
         begins = detection.score >= score_min and bool(
             part.sum() >= FILL_SHARE_MIN * max(part.size, 1)
         )
@@ -84,6 +85,6 @@ def objects(
             part[:] = False
             motion = [blob.box for blob in blobs if overlap(blob.box, detection.box) >= OVERLAP_MIN]
             reach = BORDER_HEIGHTS * box_height(detection.box)
-            box = to_border(detection.box, motion, (width, height), reach)
+            box = to_border(detection.box, motion, view, reach)
             result.append(Blob(*box, centre(box)[0], begins, label=detection.label))
     return result, float(free_pixels.mean())
