@@ -5,7 +5,7 @@ from __future__ import annotations
 import itertools
 from collections import Counter
 from collections.abc import Callable, Sequence
-from math import dist, inf
+from math import dist
 from typing import NamedTuple
 
 from camtopod.records import Event
@@ -100,7 +100,6 @@ class ViewPipeline:
         self._first_frames: list[tuple[float, Luma, Luma | None]] = []
         self._tracker: Tracker | None = None
         self._t: float | None = None
-        self._newest_t = -inf
         self.frame_count = 0
         self._blindness = Blindness()
 
@@ -113,7 +112,6 @@ class ViewPipeline:
         image (H, W, 3): the same frame in colour and at full size, for the detector.
         """
         self.frame_count += 1
-        self._newest_t = t
         small = self._motion.filter_noise(shrunk(frame, self._settings.working_width))
         if self._motion.ready:
             return self._step(t, small, image)
@@ -197,7 +195,7 @@ class ViewPipeline:
                 [track.box for track in self._tracker.active],
             )
             is_trusted = self._detector.result.is_trusted
-        frame_view = FrameView(t, self._motion.view, self._newest_t, is_trusted)
+        frame_view = FrameView(t, self._motion.view, is_trusted)
         events = [] if objects is None else self._tracker.step(frame_view, objects)
 
         # Drop ghosts; a detector that is trusted knows none.

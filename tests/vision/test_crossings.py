@@ -29,7 +29,7 @@ class Watcher:
         self.crossings = Crossings("cam", WIDTH, HEIGHT, (), ignored, self.decisions.append)
         self.crossings.begin(0.0, ignored)
         self._view = view
-        self.frame = FrameView(0.0, view, 0.0)
+        self.frame = FrameView(0.0, view)
         self.tracker = Tracker(VisionSettings(), self.crossings, iter(range(1, 1000)))
         self._count = 0
         self.see([[]] * 10)
@@ -39,7 +39,7 @@ class Watcher:
         events = []
         for boxes in images:
             blobs = [Blob(*map(float, box), (box[0] + box[2]) / 2) for box in boxes]
-            self.frame = FrameView(self._count / FPS, self._view, self._count / FPS)
+            self.frame = FrameView(self._count / FPS, self._view)
             events += self.tracker.step(self.frame, blobs)
             self._count += 1
         return events

@@ -19,8 +19,6 @@ _EDGES: dict[Edge, str] = {
 }
 _BEGINNINGS: dict[Reason, str] = {
     "entered": "entry by {edge} at {place}",
-    "entered late": "no entry: came in by {edge} at {place}, which was known {value:.1f} s later, "
-    "at most {least:g} s are allowed",
     "from start": "no entry: in view already when tracking began",
     "beside others": "no entry: appeared at {place} beside another track, in mid-view: rather half "
     "of a group than a new person",

@@ -36,8 +36,6 @@ PATIENCE_SECONDS = 1.5
 
 A sighting is moved to the crossing of the border if it takes no longer.
 """
-LATENESS_SECONDS_MAX = 4.0
-"""Longest time after an event at which it is told; the daemon does not learn from later ones."""
 CROSSING_SIGHTINGS_MIN = 3
 """Least number of sightings, of which two tell the speed, of an object that crosses very fast."""
 CUT_SHARE_MAX = 0.75
@@ -57,8 +55,6 @@ class FrameView(NamedTuple):
     """Capture time, seconds."""
     view: Box
     """Part of the scene that it shows, pixels; its sides are the border."""
-    now: float
-    """Capture time of the newest image, seconds: the first images wait for a background."""
     is_trusted: bool = False
     """Its objects are those of a trusted detector, which may enter and leave in mid-view."""
 
@@ -213,7 +209,7 @@ class Crossings:
                 if edge is None:
                     self.doors.record_unexplained(track.first.foot)
                 else:
-                    events += self._told(frame, "entry", track, track.first, edge)
+                    events.append(self._event(frame, "entry", track, track.first, edge))
             if track.confirmed:
                 track.cells.add(self.doors.cell(*track.last.foot))
         return events
@@ -228,7 +224,7 @@ class Crossings:
             self.note("from start", track, track.first)
             return []
         if edge is not None and edge != "learned door":
-            return self._told(frame, "entry", track, track.first, edge)
+            return [self._event(frame, "entry", track, track.first, edge)]
         track.began_in_view = edge is not None or not track.beside_others
         self.note("in mid-view" if track.began_in_view else "beside others", track, track.first)
         return []
@@ -256,7 +252,7 @@ class Crossings:
         edge = self.at_edge(frame, track)
         if self._has_crossed(frame, track, edge):
             entries = self._entry(frame, track)
-            return [*entries, *self._told(frame, "exit", track, track.last, edge)]
+            return [*entries, self._event(frame, "exit", track, track.last, edge)]
         if track.unmet_condition is not None:
             self.note(track.unmet_condition[0], track, track.last, None, *track.unmet_condition[1:])
             return []
@@ -270,7 +266,7 @@ class Crossings:
         if edge is None and frame.is_trusted and not track.is_occluded:
             edge = "mid-view"
         if edge is not None:
-            return self._told(frame, "exit", track, track.last, edge)
+            return [self._event(frame, "exit", track, track.last, edge)]
 
         # A track that is lost in mid-view may be evidence of a door.
         self.note("occluded" if track.is_occluded else "lost", track, track.last)
@@ -278,33 +274,23 @@ class Crossings:
             self.doors.record_unexplained(track.last.foot)
         return []
 
-    def _told(
+    def _event(
         self, frame: FrameView, kind: Kind, track: Track, at: Sighting, edge: Edge | None
-    ) -> list[Event]:
-        """Return the event at a sighting; none if an entry is known too late.
-
-        An event with another time than its own would mislead more than one that is missing. Who
-        has left is known once the patience is over.
-        """
+    ) -> Event:
+        """Return the event at a sighting, and record it."""
         entry = kind == "entry"
         at = self._at_border(frame, track, at, edge, -1.0 if entry else 1.0)
-        lateness = frame.now - at.t
-        if entry and lateness > LATENESS_SECONDS_MAX:
-            self.note("entered late", track, at, edge, lateness, LATENESS_SECONDS_MAX)
-            return []
         self.note("entered" if entry else "left", track, at, edge)
         x, y = (round(share, 4) for share in self._place(at))
-        return [
-            Event(
-                self._camera,
-                kind,
-                round(at.t, 6),
-                x,
-                y,
-                str(track.number),
-                label=most_frequent(track.labels),
-            )
-        ]
+        return Event(
+            self._camera,
+            kind,
+            round(at.t, 6),
+            x,
+            y,
+            str(track.number),
+            label=most_frequent(track.labels),
+        )
 
     def _at_border(
         self, frame: FrameView, track: Track, at: Sighting, edge: Edge | None, sense: float

@@ -31,11 +31,10 @@ fragment: `value` pixels high, where a person is higher.
 low: as tall as the setting `min_height` in `value` sightings.
 """
 
-Beginning = Literal["entered", "entered late", "from start", "beside others", "in mid-view"]
+Beginning = Literal["entered", "from start", "beside others", "in mid-view"]
 """What the beginning of an object was taken for.
 
 entered: an entry, by `edge`.
-entered late: the same, but known only after `value` seconds, of `least` at most: no entry.
 from start: in view when watching began, so no entry.
 beside others: began next to another object, so rather half of a group than a new one.
 in mid-view: began away from every edge; if that happens again and again, a door is learned.

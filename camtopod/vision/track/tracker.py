@@ -29,17 +29,14 @@ from camtopod.vision.track.assignment import (
     costs_by_area,
     costs_by_points,
 )
-from camtopod.vision.track.crossings import (
-    LATENESS_SECONDS_MAX,
-    PATIENCE_SECONDS,
-    Crossings,
-    FrameView,
-)
+from camtopod.vision.track.crossings import PATIENCE_SECONDS, Crossings, FrameView
 from camtopod.vision.track.decisions import Reason
 from camtopod.vision.track.kalman import MEASUREMENT, SIGMAS, Kalman
 from camtopod.vision.track.stature import Stature
 from camtopod.vision.track.track import HISTORY_SIGHTINGS, Sighting, Track, Unmet
 
+PAUSE_SECONDS_MAX = 4.0
+"""Longest pause of the frames over which a track may go on."""
 CONFIRM_SECONDS = 0.5
 """Minimum time something must be tracked, and move, before it counts as an object.
 
@@ -71,7 +68,7 @@ class Tracker:
         self.crossings = crossings
         """Tells where objects enter and leave the view."""
         self._numbers = numbers
-        self._frame = FrameView(-inf, (0.0, 0.0, *crossings.size), -inf)
+        self._frame = FrameView(-inf, (0.0, 0.0, *crossings.size))
         self._start: float | None = None
         self.stature = Stature()
         self.active: list[Track] = []
@@ -94,7 +91,7 @@ class Tracker:
         # Assign blobs: by head and foot, by area. They occlude others, or start tracks. A
         # track goes on over a pause if its object is where it can be by then.
         blobs = [blob for blob in blobs if not blob.is_line or self._touches(blob.box)]
-        patience = dt if is_paused and dt <= LATENESS_SECONDS_MAX else PATIENCE_SECONDS
+        patience = dt if is_paused and dt <= PAUSE_SECONDS_MAX else PATIENCE_SECONDS
         free = self._assign(t, blobs, patience, partial(costs_by_points, stature=self.stature))
 
         # A pause in the frames ends the other tracks; objects at an edge leave during the pause.
