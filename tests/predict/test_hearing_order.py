@@ -9,10 +9,9 @@ import pytest
 from hypothesis import given, settings, strategies as st
 from model_rows import rows_of, with_rows
 from msgspec.structs import replace
-from serving import T0, closing_event, walkers
+from serving import T0
 from test_predictor import ENTERED, EXIT, OVERLAP, THERE, any_label, any_topology, chances
 
-from camtopod.learn.learner import Learner
 from camtopod.predict import Predictor, Walks
 from camtopod.predict.walk_memory import REVISE_SECONDS
 from camtopod.records import Event, Topology
@@ -118,16 +117,6 @@ def test_an_older_exit_does_not_replace_the_newest_of_a_camera() -> None:
     for event in (ENTERED, THERE, EXIT, Event("a", "exit", EXIT.t - 1.0, 0.1, 0.5, "9")):
         predictor.observe(event)
     assert predictor._passages.open_at("a", EXIT.t, EXIT.t)
-
-
-@pytest.fixture(scope="module")
-def learned() -> Topology:
-    """Objects cross the view of a, and nine seconds later that of b or c."""
-    learner = Learner(epoch="E")
-    for event in [*walkers(400), closing_event()]:
-        learner.receive(event)
-    assert learner.topology is not None
-    return learner.topology
 
 
 Walked = tuple[set[tuple[str, str]], dict[tuple[str, str | None], str]]

@@ -10,10 +10,9 @@ import numpy as np
 import pytest
 from model_rows import LabelModel, with_rows
 from msgspec.structs import replace
-from serving import T0, closing_event, walkers
+from serving import T0, walkers
 
 from camtopod.adapt.frigate import Frigate
-from camtopod.learn.learner import Learner
 from camtopod.predict import PreparedVersion, Walks, outside_rates
 from camtopod.predict.walk_graph import WalkEdge, WalkStep
 from camtopod.predict.walk_memory import MEMORY_SECONDS, REVISE_SECONDS
@@ -26,16 +25,6 @@ from camtopod.records import (
 
 T = T0 + 1e6
 """A time without other events."""
-
-
-@pytest.fixture(scope="module")
-def learned() -> Topology:
-    """Objects cross the view of a, and nine seconds later that of b or c."""
-    learner = Learner(epoch="E")
-    for event in [*walkers(400), closing_event()]:
-        learner.receive(event)
-    assert learner.topology is not None
-    return learner.topology
 
 
 @pytest.fixture
