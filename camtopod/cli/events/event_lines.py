@@ -56,8 +56,8 @@ class LineReader:
         self.repeats = 0
         self.labels_dropped = 0
         """Events whose label is not valid; they count without it."""
-        self.lacks_boxes = False
-        """Fewer boxes of tracks could be used than `ACCEPTED_MIN`."""
+        self.boxes_share = 1.0
+        """Share of the boxes of another program's tracks that could be used."""
         self.lines_read = 0
         self.events = 0
         self.files: list[BufferedReader] = []
@@ -129,7 +129,7 @@ class LineReader:
             yield from events
         events = adapter.close()
         boxes = adapter.boxes_used + adapter.boxes_unused
-        self.lacks_boxes = adapter.boxes_used < ACCEPTED_MIN * boxes
+        self.boxes_share = adapter.boxes_used / boxes if boxes else 1.0
         self.events += len(events)
         yield from events
 
@@ -167,14 +167,18 @@ class LineReader:
 
     @property
     def status(self) -> int:
-        """Exit status of the command: `exits.FAILED` if too few lines, or boxes, were accepted.
+        """Exit status of the command: `exits.FAILED` if too few lines, or boxes, were accepted;
+        `exits.INPUT` if no box was.
 
         Neither repeats nor messages of other topics count.
         """
         used = self.accepted - self.repeats
         rejected = self.rejections.total() - self.rejections["other-topic"]
         lacks_lines = used < ACCEPTED_MIN * (used + rejected)
-        return exits.FAILED if lacks_lines or self.lacks_boxes else exits.DONE
+        if not self.boxes_share:
+            return exits.INPUT
+        lacks_boxes = self.boxes_share < ACCEPTED_MIN
+        return exits.FAILED if lacks_lines or lacks_boxes else exits.DONE
 
     def summary(self) -> str | None:
         """Return one line about the lines that were used; None if all of them were, in full."""
