@@ -134,6 +134,8 @@ class Intake:
         self._silent.pop(camera, None)
         if not alive:
             self.alive.discard(camera)
+            if (state := self.cameras.get(camera)) is not None:
+                state.hello = ""  # the next one may be older
         elif len(self.alive) < self.limits.cameras_max:
             self.alive.add(camera)
 

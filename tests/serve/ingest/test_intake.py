@@ -203,6 +203,12 @@ def test_a_grabber_that_numbers_events_and_never_asks_is_too_old(
     bench.tick(intake_module.SILENT_SECONDS + 1.0)
     assert bench.intake.too_old == {}
 
+    for is_there in (False, True):  # it was replaced
+        bench.intake.on_alive("new", is_there)
+    bench.publish("new", boot="b2", seq=1)
+    bench.tick(intake_module.SILENT_SECONDS + 1.0)
+    assert bench.intake.too_old.keys() == {"new"}
+
 
 def test_a_held_batch_is_answered_after_a_minute_and_stored_once(bench: IntakeBench) -> None:
     bench.hello()
