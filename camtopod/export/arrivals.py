@@ -124,6 +124,8 @@ class Arrivals:
 
     def forget_cameras(self, cameras: Collection[str]) -> None:
         """Forget exits and entries at cameras, walks through them, and that somebody goes there."""
+        if not cameras:
+            return
         matches = without_cameras(self._entries.values(), cameras)
         self._entries = {(match.camera, match.t, match.track): match for match in matches}
         self._exits = {key: self._exits[key] for key in self._exits if key[0] not in cameras}

@@ -105,6 +105,10 @@ class RecentPassages:
         that ended then.
         """
 
+    def longest(self, camera: str) -> float:
+        """Return how long a passage without an exit counts as open, seconds."""
+        return self._longest.get(camera, OPEN_SECONDS_MAX)
+
     def begin(self, camera: str, track: str, t: float, passage: Passage) -> bool:
         """Begin a passage at ``t`` by the camera's clock; return False if its exit was heard."""
         ended_at, ended_passage = self._ended_passages.get((camera, track), (-math.inf, None))
@@ -167,7 +171,7 @@ class RecentPassages:
         """
         while self.open:
             (camera, track), oldest = next(iter(self.open.passages()))
-            is_fresh = now - oldest.t <= self._longest.get(camera, OPEN_SECONDS_MAX)
+            is_fresh = now - oldest.t <= self.longest(camera)
             if is_fresh and len(self.open) <= OPEN_MAX:
                 return
             self.open.end(camera, track)

@@ -389,7 +389,10 @@ class Predictor:
     def _add_in_view(self, passage: Passage, rows: Rows, factor: float = 1.0) -> None:
         """Add the rates of an object in view, times a factor, to arrivals in other views."""
         arrivals, camera_of = self._arrivals, self.prepared.camera_of
-        rows = rows[camera_of[arrivals.zone[rows]] != camera_of[passage.entry]]
+        since = arrivals.t[rows] - passage.t
+        longest = self._passages.longest(passage.camera)
+        is_other = camera_of[arrivals.zone[rows]] != camera_of[passage.entry]
+        rows = rows[is_other & (since >= 0.0) & (since <= longest)]
         if not len(rows):
             return
         hazards, targets = self.prepared.hazards, arrivals.zone[rows]

@@ -12,6 +12,7 @@ from pathlib import Path
 import msgspec
 import pytest
 from fake_bus_daemon import running
+from msgspec.structs import replace
 from serving import T0, free_endpoint, small_config, wait_for
 
 from camtopod import codec
@@ -163,6 +164,27 @@ def test_a_recording_is_stored_whole_and_none_of_an_ordered_one_is_late(
         assert "the lines of c7 around it contradict by more than a day" in said
     else:
         assert "4000 events stored\n" in said, "none of them late"
+
+
+@pytest.mark.parametrize("newest_first", [False, True])
+def test_a_file_that_grows_keeps_its_numbers_though_its_last_stamp_was_wrong(
+    newest_first: bool, tmp_path: Path
+) -> None:
+    events = [Event("lobby", "entry", T0 + 10.0 * n, track=str(n)) for n in range(60)]
+    if newest_first:
+        events.reverse()
+    events += [Event("hall", "entry", T0 - 9e6 + n, track=str(n)) for n in range(20)]
+    wrong = Event("lobby", "entry", T0 - 9e6, track="wrong")
+    later = [replace(event, t=event.t + 9.0, track=f"{event.track}b") for event in events[:4]]
+    path = lines(tmp_path / "a.jsonl", [*events, wrong])
+
+    with site(tmp_path, "a") as daemon:
+        ingest(daemon, tmp_path, path)
+        with path.open("ab") as file:
+            file.writelines(codec.to_json(event) + b"\n" for event in later)
+        ingest(daemon, tmp_path, path)
+
+    assert stored(tmp_path, "a") == len(events) + 1 + len(later)
 
 
 def test_cameras_too_many_end_it_and_left_events_of_them_hold_nothing_up(

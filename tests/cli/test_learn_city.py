@@ -123,8 +123,10 @@ def test_what_cannot_be_learned_is_named(folder: Path, capfd: pytest.CaptureFixt
     [parts] = folder.glob("city.json.*.parts")
     assert f"the same command goes on from {parts}" in said
     assert not (folder / "city.json").exists()
-    (folder / "e.jsonl").write_text("no event\n" * 3)
-    assert main(LEARN) == 66
+    for text in ("no event\n" * 3, ""):
+        (folder / "e.jsonl").write_text(text)
+        for _ in range(2):
+            assert main(LEARN) == 66
 
 
 @pytest.mark.parametrize(

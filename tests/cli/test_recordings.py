@@ -309,6 +309,24 @@ def test_times_from_zero_and_whole_seconds_are_legal(tmp_path: Path) -> None:
         assert fault_of(used(tmp_path, events)[2]) is None
 
 
+def test_several_events_of_one_line_are_judged_one_by_one(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """As pandas writes them: here newest first, with a repeat, a wrong stamp and no event."""
+    events = [Event("hall", "entry", 1.7e9 - 60.0 * n, track=str(n)) for n in range(40)]
+    events[20] = replace(events[20], t=1.6e9)
+    path = tmp_path / "e.json"
+    path.write_bytes(to_json([*events, events[3], {"camera": "hall"}]))
+
+    assert main(["--config", "none", "ingest", "jsonl", str(path), "--out", "-"]) == exits.DONE
+
+    said = capsys.readouterr()
+    assert said.out.count("\n") == 39
+    assert "40 of 42 lines were accepted" in said.err
+    assert "contradicted 1" in said.err
+    assert "1 of 42 lines are repeats" in said.err
+
+
 # --- what was used ---
 
 

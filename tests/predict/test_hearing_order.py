@@ -35,9 +35,9 @@ def passing(rng: np.random.Generator) -> list[Event]:
     return sorted(events, key=lambda event: event.t)
 
 
-def shuffled(rng: np.random.Generator, events: list[Event]) -> list[Event]:
-    """Return the events as they are heard up to a second late."""
-    heard_at = [event.t + rng.random() for event in events]
+def shuffled(rng: np.random.Generator, events: list[Event], seconds: float = 1.0) -> list[Event]:
+    """Return the events as they are heard up to some seconds late."""
+    heard_at = [event.t + rng.uniform(0.0, seconds) for event in events]
     return [events[k] for k in np.argsort(heard_at)]
 
 
@@ -76,8 +76,15 @@ def remembered(predictor: Predictor) -> tuple[object, object, object]:
 
 
 def plain_topology(rng: np.random.Generator) -> Topology:
-    """Draw a version in which only exits and passages in view cause arrivals, in other views."""
+    """Draw a version in which only exits and passages in view cause arrivals, in other views.
+
+    Clocks are up to 5 s off.
+    """
     topology = any_topology(rng)
+    cameras = [
+        replace(camera, clock_offset=float(rng.uniform(-5.0, 5.0))) for camera in topology.cameras
+    ]
+    topology = replace(topology, cameras=cameras)
     onward = [
         replace(row, next_=[to for to in row.next_ if to.to[0] != row.zone[0]])
         for row in rows_of(topology).onward
@@ -91,7 +98,7 @@ def test_predictions_are_those_in_order_of_time(seed: int) -> None:
     """Contexts apart: which camera an object came from is guessed when its entry is heard."""
     rng = np.random.default_rng(seed)
     topology, events = plain_topology(rng), passing(rng)
-    in_order, late = observed(topology, events), observed(topology, shuffled(rng, events))
+    in_order, late = observed(topology, events), observed(topology, shuffled(rng, events, 4.0))
 
     assert remembered(late) == remembered(in_order)
     for event in events:
@@ -109,6 +116,17 @@ def test_a_passage_whose_exit_is_heard_first_is_over(seed: int) -> None:
     topology, events = any_topology(rng), passing(rng)
     in_order, late = observed(topology, events), observed(topology, swapped(rng, events))
     assert remembered(late) == remembered(in_order)
+
+
+def test_an_entry_of_long_ago_without_an_exit_causes_nothing_now() -> None:
+    rates = []
+    for old_entries in ([], [replace(ENTERED, t=ENTERED.t - 7200.0, track="old")]):
+        predictor = Predictor(OVERLAP)
+        for event in (ENTERED, THERE, *old_entries):
+            predictor.observe(event)
+        rates.append(predictor._arrivals.rate.tolist())
+    without, with_it = rates
+    assert with_it[1:] == without
 
 
 def test_an_older_exit_does_not_replace_the_newest_of_a_camera() -> None:

@@ -104,8 +104,6 @@ def run(args: argparse.Namespace) -> int:
             raise CommandError(f"{args.source} is cut already: give --deploy, no --table", USAGE)
     if args.deploy:
         deployment.write(districts, *args.deploy)
-    if (summary := reader.summary()) is not None:
-        print(f"camtopod: {summary}", file=sys.stderr)
     if (fault := fault_of(times)) is not None:
         print(f"camtopod: {fault}", file=sys.stderr)
     return FAILED if fault else reader.status
@@ -122,6 +120,8 @@ def _cut(args: argparse.Namespace, start: bytes, reader: LineReader, times: Time
     else:
         learner = Learner(configuration(args).learner, only_last=True)
         feed(learner, reader, [args.source], times)
+        if (summary := reader.summary()) is not None:
+            print(f"camtopod: {summary}", file=sys.stderr)
         topology = learner.topology
     if topology is None or not topology.cameras:
         raise InputError(f"there are no cameras in {args.source}: nothing to cut")

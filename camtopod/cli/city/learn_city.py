@@ -26,7 +26,7 @@ from camtopod.cli.city.merge import write
 from camtopod.cli.common import configuration, districts_of
 from camtopod.cli.events.event_lines import LineReader
 from camtopod.cli.events.recording import Times, fault_of, once_by_number, recorded
-from camtopod.cli.exits import CommandError
+from camtopod.cli.exits import CommandError, InputError
 from camtopod.cli.terminal import Progress, topology_lines
 from camtopod.codec import read, to_json
 from camtopod.config import owners_of
@@ -85,6 +85,7 @@ def run(args: argparse.Namespace) -> int:
     ]
     key = hashlib.sha256(to_json((__version__, stamps, districts, settings))).hexdigest()
     folder = out.with_name(f"{out.name}.{key[:EPOCH_DIGITS]}.parts")
+    is_resumed = folder.exists()
     try:
         with _submitting(args.scheduler) as submit, Progress(lines=True) as progress:
             city = recordings.learn_city(
@@ -103,9 +104,11 @@ def run(args: argparse.Namespace) -> int:
                 lambda: _note(reader, times),
             )
     except (recordings.CityError, ValueError) as error:
+        if not (is_resumed or reader.events):
+            shutil.rmtree(folder, ignore_errors=True)
+            raise InputError(f"no event lines in {', '.join(args.events)}: {error}") from None
         hint = f"\nthe same command goes on from {folder}" if folder.exists() else ""
-        is_unusable = reader.lines_read and not reader.events
-        raise CommandError(f"{error}{hint}", exits.INPUT if is_unusable else exits.FAILED) from None
+        raise CommandError(f"{error}{hint}") from None
     status, messages = read(tuple[int, list[str]], (folder / recordings.NOTE).read_bytes())
     write(city, out)
     shutil.rmtree(folder)

@@ -102,7 +102,8 @@ def run(args: argparse.Namespace) -> int:
 
         # Read and publish, or write.
         times = Times()
-        source = events(args, reader, times, stack, stop)
+        set_aside = Counter[str]()
+        source = events(args, reader, times, set_aside, stack, stop)
         is_file = Path(args.file).is_file()
         is_recording = is_file or (args.file == "-" and Path("/dev/stdin").is_file())
         status = exits.DONE
@@ -116,7 +117,7 @@ def run(args: argparse.Namespace) -> int:
                 boots = {
                     boot for camera in owner_queue.cameras() for boot in owner_queue.boots(camera)
                 }
-                source = numbered_by(boot_of(Path(args.file), boots), source)
+                source = numbered_by(boot_of(Path(args.file), boots), source, set_aside)
             event_batches = batches(source, TRANSACTION_EVENTS_MAX, stop, tell)
             status = _publish(config, spool, event_batches, not is_recording, stack, stop, progress)
         else:
@@ -169,13 +170,17 @@ def boot_of(path: Path, boots: Collection[str]) -> str:
     return boot
 
 
-def numbered_by(boot: str, source: Iterator[Event]) -> Iterator[Event]:
-    """Number each camera's events from 1 under ``boot``, except those that have a boot already."""
+def numbered_by(boot: str, source: Iterator[Event], set_aside: Counter[str]) -> Iterator[Event]:
+    """Number each camera's events from 1 under ``boot``, except those that have a boot already.
+
+    set_aside: how many numbers of each camera are for lines that were set aside.
+    """
     counts: Counter[str] = Counter()
     for event in source:
         if event.boot is None:
             counts[event.camera] += 1
-            event = msgspec.structs.replace(event, boot=boot, seq=counts[event.camera])
+            seq = counts[event.camera] + set_aside[event.camera]
+            event = msgspec.structs.replace(event, boot=boot, seq=seq)
         yield event
 
 

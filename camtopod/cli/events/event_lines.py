@@ -36,11 +36,12 @@ ACCEPTED_MIN = 0.9
 
 
 class Line(NamedTuple):
-    """An event with its file and line number."""
+    """An event with its file and line number, and its place (from 0) among the file's messages."""
 
     event: Event
     file: str
     number: int
+    place: int
 
 
 class LineReader:
@@ -81,7 +82,7 @@ class LineReader:
         def drop_label(error: Rejected) -> None:
             self._drop_label(f"{path}:{number}", error)
 
-        for number, text in messages(path, file):
+        for place, (number, text) in enumerate(messages(path, file)):
             self.lines_read += 1
             try:
                 if isinstance(text, Rejected):
@@ -92,7 +93,7 @@ class LineReader:
                 self.reject(error.reason, f"{path}:{number}: {error}", quote)
                 continue
             self.events += 1
-            yield Line(event, path, number)
+            yield Line(event, path, number, place)
 
     def adapted(
         self, path: str, lines: Iterable[tuple[int, bytes]], adapter: Adapter, live: bool = False

@@ -6,6 +6,7 @@ import argparse
 import contextlib
 import re
 import threading
+from collections import Counter
 from collections.abc import Iterator
 from typing import Any
 
@@ -81,12 +82,14 @@ def events(
     args: argparse.Namespace,
     reader: LineReader,
     times: Times,
+    set_aside: Counter[str],
     stack: contextlib.ExitStack,
     stop: threading.Event,
 ) -> Iterator[Event]:
     """Return the events of the input that the command line names; ``stack`` closes files.
 
     times: has those of event lines in the end.
+    set_aside: of event lines in a file, see `recorded_as_written`.
 
     Raises `CommandError`.
     """
@@ -107,7 +110,7 @@ def events(
     if args.file != "-":
         stack.callback(file.close)
     if adapter is None and file.seekable():
-        return recorded_as_written(reader, args.file, file, times)
+        return recorded_as_written(reader, args.file, file, times, set_aside)
     if adapter is None:
         return timed((line.event for line in reader.lines(args.file, file)), times)
     frame_messages = frames(pieces(args.file, file), LINE_BYTES_MAX, adapter.begins)

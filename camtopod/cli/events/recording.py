@@ -13,7 +13,7 @@ import shutil
 import tempfile
 from array import array
 from collections import Counter, defaultdict
-from collections.abc import Collection, Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from contextlib import ExitStack, contextmanager
 from io import BufferedReader
 from typing import cast
@@ -64,11 +64,11 @@ class _Course(Struct):
     falls: int = 0
     """Number of steps of more than `HOUR` between lines that are right."""
     outliers: list[tuple[int, float]] = field(default_factory=list)
-    """Number and time of the last lines, if they are more than a day from those before."""
+    """Place and time of the last lines, if they are more than a day from those before."""
     wrong: list[int] = field(default_factory=list)
-    """Numbers of lines that those before and after them contradict."""
+    """Places of lines that those before and after them contradict."""
 
-    def turn(self, number: int, t: float, latest: float) -> float:
+    def turn(self, place: int, t: float, latest: float) -> float:
         """Take a line after a step, or after outliers; return its time, NaN for an outlier.
 
         latest: time of the line before; NaN after an outlier.
@@ -76,14 +76,14 @@ class _Course(Struct):
         if not self.outliers:
             self.last = latest
         if abs(t - self.last) <= DAY:
-            self.wrong += [number for number, _ in self.outliers]
+            self.wrong += [place for place, _ in self.outliers]
             self._move(t)
         elif self.outliers and abs(t - self.outliers[-1][1]) > DAY:
             self._move(self.outliers[-1][1])
-            self.outliers = [(number, t)]
+            self.outliers = [(place, t)]
             return math.nan
         elif len(self.outliers) < WRONG_IN_A_ROW_MAX:
-            self.outliers.append((number, t))
+            self.outliers.append((place, t))
             return math.nan
         else:
             self._move(t)
@@ -108,7 +108,7 @@ class Survey:
         self._hours = Counter[float]()
 
     def look(self, path: str, file: BufferedReader) -> tuple[bool, set[int]]:
-        """Read a file; return whether it is in order of time, and the numbers of wrong lines."""
+        """Read a file; return whether it is in order of time, and the places of wrong lines."""
         newest = -math.inf
         is_ordered = True
         courses: dict[str, _Course] = {}
@@ -116,7 +116,7 @@ class Survey:
         cameras: list[str] = []
         hour_begin = hour_end = math.inf
         hour_lines = 0
-        for number, text in messages(path, file):
+        for place, (_, text) in enumerate(messages(path, file)):
             stamp = stamp_of(text) if isinstance(text, bytes) else None
             if stamp is None:
                 continue
@@ -132,7 +132,7 @@ class Survey:
             if -HOUR <= t - latest.get(camera, math.nan) <= HOUR:
                 latest[camera] = t
             elif camera in courses:
-                latest[camera] = courses[camera].turn(number, t, latest[camera])
+                latest[camera] = courses[camera].turn(place, t, latest[camera])
             else:
                 courses[camera] = _Course(t)
                 latest[camera] = t
@@ -206,27 +206,36 @@ def recorded(reader: LineReader, paths: Sequence[str], times: Times) -> Iterator
 
 
 def recorded_as_written(
-    reader: LineReader, path: str, file: BufferedReader, times: Times
+    reader: LineReader,
+    path: str,
+    file: BufferedReader,
+    times: Times,
+    set_aside: Counter[str] | None = None,
 ) -> Iterator[Event]:
     """Yield the events of one file, as `recorded` does, but in the order of its lines.
 
-    A program that numbers them gives those of a file that has grown since the same numbers again.
+    set_aside: has the number of lines of each camera up to here whose stamps are wrong. Whoever
+        numbers the events counts these, too: only a file that has grown shows that its last stamps
+        were wrong, and the others keep their numbers.
     """
+    set_aside = Counter() if set_aside is None else set_aside
     survey = Survey()
     begin = file.tell()
     is_ordered, wrong = survey.look(path, file)
     file.seek(begin)
-    lines = _once(reader, _by_time(reader, path, file, survey, is_ordered, wrong), times)
     if is_ordered:
-        yield from (line.event for line in lines)
+        right = right_lines(reader, path, file, survey, wrong, set_aside)
+        yield from (line.event for line in _once(reader, right, times))
         return
-    is_used = bytearray(1)  # by the number of the line
-    for line in lines:
-        is_used.extend(bytes(max(0, line.number + 1 - len(is_used))))
-        is_used[line.number] = True
+    is_used = bytearray()  # by the place of the line
+    for line in _once(reader, _by_time(reader, path, file, survey, is_ordered, wrong), times):
+        is_used.extend(bytes(max(0, line.place + 1 - len(is_used))))
+        is_used[line.place] = True
     file.seek(begin)
-    for number, text in messages(path, file):
-        if number < len(is_used) and is_used[number] and isinstance(text, bytes):
+    for place, (_, text) in enumerate(messages(path, file)):
+        if isinstance(text, bytes) and place in wrong and (stamp := stamp_of(text)):
+            set_aside[stamp[0]] += 1
+        elif isinstance(text, bytes) and place < len(is_used) and is_used[place]:
             yield event_from_json(text, lambda error: None)  # labels were counted before
 
 
@@ -252,40 +261,51 @@ def _by_time(
     file: BufferedReader,
     survey: Survey,
     is_ordered: bool,
-    wrong: Collection[int],
+    wrong: set[int],
 ) -> Iterator[Line]:
     """Yield the lines of one file by event time, without those that are wrong."""
     lines = right_lines(reader, path, file, survey, wrong)
     if is_ordered:
         yield from lines
         return
-    numbers = array("Q")
+    numbers, places = array("Q"), array("Q")
 
     def records() -> Iterator[tuple[float, bytes]]:
         for line in lines:
             numbers.append(line.number)
+            places.append(line.place)
             yield line.event.t, to_msgpack(line.event)
 
     with sorting():
-        for place, record in by_key(records()):
-            yield Line(event_from_msgpack(record), path, numbers[place - 1])
+        for nth, record in by_key(records()):
+            yield Line(event_from_msgpack(record), path, numbers[nth - 1], places[nth - 1])
 
 
 def right_lines(
-    reader: LineReader, path: str, file: BufferedReader, survey: Survey, wrong: Collection[int]
+    reader: LineReader,
+    path: str,
+    file: BufferedReader,
+    survey: Survey,
+    wrong: set[int],
+    set_aside: Counter[str] | None = None,
 ) -> Iterator[Line]:
     """Yield the lines of a file, in its order, without those whose stamps are wrong.
 
     survey: of all files of the recording.
-    wrong: numbers of lines of this file, as `Survey.look` returns them.
+    wrong: places of lines of this file, as `Survey.look` returns them; those of lonely lines come
+        in addition.
+    set_aside: has the number of these lines of each camera up to here.
     """
     lonely = survey.lonely_hours()
     for line in reader.lines(path, file):
         event = line.event
         # Or lonely, of a camera most of whose lines are elsewhere.
-        if line.number in wrong or (
+        if line.place in wrong or (
             lonely and event.t // HOUR in lonely and survey.cameras[event.camera] > 2 * len(lonely)
         ):
+            wrong.add(line.place)
+            if set_aside is not None:
+                set_aside[event.camera] += 1
             reader.reject_event(
                 "contradicted",
                 f"{path}:{line.number}: t is {utc_text(event.t)}, which the lines of "

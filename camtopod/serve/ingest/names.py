@@ -142,7 +142,8 @@ def _forget(
     if until is not None and camera in state.aliases:
         ended[camera] = (state.aliases[camera], until)
     else:
-        erased = erased | {name: number for name in names if name not in state.shared}
+        own = [name for name in names if state.aliases.get(name, camera) == camera]
+        erased = erased | {name: number for name in own if name not in state.shared}
     return (
         replace(state, forgotten=forgotten, aliases=aliases, ended=ended, erased=erased),
         f"{camera} is forgotten: the next version is without it, and its events, also under an"

@@ -128,9 +128,11 @@ def moved(box: Box, by: Map, shape: tuple[int, ...]) -> Box:
     by: the map from the scene to the image; with the inverse, a box of the image in the scene.
     """
     middle = np.array([shape[1], shape[0]]) / 2
-    corners = (np.array(box).reshape(2, 2) - middle) @ by[:2, :2].T
-    corners += by[:2, 2] * max(shape) / 2 + middle
-    left, top, right, bottom = corners.ravel().tolist()
+    corners = np.array(box).reshape(2, 2)
+    centre = by[:2, :2] @ (corners.mean(axis=0) - middle) + by[:2, 2] * max(shape) / 2 + middle
+    half = np.diag(by)[:2] * (corners[1] - corners[0]) / 2
+    left, top = (centre - half).tolist()
+    right, bottom = (centre + half).tolist()
     return (left, top, right, bottom)
 
 
