@@ -76,6 +76,7 @@ class HomeAssistantState:
 
     def events(self, now: float) -> list[homeassistant.Messages]:
         """Return the messages of the entries since the last call, oldest first."""
+        self._arrivals.forget_cameras(self._statuses.daemon.names.forgotten)
         result = []
         while self._answers:
             answer = self._answers.popleft()
@@ -84,7 +85,6 @@ class HomeAssistantState:
             else:
                 passages = self._arrivals.entered(answer)
                 result.append(homeassistant.walk_messages(self._topics, passages))
-        self._arrivals.forget_cameras(self._statuses.daemon.names.forgotten)
         self._arrivals.forget(now)
         return result
 
