@@ -85,6 +85,7 @@ def test_the_manifest_is_complete() -> None:
     script = (ADD_ON / "run.sh").read_text()
     assert set(re.findall(r"\boption (\w+)", script)) == MANIFEST["options"].keys()
     assert {"name", "slug", "description", "arch"} <= MANIFEST.keys()
+    assert MANIFEST["map"] == ["app_config"]  # the Supervisor warns of the older addon_config
 
 
 @pytest.mark.parametrize(
