@@ -214,9 +214,9 @@ def recorded_as_written(
 ) -> Iterator[Event]:
     """Yield the events of one file, as `recorded` does, but in the order of its lines.
 
-    set_aside: has the number of lines of each camera up to here whose stamps are wrong. Whoever
-        numbers the events counts these, too: only a file that has grown shows that its last stamps
-        were wrong, and the others keep their numbers.
+    set_aside: has the number of lines of each camera up to here whose stamps are wrong. A program
+        that numbers the events counts these, too: only a file that has grown shows that its last
+        stamps were wrong, and the other events keep their numbers.
     """
     set_aside = Counter() if set_aside is None else set_aside
     survey = Survey()
