@@ -206,11 +206,7 @@ def recorded(reader: LineReader, paths: Sequence[str], times: Times) -> Iterator
 
 
 def recorded_as_written(
-    reader: LineReader,
-    path: str,
-    file: BufferedReader,
-    times: Times,
-    set_aside: Counter[str] | None = None,
+    reader: LineReader, path: str, file: BufferedReader, times: Times, set_aside: Counter[str]
 ) -> Iterator[Event]:
     """Yield the events of one file, as `recorded` does, but in the order of its lines.
 
@@ -218,7 +214,6 @@ def recorded_as_written(
         that numbers the events counts these, too: only a file that has grown shows that its last
         stamps were wrong, and the other events keep their numbers.
     """
-    set_aside = Counter() if set_aside is None else set_aside
     survey = Survey()
     begin = file.tell()
     is_ordered, wrong = survey.look(path, file)
