@@ -9,9 +9,9 @@ another zone before, or comes from outside, at a constant rate. All values are l
     gate_gone(...) ln of 1     an object that left there is not seen again, or not yet
 
 ``gate - gate_new - gate_gone`` is the log odds that an exit and an entry belong to one object
-rather than to two. `Gate.affinity` computes it for many, by links only: an appearance anywhere
-else counts as gone, and as from outside, except on a site that nobody leaves. The matching with the
-largest sum is the most likely of all.
+rather than to two. `Gate.affinity` computes it for many, from links only: an appearance without
+a link counts as leaving, and as an arrival from outside, except on a closed site. The matching with
+the largest sum is the most likely of all.
 """
 
 from __future__ import annotations

@@ -1,6 +1,6 @@
 #!/usr/bin/env bash
 # Runs daemon, grabbers and page, and the bridge if a broker is set; one that ends is started again.
-# Events and what was learned are in /data, which the Supervisor keeps and backs up.
+# The journal is in /data, which the Supervisor keeps and backs up.
 set -euo pipefail
 config=${CAMTOPOD_FOLDER:-/config}/camtopod.toml
 options=${CAMTOPOD_OPTIONS:-/data/options.json}

@@ -92,13 +92,22 @@ def plain_topology(rng: np.random.Generator) -> Topology:
     return with_rows(topology, onward=onward, contexts=[], entered=[])
 
 
+def heard(
+    seed: int,
+    topology_of: Callable[[np.random.Generator], Topology],
+    order: Callable[[np.random.Generator, list[Event]], list[Event]],
+) -> tuple[list[Event], Predictor, Predictor]:
+    """Return events, and predictors that heard them in order of time and in another order."""
+    rng = np.random.default_rng(seed)
+    topology, events = topology_of(rng), passing(rng)
+    return events, observed(topology, events), observed(topology, order(rng, events))
+
+
 @settings(max_examples=30)
 @given(st.integers(0, 10**6))
 def test_predictions_are_those_in_order_of_time(seed: int) -> None:
     """Contexts apart: which camera an object came from is guessed when its entry is heard."""
-    rng = np.random.default_rng(seed)
-    topology, events = plain_topology(rng), passing(rng)
-    in_order, late = observed(topology, events), observed(topology, shuffled(rng, events))
+    events, in_order, late = heard(seed, plain_topology, shuffled)
 
     assert remembered(late) == remembered(in_order)
     for event in events:
@@ -112,9 +121,7 @@ def test_predictions_are_those_in_order_of_time(seed: int) -> None:
 @settings(max_examples=30)
 @given(st.integers(0, 10**6))
 def test_a_passage_whose_exit_is_heard_first_is_over(seed: int) -> None:
-    rng = np.random.default_rng(seed)
-    topology, events = any_topology(rng), passing(rng)
-    in_order, late = observed(topology, events), observed(topology, swapped(rng, events))
+    _, in_order, late = heard(seed, any_topology, swapped)
     assert remembered(late) == remembered(in_order)
 
 
