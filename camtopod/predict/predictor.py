@@ -392,12 +392,13 @@ class Predictor:
         since = arrivals.t[rows] - passage.t
         longest = self._passages.longest(passage.camera)
         is_other = camera_of[arrivals.zone[rows]] != camera_of[passage.entry]
-        rows = rows[is_other & (since >= 0.0) & (since <= longest)]
+        is_in_view = is_other & (since >= 0.0) & (since <= longest)
+        rows, since = rows[is_in_view], since[is_in_view]
         if not len(rows):
             return
         hazards, targets = self.prepared.hazards, arrivals.zone[rows]
         rates = hazards.rates_before_exit(passage.camera, targets)
-        rates += hazards.rates_entered(passage.entry, targets, arrivals.t[rows] - passage.t)
+        rates += hazards.rates_entered(passage.entry, targets, since)
         agreement = self.prepared.labels.agreement(passage.label, arrivals.label[rows], targets)
         arrivals.rate[rows] += factor * rates * agreement
 
