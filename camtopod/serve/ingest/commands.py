@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import logging
 import math
 import time
@@ -15,7 +16,7 @@ from camtopod.serve.ingest.names import CommandRefused
 log = logging.getLogger(__name__)
 
 STORED_SECONDS_MAX = 5.0
-"""Longest wait until an operator's command can be stored; no event is taken meanwhile."""
+"""Longest wait until an operator's command can be stored; events are heard meanwhile, and wait."""
 
 
 def execute(
@@ -35,11 +36,14 @@ def execute(
 
     Raises `CommandRefused` and `sqlite3.Error`; then nothing has changed.
     """
-    with intake.turn:
-        if isinstance(command, Reset):
-            command = reset()
-        cameras = intake.cameras
-        senders = {*intake.numbers.cameras, *cameras.status(), *cameras.heard()}
+    with intake.commands, contextlib.ExitStack() as undo:
+        with intake.turn:
+            intake.is_storing_command = True
+            undo.callback(setattr, intake, "is_storing_command", False)
+            if isinstance(command, Reset):
+                command = reset()
+            cameras = intake.cameras
+            senders = {*intake.numbers.cameras, *cameras.status(), *cameras.heard()}
         if topology is not None:
             senders.update(camera.id for camera in topology.cameras)
 
@@ -55,18 +59,19 @@ def execute(
         intake.writer.store_command(item.entry, item.meta)
 
         # Put it in force.
-        intake.names.state = names
-        match command:
-            case Forget():
-                for name in names.forgotten:  # with its older names
-                    cameras.forget(name)
-            case Rename(old, new):
-                cameras.rename(old, new)
-            case Reset():
-                cameras.forget_all()
-                intake.event_clock.newest = -math.inf
-                intake.backlogs.waited_cameras = frozenset()
-                on_epoch(command.epoch)
-        intake.note_stored([item])
+        with intake.turn:
+            intake.names.state = names
+            match command:
+                case Forget():
+                    for name in names.forgotten:  # with its older names
+                        cameras.forget(name)
+                case Rename(old, new):
+                    cameras.rename(old, new)
+                case Reset():
+                    cameras.forget_all()
+                    intake.event_clock.newest = -math.inf
+                    intake.backlogs.waited_cameras = frozenset()
+                    on_epoch(command.epoch)
+            intake.note_stored([item])
     log.warning("%s", effect)
     return effect

@@ -123,8 +123,13 @@ class Intake:
         self.counts = Counter(received=0, stored=0, duplicate=0, future=0, flood=0, late=0)
         self.inbox = Inbox(cameras)
         self.turn = threading.Lock()
-        """Held by `step`, and by an operator's command between two steps."""
+        """Held by `step`, and by an operator's command while it changes what a step reads."""
+        self.commands = threading.Lock()
+        """Held by an operator's command until it is in force."""
+        self.is_storing_command = False
+        """True while a command is stored: events are heard, and nothing comes into the queue."""
         self.queue = StoreQueue()
+        self._published: list[tuple[CameraState, Received]] = []  # taken, to be put with this step
         self._ready: list[Received] = []  # what goes into the queue with this step
         self._answers = Answers(numbers, cameras, self._room, self.alive, steady)
 
@@ -154,7 +159,8 @@ class Intake:
             self.step()
             self._match(lambda: self.inbox.has_messages)
             beat()
-        self.step()
+        with self.commands:
+            self.step()
         self.queue.close()
 
     def store(self, stopping: threading.Event, beat: Beat = no_beat) -> None:
@@ -167,14 +173,22 @@ class Intake:
         with self.turn:
             wall = self._clock()
             now = self._steady()
-            if self.event_clock.was_set_back(wall, now):
+
+            if not self.is_storing_command and self.event_clock.was_set_back(wall, now):
                 self._rewind(wall)
 
-            # 1, 2. Take publications and requests.
-            self._take_published(wall, now)
+            # 1. Hear publications; what follows waits for an operator's command.
+            self._take_published()
+            if self.is_storing_command:
+                return
+
+            # 2. Take requests, and the publications that nobody delivers.
             enough = self.counts["received"] + TAKEN_AT_ONCE_MAX
             while self.counts["received"] < enough and (request := self.inbox.take_request()):
                 self._take(*request, wall, now)
+            published, self._published = self._published, []
+            for camera, item in published:
+                self._put(camera, item, wall)
             self._answers.end_held(now)
             self._note_too_old(now)
 
@@ -265,16 +279,17 @@ class Intake:
         oldest = next((item.event.t for item in events if item.event is not None), None)
         self.backlogs.note_request(camera, oldest, wall, now)
         answers.note_stored(name)
-        self._take_published(wall, now)
+        self._take_published()
         present = present_of(wall, self.event_clock.newest)
         for item in events:  # a publication waits for one of these events, not for all
             event = item.event
             if event is not None and present - event.t < HEARD_SECONDS_MAX:
                 self._hear(camera, event, request.boot, item.entry.seq, wall, is_delivered=True)
-                self._take_published(wall, now)
+                self._take_published()
 
-    def _take_published(self, wall: float, now: float) -> None:
-        """Take publications."""
+    def _take_published(self) -> None:
+        """Hear publications, and take those that nobody delivers."""
+        wall, now = self._clock(), self._steady()
         for name, content in self.inbox.take_published(HEARD_AT_ONCE_MAX):
             labels: list[codec.Rejected] = []
             try:
@@ -338,7 +353,7 @@ class Intake:
         if boot is not None and seq is not None and not self.numbers.take_one(name, boot, seq):
             self.counts["duplicate"] += 1
             return
-        self._put(camera, Received(Entry("event", name, boot, seq, content), event), wall)
+        self._published.append((camera, Received(Entry("event", name, boot, seq, content), event)))
 
     def _put(self, camera: CameraState, item: Received, wall: float) -> None:
         """Put an entry of a camera among those to be stored, under its present name."""
@@ -397,4 +412,4 @@ class Intake:
 
     def _room(self) -> int:
         """Return how many further events may be taken."""
-        return EVENTS_MAX - len(self._ready) - self.queue.waiting
+        return EVENTS_MAX - len(self._published) - len(self._ready) - self.queue.waiting

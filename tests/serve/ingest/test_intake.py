@@ -3,15 +3,18 @@
 from __future__ import annotations
 
 import sqlite3
+from collections.abc import Mapping
 from pathlib import Path
 
 import pytest
 from intake_bench import IntakeBench, Request, answer_of, event_bytes
 
 from camtopod import codec
+from camtopod.admin import Forget, Reset
 from camtopod.config import Limits
-from camtopod.serve.ingest import cameras, intake as intake_module, numbers
+from camtopod.serve.ingest import cameras, execute, intake as intake_module, numbers
 from camtopod.serve.requests import BATCH_EVENTS_MAX, Batch
+from camtopod.serve.storage import Entry
 
 
 @pytest.fixture
@@ -502,3 +505,37 @@ def test_events_wait_until_they_are_stored(
     assert waiting
     assert 0 not in waiting
     assert bench.intake.queue.waiting == 0
+
+
+def test_events_are_heard_while_a_command_is_stored(
+    bench: IntakeBench, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """They are stored after it: those of the camera that it forgets are refused."""
+    bench.hello()
+    bench.store({1: -3})
+    bench.publish("b")
+    store_command = bench.intake.writer.store_command
+
+    def slow(entry: Entry, meta: Mapping[str, str]) -> None:
+        bench.publish("a", kind="exit", spooled=True, boot="b1", seq=2)
+        bench.publish("b", kind="exit")
+        bench.publish("c")
+        assert bench.intake.queue.waiting == 0
+        store_command(entry, meta)
+
+    monkeypatch.setattr(bench.intake.writer, "store_command", slow)
+    execute(bench.intake, Forget("b"), None, reset=Reset, on_epoch=lambda _: None)
+    bench.work()
+
+    assert [(event.camera, event.kind) for event in bench.heard[2:]] == [
+        ("a", "exit"),
+        ("b", "exit"),
+        ("c", "entry"),
+    ]
+    assert [row[:2] for row in bench.stored] == [
+        ("event", "a"),
+        ("event", "b"),
+        ("command", ""),
+        ("event", "c"),
+    ]
+    assert bench.intake.names.refusals == {"b": 1}
