@@ -81,7 +81,8 @@ class GrabberConnection(SiteLink):
             **self._publisher.statistics(self._site),
         }
 
-    def publish_status(self) -> None:
-        """Publish the status if there is a connection."""
+    def publish_status(self, is_last: bool = False) -> None:
+        """Publish the status if there is a connection; the last one waits for room on the link."""
         if self.bus is not None:
-            self.bus.publish(f"status/{self._grabber.camera}", self.status(), "status")
+            droppable = False if is_last else None
+            self.bus.publish(f"status/{self._grabber.camera}", self.status(), "status", droppable)

@@ -339,9 +339,9 @@ def _to_bus(
             connections.append(GrabberConnection(config, grabber, publisher, args, site))
             stack.callback(connections[-1].close, wait=False)
 
-        def publish_statuses() -> None:
+        def publish_statuses(are_last: bool = False) -> None:
             for connection in connections:
-                connection.publish_status()
+                connection.publish_status(are_last)
 
         # Publish events, and a status from time to time.
         next_status = 0.0
@@ -359,7 +359,7 @@ def _to_bus(
             deadline = math.inf
         while not stop.is_set():
             publisher.retry()
-            publish_statuses()
+            publish_statuses(are_last=True)
             if publisher.wait_stored(0.2):
                 break
             backlog = publisher.waiting

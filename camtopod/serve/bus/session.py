@@ -99,19 +99,21 @@ class Bus(contextlib.AbstractContextManager["Bus"]):
         self._asking = 0  # requests that have not ended
         forks.guard(self)
 
-    def publish(self, key: str, message: Any, schema: str) -> None:
+    def publish(self, key: str, message: Any, schema: str, droppable: bool | None = None) -> None:
         """Publish a struct as MessagePack, without confirmation (see `camtopod.serve.outbox`)."""
-        self.publish_raw(key, codec.to_msgpack(message), schema)
+        self.publish_raw(key, codec.to_msgpack(message), schema, droppable)
 
-    def publish_raw(self, key: str, payload: bytes, schema: str, droppable: bool = False) -> None:
+    def publish_raw(
+        self, key: str, payload: bytes, schema: str, droppable: bool | None = None
+    ) -> None:
         """Publish bytes that are MessagePack already. Does nothing once the bus is closed.
 
         key: key below the site.
         schema: name of the payload's type; it also decides how the message is sent.
-        droppable: drop the message, whatever it is, for a link that is full.
+        droppable: whether a link that is full drops the message, or lets it wait for room.
 
-        Only events wait for a subscriber that has stopped reading. Other messages for its
-        full link are dropped, except one topology, which is sent when the link has room; the
+        By default only events wait for a subscriber that has stopped reading. Other messages for
+        its full link are dropped, except one topology, which is sent when the link has room; the
         subscriber notices the gap in the versions, and queries the topology.
         """
         self._mind_size(key, payload)
@@ -119,9 +121,9 @@ class Bus(contextlib.AbstractContextManager["Bus"]):
         # Decide what to do for a link that is full: drop the message, wait for room, or let one
         # message wait without the caller and drop further ones.
         control = zenoh.CongestionControl.BLOCK_FIRST
-        if droppable or schema in _PROMPT:
+        if droppable or (droppable is None and schema in _PROMPT):
             control = zenoh.CongestionControl.DROP
-        elif schema == "event":
+        elif droppable is False or schema == "event":
             control = zenoh.CongestionControl.BLOCK
 
         try:

@@ -129,7 +129,9 @@ class Intake:
         self.is_storing_command = False
         """True while a command is stored: events are heard, and nothing comes into the queue."""
         self.queue = StoreQueue()
-        self._published: list[tuple[CameraState, Received]] = []  # taken, to be put with this step
+        self._publications: list[
+            tuple[CameraState, Received]
+        ] = []  # taken, to be put with this step
         self._ready: list[Received] = []  # what goes into the queue with this step
         self._answers = Answers(numbers, cameras, self._room, self.alive, steady)
 
@@ -186,8 +188,8 @@ class Intake:
             enough = self.counts["received"] + TAKEN_AT_ONCE_MAX
             while self.counts["received"] < enough and (request := self.inbox.take_request()):
                 self._take(*request, wall, now)
-            published, self._published = self._published, []
-            for camera, item in published:
+            publications, self._publications = self._publications, []
+            for camera, item in publications:
                 self._put(camera, item, wall)
             self._answers.end_held(now)
             self._note_too_old(now)
@@ -353,7 +355,9 @@ class Intake:
         if boot is not None and seq is not None and not self.numbers.take_one(name, boot, seq):
             self.counts["duplicate"] += 1
             return
-        self._published.append((camera, Received(Entry("event", name, boot, seq, content), event)))
+        self._publications.append(
+            (camera, Received(Entry("event", name, boot, seq, content), event))
+        )
 
     def _put(self, camera: CameraState, item: Received, wall: float) -> None:
         """Put an entry of a camera among those to be stored, under its present name."""
@@ -412,4 +416,4 @@ class Intake:
 
     def _room(self) -> int:
         """Return how many further events may be taken."""
-        return EVENTS_MAX - len(self._published) - len(self._ready) - self.queue.waiting
+        return EVENTS_MAX - len(self._publications) - len(self._ready) - self.queue.waiting

@@ -524,7 +524,7 @@ def test_events_are_heard_while_a_command_is_stored(
         store_command(entry, meta)
 
     monkeypatch.setattr(bench.intake.writer, "store_command", slow)
-    execute(bench.intake, Forget("b"), None, reset=Reset, on_epoch=lambda _: None)
+    execute(bench.intake, Forget("b"), None, lambda: Reset(bench.wall), lambda _: None)
     bench.work()
 
     assert [(event.camera, event.kind) for event in bench.heard[2:]] == [
