@@ -129,9 +129,7 @@ class Intake:
         self.is_storing_command = False
         """True while a command is stored: events are heard, and nothing comes into the queue."""
         self.queue = StoreQueue()
-        self._publications: list[
-            tuple[CameraState, Received]
-        ] = []  # taken, to be put with this step
+        self._publications: list[tuple[CameraState, Received]] = []  # to be put with this step
         self._ready: list[Received] = []  # what goes into the queue with this step
         self._answers = Answers(numbers, cameras, self._room, self.alive, steady)
 
