@@ -346,7 +346,7 @@ def headline(prediction: Prediction) -> Headline:
     An outcome is stated as a fact only if it is `LIKELY`. Otherwise the headline is the likeliest
     camera, which is the place to look at: "most likely" if no outcome is
     likelier, "perhaps" if leaving the site is. Who is likely in view now comes before all that may
-    follow. Nobody is said to leave where it is not learned yet whether objects do.
+    follow "otherwise". Nobody is said to leave where it is not learned yet whether objects do.
     """
     outcomes = _outcomes(prediction)
     is_unknown = prediction.prior or prediction.zone is None
@@ -361,8 +361,11 @@ def headline(prediction: Prediction) -> Headline:
         if outcomes[0].place == LEAVES and outcomes[1:]:
             hedge = "perhaps "
             outcomes[:2] = reversed(outcomes[:2])
-    words = "; ".join(outcome.words for outcome in outcomes[:OUTCOMES_SAID])
-    return replace(outcomes[0], words=hedge + words)
+    words = [outcome.words for outcome in outcomes[:OUTCOMES_SAID]]
+    views = len(seen_now(prediction))
+    if 0 < views < len(words):  # the probabilities of what follows are no part of theirs
+        words[views] = f"otherwise {words[views]}"
+    return replace(outcomes[0], words=hedge + "; ".join(words))
 
 
 def origin(match: Match) -> str:
@@ -378,17 +381,12 @@ def origin(match: Match) -> str:
 def _outcomes(prediction: Prediction) -> list[Headline]:
     """Return the outcomes that are said, likeliest first, but who is in view now before all.
 
-    What may follow shares the probability that no camera sees the object now.
+    The probabilities are the prediction's own: those of ``in_view``, of ``next`` and of leaving.
     """
     views = seen_now(prediction)
     shares = sum_by_camera(prediction.next) | {LEAVES: prediction.leave}
-    if views:
-        next_shares = {place: share for place, share in shares.items() if place not in views}
-        no_view = math.prod(1.0 - share for share in views.values())
-        scale = min(no_view / max(sum(next_shares.values()), 1e-9), 1.0)
-        shares = views | {place: scale * share for place, share in next_shares.items()}
     outcomes = []
-    for place, share in shares.items():
+    for place, share in (shares | views).items():
         words = f"{place} {100 * share:.0f} %"
         if place == prediction.camera:
             words = f"back to {words}"

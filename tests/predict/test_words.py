@@ -43,15 +43,21 @@ def test_who_is_seen_elsewhere_is_in_view_now() -> None:
     seen = [InView("hall", "1", 1.0, 0.5), InView("yard", "2", 1.0, 0.1)]
     both = [*seen, InView("hall", "3", 1.0, 0.25)]
     said = Prediction("lobby", "lobby/1", 1.0, "17", 9, 0.59, [HALL], None, both)
-    assert str(said) == "hall 75 %, in view now; leaves the site 25 %"
+    assert str(said) == "hall 75 %, in view now; otherwise leaves the site 59 %"
 
 
-def test_two_views_may_see_an_object_at_once_and_what_follows_is_the_rest() -> None:
+def test_what_may_follow_keeps_the_probabilities_of_the_prediction() -> None:
     seen = [InView("hall", "1", 1.0, 0.8), InView("yard", "2", 1.0, 0.6)]
     bar = NextCamera("bar", "bar/1", 0.3, 1.0, 2.0, 3.0)
     prediction = Prediction("lobby", "lobby/1", 1.0, "17", 9, 0.1, [HALL, bar], None, seen)
-    words = "hall 80 %, in view now; yard 60 %, in view now; bar 6 %, in 1 to 3 s"
-    assert str(prediction) == words
+    words = "hall 80 %, in view now; yard 60 %, in view now; otherwise bar 30 %, in 1 to 3 s"
+    assert str(prediction) == words, "and a camera that sees the object is named once"
+    one = replace(prediction, in_view=seen[:1])
+    words = "hall 80 %, in view now; otherwise bar 30 %, in 1 to 3 s; leaves the site 10 %"
+    assert str(one) == words
+    assert str(replace(one, prior=True)) == words.rpartition(";")[0]
+    third = [*seen, InView("gate", "3", 1.0, 0.7)]
+    assert "otherwise" not in str(replace(prediction, in_view=third))
 
 
 def test_an_object_may_come_back() -> None:

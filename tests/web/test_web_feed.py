@@ -158,7 +158,7 @@ def test_predictions_are_told_without_who_it_was_and_so_many_a_second(rig: Rig) 
     assert "track" not in told[0]
     assert told[0]["now"] == [{"camera": "b", "probability": 0.75}]
     assert told[0]["seconds"] == max(row["q90"] for row in told[0]["next"])
-    words = "b 75 %, in view now; c0 12 %, in 1 to 3 s; c1 6 %, in 1 to 3 s"
+    words = "b 75 %, in view now; otherwise c0 40 %, in 1 to 3 s; c1 20 %, in 1 to 3 s"
     assert (told[0]["place"], told[0]["words"]) == ("b", words)
     assert rig.pages.of("prediction")[-1]["camera"] == "b", "the next second's"
     assert b"somebody" not in rig.feed.hello()
