@@ -19,7 +19,7 @@ from camtopod.columns import figures, packed
 from camtopod.event_time import MICROSECONDS
 from camtopod.learn.assemble import zone_id
 from camtopod.learn.association import FOLLOWED_TRANSITIONS_MIN
-from camtopod.learn.changes import Change
+from camtopod.learn.changes import ChangePoint
 from camtopod.learn.links import NEXT_ZONES_MAX, MissedTransitions
 from camtopod.learn.next_camera import LEVELS, OverlappingViews, Posterior
 from camtopod.learn.traffic import (
@@ -61,7 +61,7 @@ def build_model(
     posterior: Posterior | None,
     bins: LagBins,
     window: Window,
-    changes: list[Change],
+    changes: list[ChangePoint],
     clocks_corrected: bool,
     overlaps: Sequence[OverlappingViews] = (),
     paths: PathColumns | None = None,
@@ -177,7 +177,7 @@ def _of_cameras(place: Rows, window: Window) -> tuple[bytes, bytes]:
     return figures(share), packed(last, np.float64)
 
 
-def _presently(posterior: Posterior, changes: list[Change]) -> Floats:
+def _presently(posterior: Posterior, changes: list[ChangePoint]) -> Floats:
     """Return the ratio (P,) of each pair's present share to its share in the whole window."""
     c = posterior.fit.candidates
     after = {(change.source, change.target): change.after for change in changes}

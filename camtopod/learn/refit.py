@@ -40,7 +40,7 @@ from camtopod.learn.association import (
 )
 from camtopod.learn.changes import (
     CameraSilences,
-    Change,
+    ChangePoint,
     find_changes,
     find_repeats,
     find_silences,
@@ -138,7 +138,7 @@ class Refit(NamedTuple):
     weak: LinkTable
     lacks: LinkShortfall
     significant_links: LinkTable
-    changes: list[Change]
+    changes: list[ChangePoint]
     silences: list[CameraSilences]
     repeats: list[str]
     model: Model
@@ -160,7 +160,7 @@ class Associated(NamedTuple):
     """
 
     between: LinkTable
-    changes: list[Change]
+    changes: list[ChangePoint]
     problem: Problem
     posterior: Posterior | None
     sources_by_place: dict[int, FollowedSources]

@@ -121,7 +121,6 @@ TWICE = {
     "Answers": "the client's, and its twin that is awaited; that of `serve`",
     "Arrivals": "the rows of the learner; those that an export counts",
     "CameraState": "in words; what the daemon keeps of a camera",
-    "Change": "of a pair of zones; of a version, in the answer of the API",
     "Connection": "of the web server; of SQLite",
     "Progress": "of the daemon's parts; of a command in the terminal",
     "Publisher": "the client's; that of `serve`",

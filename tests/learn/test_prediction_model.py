@@ -9,7 +9,7 @@ from scipy.sparse import csr_array
 from synthetic_events import Views, fit_posterior
 
 from camtopod.learn.association.problem import Problem
-from camtopod.learn.changes.change_points import Change
+from camtopod.learn.changes.change_points import ChangePoint
 from camtopod.learn.links import MissedTransitions
 from camtopod.learn.next_camera.fit import Posterior
 from camtopod.learn.prediction_model import NEXT_ZONES_MAX, build_model
@@ -60,7 +60,7 @@ def learned() -> tuple[Scene, Posterior]:
 
 def made(
     learned: tuple[Scene, Posterior | None],
-    changes: list[Change] | None = None,
+    changes: list[ChangePoint] | None = None,
     missed: MissedTransitions | None = None,
 ) -> Topology:
     """Return a version with the model."""
@@ -110,7 +110,7 @@ def test_a_way_that_has_closed_is_not_expected(
     learned: tuple[Scene, Posterior], known: bool
 ) -> None:
     """The other paths share its probability, in every context."""
-    found = chances(made(learned, [Change(0, 1, 20_000.0, 0.9, 0.0, 50.0)]), known)
+    found = chances(made(learned, [ChangePoint(0, 1, 20_000.0, 0.9, 0.0, 50.0)]), known)
     assert found["b"] < 0.01
     assert found["c"] == pytest.approx(0.3 / 0.4, abs=0.07)
 
@@ -154,7 +154,7 @@ def test_where_every_way_has_closed_no_context_has_fewer_departures_than_none(
     ]
     c = posterior.fit.candidates
     closed = [
-        Change(int(u), int(v), 20_000.0, 0.9, 0.0, 50.0)
+        ChangePoint(int(u), int(v), 20_000.0, 0.9, 0.0, 50.0)
         for u, v in zip(c.source, c.target, strict=True)
     ]
     rows = rows_of(made((scene, posterior._replace(levels=levels)), closed)).contexts or []

@@ -17,7 +17,7 @@ from camtopod.learn.changes.camera_moved import (
     find_moves as find_moves,
 )
 from camtopod.learn.changes.change_points import (
-    Change as Change,
+    ChangePoint as ChangePoint,
     find_changes as find_changes,
     present as present,
 )

@@ -16,7 +16,7 @@ from camtopod.arrays import rows_by_group
 from camtopod.event_time import utc_text
 from camtopod.learn.changes.change_points import (
     RESPONSIBILITY_MAX,
-    Change,
+    ChangePoint,
     Trials,
     latest_change,
     threshold_nats,
@@ -102,7 +102,7 @@ class AlarmLog:
         zones: list[str],
         cameras: list[str],
         silences: list[CameraSilences],
-        changes: list[Change],
+        changes: list[ChangePoint],
         published_pairs: set[tuple[int, int]],
         share_min: float,
     ) -> Iterator[News]:
@@ -148,7 +148,7 @@ class AlarmLog:
     def links(
         self,
         t: float,
-        changes: Iterable[Change],
+        changes: Iterable[ChangePoint],
         zones: list[str],
         published_pairs: set[tuple[int, int]],
         share_min: float,

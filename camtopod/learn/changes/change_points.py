@@ -59,8 +59,8 @@ Silence = tuple[float, float]
 """Beginning and end of an interval in which a camera reported nothing, seconds."""
 
 
-class Change(NamedTuple):
-    """The latest change of a pair of zones."""
+class ChangePoint(NamedTuple):
+    """The latest change of the share of a pair of zones."""
 
     source: int
     """Zone of departure."""
@@ -91,7 +91,7 @@ class Trials(NamedTuple):
     """(J,) responsibility of each transition."""
 
 
-def find_changes(problem: Problem, fit: Fit, silences: list[list[Silence]]) -> list[Change]:
+def find_changes(problem: Problem, fit: Fit, silences: list[list[Silence]]) -> list[ChangePoint]:
     """Return the latest change of each pair of zones of a fit that has one, in order of pairs.
 
     silences: intervals in which each camera reported nothing. Departures in an interval do not
@@ -131,7 +131,7 @@ def find_changes(problem: Problem, fit: Fit, silences: list[list[Silence]]) -> l
 
         # A higher share is a path that opened only if its transitions have a transit time.
         if after < before or link_nats >= threshold:
-            result.append(Change(source, target, *change, link_nats=link_nats))
+            result.append(ChangePoint(source, target, *change, link_nats=link_nats))
     return result
 
 
@@ -310,7 +310,9 @@ def _scaled(share: Floats, factor: float) -> Floats:
     return factor * share / (1.0 - share + factor * share)
 
 
-def present(table: LinkTable, changes: list[Change], zones: int, rule: PublishingRule) -> LinkTable:
+def present(
+    table: LinkTable, changes: list[ChangePoint], zones: int, rule: PublishingRule
+) -> LinkTable:
     """Return a link table with present shares, without pairs that have closed.
 
     table: pairs of zones with their shares over the whole window, as probability.

@@ -7,7 +7,7 @@ import pytest
 from numpy.typing import NDArray
 
 from camtopod.learn.changes.alarms import AlarmLog, AlarmState
-from camtopod.learn.changes.change_points import Change
+from camtopod.learn.changes.change_points import ChangePoint
 from camtopod.learn.changes.silence import CameraSilences, find_silences, silent_odds
 from camtopod.learn.learner import Learner
 from camtopod.learn.settings import Settings
@@ -17,7 +17,7 @@ from camtopod.topology import weak_links
 from camtopod.topology.versions import ALARMS_KEPT_MAX
 
 ZONES = ["a/1", "b/1", "b/2"]
-OPENED, CLOSED = Change(0, 1, 100.0, 0.0, 0.5, 20.0), Change(0, 1, 300.0, 0.5, 0.0, 20.0)
+OPENED, CLOSED = ChangePoint(0, 1, 100.0, 0.0, 0.5, 20.0), ChangePoint(0, 1, 300.0, 0.5, 0.0, 20.0)
 
 
 def said(log: AlarmLog) -> list[tuple[int, str, str]]:
@@ -39,16 +39,16 @@ def test_a_change_is_said_once_and_the_next_one_again() -> None:
 @pytest.mark.parametrize(
     ("change", "joined", "kind"),
     [
-        (Change(0, 2, 100.0, 0.3, 0.6, 20.0), True, "link_changed"),
-        (Change(0, 2, 100.0, 0.50, 0.55, 20.0), True, None),  # slight
-        (Change(0, 2, 100.0, 0.3, 0.6, 20.0), False, None),  # no link now
-        (Change(0, 2, 100.0, 0.02, 0.0, 20.0), False, None),  # none before or after
-        (Change(0, 2, 100.0, 0.0, 0.5, 20.0), False, None),  # not published yet
-        (Change(0, 2, 100.0, 0.08, 0.0, 20.0), False, "link_closed"),
-        (Change(0, 2, 100.0, 0.01, 0.08, 20.0), True, "link_opened"),
+        (ChangePoint(0, 2, 100.0, 0.3, 0.6, 20.0), True, "link_changed"),
+        (ChangePoint(0, 2, 100.0, 0.50, 0.55, 20.0), True, None),  # slight
+        (ChangePoint(0, 2, 100.0, 0.3, 0.6, 20.0), False, None),  # no link now
+        (ChangePoint(0, 2, 100.0, 0.02, 0.0, 20.0), False, None),  # none before or after
+        (ChangePoint(0, 2, 100.0, 0.0, 0.5, 20.0), False, None),  # not published yet
+        (ChangePoint(0, 2, 100.0, 0.08, 0.0, 20.0), False, "link_closed"),
+        (ChangePoint(0, 2, 100.0, 0.01, 0.08, 20.0), True, "link_opened"),
     ],
 )
-def test_what_counts_as_which_change(change: Change, joined: bool, kind: str | None) -> None:
+def test_what_counts_as_which_change(change: ChangePoint, joined: bool, kind: str | None) -> None:
     log = AlarmLog(AlarmState())
     log.add(4, 50.0, log.links(50.0, [], ZONES, {(0, 2)} if change.before >= 0.03 else set(), 0.03))
     log.add(5, 200.0, log.links(200.0, [change], ZONES, {(0, 2)} if joined else set(), 0.03))

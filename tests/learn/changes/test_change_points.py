@@ -9,7 +9,7 @@ from scipy.optimize import minimize_scalar
 from camtopod.arrays import Floats
 from camtopod.learn.changes import change_points
 from camtopod.learn.changes.change_points import (
-    Change,
+    ChangePoint,
     Trials,
     latest_change,
     present,
@@ -150,14 +150,16 @@ def table(rows: list[tuple[int, int, int]], leaving: float = 100.0) -> LinkTable
 
 
 def test_a_closed_link_is_left_out_and_others_stay() -> None:
-    links = present(table([(0, 1, 50), (0, 2, 20)]), [Change(0, 1, 5.0, 0.8, 0.0, 30.0)], 4, RULE)
+    links = present(
+        table([(0, 1, 50), (0, 2, 20)]), [ChangePoint(0, 1, 5.0, 0.8, 0.0, 30.0)], 4, RULE
+    )
     assert links.target.tolist() == [2]
     assert links.probability.tolist() == [0.2]
 
 
 def test_an_opened_link_has_its_present_share_and_its_own_evidence() -> None:
     links = table([(0, 1, 5), (2, 3, 60)]).with_evidence(np.array([3.0, 50.0]), 16)
-    links = present(links, [Change(0, 1, 5.0, 0.0, 0.5, 20.0, link_nats=18.0)], 4, RULE)
+    links = present(links, [ChangePoint(0, 1, 5.0, 0.0, 0.5, 20.0, link_nats=18.0)], 4, RULE)
     assert links.probability.tolist() == [0.5, 0.6]
     assert links.ratio.tolist() == [18.0, 50.0]
     assert links.q[0] < 1e-6
@@ -165,6 +167,9 @@ def test_an_opened_link_has_its_present_share_and_its_own_evidence() -> None:
 
 def test_shares_beside_a_new_one_make_no_more_than_one() -> None:
     links = present(
-        table([(0, 1, 10), (0, 2, 90), (3, 2, 95)]), [Change(0, 1, 5.0, 0.0, 0.6, 20.0)], 4, RULE
+        table([(0, 1, 10), (0, 2, 90), (3, 2, 95)]),
+        [ChangePoint(0, 1, 5.0, 0.0, 0.6, 20.0)],
+        4,
+        RULE,
     )
     assert links.probability.tolist() == pytest.approx([0.6, 0.4, 0.95])
