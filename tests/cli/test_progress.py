@@ -11,7 +11,7 @@ from serving import closing_event, walkers
 
 from camtopod.cli.main import main
 from camtopod.cli.terminal import progress
-from camtopod.cli.terminal.progress import Progress
+from camtopod.cli.terminal.progress import ProgressLine
 from camtopod.codec import to_json
 
 
@@ -25,7 +25,7 @@ def test_of_work_that_is_waited_for_a_pipe_hears_too(
 ) -> None:
     now = [10.0]
     monkeypatch.setattr(progress.time, "monotonic", lambda: now[0])
-    with Progress(lines=True) as shown:
+    with ProgressLine(lines=True) as shown:
         for second in range(12):
             now[0] = 10.0 + second
             shown.show("%d s", second)

@@ -122,7 +122,6 @@ TWICE = {
     "Arrivals": "the rows of the learner; those that an export counts",
     "CameraState": "in words; what the daemon keeps of a camera",
     "Connection": "of the web server; of SQLite",
-    "Progress": "of the daemon's parts; of a command in the terminal",
     "Publisher": "the client's; that of `serve`",
     "Site": "the client's, and its twin that is awaited",
 }

@@ -27,7 +27,7 @@ from camtopod.cli.common import configuration, districts_of
 from camtopod.cli.events.event_lines import LineReader
 from camtopod.cli.events.recording import Times, fault_of, once_by_number, recorded
 from camtopod.cli.exits import CommandError, InputError
-from camtopod.cli.terminal import Progress, topology_lines
+from camtopod.cli.terminal import ProgressLine, topology_lines
 from camtopod.codec import read, to_json
 from camtopod.config import owners_of
 from camtopod.records import Event
@@ -87,7 +87,7 @@ def run(args: argparse.Namespace) -> int:
     folder = out.with_name(f"{out.name}.{key[:EPOCH_DIGITS]}.parts")
     is_resumed = folder.exists()
     try:
-        with _submitting(args.scheduler) as submit, Progress(lines=True) as progress:
+        with _submitting(args.scheduler) as submit, ProgressLine(lines=True) as progress:
             city = recordings.learn_city(
                 submit,
                 _events(reader, args.events, times, owners_of(districts), progress),
@@ -150,7 +150,7 @@ def _events(
     paths: list[str],
     times: Times,
     owners: dict[str, str],
-    progress: Progress,
+    progress: ProgressLine,
 ) -> Iterator[Event]:
     """Yield the events of a recording in order of time; those without an owner are rejected."""
     for line in once_by_number(reader, recorded(reader, paths, times)):

@@ -29,7 +29,7 @@ from msgspec.structs import replace
 from camtopod.cli import exits
 from camtopod.cli.commands import web
 from camtopod.cli.common import counted, open_output, say, until_signal, writing
-from camtopod.cli.terminal import Progress
+from camtopod.cli.terminal import ProgressLine
 from camtopod.codec import to_json
 from camtopod.config import BusSettings, Config, Limits, SiteSettings, StateSettings
 from camtopod.learn.settings import LearnSettings
@@ -152,7 +152,7 @@ def _rendered(
             for view in plan.views
         ]
         try:
-            with Progress() as progress:
+            with ProgressLine() as progress:
                 for count, task in enumerate(as_completed(tasks), 1):
                     task.result()
                     progress.show("rendered %d of %d cameras", count, len(tasks))
@@ -265,7 +265,7 @@ def _until(daemon: Daemon, is_done: Callable[[float], bool]) -> None:
     """
     line = ""
     moved_at = time.monotonic()
-    with Progress(lines=True) as progress:
+    with ProgressLine(lines=True) as progress:
         while not is_done(time.monotonic() - moved_at):
             if daemon.wait(0.1):
                 raise exits.CommandError("demo: the daemon has failed")

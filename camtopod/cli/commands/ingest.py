@@ -26,7 +26,7 @@ from camtopod.cli.events.input_formats import add_options, events
 from camtopod.cli.events.recording import Times, fault_of
 from camtopod.cli.exits import CommandError, InputError
 from camtopod.cli.site_choice import right_site
-from camtopod.cli.terminal import Progress
+from camtopod.cli.terminal import ProgressLine
 from camtopod.codec import to_json
 from camtopod.config import Config
 from camtopod.records import Event
@@ -94,7 +94,7 @@ def run(args: argparse.Namespace) -> int:
     start_logging(args)
     config = configuration(args)
     reader = LineReader()
-    with contextlib.ExitStack() as stack, until_signal() as stop, Progress() as progress:
+    with contextlib.ExitStack() as stack, until_signal() as stop, ProgressLine() as progress:
 
         def tell() -> None:
             if args.out != "-":
@@ -191,7 +191,7 @@ def _publish(
     live: bool,
     stack: contextlib.ExitStack,
     stop: threading.Event,
-    progress: Progress,
+    progress: ProgressLine,
 ) -> int:
     """Publish events, wait until all are stored and log the outcome; return the exit status.
 
@@ -300,7 +300,7 @@ def _wait(
     waiting_max: int,
     stop: threading.Event,
     config: Config,
-    progress: Progress,
+    progress: ProgressLine,
     sites: Collection[str],
 ) -> dict[str, CommandError]:
     """Wait until at most ``waiting_max`` of the events of this run wait for each site.
@@ -321,7 +321,7 @@ def _wait_for_site(
     waiting_max: int,
     stop: threading.Event,
     config: Config,
-    progress: Progress,
+    progress: ProgressLine,
     site: str,
 ) -> None:
     """Wait as `_wait` does, for one site. Raises `CommandError`."""

@@ -17,7 +17,7 @@ from camtopod.cli.events.event_lines import LineReader, open_input
 from camtopod.cli.events.recording import Survey, Times, fault_of, right_lines, timed
 from camtopod.cli.events.time_order import OrderedAnswers, Pipe
 from camtopod.cli.exits import InputError
-from camtopod.cli.terminal import Progress
+from camtopod.cli.terminal import ProgressLine
 from camtopod.codec import to_json
 from camtopod.predict import matching, predicting
 from camtopod.records import Event, Kind, Match, Prediction
@@ -74,7 +74,7 @@ def run(args: argparse.Namespace) -> int:
     times = Times()
     out = sys.stdout.buffer
     count = line_count = 0
-    with open_input(args.events) as file, Progress() as progress:
+    with open_input(args.events) as file, ProgressLine() as progress:
 
         def texts(moment: list[Event]) -> list[bytes]:
             nonlocal count

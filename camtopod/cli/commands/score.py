@@ -13,7 +13,7 @@ from camtopod.cli.common import topology_of
 from camtopod.cli.events.event_lines import LineReader, table_rows_of
 from camtopod.cli.events.recording import Times, fault_of, once_by_number, recorded
 from camtopod.cli.exits import InputError
-from camtopod.cli.terminal import Progress
+from camtopod.cli.terminal import ProgressLine
 from camtopod.scoring import score
 
 
@@ -55,7 +55,7 @@ def run(args: argparse.Namespace) -> int:
         raise InputError(f"no event lines in {args.events}: nothing to score")
     identities = _identities_of(args.identities)
 
-    with Progress() as progress:
+    with ProgressLine() as progress:
 
         def show(number: int, unit: str) -> None:
             progress.show("%d of %d events %s", number, len(events), unit)

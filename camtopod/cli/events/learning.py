@@ -6,7 +6,7 @@ from typing import BinaryIO
 
 from camtopod.cli.events.event_lines import LineReader
 from camtopod.cli.events.recording import Times, recorded
-from camtopod.cli.terminal import Progress
+from camtopod.cli.terminal import ProgressLine
 from camtopod.codec import to_json
 from camtopod.learn.learner import STEPS, Learner
 
@@ -19,7 +19,7 @@ def feed(
     updates: BinaryIO | None = None,
 ) -> None:
     """Pass every line of a recording to the learner, write each version, show progress."""
-    with Progress(lines=True) as progress:
+    with ProgressLine(lines=True) as progress:
 
         def say_step(step: str) -> None:
             progress.show("step %d of %d: %s", STEPS.index(step) + 1, len(STEPS), step)

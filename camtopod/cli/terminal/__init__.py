@@ -1,6 +1,6 @@
 """Terminal output: `progress` of long commands; `site_state`, which `camtopod watch` shows."""
 
-from camtopod.cli.terminal.progress import Progress as Progress
+from camtopod.cli.terminal.progress import ProgressLine as ProgressLine
 from camtopod.cli.terminal.site_state import (
     LINKS_SHOWN as LINKS_SHOWN,
     SiteState as SiteState,

@@ -19,8 +19,8 @@ _CLEAR = "\r\x1b[K"
 """Control sequence that empties the line."""
 
 
-class Progress(contextlib.AbstractContextManager["Progress"]):
-    """Progress line, cleared when the block ends; with ``lines`` also without a terminal."""
+class ProgressLine(contextlib.AbstractContextManager["ProgressLine"]):
+    """One line, cleared when the block ends; with ``lines`` also without a terminal."""
 
     def __init__(self, lines: bool = False) -> None:
         self._terminal = sys.stderr.isatty()
