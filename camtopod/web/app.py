@@ -27,7 +27,7 @@ from camtopod.serve.bus import Bus
 from camtopod.serve.city_bus import CityBus
 from camtopod.serve.runtime import STALL_SECONDS, Beat, Clock, Progress
 from camtopod.web.api import Api, Asking, content, error, streamed
-from camtopod.web.connections import Connection
+from camtopod.web.connections import HttpConnection
 from camtopod.web.explanations import empty_camera
 from camtopod.web.feed import MATCHES_SHOWN, Feed, shown_match
 from camtopod.web.growth import steps
@@ -261,7 +261,7 @@ def serving(
         lifespan="on",
         server_header=False,
         timeout_graceful_shutdown=CLOSE_SECONDS,
-        http=Connection,
+        http=HttpConnection,
         proxy_headers=False,  # any client can write them
     )
     server = uvicorn.Server(settings)

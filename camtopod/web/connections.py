@@ -14,7 +14,7 @@ REQUEST_SECONDS = 10.0
 """Time that a request has until all of it is there, from the connection or the response before."""
 
 
-class Connection(H11Protocol):
+class HttpConnection(H11Protocol):
     """One connection; if too many are open, it takes the place of the one that waits longest.
 
     A connection waits while its request is not whole, or its client does not read.

@@ -121,7 +121,6 @@ TWICE = {
     "Answers": "the client's, and its twin that is awaited; that of `serve`",
     "Arrivals": "the rows of the learner; those that an export counts",
     "CameraState": "in words; what the daemon keeps of a camera",
-    "Connection": "of the web server; of SQLite",
     "Publisher": "the client's; that of `serve`",
     "Site": "the client's, and its twin that is awaited",
 }
