@@ -4,14 +4,18 @@
 share: `dot` (Graphviz), `graphml`, `json_graph` (node-link JSON of networkx and D3), `svg`; all are
 in `formats`. `layout` places cameras, for the `drawing` and for the page's map, and `large_layout`
 those of large sites. `aicity` writes the AI City challenge's camera link model, `homeassistant` the
-MQTT messages for Home Assistant (`Arrivals` is its memory).
+MQTT messages for Home Assistant (`ExpectedArrivals` is its memory).
 """
 
 from __future__ import annotations
 
 from camtopod.export import homeassistant as homeassistant
 from camtopod.export.aicity import camera_numbers as camera_numbers
-from camtopod.export.arrivals import Arrivals as Arrivals, Awaited as Awaited, Passing as Passing
+from camtopod.export.arrivals import (
+    Awaited as Awaited,
+    ExpectedArrivals as ExpectedArrivals,
+    Passing as Passing,
+)
 from camtopod.export.drawing import draw as draw
 from camtopod.export.formats import FORMATS as FORMATS, export_topology as export_topology
 from camtopod.export.graph import Edge as Edge, edges as edges, seconds as seconds

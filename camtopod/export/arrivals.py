@@ -64,7 +64,7 @@ class _Exit(Struct):
     """Probability that its object is that of an entry, by camera and time."""
 
 
-class Arrivals:
+class ExpectedArrivals:
     """Exits and entries of the last hour, by camera and time; in memory only."""
 
     def __init__(self) -> None:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 from camtopod.export import arrivals
-from camtopod.export.arrivals import Arrivals, Awaited
+from camtopod.export.arrivals import Awaited, ExpectedArrivals
 from camtopod.records import Look, Match, MatchedPassage, NextCamera, Prediction
 
 T = 1_700_000_000.0
@@ -29,7 +29,7 @@ def entry(
 
 
 def test_somebody_is_expected_until_nine_of_ten_have_come() -> None:
-    seen = Arrivals()
+    seen = ExpectedArrivals()
     seen.left(exit_at("lobby", T, ("hall", 0.6, 5, 9), ("hall", 0.2, 20, 30), ("yard", 0.1, 3, 4)))
 
     now = seen.expected(T + 4)
@@ -42,7 +42,7 @@ def test_somebody_is_expected_until_nine_of_ten_have_come() -> None:
 
 
 def test_no_times_are_told_that_are_not_known() -> None:
-    seen = Arrivals()
+    seen = ExpectedArrivals()
     guessed = [NextCamera("hall", "hall/1", 0.9, 0.0, 300.0, 600.0, prior=True)]
     seen.left(Prediction("lobby", "lobby/1", T, None, 9, 0.1, guessed))
 
@@ -52,7 +52,7 @@ def test_no_times_are_told_that_are_not_known() -> None:
 
 def test_several_may_come() -> None:
     """Nobody comes only if none of them does; times are those of the likeliest one."""
-    seen = Arrivals()
+    seen = ExpectedArrivals()
     seen.left(exit_at("lobby", T, ("hall", 0.5, 5, 9)))
     seen.left(exit_at("yard", T + 1, ("hall", 0.6, 1, 9)))
     seen.left(exit_at("stairs", T + 2, ("hall", 0.2, 5, 9)))
@@ -63,7 +63,7 @@ def test_several_may_come() -> None:
 
 
 def test_who_has_been_seen_again_is_not_expected_any_more() -> None:
-    seen = Arrivals()
+    seen = ExpectedArrivals()
     seen.left(exit_at("lobby", T, ("hall", 0.6, 5, 60), ("yard", 0.4, 5, 60)))
 
     seen.entered(entry("yard", T + 7, "lobby@1", ("lobby", T, 0.9)))
@@ -79,7 +79,7 @@ def test_who_has_been_seen_again_is_not_expected_any_more() -> None:
 
 
 def test_where_to_look_is_where_the_object_is_seen_again() -> None:
-    seen = Arrivals()
+    seen = ExpectedArrivals()
     seen.left(exit_at("lobby", T, ("hall", 0.6, 5, 20), ("yard", 0.4, 5, 60)))
     assert seen.looks(T + 20) == {"hall": Awaited(pytest.approx(0.6), "lobby", T, T + 20)}
     assert seen.looks(T + 21) == {}
@@ -90,7 +90,7 @@ def test_where_to_look_is_where_the_object_is_seen_again() -> None:
 
 
 def test_where_views_overlap_the_object_is_in_view_already() -> None:
-    seen = Arrivals()
+    seen = ExpectedArrivals()
     seen.left(exit_at("lobby", T, ("hall", 0.9, -8, -2), look=[Look("hall", 0.95), Look("a", 0.3)]))
 
     assert seen.expected(T) == {}
@@ -99,7 +99,7 @@ def test_where_views_overlap_the_object_is_in_view_already() -> None:
 
 
 def test_a_walk_has_its_entries_in_order_and_a_second_match_moves_one() -> None:
-    seen = Arrivals()
+    seen = ExpectedArrivals()
     seen.entered(entry("lobby", T, "lobby@1", track="7"))
     hall = seen.entered(entry("hall", T + 20, "hall@1"))
     yard = seen.entered(entry("yard", T + 15, "lobby@1", ("lobby", T + 3, 0.8)))
@@ -116,7 +116,7 @@ def test_a_walk_has_its_entries_in_order_and_a_second_match_moves_one() -> None:
 
 def test_a_walk_of_hours_keeps_its_entries_under_its_newest_name() -> None:
     """It is named by its oldest passage of the last hour."""
-    seen = Arrivals()
+    seen = ExpectedArrivals()
     seen.entered(entry("hall", T + 10, "lobby@1", ("lobby", T, 0.9)))
     seen.entered(entry("yard", T + 20.5, "lobby@1", ("hall", T + 15, 0.9)))
 
@@ -127,7 +127,7 @@ def test_a_walk_of_hours_keeps_its_entries_under_its_newest_name() -> None:
 
 
 def test_a_forgotten_camera_is_in_no_walk_and_nobody_is_expected_from_or_at_it() -> None:
-    seen = Arrivals()
+    seen = ExpectedArrivals()
     seen.left(exit_at("lobby", T, ("hall", 0.6, 5, 60)))
     seen.left(exit_at("yard", T, ("lobby", 0.7, 5, 60), ("hall", 0.3, 5, 60)))
     seen.left(
@@ -150,7 +150,7 @@ def test_a_forgotten_camera_is_in_no_walk_and_nobody_is_expected_from_or_at_it()
 
 
 def test_two_entries_of_one_moment_are_two() -> None:
-    seen = Arrivals()
+    seen = ExpectedArrivals()
     seen.entered(entry("lobby", T, "lobby@1", track="7"))
     assert seen.entered(entry("lobby", T, "lobby@1/2", track="8")).again is False
 
@@ -158,7 +158,7 @@ def test_two_entries_of_one_moment_are_two() -> None:
 def test_nothing_is_remembered_for_more_than_an_hour(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(arrivals, "EXITS_MAX", 2)
     monkeypatch.setattr(arrivals, "ENTRIES_MAX", 2)
-    seen = Arrivals()
+    seen = ExpectedArrivals()
     for camera in ("a", "b", "c"):
         seen.left(exit_at(camera, T, (camera, 0.9, 5, 9000)))
         seen.entered(entry(camera, T, "walk"))

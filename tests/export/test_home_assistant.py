@@ -21,7 +21,7 @@ from camtopod.cli import exits
 from camtopod.cli.commands.bridge import HomeAssistantState
 from camtopod.cli.main import main
 from camtopod.export import homeassistant
-from camtopod.export.arrivals import Arrivals, Awaited, Passing
+from camtopod.export.arrivals import Awaited, ExpectedArrivals, Passing
 from camtopod.export.homeassistant import Topics
 from camtopod.records import (
     TOPOLOGY_SCHEMA,
@@ -78,7 +78,7 @@ def to_hall(leave: float, *shares: tuple[str, float]) -> Prediction:
 def arrival(camera: str, *passages: MatchedPassage) -> Passing:
     new = 1.0 - sum(one.probability for one in passages)
     match = Match(camera, T0, 9, list(passages), new, f"{camera}@1", "17")
-    return Arrivals().entered(match)
+    return ExpectedArrivals().entered(match)
 
 
 # --- what is published ----------------------------------------------------------------------------

@@ -119,7 +119,6 @@ def test_variables_are_nouns(package: str) -> None:
 
 TWICE = {
     "Answers": "the client's, and its twin that is awaited; that of `serve`",
-    "Arrivals": "the rows of the learner; those that an export counts",
     "CameraState": "in words; what the daemon keeps of a camera",
     "Publisher": "the client's; that of `serve`",
     "Site": "the client's, and its twin that is awaited",

@@ -18,7 +18,7 @@ from camtopod.cli.common import (
 )
 from camtopod.cli.events import broker_options
 from camtopod.cli.site_choice import dial_as_reader
-from camtopod.export import Arrivals, homeassistant
+from camtopod.export import ExpectedArrivals, homeassistant
 from camtopod.records import Match, Prediction
 from camtopod.serve.bus import Bus, QueryError, TopologySubscriber
 from camtopod.serve.runtime import STALL_SECONDS, Progress, wall
@@ -65,7 +65,7 @@ class HomeAssistantState:
         self._predictions: dict[str, Prediction] = {}
         self._answers: deque[Prediction | Match] = deque(maxlen=ANSWERS_MAX)
         """What `events` has not seen; the bus's threads append it."""
-        self._arrivals = Arrivals()
+        self._arrivals = ExpectedArrivals()
         self._subscriber = TopologySubscriber(bus)
         bus.subscribe("status/*", self._statuses.on_status)
         bus.subscribe("prediction/*", self._on_prediction)
