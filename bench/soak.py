@@ -37,7 +37,7 @@ from camtopod.learn.learner import Learner
 from camtopod.learn.settings import Settings
 from camtopod.serve.bus import Bus, dial
 from camtopod.serve.daemon import Daemon
-from camtopod.serve.outbox.publisher import Publisher
+from camtopod.serve.outbox.publisher import SpoolPublisher
 from camtopod.serve.outbox.spool import Spool
 from camtopod.sim.settings import SimSettings
 from camtopod.sim.simulation import simulate
@@ -280,7 +280,7 @@ class Soak:
         self._entries_read = 0  # entries of the journal
         self._bus: Bus | None = None
         self._spool = Spool(folder / "spool.db", "boot", 100_000, SPOOL_BYTES, kept_max=100_000)
-        self._publisher = Publisher(self._spool)
+        self._publisher = SpoolPublisher(self._spool)
         self._folder = folder
         self.days: list[Day] = []
 

@@ -15,7 +15,7 @@ from camtopod.client.site_view import Settings, settings_of
 from camtopod.config import Config
 from camtopod.records import Event
 from camtopod.serve.bus import guard, note_use
-from camtopod.serve.outbox import OWNER, Publisher as Outbox, SiteLink, open_spool
+from camtopod.serve.outbox import OWNER, SiteLink, SpoolPublisher, open_spool
 from camtopod.serve.storage import StateError
 
 ATTEMPT_SECONDS = 2.0
@@ -65,7 +65,7 @@ class Publisher(contextlib.AbstractContextManager["Publisher"]):
         self._spool = open_spool(
             directory, settings.site.name, camera, settings.limits, settings.sites_of
         )
-        self._outbox = Outbox(self._spool)
+        self._outbox = SpoolPublisher(self._spool)
         self._mutex = threading.Lock()  # of the outbox and the spool
         self._closing = threading.Event()
         seconds = min(settings.bus.connect_seconds, ATTEMPT_SECONDS)

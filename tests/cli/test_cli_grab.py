@@ -23,7 +23,7 @@ from camtopod.config.config_file import load
 from camtopod.records import Event
 from camtopod.serve import bus as buses
 from camtopod.serve.daemon import Daemon
-from camtopod.serve.outbox.publisher import Publisher
+from camtopod.serve.outbox.publisher import SpoolPublisher
 from camtopod.vision import grabber as grabbers
 from camtopod.vision.settings import VisionSettings
 from camtopod.vision.source.recorded import SourceError
@@ -264,9 +264,9 @@ def test_a_supervised_file_waits_for_the_daemon_at_its_end(
     receiver = HeartbeatReceiver()
     monkeypatch.setenv("NOTIFY_SOCKET", receiver.address)
     said = []
-    really_wait_stored = Publisher.wait_stored
+    really_wait_stored = SpoolPublisher.wait_stored
 
-    def wait_stored(publisher: Publisher, seconds: float, most: int = 0) -> bool:
+    def wait_stored(publisher: SpoolPublisher, seconds: float, most: int = 0) -> bool:
         said.append(state_of(receiver.lines()))
         if len(said) == 4:
             daemon.start()
@@ -274,7 +274,7 @@ def test_a_supervised_file_waits_for_the_daemon_at_its_end(
             seconds = serving.WAIT_SECONDS
         return really_wait_stored(publisher, seconds, most)
 
-    monkeypatch.setattr(Publisher, "wait_stored", wait_stored)
+    monkeypatch.setattr(SpoolPublisher, "wait_stored", wait_stored)
     with contextlib.ExitStack() as stack:
         meeting = stack.enter_context(buses.open_daemon_session(small_config(tmp_path)))
         daemon = Daemon(small_config(tmp_path / "daemon", meeting.endpoint))

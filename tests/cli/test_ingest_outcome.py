@@ -25,7 +25,7 @@ from camtopod.records import Event
 from camtopod.serve.bus import Bus, open_daemon_session
 from camtopod.serve.daemon import Daemon
 from camtopod.serve.ingest import backlogs
-from camtopod.serve.outbox import Publisher, SiteDelivery, publisher
+from camtopod.serve.outbox import SiteDelivery, SpoolPublisher, publisher
 from camtopod.serve.outbox.spool_files import open_ingest_spool
 
 
@@ -142,14 +142,14 @@ def test_a_recording_is_stored_whole_and_none_of_an_ordered_one_is_late(
     published: list[str] = []
     monkeypatch.setattr(backlogs, "SETTLE_SECONDS", 5.0)  # as outside of tests
 
-    class Told(Publisher):
+    class Told(SpoolPublisher):
         """A publisher that notes how many events wait when the delivery begins."""
 
         def attach(self, bus: Bus) -> None:
             waiting.append(self.waiting)
             super().attach(bus)
 
-    monkeypatch.setattr(ingest_command, "Publisher", Told)
+    monkeypatch.setattr(ingest_command, "SpoolPublisher", Told)
     with site(tmp_path, "a") as daemon:
         daemon.bus.subscribe("event/*", lambda key, content: published.append(key))
         assert ingest(daemon, tmp_path, lines(tmp_path / "a.jsonl", written)) == 0

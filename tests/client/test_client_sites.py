@@ -21,7 +21,7 @@ from camtopod.learn.learner import Learner
 from camtopod.records import Event
 from camtopod.serve.bus import dial
 from camtopod.serve.daemon import Daemon
-from camtopod.serve.outbox import Publisher as Outbox, SiteLink, open_spool
+from camtopod.serve.outbox import SiteLink, SpoolPublisher, open_spool
 from camtopod.serve.storage import Journal
 
 EVENTS = [event for event in walkers(30) if event.camera == "a"]
@@ -87,7 +87,7 @@ def test_each_site_stores_each_event_once_and_replays_to_its_own_digest(city: Ci
             lambda camera: sites.get(camera, (NORTH, SOUTH)),
         )
         stack.callback(spool.close)
-        publisher = Outbox(spool)
+        publisher = SpoolPublisher(spool)
         stack.callback(publisher.close)
         for site in ("", SOUTH):
             stack.callback(SiteLink(city.config, publisher, (), site).close)

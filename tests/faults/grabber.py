@@ -17,7 +17,7 @@ from camtopod.config.settings import BusSettings
 from camtopod.records import Event, Prediction
 from camtopod.serve.bus import Bus, dial
 from camtopod.serve.daemon import Daemon
-from camtopod.serve.outbox.publisher import Publisher
+from camtopod.serve.outbox.publisher import SpoolPublisher
 from camtopod.serve.outbox.spool import Spool
 from camtopod.serve.storage.journal import Journal, StoredVersion
 
@@ -37,7 +37,7 @@ class Grabber:
         endpoint = free_endpoint()
         self._daemon_config = msgspec.structs.replace(config, bus=BusSettings(listen=(endpoint,)))
         self.spool = Spool(directory / "spool.db", "boot-1", 100_000)
-        self.publisher = Publisher(self.spool)
+        self.publisher = SpoolPublisher(self.spool)
         self._closing = contextlib.ExitStack()
         self._closing.callback(self.spool.close)
         self._dialled = small_config(directory, endpoint)
@@ -72,11 +72,13 @@ class Grabber:
 
 
 @contextlib.contextmanager
-def publisher_on(bus: Bus, directory: Path, cameras: Sequence[str] = ()) -> Iterator[Publisher]:
+def publisher_on(
+    bus: Bus, directory: Path, cameras: Sequence[str] = ()
+) -> Iterator[SpoolPublisher]:
     """Yield a publisher of these cameras with a spool in ``directory``."""
     with (
         contextlib.closing(Spool(directory / "spool.db", "b1", 1_000_000)) as spool,
-        contextlib.closing(Publisher(spool)) as publisher,
+        contextlib.closing(SpoolPublisher(spool)) as publisher,
     ):
         publisher.attach(bus, cameras)
         yield publisher
@@ -111,7 +113,9 @@ class Delays:
         self.seconds: list[float] = []
         bus.subscribe("prediction/*", self._on_prediction)
 
-    def walk(self, publisher: Publisher, cameras: Sequence[str], count: int, rate: float) -> None:
+    def walk(
+        self, publisher: SpoolPublisher, cameras: Sequence[str], count: int, rate: float
+    ) -> None:
         """Publish so many exits, ``rate`` a second, of the cameras in turn."""
         began = time.monotonic()
         for number in range(count):

@@ -28,7 +28,7 @@ from written import FILES, Open, State, Written, WrittenJournal
 
 from camtopod.serve.bus import dial
 from camtopod.serve.daemon import Daemon
-from camtopod.serve.outbox.publisher import Publisher
+from camtopod.serve.outbox.publisher import SpoolPublisher
 from camtopod.serve.storage import StateError
 
 Kind = Literal["full", "short", "eio"]
@@ -293,7 +293,7 @@ SOON_SECONDS = 0.05
 
 
 @contextlib.contextmanager
-def predicting(state: Path, spool: Path) -> Iterator[tuple[Daemon, Publisher, Delays]]:
+def predicting(state: Path, spool: Path) -> Iterator[tuple[Daemon, SpoolPublisher, Delays]]:
     """Yield a daemon that has learned, a publisher, and the delays of its predictions."""
     learned_state(state, 20)
     spool.mkdir()

@@ -120,7 +120,6 @@ def test_variables_are_nouns(package: str) -> None:
 TWICE = {
     "Answers": "the client's, and its twin that is awaited; that of `serve`",
     "CameraState": "in words; what the daemon keeps of a camera",
-    "Publisher": "the client's; that of `serve`",
     "Site": "the client's, and its twin that is awaited",
 }
 """Class names of the package that have two meanings, and which these are."""

@@ -15,7 +15,7 @@ from serving import Failing, small_config, wait_for
 from camtopod import codec
 from camtopod.records import Event
 from camtopod.serve.bus import Bus, dial, open_daemon_session
-from camtopod.serve.outbox import Publisher, publisher
+from camtopod.serve.outbox import SpoolPublisher, publisher
 from camtopod.serve.outbox.spool import Spool
 from camtopod.serve.requests import Answer, Batch, read_request
 from camtopod.serve.storage import sqlite_file
@@ -62,10 +62,10 @@ def bus(daemon: Daemon, tmp_path: Path) -> Iterator[Bus]:
 
 
 @contextlib.contextmanager
-def publishing(path: Path, boot: str = "b1") -> Iterator[tuple[Publisher, Spool]]:
+def publishing(path: Path, boot: str = "b1") -> Iterator[tuple[SpoolPublisher, Spool]]:
     with (
         contextlib.closing(Spool(path / "spool.db", boot, 100_000)) as spool,
-        contextlib.closing(Publisher(spool)) as one,
+        contextlib.closing(SpoolPublisher(spool)) as one,
     ):
         yield one, spool
 

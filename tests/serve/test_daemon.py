@@ -45,7 +45,7 @@ from camtopod.serve.bus import Bus, BusError, QueryError
 from camtopod.serve.bus.topology_subscriber import TopologySubscriber
 from camtopod.serve.daemon import Daemon
 from camtopod.serve.ingest.intake import SILENT_SECONDS
-from camtopod.serve.outbox.publisher import Publisher
+from camtopod.serve.outbox.publisher import SpoolPublisher
 from camtopod.serve.outbox.spool import Spool
 from camtopod.serve.runtime.clock import ulid
 from camtopod.serve.storage.journal import Journal
@@ -74,9 +74,9 @@ class Site:
         self._open.append(bus.close)
         return bus
 
-    def publisher(self, name: str = "spool") -> Publisher:
+    def publisher(self, name: str = "spool") -> SpoolPublisher:
         spool = Spool(self.directory / f"{name}.db", f"boot-{name}", 100_000)
-        publisher = Publisher(spool)
+        publisher = SpoolPublisher(spool)
         self._open += [spool.close, publisher.close]
         return publisher
 

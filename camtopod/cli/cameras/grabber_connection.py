@@ -11,7 +11,7 @@ from camtopod.cli.cameras.camera_process import camera_status, site_status
 from camtopod.cli.site_choice import right_site
 from camtopod.config import Config
 from camtopod.serve.bus import Bus, BusError, access
-from camtopod.serve.outbox import Publisher, SiteLink
+from camtopod.serve.outbox import SiteLink, SpoolPublisher
 from camtopod.vision.grabber import Grabber
 
 log = logging.getLogger(__name__)
@@ -30,7 +30,7 @@ class GrabberConnection(SiteLink):
         self,
         config: Config,
         grabber: Grabber,
-        publisher: Publisher,
+        publisher: SpoolPublisher,
         args: argparse.Namespace,
         site: str,
     ) -> None:

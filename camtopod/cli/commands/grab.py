@@ -323,7 +323,7 @@ def _to_bus(
     would count twice. Others wait for `DRAIN_SECONDS`.
     """
     from camtopod.cli.cameras.grabber_connection import GrabberConnection
-    from camtopod.serve.outbox import OWNER, Publisher, open_spool
+    from camtopod.serve.outbox import OWNER, SpoolPublisher, open_spool
 
     names = config.sites_of(args.camera)
     sites = {name if number else OWNER: name for number, name in enumerate(names)}
@@ -332,7 +332,7 @@ def _to_bus(
             config.state_directory, names[0], args.camera, config.limits, config.sites_of
         )
         stack.callback(spool.close)
-        publisher = Publisher(spool)
+        publisher = SpoolPublisher(spool)
         stack.callback(publisher.close)
         connections = []
         for site in sites:

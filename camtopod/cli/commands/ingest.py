@@ -34,10 +34,10 @@ from camtopod.serve.bus import dial
 from camtopod.serve.outbox import (
     OWNER,
     TRANSACTION_EVENTS_MAX,
-    Publisher,
     SiteDelivery,
     SiteLink,
     Spool,
+    SpoolPublisher,
     open_ingest_spool,
 )
 
@@ -200,7 +200,7 @@ def _publish(
     """
     bus = dial(config)
     stack.callback(bus.close)
-    publisher = Publisher(spool, live)
+    publisher = SpoolPublisher(spool, live)
     stack.callback(publisher.close)
 
     # Publish batch by batch. Events that earlier runs have left are sent, too, but not waited for.
@@ -296,7 +296,7 @@ def batches(
 
 
 def _wait(
-    publisher: Publisher,
+    publisher: SpoolPublisher,
     waiting_max: int,
     stop: threading.Event,
     config: Config,
@@ -317,7 +317,7 @@ def _wait(
 
 
 def _wait_for_site(
-    publisher: Publisher,
+    publisher: SpoolPublisher,
     waiting_max: int,
     stop: threading.Event,
     config: Config,
@@ -359,7 +359,7 @@ def _wait_for_site(
             )
 
 
-def _require_taken(publisher: Publisher, delivery: SiteDelivery) -> None:
+def _require_taken(publisher: SpoolPublisher, delivery: SiteDelivery) -> None:
     """Raise `CommandError` if a site does not take one of this run's cameras."""
     if reasons := delivery.own_cameras_without_room():
         for camera in reasons:

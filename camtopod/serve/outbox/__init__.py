@@ -9,7 +9,7 @@ joins a site in the background.
 
 from camtopod.serve.outbox.publisher import (
     TRANSACTION_EVENTS_MAX as TRANSACTION_EVENTS_MAX,
-    Publisher as Publisher,
+    SpoolPublisher as SpoolPublisher,
 )
 from camtopod.serve.outbox.site_delivery import SiteDelivery as SiteDelivery
 from camtopod.serve.outbox.site_link import SiteLink as SiteLink

@@ -24,7 +24,7 @@ TRANSACTION_EVENTS_MAX = 5_000
 """Most events stored in one transaction when many come at once, some hundredths of a second."""
 
 
-class Publisher:
+class SpoolPublisher:
     """Publish the events of some cameras. Call `publish` and `retry` from one thread.
 
     spool: belongs to the caller, who closes this publisher before the buses and the spool.

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 
 from camtopod.config import Config
 from camtopod.serve.bus import Bus, BusError, dial, log_other_sites, sites_instead
-from camtopod.serve.outbox.publisher import Publisher
+from camtopod.serve.outbox.publisher import SpoolPublisher
 from camtopod.serve.outbox.spool import OWNER
 
 RETRY_SECONDS = 1.0
@@ -24,7 +24,11 @@ class SiteLink:
     """
 
     def __init__(
-        self, config: Config, publisher: Publisher, cameras: Sequence[str] = (), site: str = OWNER
+        self,
+        config: Config,
+        publisher: SpoolPublisher,
+        cameras: Sequence[str] = (),
+        site: str = OWNER,
     ) -> None:
         self.config = config.at(site or config.site.name)
         self.bus: Bus | None = None
