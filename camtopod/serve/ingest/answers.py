@@ -7,7 +7,7 @@ import threading
 from collections.abc import Callable, Collection
 
 from camtopod import codec
-from camtopod.serve.ingest.cameras import Cameras, CameraState, Pending
+from camtopod.serve.ingest.cameras import CameraIntake, Cameras, Pending
 from camtopod.serve.ingest.numbers import Numbers
 from camtopod.serve.requests import BATCH_EVENTS_MAX, HELD_SECONDS_MAX, Answer, Reason
 from camtopod.serve.runtime import Clock
@@ -16,7 +16,7 @@ LOOK_SECONDS = 1.0
 """Interval at which requests are looked for whose events have waited for too long."""
 
 
-class Answers:
+class PendingRequests:
     """The requests under way, one of each camera. Thread-safe.
 
     room: returns how many further events may be taken.
@@ -51,7 +51,7 @@ class Answers:
         batch = min(max(1, self._room() // max(1, len(self._alive))), BATCH_EVENTS_MAX)
         return codec.to_msgpack(Answer(have, batch, reason, detail, late, refusals))
 
-    def wait_for_storage(self, camera: CameraState, pending: Pending) -> None:
+    def wait_for_storage(self, camera: CameraIntake, pending: Pending) -> None:
         """Keep a request until its events are stored; an earlier one of the camera is ended."""
         if camera.pending is not None:
             self._end(camera, camera.pending, self.encode({}, "held"))
@@ -78,7 +78,7 @@ class Answers:
             if pending is not None and now - pending.since >= HELD_SECONDS_MAX:
                 self._end(camera, pending, self.encode({}, "held"))
 
-    def _end(self, camera: CameraState, pending: Pending, answer: bytes) -> None:
+    def _end(self, camera: CameraIntake, pending: Pending, answer: bytes) -> None:
         """Answer a request, unless another thread has done so."""
         with self._mutex:
             if camera.pending is not pending:

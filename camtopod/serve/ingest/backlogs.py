@@ -19,7 +19,7 @@ from collections.abc import Callable, Collection, Iterable
 from msgspec import Struct
 
 from camtopod import codec
-from camtopod.serve.ingest.cameras import CameraState
+from camtopod.serve.ingest.cameras import CameraIntake
 from camtopod.serve.ingest.event_clock import EventClock
 from camtopod.serve.ingest.received import Received
 from camtopod.serve.storage import Entry
@@ -63,13 +63,13 @@ class Backlogs:
         self._lateness = lateness
         self._event_clock = event_clock
         self._deadline = now + SETTLE_SECONDS
-        self._trials: dict[str, tuple[CameraState, Trial]] = {}
+        self._trials: dict[str, tuple[CameraIntake, Trial]] = {}
         self._unsettled_since = now
         self.waited_cameras = event_clock.waited
         """Cameras that the learner was last told to wait for."""
 
     def note_request(
-        self, camera: CameraState, oldest: float | None, wall: float, now: float
+        self, camera: CameraIntake, oldest: float | None, wall: float, now: float
     ) -> None:
         """Note that a batch of a camera has come.
 
@@ -114,7 +114,7 @@ class Backlogs:
         return [Received(Entry("waits", "", None, None, raw), waited=cameras)]
 
     def _is_waited_for(
-        self, camera: CameraState, trial: Trial, is_held: bool, wall: float, now: float
+        self, camera: CameraIntake, trial: Trial, is_held: bool, wall: float, now: float
     ) -> bool:
         """Return True if a camera has older events to deliver, and delivers them fast enough.
 

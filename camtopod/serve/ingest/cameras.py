@@ -71,8 +71,8 @@ class Seconds:
         return True
 
 
-class CameraState(Struct):
-    """State of one camera. Times without another unit are of the steady clock.
+class CameraIntake(Struct):
+    """State of one camera's intake. Times without another unit are of the steady clock.
 
     received: when something of the camera was last received.
     heard, heard_seconds: its events that were heard or delivered.
@@ -130,7 +130,7 @@ class Cameras:
 
     def __init__(self, cameras_max: int) -> None:
         self._cameras_max = cameras_max
-        self._cameras: dict[str, CameraState] = {}
+        self._cameras: dict[str, CameraIntake] = {}
         self._tallies: dict[str, Counted] = {}
         self._refusal = ""  # the camera that was refused last
         self._refused_at = -math.inf
@@ -139,11 +139,11 @@ class Cameras:
     def __contains__(self, name: object) -> bool:
         return name in self._cameras
 
-    def get(self, name: str) -> CameraState | None:
+    def get(self, name: str) -> CameraIntake | None:
         """Return the state of a camera; None if it is not known. Any thread."""
         return self._cameras.get(name)
 
-    def register(self, name: str, now: float, spooled: bool = False) -> CameraState | None:
+    def register(self, name: str, now: float, spooled: bool = False) -> CameraIntake | None:
         """Return the state of a camera that has sent something; None if there is no room for it.
 
         spooled: a grabber delivers it from a spool.
@@ -154,7 +154,7 @@ class Cameras:
                 self._refusal = name
                 self._refused_at = now
                 return None
-            camera = self._cameras[name] = CameraState(name, now)
+            camera = self._cameras[name] = CameraIntake(name, now)
         camera.received = now
         camera.spooled |= spooled
         return camera
@@ -186,7 +186,7 @@ class Cameras:
         """Move what was counted of the camera ``old`` to the name ``new``."""
         self._tallies[new] = self._tallies.pop(old, Counted())
 
-    def all(self) -> list[CameraState]:
+    def all(self) -> list[CameraIntake]:
         """Return the states of all cameras. Any thread."""
         return list(self._cameras.copy().values())
 

@@ -35,9 +35,9 @@ from camtopod.admin import Rewind
 from camtopod.config import Limits
 from camtopod.learn.settings import TopologySettings
 from camtopod.records import Event
-from camtopod.serve.ingest.answers import Answers
+from camtopod.serve.ingest.answers import PendingRequests
 from camtopod.serve.ingest.backlogs import Backlogs
-from camtopod.serve.ingest.cameras import Cameras, CameraState, Pending
+from camtopod.serve.ingest.cameras import CameraIntake, Cameras, Pending
 from camtopod.serve.ingest.event_clock import EventClock
 from camtopod.serve.ingest.inbox import Inbox, Reply
 from camtopod.serve.ingest.names import Names, missing_names
@@ -129,9 +129,9 @@ class Intake:
         self.is_storing_command = False
         """True while a command is stored: events are heard, and nothing comes into the queue."""
         self.queue = StoreQueue()
-        self._publications: list[tuple[CameraState, Received]] = []  # to be put with this step
+        self._publications: list[tuple[CameraIntake, Received]] = []  # to be put with this step
         self._ready: list[Received] = []  # what goes into the queue with this step
-        self._answers = Answers(numbers, cameras, self._room, self.alive, steady)
+        self._answers = PendingRequests(numbers, cameras, self._room, self.alive, steady)
 
     def on_alive(self, camera: str, alive: bool) -> None:
         """Take note that a grabber has appeared on the bus, or vanished."""
@@ -308,7 +308,7 @@ class Intake:
 
     def _hear(
         self,
-        camera: CameraState,
+        camera: CameraIntake,
         event: Event,
         boot: str | None,
         seq: int | None,
@@ -330,7 +330,7 @@ class Intake:
         self.rejects.add(error.reason, f"event/{name}", str(error), content)
 
     def _store_published(
-        self, name: str, content: bytes, event: Event, camera: CameraState | None, wall: float
+        self, name: str, content: bytes, event: Event, camera: CameraIntake | None, wall: float
     ) -> None:
         """Take an event that nobody delivers.
 
@@ -357,7 +357,7 @@ class Intake:
             (camera, Received(Entry("event", name, boot, seq, content), event))
         )
 
-    def _put(self, camera: CameraState, item: Received, wall: float) -> None:
+    def _put(self, camera: CameraIntake, item: Received, wall: float) -> None:
         """Put an entry of a camera among those to be stored, under its present name."""
         event = item.event
         if event is not None and not camera.note_time(
