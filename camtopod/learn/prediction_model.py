@@ -38,7 +38,6 @@ from camtopod.records import (
     Onward,
     Overlaps,
     Pace,
-    PathColumns,
 )
 from camtopod.topology import (
     STAY_DECILES,
@@ -56,7 +55,6 @@ that is less counts as this where a changed share is divided by it.
 
 
 def build_model(
-    cameras: list[str],
     scene: Scene,
     posterior: Posterior | None,
     bins: LagBins,
@@ -64,30 +62,30 @@ def build_model(
     changes: list[ChangePoint],
     clocks_corrected: bool,
     overlaps: Sequence[OverlappingViews] = (),
-    paths: PathColumns | None = None,
     misses: MissedTransitions | None = None,
 ) -> Model:
     """Return the part of the topology, beside the links, that prediction reads.
 
-    cameras: names of all cameras.
+    The caller adds ``paths``, those of the second opinion.
+
     posterior: result of the fit for prediction; None without any departure or arrival.
     bins: bins of the lags.
     changes: links whose share has changed within the window.
     clocks_corrected: True if the links' transit times are in corrected time.
     overlaps: pairs of overlapping views.
-    paths: the second opinion (`camtopod.learn.paths`); None without one.
     misses: transitions that missed detections make; None for none.
     """
-    place = places([zone_id(cameras, zone) for zone in scene.zones])
+    place = places([zone_id(window.cameras, zone) for zone in scene.zones])
+    camera_place = places(window.cameras)
     model = Model(
         bins.scale,
         bins.step,
         bins.lag_min,
         bins.lag_max,
         *_of_zones(place, scene, posterior),
-        *_of_cameras(places(cameras), window),
+        *_of_cameras(camera_place, window),
         clocks_corrected=clocks_corrected,
-        overlaps=_overlaps(places(cameras), overlaps, offset_bins(bins.scale, bins.step)),
+        overlaps=_overlaps(camera_place, overlaps, offset_bins(bins.scale, bins.step)),
     )
     if posterior is None:
         return model
@@ -96,9 +94,8 @@ def build_model(
         model,
         onward=_onward(place, posterior, now, bins, missed_shares(posterior, scene, bins, misses)),
         entered=_entered(place, posterior, bins),
-        contexts=_contexts(place, places(cameras), posterior, now),
+        contexts=_contexts(place, camera_place, posterior, now),
         pace=_pace(place, scene, posterior.fit.persistence),
-        paths=paths,
         labels=_labels(place, scene, posterior.fit.persistence.label),
     )
 

@@ -354,11 +354,9 @@ def predict_next(
     overlaps, misses: as for `build_model`.
     """
     problem = association.problem
-    cameras = window.cameras
     bins = problem.bins
     posterior = association.posterior
     model = build_model(
-        cameras,
         scene,
         posterior,
         bins,
@@ -366,11 +364,11 @@ def predict_next(
         association.changes,
         settings.correct_clocks,
         overlaps,
-        association.paths,
         misses,
     )
     if posterior is None:
         return association.between, model, []
+    model = replace(model, paths=association.paths)
 
     # The posterior's table of pairs of zones.
     transitions = transitions_of(posterior.fit, FAINT_TRANSITIONS)
@@ -387,7 +385,7 @@ def predict_next(
         posterior,
         scene.departures,
         scene.arrivals,
-        cameras,
+        window.cameras,
         clocks.offset,
         longest,
         scene.last,

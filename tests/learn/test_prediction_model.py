@@ -66,9 +66,7 @@ def made(
     """Return a version with the model."""
     window = Window(10)
     window.append([(k, Event(name, "entry", float(k))) for k, name in enumerate(NAMES)])
-    model = build_model(
-        NAMES, learned[0], learned[1], BINS, window, changes or [], False, misses=missed
-    )
+    model = build_model(*learned, BINS, window, changes or [], False, misses=missed)
     zones = [Zone(f"{name}/1", name, 100, 100) for name in NAMES]
     cameras = [Camera(name, [f"{name}/1"]) for name in NAMES]
     return Topology(
