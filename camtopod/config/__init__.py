@@ -35,5 +35,6 @@ from camtopod.config.settings import (
     OtherSite as OtherSite,
     SiteSettings as SiteSettings,
     StateSettings as StateSettings,
+    WebSettings as WebSettings,
 )
 from camtopod.config.toml_tables import fields as fields, key_lines as key_lines

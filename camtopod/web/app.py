@@ -51,14 +51,13 @@ class Routes:
         self,
         feed: Feed,
         page_queues: PageQueues,
-        pictures: Path | None,
         config: Config,
         has_login: bool,
         bus: Bus | CityBus,
     ) -> None:
         self._feed = feed
         self._page_queues = page_queues
-        self._pictures = pictures
+        self._pictures = config.web.pictures_folder
         self._config = config
         self._has_login = has_login
         self._bus = bus
@@ -229,7 +228,6 @@ def serving(
     bus: Bus | CityBus,
     listener: socket.socket,
     names: Collection[str],
-    pictures: Path | None,
     clock: Clock,
     config: Config,
     is_public: bool = False,
@@ -252,7 +250,7 @@ def serving(
     page_queues = PageQueues()
     feed = Feed(bus, page_queues, clock, config.cameras)
     api = Api(bus, feed, is_open=login is not None or not is_public)
-    site = Routes(feed, page_queues, pictures, config, login is not None, bus)
+    site = Routes(feed, page_queues, config, login is not None, bus)
     settings = uvicorn.Config(
         application(site, api, names, login, page.beat),
         log_config=None,

@@ -12,6 +12,7 @@ from typing import Any, NamedTuple, cast
 
 from chromium import Browser
 from fake_bus import OneBus
+from msgspec.structs import replace
 
 from camtopod.cli.commands.web import listening, names
 from camtopod.config.config_file import parse
@@ -49,9 +50,11 @@ class Shown:
     ) -> None:
         self.bus = OneBus()
         self.bus.kept = {one.version: one for one in versions}
-        self.pictures = pictures
         self.login = login
         self.config = parse(config)
+        if pictures is not None:
+            web = replace(self.config.web, pictures=str(pictures))
+            self.config = replace(self.config, web=web)
         self.port = 0
 
     @property
@@ -68,7 +71,6 @@ class Shown:
                 cast(Bus, self.bus),
                 listener,
                 names("127.0.0.1", further_names),
-                self.pictures,
                 time.time,
                 self.config,
                 login=self.login,

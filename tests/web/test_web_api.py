@@ -39,7 +39,7 @@ def served(learned_daemon: LearnedDaemon, any_address: bool = False) -> Iterator
     with (
         dial(config) as bus,
         listening(HOST, 0) as listener,
-        app.serving(bus, listener, names(HOST), None, lambda: 1000.0, config, any_address),
+        app.serving(bus, listener, names(HOST), lambda: 1000.0, config, any_address),
     ):
         address = f"http://{HOST}:{listener.getsockname()[1]}/api"
         wait_for(lambda: answer(address + "/topology")[0] != 404, "the topology")

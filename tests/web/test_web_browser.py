@@ -27,7 +27,7 @@ from serving import (
 from synthetic_topology import synthetic_topology
 
 from camtopod.cli.commands.web import listening, names
-from camtopod.config.settings import BusSettings, Config
+from camtopod.config.settings import BusSettings, Config, WebSettings
 from camtopod.records import Event
 from camtopod.serve import bus as buses
 from camtopod.serve.bus import Bus
@@ -70,9 +70,10 @@ class Site:
     @contextlib.contextmanager
     def page(self, bus: Bus, port: int = 0) -> Iterator[int]:
         """Serve the page; yield its port."""
+        config = Config(web=WebSettings(pictures=str(self.directory)))
         with (
             listening("127.0.0.1", port) as listener,
-            app.serving(bus, listener, names("127.0.0.1"), self.directory, self.now, Config()),
+            app.serving(bus, listener, names("127.0.0.1"), self.now, config),
         ):
             yield listener.getsockname()[1]
 

@@ -28,7 +28,7 @@ def test_two_sites_are_one_map_and_one_that_is_away_is_named(
         sites.running("north"),
         sites.joined() as city,
         listening("127.0.0.1", 0) as listener,
-        app.serving(city, listener, names("127.0.0.1"), None, time.time, Config()),
+        app.serving(city, listener, names("127.0.0.1"), time.time, Config()),
     ):
         with sites.running("south"):
             browser.open(f"http://127.0.0.1:{listener.getsockname()[1]}/")

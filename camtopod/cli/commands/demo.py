@@ -31,7 +31,7 @@ from camtopod.cli.commands import web
 from camtopod.cli.common import counted, open_output, say, until_signal, writing
 from camtopod.cli.terminal import ProgressLine
 from camtopod.codec import to_json
-from camtopod.config import BusSettings, Config, Limits, SiteSettings, StateSettings
+from camtopod.config import BusSettings, Config, Limits, SiteSettings, StateSettings, WebSettings
 from camtopod.learn.settings import LearnSettings
 from camtopod.records import Topology
 from camtopod.serve.bus import dial
@@ -173,13 +173,14 @@ def _watched(
     start = clocks.wall() - 2 * (seconds + AFTERWARDS_SECONDS)
     clock = DemoClock(start + seconds)
 
-    # A free port, and state in the work directory. The grabbers may be as far apart as they like.
+    # A free port; state and pictures in the work directory. The grabbers may be far apart.
     config = Config(
         site=SiteSettings(SITE),
         bus=BusSettings(listen=("tcp/127.0.0.1:0",)),
         state=StateSettings(str(work / "state")),
         learn=LearnSettings(lateness_seconds=seconds, refit_share=0.03),
         limits=Limits(settle_seconds=AFTERWARDS_SECONDS),
+        web=WebSettings(pictures=str(work)),
     )
 
     # Play the videos to their end, then let the daemon learn the last events.
@@ -189,7 +190,7 @@ def _watched(
         if has_page:
             reader = replace(config, bus=BusSettings(connect=(daemon.endpoint,)))
             # Ages on the page are those of the recording, whatever the daemon's clock skips.
-            address = stack.enter_context(_page(reader, work, DemoClock(start + seconds)))
+            address = stack.enter_context(_page(reader, DemoClock(start + seconds)))
             say(f"demo: the page is at {address}")
         say("demo: playing the videos as fast as the grabbers read them")
         with _grabbers(videos, start, daemon.endpoint, work) as grabbers:
@@ -204,7 +205,7 @@ def _watched(
 
 
 @contextlib.contextmanager
-def _page(config: Config, work: Path, clock: DemoClock) -> Iterator[str]:
+def _page(config: Config, clock: DemoClock) -> Iterator[str]:
     """Serve the page of the demo's daemon at a free port; yield its address."""
     from camtopod.web import app  # needs starlette and uvicorn
 
@@ -212,7 +213,7 @@ def _page(config: Config, work: Path, clock: DemoClock) -> Iterator[str]:
     with (
         dial(config) as bus,
         web.listening(host, 0) as listener,
-        app.serving(bus, listener, web.names(host), work, clock, config),
+        app.serving(bus, listener, web.names(host), clock, config),
     ):
         yield f"http://{host}:{listener.getsockname()[1]}/"
 

@@ -96,7 +96,6 @@ def run(args: argparse.Namespace) -> None:
                 bus,
                 listener,
                 names(host, args.name),
-                pictures,
                 clock.wall,
                 config,
                 is_public,
