@@ -30,6 +30,7 @@ from camtopod.sim.rendering import SUFFIX, render
 from camtopod.sim.scoring import Score, match_zones, score
 from camtopod.sim.truth import Truth
 from camtopod.vision.grabber import Grabber
+from camtopod.vision.source import FileOptions
 
 SEEDS, PLANS = 10, 10
 START = 1_700_000_000.0
@@ -87,7 +88,9 @@ def recorded(plan: Plan, walks: list[Walk], seconds: float, seed: int, films: Pa
             part = film.with_name(f"part-{film.name}")
             render(plan, view, walks, seconds, part, seed)
             part.rename(film)
-        grabber = Grabber(view.camera, str(film), start=START, wall_clock=time.time)
+        grabber = Grabber(
+            view.camera, str(film), wall_clock=time.time, file_options=FileOptions(START)
+        )
         events += [event for event in grabber.events() if event is not None]
     return sorted(events, key=lambda event: event.t)
 

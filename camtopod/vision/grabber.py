@@ -15,7 +15,9 @@ from camtopod.vision.settings import VisionSettings
 from camtopod.vision.source import (
     HEARTBEAT_SECONDS,
     NO_LOG,
+    NO_OPTIONS,
     FfmpegLog,
+    FileOptions,
     LiveSource,
     RecordedSource,
     State,
@@ -27,10 +29,7 @@ class Grabber:
     """Entry and exit events of one source.
 
     source: an ``rtsp://`` (or other) URL, the path of a video file, or a device number as text.
-    start (seconds since the epoch): time of a file's beginning; event times are ``start`` +
-        position.
-    realtime: read a file at its own pace; otherwise it is read as fast as it decodes. Event times
-        do not depend on it.
+    file_options: how a file is read.
     wall_clock: current time in seconds since the epoch. Frames of a stream or device have capture
         times on this clock.
     observer: called with every analysed frame, within `events`; the events do not depend on it.
@@ -48,9 +47,8 @@ class Grabber:
         camera: str,
         source: str,
         *,
-        start: float = 0.0,
-        realtime: bool = False,
         wall_clock: Callable[[], float],
+        file_options: FileOptions = NO_OPTIONS,
         settings: VisionSettings | None = None,
         ffmpeg_log: FfmpegLog = NO_LOG,
         observer: Observer | None = None,
@@ -61,7 +59,7 @@ class Grabber:
         self._source: RecordedSource | LiveSource
         if kind_of(source) == "file":
             self._source = RecordedSource(
-                source, settings, start, realtime, detector is not None, ffmpeg_log
+                source, settings, file_options, detector is not None, ffmpeg_log
             )
         else:
             self._source = LiveSource(

@@ -105,7 +105,7 @@ def test_lines_to_a_file_and_to_standard_output(
     assert [event_from_json(line) for line in out.read_bytes().splitlines()] == EVENTS
     made = FakeGrabber.made[0]
     assert (made.source, made.closed) == ("x.mp4", True)
-    assert (made.options["start"], made.options["realtime"]) == (5.0, True)
+    assert made.options["file_options"] == (5.0, True)
     for name in ("-", "/proc/self/fd/1"):
         assert main([*arguments, name]) == 0
         assert capfdbinary.readouterr().out == out.read_bytes()

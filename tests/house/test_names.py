@@ -133,7 +133,6 @@ def test_a_class_name_means_one_thing() -> None:
 
 PARAMETERS_MAX = 8
 MANY_PARAMETERS = {
-    "vision/grabber.py __init__": "most are options that only names give",
     "serve/ingest/intake.py __init__": "is given all that takes part in a batch",
 }
 """Functions with more parameters than `PARAMETERS_MAX`, and why."""

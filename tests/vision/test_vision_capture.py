@@ -26,7 +26,7 @@ from camtopod.vision.grabber import Grabber
 from camtopod.vision.settings import VisionSettings
 from camtopod.vision.source import capture, live, recorded
 from camtopod.vision.source.capture import Capture
-from camtopod.vision.source.recorded import RecordedSource, SourceError
+from camtopod.vision.source.recorded import FileOptions, RecordedSource, SourceError
 
 SECONDS = 7.5
 TICK_SECONDS = 0.05
@@ -90,7 +90,7 @@ def test_a_file_that_is_not_there_or_no_video(tmp_path: Path) -> None:
 def test_times_are_the_start_plus_the_position(film: Path) -> None:
     frames = [
         frame
-        for frame in RecordedSource(str(film), VisionSettings(), 1000.0, False).frames()
+        for frame in RecordedSource(str(film), VisionSettings(), FileOptions(1000.0)).frames()
         if frame
     ]
     np.testing.assert_allclose(
@@ -102,7 +102,7 @@ def test_times_are_the_start_plus_the_position(film: Path) -> None:
 
 
 def test_a_file_to_events(film: Path) -> None:
-    grabber = grab(film, start=1000.0)
+    grabber = grab(film, file_options=FileOptions(1000.0))
 
     assert grabber.state == "connecting"
     events = sorted(events_of(grabber), key=lambda event: event.t)
@@ -120,7 +120,7 @@ def test_a_file_at_its_own_pace_has_the_same_events(
     paces = []
     monkeypatch.setattr(recorded, "_until", lambda moment: paces.append(moment) or ())
 
-    paced = events_of(grab(film, realtime=True))
+    paced = events_of(grab(film, file_options=FileOptions(realtime=True)))
 
     assert SECONDS - 0.5 < paces[-1] - paces[0] < SECONDS
     assert paced == events_of(grab(film))

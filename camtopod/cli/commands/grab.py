@@ -34,7 +34,7 @@ from camtopod.cli.common import (
 from camtopod.cli.exits import CommandError
 from camtopod.config import CameraSettings, Config, detector_line
 from camtopod.serve.runtime import clock, systemd
-from camtopod.vision.source import RETRY_SEPARATOR, captured_log, kind_of
+from camtopod.vision.source import RETRY_SEPARATOR, FileOptions, captured_log, kind_of
 
 if TYPE_CHECKING:
     from camtopod.records import Event
@@ -158,9 +158,8 @@ def _one(args: argparse.Namespace, stop: threading.Event) -> int:
         grabber = Grabber(
             args.camera,
             settings.source,
-            start=args.start,
-            realtime=args.realtime or settings.realtime,
             wall_clock=clock.wall,
+            file_options=FileOptions(args.start, args.realtime or settings.realtime),
             settings=settings.vision,
             ffmpeg_log=ffmpeg_log,
             observer=_observer(args, preview),

@@ -21,7 +21,11 @@ from camtopod.vision.source.probe import (
     ProbeRequest as ProbeRequest,
     decoders as decoders,
 )
-from camtopod.vision.source.recorded import RecordedSource as RecordedSource
+from camtopod.vision.source.recorded import (
+    NO_OPTIONS as NO_OPTIONS,
+    FileOptions as FileOptions,
+    RecordedSource as RecordedSource,
+)
 from camtopod.vision.source.source_url import (
     RETRY_SEPARATOR as RETRY_SEPARATOR,
     device_number as device_number,

@@ -24,7 +24,7 @@ from camtopod.vision.settings import DetectorSettings, VisionSettings
 from camtopod.vision.source.capture import CALL_SECONDS_MAX, PATIENCE, Frame, narrowed
 from camtopod.vision.source.ffmpeg_log import FfmpegLog, captured_log
 from camtopod.vision.source.live import LiveSource
-from camtopod.vision.source.recorded import RecordedSource
+from camtopod.vision.source.recorded import NO_OPTIONS, RecordedSource
 from camtopod.vision.source.source_url import RETRY_SEPARATOR, kind_of
 
 PROBE_SECONDS = 2.0
@@ -125,7 +125,7 @@ def probe(request: ProbeRequest, ffmpeg_log: FfmpegLog) -> Probe:
     try:
         source: RecordedSource | LiveSource
         if kind_of(request.source) == "file":
-            source = RecordedSource(request.source, settings, 0.0, False, colour, ffmpeg_log)
+            source = RecordedSource(request.source, settings, NO_OPTIONS, colour, ffmpeg_log)
         else:
             source = LiveSource(request.source, settings, time.monotonic, ffmpeg_log, colour)
         with closing(source):

@@ -9,6 +9,7 @@ import time
 from collections.abc import Iterator
 from contextlib import suppress
 from pathlib import Path
+from typing import NamedTuple
 
 from camtopod.vision.settings import VisionSettings
 from camtopod.vision.source.capture import HEARTBEAT_SECONDS, Capture, Frame, FrameSelector, Source
@@ -28,21 +29,34 @@ class SourceError(OSError):
     """
 
 
+class FileOptions(NamedTuple):
+    """How a file is read.
+
+    start (Unix seconds): time of its beginning; capture times are ``start`` + position.
+    realtime: at its own pace, not as fast as it decodes; capture times do not depend on it.
+    """
+
+    start: float = 0.0
+    realtime: bool = False
+
+
+NO_OPTIONS = FileOptions()
+"""A file that began at time 0, as fast as it decodes."""
+
+
 class RecordedSource(Source):
-    """A video file. Capture times are ``start`` plus the position in the file, seconds."""
+    """A video file."""
 
     def __init__(
         self,
         path: str,
         settings: VisionSettings,
-        start: float,
-        realtime: bool,
+        file_options: FileOptions = NO_OPTIONS,
         colour: bool = False,
         ffmpeg_log: FfmpegLog = NO_LOG,
     ) -> None:
         """Open the file, of which ``path`` may be the URL.
 
-        realtime: read at the file's own pace, not as fast as it decodes.
         colour: frames have an image in colour.
         ffmpeg_log: tells which frames are damaged or none.
 
@@ -52,8 +66,7 @@ class RecordedSource(Source):
             raise SourceError(f"{path}: {reason}")
         self._path = path
         self._selector = FrameSelector(settings.analysed_fps)
-        self._start = start
-        self._realtime = realtime
+        self._file_options = file_options
         self._capture = Capture(path, settings, colour, ffmpeg_log)
         if not self._capture.is_open:
             self.close()
@@ -115,9 +128,9 @@ class RecordedSource(Source):
             if frame is not None:
                 self.state = "running"
                 self.reason = "; ".join(self.observation.remarks)
-                if self._realtime:
+                if self._file_options.realtime:
                     yield from _until(start + position)
-                yield frame._replace(t=self._start + position)
+                yield frame._replace(t=self._file_options.start + position)
 
     def _end(self) -> None:
         """Say how much was read. Raises `SourceError` if that was nothing."""
