@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import contextlib
+import http.client
+import json
 import os
 import re
 import subprocess
@@ -74,6 +77,16 @@ class RealDaemon:
     def _ready(self) -> str | None:
         found = re.search(r"ready at (\S+)", "".join(self.said))
         return found and found.group(1)
+
+
+def readiness(address: str) -> tuple[int, list[str]]:
+    """Return status and reasons of ``/readyz`` of the daemon whose health is at HOST:PORT."""
+    host, _, port = address.rpartition(":")
+    connection = http.client.HTTPConnection(host, int(port), timeout=READY_SECONDS)
+    with contextlib.closing(connection):
+        connection.request("GET", "/readyz")
+        answer = connection.getresponse()
+        return answer.status, json.loads(answer.read())["reasons"]
 
 
 def status_over(bus: Bus) -> dict[str, Any]:

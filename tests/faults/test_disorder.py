@@ -6,16 +6,21 @@ an event, with a real journal; what comes out of it goes to a plain learner.
 
 from __future__ import annotations
 
+import contextlib
 import itertools
 import random
+import statistics
+import time
 from collections import deque
 from collections.abc import Callable, Sequence
 from pathlib import Path
 
 import msgspec
 import pytest
+from grabber import Delays, learned_state, publisher_on
 from intake_bench import LATENESS, IntakeBench, Request
-from serving import T0, numbered, walkers
+from real_daemon import OPEN, RealDaemon, readiness, script, status_over
+from serving import T0, free_endpoint, numbered, wait_for, walkers
 from sizes import size
 
 from camtopod.codec import to_msgpack
@@ -28,6 +33,10 @@ from camtopod.serve.requests import Batch
 SPAN_SECONDS = 600.0
 CLOSING = [Event(camera, "entry", T0 + 100 * SPAN_SECONDS) for camera in "yz"]
 EVENTS = numbered([*walkers(14, seconds=SPAN_SECONDS), *CLOSING])
+HOUR_BEHIND = 3590.0
+"""How far a slow camera is behind, seconds; said to be 60 minutes."""
+SOON_SECONDS = 1.0
+"""From an exit to its prediction, and to its place on the disk, beside a camera that is behind."""
 LEARN = Settings(version_seconds=20.0, refit_share=0.3, lateness_seconds=LATENESS)
 Deliver = Callable[[Path, random.Random], bool]
 
@@ -160,6 +169,49 @@ def test_a_slow_catch_up_delays_nobody(quick_path: Path) -> None:
     reason = bench.intake.cameras.behind_reason(bench.wall, bench.now)
     assert reason.startswith("camera slow catches up and is 60 min behind:")
     bench.stop()
+
+
+@pytest.mark.campaign
+@pytest.mark.timeout(600)
+def test_a_camera_an_hour_behind_delays_nobody(quick_path: Path) -> None:
+    """A daemon, a camera that catches up at 1.05 times real time, and others that are live."""
+    learned_state(quick_path / "state", 20)
+    (quick_path / "spool").mkdir()
+    *live, slow = [f"cam{number:04d}" for number in range(4)]
+    health = free_endpoint().removeprefix("tcp/")
+    words = f"camera {slow} catches up and is 60 min behind: its events are learned as they come"
+    with contextlib.ExitStack() as stack:
+        daemon = RealDaemon(quick_path, f'{OPEN}[health]\nlisten = "{health}"\n')
+        stack.callback(daemon.stop)
+        bus = stack.enter_context(daemon.dial())
+        publisher = stack.enter_context(publisher_on(bus, quick_path / "spool", live))
+        delays, stored = Delays(bus), []
+        figures = (daemon.endpoint, slow, HOUR_BEHIND, 1.05, size("BEHIND_SECONDS", 20))
+        process = stack.enter_context(script("traffic.py", "behind", *figures))
+        stack.callback(process.kill)
+        wait_for(lambda: words in status_over(bus)["reason"], "the status to name the camera")
+        status, [reason] = readiness(health)
+        assert (status, words in reason) == (503, True)
+
+        while process.poll() is None:
+            began = time.monotonic()
+            delays.walk(publisher, live, len(live), 1000.0)
+            assert publisher.wait_stored(SOON_SECONDS), f"not stored within {SOON_SECONDS} s"
+            stored.append(time.monotonic() - began)
+        seconds = delays.await_all()
+        delivered = int(process.communicate()[0])
+        cameras = status_over(bus)["cameras"]
+
+    print(
+        f"{len(seconds)} exits beside {delivered} events of the past:"
+        f" predicted after {statistics.median(seconds):.4f} s, {max(seconds):.4f} at most;"
+        f" stored after {statistics.median(stored):.4f} s, {max(stored):.4f} at most"
+    )
+    assert [cameras[name]["events"] for name in (*live, slow)] == [*[len(stored)] * 3, delivered]
+    assert delivered > 0
+    assert len(seconds) == len(live) * len(stored) > 0
+    assert max(seconds) < SOON_SECONDS
+    assert words in "".join(daemon.said)
 
 
 @pytest.mark.campaign

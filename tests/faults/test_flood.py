@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import contextlib
-import http.client
-import json
 import random
 import resource
 import time
@@ -16,7 +14,7 @@ import msgspec
 import pytest
 from grabber import publisher_on
 from intake_bench import IntakeBench, Request, answer_of
-from real_daemon import OPEN, RealDaemon, script, status_over
+from real_daemon import OPEN, RealDaemon, readiness, script, status_over
 from serving import AT_ONCE, SPAN_SECONDS, T0, free_endpoint, wait_for, walkers
 from sizes import size
 
@@ -103,14 +101,6 @@ class Flooded:
         """Return the number of stored events of a camera."""
         return int(self.status["cameras"].get(camera, {}).get("events", 0))
 
-    def readiness(self) -> tuple[int, list[str]]:
-        """Return status and reasons of ``/readyz``."""
-        host, _, port = self.health.rpartition(":")
-        with contextlib.closing(http.client.HTTPConnection(host, int(port), timeout=30)) as asking:
-            asking.request("GET", "/readyz")
-            answer = asking.getresponse()
-            return answer.status, json.loads(answer.read())["reasons"]
-
     def close(self) -> None:
         self.bus.close()
         self.daemon.stop()
@@ -165,7 +155,7 @@ def test_a_flood_hurts_only_its_camera_and_invented_names_keep_no_camera_out(
 
         wait_for(is_refused, "the status to name the camera that is refused")
         assert "limits.cameras_max (100) is reached" in flooded.status["reason"]
-        status, [reason] = flooded.readiness()
+        status, [reason] = readiness(flooded.health)
         assert status == 503
         assert "reached: raise it" in reason
 

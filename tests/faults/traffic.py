@@ -11,6 +11,9 @@ traffic.py flood ENDPOINT CAMERA PER_SECOND SECONDS
     publishes so many valid events a second, and prints their number
 traffic.py ask ENDPOINT CAMERA SECONDS
     sends requests of 300 KB, and waits for no answer
+traffic.py behind ENDPOINT CAMERA AGO SPEED SECONDS
+    delivers events, as a spool does, of AGO seconds ago and on, SPEED times faster than they
+    happened, and prints the number of those that are stored
 traffic.py publish ENDPOINT FOLDER CAMERA COUNT SPAN SPEED BEGAN
     publishes a camera's part of the events of COUNT walkers within SPAN seconds, SPEED times
     faster than they happened, as if the first had happened at BEGAN (Unix seconds); continues after
@@ -23,6 +26,7 @@ from __future__ import annotations
 import contextlib
 import itertools
 import os
+import queue
 import signal
 import sqlite3
 import sys
@@ -40,8 +44,13 @@ from camtopod.config.settings import BusSettings, Config, SiteSettings
 from camtopod.records import Event
 from camtopod.serve.bus import dial, open_daemon_session
 from camtopod.serve.outbox import spool_path
+from camtopod.serve.requests import ANSWER_SECONDS_MAX, Answer, Batch, Hello
 
 _STEP_SECONDS = 0.01
+_BEHIND_PER_SECOND = 20
+"""Events of a camera that is behind, in a second of event time."""
+_BEHIND_MORE = 10_000
+"""Events that wait behind each of its batches."""
 
 
 def router(endpoint: str) -> None:
@@ -81,6 +90,26 @@ def ask(endpoint: str, camera: str, seconds: str) -> None:
     while time.monotonic() < until:
         bus.ask(f"store/{camera}", request, float(seconds), lambda answer: None)
     os._exit(0)
+
+
+def behind(endpoint: str, camera: str, ago: str, speed: str, seconds: str) -> None:
+    began, first, have = time.time(), time.time() - float(ago), 0
+    answers: queue.SimpleQueue[bytes | None] = queue.SimpleQueue()
+    with dial(Config(bus=BusSettings(connect=(endpoint,)))) as bus:
+
+        def answer(request: Hello | Batch) -> Answer:
+            bus.ask(f"store/{camera}", to_msgpack(request), ANSWER_SECONDS_MAX, answers.put)
+            return msgspec.msgpack.decode(answers.get() or b"", type=Answer)
+
+        answer(Hello("h", ["b"]))
+        while (elapsed := time.time() - began) < float(seconds):
+            due = range(have + 1, 2 + int(elapsed * float(speed) * _BEHIND_PER_SECOND))
+            times = {seq: first + (seq - 1) / _BEHIND_PER_SECOND for seq in due}
+            events = [(seq, to_msgpack(Event(camera, "entry", t))) for seq, t in times.items()]
+            if events:
+                have = answer(Batch("h", "b", have, events, _BEHIND_MORE)).have["b"]
+            time.sleep(_STEP_SECONDS)
+    print(have, flush=True)
 
 
 def publish(
@@ -125,5 +154,5 @@ def as_they_fall_due(events: list[Event], speed: float, began: float) -> Iterato
 
 
 if __name__ == "__main__":
-    parts = (router, zenohd, play, flood, ask, publish)
+    parts = (router, zenohd, play, flood, ask, behind, publish)
     {part.__name__: part for part in parts}[sys.argv[1]](*sys.argv[2:])
