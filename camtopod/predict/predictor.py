@@ -263,8 +263,8 @@ class Predictor:
         """Return what has been observed by the moment of a question.
 
         Two filters are used. Before the exit, arrivals count at zones where an object that leaves
-        at the zone of the exit may have appeared already, and since its entry into the view
-        (`_arrivals_before`). Since the exit, arrivals at all zones count.
+        at the zone of the exit may have appeared already (`_arrivals_before`). Since the exit,
+        arrivals at all zones count. An arrival before the object's entry into the view never does.
         """
         # Before the exit. An arrival at the very moment of the object's entry (tied) counts only if
         # its passage has not ended before the exit: of two passages that begin together, the one
@@ -283,6 +283,7 @@ class Predictor:
         if departure.elapsed:
             report_t = self._reported(zone)
             since = (report_t >= t) & (report_t <= t + departure.elapsed)
+            since &= arrivals.t >= departure.began
             rows = np.concatenate((rows, np.flatnonzero(since)))
             if len(arrivals.t) == RECENT_MAX:  # older ones may have been forgotten
                 memory_start = float(report_t[0]) - t
@@ -367,14 +368,16 @@ class Predictor:
         passage = None
         if event.track is not None:
             passage = self._passages.end(event.camera, str(event.track), event.t)
-        label = self.prepared.labels.number(event.label, (passage or UNKNOWN).label)
-        self._exits.append(t, zone, label)
+        entry_passage = passage or UNKNOWN
+        label = self.prepared.labels.number(event.label, entry_passage.label)
+        self._exits.append(t, zone, label, entry_t=entry_passage.t)
 
         # The hazard of the exit takes the place of the rate of an object in view; after the exit,
         # of all that follows from the entry, too.
         arrivals, labels = self._arrivals, self.prepared.labels
-        rows_before = self._arrivals_before(zone, t, (passage or UNKNOWN).t)
-        rows_after = np.flatnonzero(self._reported(zone) > t)
+        rows_before = self._arrivals_before(zone, t, entry_passage.t)
+        is_after = (self._reported(zone) > t) & (arrivals.t >= entry_passage.t)
+        rows_after = np.flatnonzero(is_after)
         rows = np.concatenate((rows_before, rows_after))
         targets = arrivals.zone[rows]
         rates = self.prepared.hazards.rates_from(zone, targets, arrivals.t[rows] - t)
@@ -410,15 +413,16 @@ class Predictor:
         These objects have left the camera's view, or are still in it. Objects from outside the site
         are not included.
         """
-        # Objects that have left.
+        # Objects that have left, if their passages began before.
         hazards = self.prepared.hazards
-        exit_times, zones, exit_labels = self._exits.after(
-            t - hazards.lag_max - self.prepared.offset_range
-        )
-        exit_row, _, rates = hazards.rates_by_row(zones, zone, t - exit_times)
-        rates = rates * self.prepared.labels.agreement(exit_labels[exit_row], label, zone)
+        exits = self._exits.after(t - hazards.lag_max - self.prepared.offset_range)
+        exit_row, _, rates = hazards.rates_by_row(exits.zone, zone, t - exits.t)
+        rates = rates * self.prepared.labels.agreement(exits.label[exit_row], label, zone)
+        rates *= exits.entry_t[exit_row] <= t
         total = np.bincount(
-            self.prepared.camera_of[zones[exit_row]], rates, minlength=len(self.prepared.cameras)
+            self.prepared.camera_of[exits.zone[exit_row]],
+            rates,
+            minlength=len(self.prepared.cameras),
         )
         causes = {self.prepared.cameras[k]: float(total[k]) for k in np.flatnonzero(total)}
 

@@ -7,8 +7,11 @@ for arrivals, which may be of the object of an exit. Zones are indices in the to
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 from msgspec import Struct
+from msgspec.structs import astuple
 
 from camtopod.arrays import Floats, Ints
 from camtopod.records import Zone
@@ -18,12 +21,20 @@ RECENT_MAX = 2000
 
 
 class RecentState(Struct):
-    """The saved state of `RecentEvents`, its columns."""
+    """The columns of `RecentEvents`, which are its saved state."""
 
     t: Floats
+    """(n,) corrected times in seconds, oldest first."""
     zone: Ints
-    rate: Floats
+    """(n,) indices of the zones."""
     label: Ints
+    """(n,) numbers of the labels, as `Labels` has them."""
+    rate: Floats
+    """(n,) rates (1/s) of all known causes of arrivals; 0 for exits."""
+    entry_t: Floats
+    """(n,) corrected times, in seconds, of the entries whose passages ended with the exits; minus
+    infinity if unknown, and for arrivals.
+    """
 
 
 class RecentEvents:
@@ -33,21 +44,21 @@ class RecentEvents:
     """
 
     def __init__(self) -> None:
-        self._t = np.zeros(2 * RECENT_MAX)
-        self._zone = np.zeros(2 * RECENT_MAX, np.int32)
-        self._rate = np.zeros(2 * RECENT_MAX)
-        self._label = np.zeros(2 * RECENT_MAX, np.int32)
+        size = 2 * RECENT_MAX
+        t, rate, entry_t = np.zeros((3, size))
+        zone, label = np.zeros((2, size), np.int32)
+        self._columns = RecentState(t, zone, label, rate, entry_t)
         self._stop = 0
 
     @property
     def t(self) -> Floats:
         """Corrected times (n,) in seconds, oldest first."""
-        return self._t[self._first : self._stop]
+        return self._columns.t[self._first : self._stop]
 
     @property
     def zone(self) -> Ints:
         """Indices of the zones (n,)."""
-        return self._zone[self._first : self._stop]
+        return self._columns.zone[self._first : self._stop]
 
     def has(self, t: float, zone: int) -> bool:
         """Return True if there was an event at a corrected time (seconds) in a zone (index)."""
@@ -56,46 +67,46 @@ class RecentEvents:
     @property
     def rate(self) -> Floats:
         """Rates (n, 1/s) of all known causes of arrivals; 0 for exits."""
-        return self._rate[self._first : self._stop]
+        return self._columns.rate[self._first : self._stop]
 
     @property
     def label(self) -> Ints:
         """Numbers of the labels (n,), as `Labels` has them."""
-        return self._label[self._first : self._stop]
+        return self._columns.label[self._first : self._stop]
 
-    def append(self, t: float, zone: int, label: int, rate: float = 0.0) -> None:
-        """Add an event at corrected time ``t``, with its rate if it is an arrival."""
-        if self._stop == len(self._t):
+    def append(
+        self, t: float, zone: int, label: int, rate: float = 0.0, entry_t: float = -math.inf
+    ) -> None:
+        """Add an event at corrected time ``t``, with its rate if it is an arrival.
+
+        entry_t (seconds): corrected time of the entry whose passage ended, if it is an exit.
+        """
+        if self._stop == len(self._columns.t):
             self.load(self.save())
         place = self._stop
-        if place and t < self._t[place - 1]:
+        if place and t < self._columns.t[place - 1]:
             place = self._first + int(self.t.searchsorted(t, "right"))
-        for column, value in (
-            (self._t, t),
-            (self._zone, zone),
-            (self._rate, rate),
-            (self._label, label),
-        ):
+        row = (t, zone, label, rate, entry_t)
+        for column, value in zip(astuple(self._columns), row, strict=True):
             column[place + 1 : self._stop + 1] = column[place : self._stop]
             column[place] = value
         self._stop += 1
 
     def save(self) -> RecentState:
         """Return a copy of the columns."""
-        return RecentState(self.t.copy(), self.zone.copy(), self.rate.copy(), self.label.copy())
+        rows = slice(self._first, self._stop)
+        return RecentState(*(column[rows].copy() for column in astuple(self._columns)))
 
     def load(self, state: RecentState) -> None:
         """Replace all events by the given ones, oldest first."""
         self._stop = len(state.t)
-        self._t[: self._stop] = state.t
-        self._zone[: self._stop] = state.zone
-        self._rate[: self._stop] = state.rate
-        self._label[: self._stop] = state.label
+        for column, values in zip(astuple(self._columns), astuple(state), strict=True):
+            column[: self._stop] = values
 
-    def after(self, t: float) -> tuple[Floats, Ints, Ints]:
-        """Return times, zones and labels (n,) of the events from ``t`` on."""
-        first = int(self.t.searchsorted(t))
-        return self.t[first:], self.zone[first:], self.label[first:]
+    def after(self, t: float) -> RecentState:
+        """Return the columns of the events from ``t`` on, as views."""
+        rows = slice(self._first + int(self.t.searchsorted(t)), self._stop)
+        return RecentState(*[column[rows] for column in astuple(self._columns)])
 
     def take_over(
         self, older: RecentEvents, new_zones: dict[int, int], labels: dict[int, int]
@@ -106,12 +117,13 @@ class RecentEvents:
         labels: new number of each label by its old number.
         """
         # New number of each old zone; -1 if it is gone.
-        zones = int(older.zone.max(initial=0)) + 1
+        columns = older.save()
+        zones = int(columns.zone.max(initial=0)) + 1
         number = np.array([new_zones.get(zone, -1) for zone in range(zones)], np.int32)
-        zone = number[older.zone]
-        mask = zone >= 0
-        label = np.array([*labels.values(), -1], np.int32)[older.label]
-        self.load(RecentState(older.t[mask], zone[mask], older.rate[mask], label[mask]))
+        columns.zone = number[columns.zone]
+        columns.label = np.array([*labels.values(), -1], np.int32)[columns.label]
+        mask = columns.zone >= 0
+        self.load(RecentState(*(column[mask] for column in astuple(columns))))
 
     @property
     def _first(self) -> int:

@@ -226,12 +226,16 @@ def test_a_damaged_snapshot_is_refused() -> None:
         assert same == whole  # compressed, the same can be said in several ways
 
 
-def test_a_newer_snapshot_is_refused_by_its_number(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("camtopod.learn.snapshot.FORMAT", FORMAT + 1)
+@pytest.mark.parametrize(("written", "refusal"), [(-1, SnapshotError), (1, NewerSnapshot)])
+def test_a_snapshot_of_another_format_is_refused_by_its_number(
+    written: int, refusal: type[SnapshotError], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("camtopod.learn.snapshot.FORMAT", FORMAT + written)
     blob = pack(Learner(SETTINGS, "s", "e").save())
     monkeypatch.undo()
-    with pytest.raises(NewerSnapshot, match=f"format is {FORMAT + 1}, this program's {FORMAT}"):
+    with pytest.raises(SnapshotError, match=f"is {FORMAT + written}, this program's {FORMAT}") as e:
         unpack(blob)
+    assert e.type is refusal
 
 
 def test_a_new_epoch_keeps_what_is_known() -> None:

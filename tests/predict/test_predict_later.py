@@ -50,6 +50,21 @@ def later(seconds: float, events: list[Event], topology: Topology = THREE) -> Pr
     return prediction
 
 
+@pytest.mark.parametrize("is_heard_first", [True, False])
+def test_an_arrival_before_the_entry_is_of_another_object(is_heard_first: bool) -> None:
+    """Even if it is reported after the exit, as the clock of its camera is fast."""
+    cameras = [replace(c, clock_offset=5.0 if c.id == "d" else 0.0) for c in OVERLAP.cameras]
+    topology = replace(OVERLAP, cameras=cameras)
+
+    def answer(entry_t: float, kind: str = "entry") -> Prediction:
+        other = replace(THERE, kind=kind, t=1000.5)  # 995.5 by the clock of camera a
+        order = [other, EXIT] if is_heard_first else [EXIT, other]
+        return later(2.0, [replace(ENTERED, t=entry_t), *order], topology)
+
+    assert answer(995.6) == answer(995.6, "exit")
+    assert chances(answer(995.4))["d/1"] > 0.9 > chances(answer(995.6))["d/1"]
+
+
 def test_who_has_not_come_is_elsewhere_or_gone() -> None:
     """From a/1: 0.5 to b in 8 s, 0.3 to c in 20 s, 0.1 to a/2 in 30 s, 0.1 leave the site."""
     none_at_b = later(14.0, [])

@@ -25,7 +25,7 @@ from model_rows import (
     rows_of,
     with_rows,
 )
-from msgspec.structs import replace
+from msgspec.structs import astuple, replace
 
 from bench.support.prediction_scores import score_predictions
 from camtopod.learn.learner import Learner
@@ -278,13 +278,14 @@ def test_what_is_remembered_is_in_order_of_time(monkeypatch: pytest.MonkeyPatch)
         times = [float(chance.randrange(40)) for _ in range(30)]
         events = recent_events.RecentEvents()
         for number, t in enumerate(times):
-            events.append(t, number, -number, rate=t / 2)
-        rows = list(zip(events.t, events.zone, events.label, events.rate, strict=True))
+            events.append(t, number, -number, rate=t / 2, entry_t=t / 3)
+        columns = events.save()
+        rows = list(zip(*astuple(columns), strict=True))
 
         newest = sorted(enumerate(times), key=lambda one: one[1])[-7:]
-        assert rows == [(t, number, -number, t / 2) for number, t in newest]
+        assert rows == [(t, number, -number, t / 2, t / 3) for number, t in newest]
         since = chance.choice(times)
-        assert list(events.after(since)[0]) == [t for _, t in newest if t >= since]
+        assert events.after(since).t.tolist() == [t for _, t in newest if t >= since]
 
 
 def test_a_newer_version_remembers_what_has_been_seen() -> None:
