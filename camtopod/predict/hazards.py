@@ -83,7 +83,8 @@ class Hazards:
             to = numbers(model.entered.to, np.int32, len(entry)).tolist()
             hazards = masses_of(model.entered.hazard, self.bins) / self.bins.widths
             for row in zip(entry, to, hazards, strict=True):
-                self._entry_kernels.setdefault(row[0], {})[row[1]] = row[2]
+                if self.camera_of[row[0]] != self.camera_of[row[1]]:
+                    self._entry_kernels.setdefault(row[0], {})[row[1]] = row[2]
         self._before = self._rates_before_exit(topology)
         self._rate_before_exit: dict[int, dict[str, float]] = {}
         """By target that was asked for: the values of `rate_before_exit` by camera."""
@@ -163,7 +164,7 @@ class Hazards:
         """Return the rate (1/s) at which an object that is still in a view appears at a zone.
 
         entry: zone where the object entered the view, ``elapsed`` seconds ago.
-        target: zone of another view.
+        target: zone of another view; of its own the rate is 0.
 
         It is the entry kernel of the two zones at ``elapsed``.
         """
@@ -180,15 +181,15 @@ class Hazards:
     def rate_before_exit(self, camera: str, target: int) -> float:
         """Return the rate (1/s) at which an object in a camera's view appears at a zone.
 
-        target: zone of another view.
+        target: zone of another view; of its own the rate is 0.
 
         It is the mean over the object's passage, as the time of its exit is not known yet.
         """
         return self.rates_before(target).get(camera, 0.0)
 
     def rates_before(self, target: int) -> dict[str, float]:
-        """Return the `rate_before_exit` of the cameras whose objects may appear at a zone before
-        they leave the view; it may be 0.
+        """Return the `rate_before_exit` of the other cameras whose objects may appear at a zone
+        before they leave the view; it may be 0.
         """
         if target not in self._rate_before_exit:
             camera, to, rate = self._before
@@ -285,7 +286,8 @@ class Hazards:
         t, past = self.table, int(self.past.sum())
         mass = (self._exposure[:, :past] * self.bins.widths[:past]).astype(np.float32)
         expected = self._weight * np.einsum("rb,rb->r", t.hazard[:, :past], mass[t.source])
-        expected[t.delay > 0.0] = 0.0
+        is_own = self.camera_of[t.source] == self.camera_of[t.target]
+        expected[is_own | (t.delay > 0.0)] = 0.0
 
         # By camera and target, each zone with its share of the exits.
         exits = np.array([zone.exits for zone in topology.zones], float)

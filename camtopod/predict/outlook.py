@@ -312,11 +312,10 @@ def _own_rate(
     if departure.passage is None:
         return np.zeros(len(observations.t))
 
-    # The passage is still open, also for arrivals after the exit, but in other views only.
+    # The passage is still open, also for arrivals after the exit.
     in_view = hazards.rates_before_exit(version.zones[departure.zone].camera, observations.zone)
-    in_view = in_view * labels.agreement(label, observations.label, observations.zone)
-    in_other_views = version.camera_of[observations.zone] != version.camera_of[departure.zone]
-    return np.where(in_other_views, entry_rates + in_view, 0.0)
+    in_view *= labels.agreement(label, observations.label, observations.zone)
+    return entry_rates + in_view
 
 
 def _expected_early(version: PreparedVersion, targets: Rows, departure: Departure) -> Floats:

@@ -427,11 +427,9 @@ class Predictor:
         causes = {self.prepared.cameras[k]: float(total[k]) for k in np.flatnonzero(total)}
 
         # Objects in other views that may appear at the zone before they leave.
-        own_camera = self.zones[zone].camera
         for camera in hazards.rates_before(zone):
-            for passage in self._passages.open.of(camera).values() if camera != own_camera else ():
-                rate = self.prepared.rate_in_view(passage, zone, t, label)
-                if rate and passage.t <= t:
+            for passage in self._passages.open.of(camera).values():
+                if rate := self.prepared.rate_in_view(passage, zone, t, label):
                     causes[camera] = causes.get(camera, 0.0) + rate
         return causes
 

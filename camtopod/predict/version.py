@@ -137,10 +137,13 @@ class PreparedVersion:
         return is_linked or self.hazards.departures[zone] >= LEARNED_EXITS
 
     def rate_in_view(self, passage: Passage, zone: int, t: float, label: int) -> float:
-        """Return the rate (1/s) at which the object of an open passage arrives in another view.
+        """Return the rate (1/s) at which the object of an open passage arrives in another view; 0
+        before its entry.
 
         zone, t, label: index of the zone, corrected time (seconds) and label of the arrival.
         """
+        if t < passage.t:
+            return 0.0
         rate = self.hazards.rate_before_exit(passage.camera, zone)
         rate += self.hazards.rate_entered(passage.entry, zone, t - passage.t)
         return rate * self.labels.of_two(passage.label, label, zone)

@@ -261,13 +261,12 @@ class Walks:
         ]
 
         # Passages under way in other views.
-        for camera in self._hazards.rates_before(zone):
-            if camera == step.camera:
-                continue
-            for source_step in list(self._memory.open.of(camera).values())[-CANDIDATES_MAX:]:
-                rate = self._rate_in_view(source_step, step)
-                if rate > 0.0 and source_step.entry_t <= t:
-                    edges.append(WalkEdge(source_step, step, step.camera, rate))
+        edges += [
+            WalkEdge(source_step, step, step.camera, rate)
+            for camera in self._hazards.rates_before(zone)
+            for source_step in list(self._memory.open.of(camera).values())[-CANDIDATES_MAX:]
+            if (rate := self._rate_in_view(source_step, step))
+        ]
         return self._with_simultaneous(edges, step, zone)
 
     def _with_simultaneous(
@@ -283,7 +282,7 @@ class Walks:
         for source_step in reversed(self._memory.recent):
             if source_step.entry_t != step.entry_t:
                 break
-            if source_step.camera == step.camera or source_step.exit_t is not None:
+            if source_step.exit_t is not None:
                 continue
             rate = self._rate_in_view(step, source_step)
             causes = source_step.outside / max(
