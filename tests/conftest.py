@@ -33,14 +33,11 @@ DATA = "CAMTOPOD_TEST_DATA"
 OURS = ("CAMTOPOD_", "OPENCV_")
 """Prefixes of the environment variables that the program reads, or sets for OpenCV."""
 
-settings.register_profile(  # a busy machine may be slow; a change alone turns a test red
-    "patient",
-    deadline=None,
-    suppress_health_check=[HealthCheck.too_slow],
-    derandomize=True,
-)
 settings.register_profile(  # looks for new examples: pytest --hypothesis-profile=search
-    "search", settings.get_profile("patient"), derandomize=False, max_examples=2_000
+    "search", deadline=None, suppress_health_check=[HealthCheck.too_slow]
+)
+settings.register_profile(  # a busy machine may be slow; a change alone turns a test red
+    "patient", settings.get_profile("search"), derandomize=True
 )
 settings.load_profile("patient")
 

@@ -33,7 +33,7 @@ class RecentState(Struct):
     """(n,) rates (1/s) of all known causes of arrivals; 0 for exits."""
     entry_t: Floats
     """(n,) corrected times, in seconds, of the entries whose passages ended with the exits; minus
-    infinity if unknown, and for arrivals.
+    infinity for arrivals, and if unknown when the exit was heard.
     """
 
 

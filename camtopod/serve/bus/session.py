@@ -2,8 +2,8 @@
 
 All keys are below ``camtopo/{site}/``. Clients connect to explicit endpoints; the daemon may itself
 be the endpoint they connect to (zenoh's mode ``router``). Multicast scouting and shared memory are
-off, as both cause more trouble than they save. Callbacks must not block: while one does, nothing
-else is delivered to the session.
+off, as both cause more trouble than they save. Callbacks must not block: while one does, what it is
+for gets nothing else.
 """
 
 from __future__ import annotations
@@ -110,9 +110,10 @@ class Bus(contextlib.AbstractContextManager["Bus"]):
 
         key: key below the site.
         schema: name of the payload's type; it also decides how the message is sent.
-        droppable: whether a link that is full drops the message, or lets it wait for room.
+        droppable: True to drop the message for a link that is full; False to let it wait there if
+            it is the only one, not the caller; None for what its schema says.
 
-        By default only events wait for a subscriber that has stopped reading. Other messages for
+        Then only events wait for a subscriber that has stopped reading. Other messages for
         its full link are dropped, except one topology, which is sent when the link has room; the
         subscriber notices the gap in the versions, and queries the topology.
         """
@@ -123,7 +124,7 @@ class Bus(contextlib.AbstractContextManager["Bus"]):
         control = zenoh.CongestionControl.BLOCK_FIRST
         if droppable or (droppable is None and schema in _PROMPT):
             control = zenoh.CongestionControl.DROP
-        elif droppable is False or schema == "event":
+        elif schema == "event":
             control = zenoh.CongestionControl.BLOCK
 
         try:

@@ -94,8 +94,13 @@ class Inbox:
         """True if a message is here."""
         return bool(self._requests or self._publications)
 
-    def wait(self, seconds: float) -> None:
-        """Wait until a message has come, at most ``seconds``."""
-        if not self.has_messages:
+    @property
+    def has_publications(self) -> bool:
+        """True if a publication is here."""
+        return bool(self._publications)
+
+    def wait(self, seconds: float, for_publications: bool = False) -> None:
+        """Wait until a message, or a publication, has come, at most ``seconds``."""
+        if not (self.has_publications if for_publications else self.has_messages):
             self._wakeup.wait(seconds)
         self._wakeup.clear()

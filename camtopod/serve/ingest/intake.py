@@ -127,7 +127,7 @@ class Intake:
         self.commands = threading.Lock()
         """Held by an operator's command until it is in force."""
         self.is_storing_command = False
-        """True while a command is stored: events are heard, and nothing comes into the queue."""
+        """True while a command is stored: publications are heard, and all else waits."""
         self.queue = StoreQueue()
         self._publications: list[tuple[CameraIntake, Received]] = []  # to be put with this step
         self._ready: list[Received] = []  # what goes into the queue with this step
@@ -155,9 +155,9 @@ class Intake:
     def work(self, stopping: threading.Event, beat: Beat = no_beat) -> None:
         """Move what is received on until ``stopping``, and once more at the end."""
         while not stopping.is_set():
-            self.inbox.wait(TICK_SECONDS)
+            self.inbox.wait(TICK_SECONDS, for_publications=self.is_storing_command)
             self.step()
-            self._match(lambda: self.inbox.has_messages)
+            self._match(self._is_busy)
             beat()
         with self.commands:
             self.step()
@@ -411,6 +411,11 @@ class Intake:
         self.counts["stored"] += sum(item.event is not None for item in ready)
         if ready:
             self._learn(list(ready))
+
+    def _is_busy(self) -> bool:
+        """Return True if there is something to hear, or to take."""
+        inbox = self.inbox
+        return inbox.has_publications if self.is_storing_command else inbox.has_messages
 
     def _room(self) -> int:
         """Return how many further events may be taken."""

@@ -539,3 +539,24 @@ def test_events_are_heard_while_a_command_is_stored(
         ("event", "c"),
     ]
     assert bench.intake.names.refusals == {"b": 1}
+
+
+def test_requests_wait_quietly_while_a_command_is_stored(bench: IntakeBench) -> None:
+    """The intake neither turns on them, nor leaves entries unmatched for them."""
+    intake = bench.intake
+    bench.hello()
+    content = codec.to_msgpack(Batch("h1", "b1", 0, [(1, event_bytes("a", bench.wall))], 0))
+    intake.inbox.on_request("store/a", content, Request().reply)
+    assert intake._is_busy()
+    intake.is_storing_command = True
+    intake.step()
+    assert intake.inbox.has_request("a")
+    assert not intake._is_busy()
+    intake.inbox.on_event("event/c", event_bytes("c", bench.wall))
+    assert intake._is_busy()
+    intake.step()
+    assert [event.camera for event in bench.heard] == ["c"]
+
+    intake.is_storing_command = False
+    bench.work()
+    assert [row[:2] for row in bench.stored] == [("event", "a"), ("event", "c")]
