@@ -134,6 +134,25 @@ def test_a_model_that_opencv_crashes_on_is_78_with_its_line(
         assert f"{path}:4: detector.model: cannot run {model}: " in capsys.readouterr().err
 
 
+def test_a_model_that_fails_on_some_pictures_is_said_in_words(
+    tmp_path: Path, film: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """On bright ones, so not on the empty one with which it is tried before the camera is."""
+    pytest.importorskip("onnxruntime", reason="needs onnxruntime (camtopod[detector])")
+    model = write_model(tmp_path / "person.onnx", "yolox", fails_above=200)
+    path = write(tmp_path, f'{BUS}[cameras.a]\nsource = "{film}"\n[detector]\nmodel = "{model}"\n')
+    fault = f"{model} can be run by onnxruntime no longer: "
+
+    out = str(tmp_path / "out")
+    assert main(["--config", str(path), "grab", "--camera", "a", "--out", out]) == 1
+    said = capsys.readouterr().err.splitlines()[-1]
+    assert f"camera a: its detector fails: {fault}" in said
+    assert said.endswith("detector = false in [cameras.a] does without one")
+
+    assert main(["check", str(path), "--probe"]) == 78
+    assert f"{path}:7: detector.model: {fault}" in capsys.readouterr().err
+
+
 # --- grab -----------------------------------------------------------------------------------------
 
 

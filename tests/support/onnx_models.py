@@ -75,6 +75,7 @@ def write_model(
     open_size: bool = False,
     exporter: str = "",
     shuffled: bool = False,
+    fails_above: int | None = None,
 ) -> Path:
     """Write a model with an input of ``size`` (width, height) that finds people, class 0.
 
@@ -83,6 +84,7 @@ def write_model(
     open_size: the file leaves the size open.
     exporter: with "rt-detr", whose outputs and inputs it has: "RF-DETR" or "D-FINE".
     shuffled: nodes come before those that they need.
+    fails_above: with "yolox", grey level from which on an image makes onnxruntime fail.
     """
     width, height = size
     graph = _Graph()
@@ -92,6 +94,14 @@ def write_model(
         mean = np.array([0.485, 0.456, 0.406]).reshape(1, 3, 1, 1)
         image = graph.add("Mul", image, graph.constant(deviation))
         image = graph.add("Add", image, graph.constant(mean))
+    if fails_above is not None:
+        # The first of one number, or one that is not there.
+        excess = graph.add("Sub", "images", graph.constant(fails_above))
+        is_bright = graph.add(
+            "Ceil", graph.add("Clip", excess, graph.constant(0.0), graph.constant(1.0))
+        )
+        index = graph.add("Cast", graph.add("ReduceMax", is_bright), to=TensorProto.INT64)
+        image = graph.add("Add", image, graph.add("Gather", graph.constant([0.0]), index))
     rows, score = _found(graph, size, layout == "yolox", blind, image)
     outputs = _HEADS[layout](graph, rows, score, size, decoded, classes)
 

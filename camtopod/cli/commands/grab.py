@@ -34,6 +34,7 @@ from camtopod.cli.common import (
 from camtopod.cli.exits import CommandError
 from camtopod.config import CameraSettings, Config, detector_line
 from camtopod.serve.runtime import clock, systemd
+from camtopod.vision.detector.errors import DetectorError
 from camtopod.vision.source import RETRY_SEPARATOR, FileOptions, captured_log, kind_of
 
 if TYPE_CHECKING:
@@ -119,7 +120,14 @@ def run(args: argparse.Namespace) -> int:
         if args.camera is None:
             return _all(args, requests)
         with ends_within(requests.stop, LEAVE_SECONDS, args.with_parent):
-            return _one(args, requests.stop)
+            try:
+                return _one(args, requests.stop)
+            except DetectorError as error:
+                raise CommandError(
+                    f"camera {args.camera}: its detector fails: {error}; `camtopod check --probe` "
+                    f"tries it on a picture, and detector = false in [cameras.{args.camera}] does "
+                    "without one"
+                ) from None
 
 
 def _all(args: argparse.Namespace, requests: SignalRequests) -> int:

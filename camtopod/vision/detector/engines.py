@@ -75,6 +75,7 @@ class OpenCvEngine:
 
     def __init__(self, path: str) -> None:
         """Load the model of an ONNX file. Raises `DetectorError`."""
+        self._path = path
         self._inputs, in_order = read_header(path)
         self.size = self._inputs.size
         try:
@@ -84,7 +85,7 @@ class OpenCvEngine:
                 self._net = cv2.dnn.readNetFromONNX(np.frombuffer(in_order, np.uint8))
             self._outputs = self._net.getUnconnectedOutLayersNames()
         except cv2.error as error:
-            raise _opencv_error(error) from None
+            raise _opencv_error(path, error) from None
 
     def run(self, blob: cv2.typing.MatLike) -> Outputs:
         """Return the outputs for an image as a blob (1, 3, height, width), float32."""
@@ -94,7 +95,7 @@ class OpenCvEngine:
                 self._net.setInput(np.array([self.size], np.int64), self._inputs.target)
             outputs = self._net.forward(self._outputs)
         except cv2.error as error:
-            raise _opencv_error(error) from None
+            raise _opencv_error(self._path, error) from None
         return {
             name: np.asarray(output, np.float32)
             for name, output in zip(self._outputs, outputs, strict=True)
@@ -149,7 +150,7 @@ class OnnxRuntimeEngine:
             try:
                 outputs = self._session.run(self._outputs, feed)
             except self._errors as error:
-                self._leave_provider(error)
+                self._leave_provider(error, "can be run by onnxruntime no longer")
                 self._session = self._opened()
             else:
                 return {
@@ -173,13 +174,13 @@ class OnnxRuntimeEngine:
                 self._leave_provider("it cannot be loaded")
             return session
 
-    def _leave_provider(self, reason: Exception | str) -> None:
-        """Go on with the next provider. Raises `DetectorError` if there is none."""
+    def _leave_provider(
+        self, reason: Exception | str, fault: str = "is not an ONNX model that onnxruntime can run"
+    ) -> None:
+        """Go on with the next provider. Raises `DetectorError` with the fault if there is none."""
         words = re.sub(_PLACE, "", " ".join(str(reason).split())).rstrip(".")
         if len(self._providers) < 2:
-            raise DetectorError(
-                "model", f"{self._path} is not an ONNX model that onnxruntime can run: {words}"
-            )
+            raise DetectorError("model", f"{self._path} {fault}: {words}")
         provider = self._providers.pop(0)
         log.warning(
             "detector: %s of onnxruntime fails (%s); %s is used",
@@ -196,7 +197,7 @@ def _errors(runtime: Any) -> tuple[type[Exception], ...]:
     return (RuntimeError, ValueError, *own)
 
 
-def _opencv_error(error: cv2.error) -> DetectorError:
+def _opencv_error(path: str, error: cv2.error) -> DetectorError:
     """Return an error of OpenCV as a sentence, without its place in the source code."""
     words = re.sub(r".*error: \([^)]*\) | in function .*", "", " ".join(str(error).split()))
-    return DetectorError("model", f"OpenCV cannot run it: {words}")
+    return DetectorError("model", f"OpenCV cannot run {path}: {words}")

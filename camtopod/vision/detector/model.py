@@ -121,17 +121,17 @@ def try_model(settings: DetectorSettings, image: Image | None = None) -> ModelRe
     """
     try:
         model = DetectorModel(settings)
+        width, height = model.size
+        frame: Image = np.full((height, width, 3), PADDING, np.uint8) if image is None else image
+
+        # The whole image. The first time takes longer.
+        crop = whole((frame.shape[1], frame.shape[0]), model.size)
+        model.infer(frame, crop)
+        start = time.perf_counter()
+        detections = model.infer(frame, crop)
+        milliseconds = 1e3 * (time.perf_counter() - start)
     except DetectorError as error:
         return ModelReport(str(error), error.key)
-    width, height = model.size
-    frame: Image = np.full((height, width, 3), PADDING, np.uint8) if image is None else image
-
-    # The whole image. The first time takes longer.
-    crop = whole((frame.shape[1], frame.shape[0]), model.size)
-    model.infer(frame, crop)
-    start = time.perf_counter()
-    detections = model.infer(frame, crop)
-    milliseconds = 1e3 * (time.perf_counter() - start)
     detections = [detection for detection in detections if detection.score >= settings.score]
 
     # Describe it.
