@@ -145,9 +145,9 @@ class ViewPipeline:
         self._motion.bootstrap([frame for _, frame, _ in first_frames])
         height, width = first_frames[0][1].shape
 
-        # Tracking begins, or goes on with new tracks.
+        # Tracking begins, or goes on with new tracks, and with what is known of the same scene.
         events = []
-        if self._tracker is None or self._tracker.crossings.size != (width, height):
+        if self._tracker is None or self._motion.is_other_scene:
             crossings = Crossings(
                 self._camera,
                 width,

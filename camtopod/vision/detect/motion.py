@@ -20,7 +20,7 @@ import numpy as np
 
 from camtopod.vision.boxes import Box, pixels
 from camtopod.vision.detect import shake
-from camtopod.vision.detect.background import MEDIAN_SAMPLES, Background, Luma
+from camtopod.vision.detect.background import MEDIAN_SAMPLES, Background, Luma, is_other
 from camtopod.vision.detect.blank_areas import BlankAreas, blank_pixels
 from camtopod.vision.detect.object_contrast import ObjectContrast
 from camtopod.vision.detect.swaying import Swaying
@@ -104,6 +104,9 @@ class MotionDetector:
         """One-sigma temporal noise of the working image, grey levels."""
         self.shake = 0.0
         """Running mean of the shift between images and scene, pixels."""
+        self._background = Background([np.zeros((0, 0), np.uint8)])
+        self.is_other_scene = True
+        """True if the scene is another one than before, not the same in another light."""
         self.view: Box = (0.0, 0.0, 0.0, 0.0)
         """Part of the scene that the latest frame shows."""
         self.relearn_count = 0
@@ -144,7 +147,8 @@ class MotionDetector:
                 )
                 for frame in frames
             ]
-        self._background = Background(frames)
+        earlier, self._background = self._background.image, Background(frames)
+        self.is_other_scene = is_other(self._background.image, earlier, self.watched_mask)
         self._expected = self._background.image
         self.ready = True
         self._settled_mask: Luma = self.watched_mask.copy()
