@@ -18,10 +18,13 @@ from camtopod.vision.track import Crossings, FrameView, IgnoredAreas, Tracker
 WIDTH, HEIGHT = 320, 240
 
 
-def tracked(frames: list[list[Box]], labels: Sequence[str] = ("",)) -> list[Event]:
+def tracked(
+    frames: list[list[Box]], labels: Sequence[str] = ("",), is_trusted: bool = False
+) -> list[Event]:
     """Return the events of the boxes seen in each frame, and in some empty frames around them.
 
     labels: what a detector says that the boxes of the frames are, one frame after another.
+    is_trusted: the boxes are those of a trusted detector.
     """
     ignored = IgnoredAreas(np.full((HEIGHT, WIDTH), 255, np.uint8))
     crossings = Crossings("cam", WIDTH, HEIGHT, (), ignored, lambda decision: None)
@@ -33,7 +36,8 @@ def tracked(frames: list[list[Box]], labels: Sequence[str] = ("",)) -> list[Even
             Blob(*map(float, box), (box[0] + box[2]) / 2, label=labels[k % len(labels)])
             for box in boxes
         ]
-        events += tracker.step(FrameView(k / FPS, (0.0, 0.0, WIDTH, HEIGHT)), blobs)
+        view = (0.0, 0.0, float(WIDTH), float(HEIGHT))
+        events += tracker.step(FrameView(k / FPS, view, is_trusted), blobs)
     return events
 
 
@@ -173,6 +177,18 @@ def test_who_is_in_view_before_a_short_pause_and_after_it_is_one(pause: float, t
         if tracks == 1:
             assert [event.kind for event in events] == ["entry", "exit"], start
         assert len({event.track for event in events}) == (tracks if start == 5.0 else 1)
+
+
+def test_who_is_hidden_by_another_has_not_left() -> None:
+    """A trusted detector's objects leave in mid-view, but not behind somebody who stands there."""
+    frames: list[list[Box]] = []
+    for k in range(80):
+        x, other_x = min(6 * k, 150), min(6 * (k - 15), 156 + 6 * max(k - 60, 0))
+        hidden = other_x >= 150
+        frames.append([(x, 100, x + 20, 150)] * (not hidden) + [(other_x, 96, other_x + 24, 152)])
+    frames = [[box for box in boxes if box[2] > 0] for boxes in frames]
+    kinds = [event.kind for event in tracked(frames, is_trusted=True)]
+    assert kinds == ["entry", "entry", "exit"]
 
 
 def test_the_label_of_a_track_is_the_detectors_most_frequent() -> None:
