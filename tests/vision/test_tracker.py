@@ -179,6 +179,15 @@ def test_who_is_in_view_before_a_short_pause_and_after_it_is_one(pause: float, t
         assert len({event.track for event in events}) == (tracks if start == 5.0 else 1)
 
 
+@pytest.mark.parametrize(("every", "kinds"), [(1, ["entry", "exit"]), (3, [])])
+def test_what_is_seen_in_a_third_of_the_frames_is_nobody(every: int, kinds: list[str]) -> None:
+    """Leaves flicker; a person is seen most of the time."""
+    frames: list[list[Box]] = [
+        [(3 * k, 100, 3 * k + 20, 150)] if k % every == 0 else [] for k in range(110)
+    ]
+    assert [event.kind for event in tracked(frames)] == kinds
+
+
 def test_who_is_hidden_by_another_has_not_left() -> None:
     """A trusted detector's objects leave in mid-view, but not behind somebody who stands there."""
     frames: list[list[Box]] = []
