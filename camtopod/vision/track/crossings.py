@@ -81,7 +81,7 @@ class Crossings:
         self.size = (width, height)
         self._margin = BORDER_SHARE * (width**2 + height**2) ** 0.5
         self._ignored_areas = ignored_areas
-        self.doors = Doors(width, height, self._margin, doors)
+        self.doors = Doors(width, height, doors)
         self._start_t = -inf
 
     def begin(self, start_t: float, ignored_areas: IgnoredAreas) -> None:

@@ -36,15 +36,11 @@ GRID = (24, 32)
 class Doors:
     """Doors of one view, named and learned; positions in pixels of the working image.
 
-    radius_min: least radius of a learned door, for objects far away.
     polygons: doors of the settings, in fractions of the image.
     """
 
-    def __init__(
-        self, width: int, height: int, radius_min: float, polygons: Sequence[Polygon] = ()
-    ) -> None:
+    def __init__(self, width: int, height: int, polygons: Sequence[Polygon] = ()) -> None:
         self._size = (width, height)
-        self._radius_min = radius_min
         self._polygons = [
             np.array([(x * width, y * height) for x, y in polygon], np.float32)
             for polygon in polygons
@@ -77,8 +73,6 @@ class Doors:
         radius = DOOR_HEIGHTS * height
         if any(_is_at(place, x, y, radius) for place in self._polygons):
             return "named door"
-
-        radius = max(radius, self._radius_min)
         near = sum(dist(place, (x, y)) <= radius for place in self._unexplained_points)
         if near >= DOOR_EVENTS_MIN and near > int(self._pass_counts[self.cell(x, y)]):
             return "learned door"
