@@ -170,9 +170,11 @@ VISION = [
     Mechanism("adoption", {"vision.detect.motion:ADOPT_SECONDS": math.inf}),
     Mechanism("ghosts", {"vision.detect.motion:MotionDetector.is_ghost": lambda *a: False}),
     Mechanism("dense part", {"vision.detect.blobs:SPARSE_SHARE_MAX": 0.0}),
+    Mechanism("small fragments", {"vision.detect.blobs:NEAR": -math.inf}),
     Mechanism("blindness", {"vision.pipeline:Blindness.step": lambda *a: None}),
     Mechanism("learned doors", {"vision.track.doors:DOOR_EVENTS_MIN": math.inf}),
     Mechanism("stature", {"vision.track.stature:Stature.height": lambda self, row: None}),
+    Mechanism("farther of head and foot", {"vision.track.assignment:NEARER_SHARE": 1.0}),
     Mechanism("movement confirms", {"vision.track.tracker:CONFIRM_HEIGHTS": 0.0}),
 ]
 """The mechanisms of vision that are left out in turn, on clips."""
