@@ -27,10 +27,13 @@ CONTRAST_SHARE_MIN = 0.1
 """Share of the scene's contrast that is left in any light; a card of a recorder leaves less."""
 LIGHT_MIN, LIGHT_MAX = 0.5, 2.0
 """Factors of the light within which grey levels beyond the bins change as the outermost bins do."""
-EDGES_MIN = 0.003
-"""Edges of a scene, mean square of its steps, that have to be elsewhere in another one."""
-_FAINT = 8.0
-"""Step (grey levels from pixel to pixel) from which on edges count alike, text as furniture."""
+SAME_VIEW_MIN = 0.25
+"""Least phase correlation of two images of one view, in any light.
+
+It is 0.28 and more there, and at most 0.22 of the views of different clips.
+"""
+DARK_MAX = 24.0
+"""Mean level below which an image, as that of a covered lens, does not show which view it is."""
 _LEVELS = np.arange(256, dtype=np.float32)
 
 
@@ -113,20 +116,12 @@ class Background:
         self.image = cv2.convertScaleAbs(self._model)
 
 
-def is_other(scene: Luma, earlier: Luma, watched_mask: Luma) -> bool:
-    """Return True if ``scene`` (H, W) is not ``earlier`` in another light, as of a camera turned.
-
-    More than half of the edges of the one that has fewer are not those of the other. In the dark,
-    and in front of a covered lens, there are too few to say so.
-    """
+def is_other(scene: Luma, earlier: Luma) -> bool:
+    """Return True if ``scene`` (H, W) is not ``earlier`` in another light: a camera was turned."""
     if scene.shape != earlier.shape:
         return True
-    now, before = (_steps(image)[:, watched_mask != 0] for image in (scene, earlier))
-    fewer = min(float((steps * steps).sum()) for steps in (now, before))
-    return bool(fewer - 2.0 * float((now * before).sum()) > EDGES_MIN * now[0].size)
-
-
-def _steps(scene: Luma) -> npt.NDArray[np.float32]:
-    """Return the steps across and down of each pixel, (2, H, W), at most 1 in size."""
-    steps = np.stack(cv2.spatialGradient(scene)).astype(np.float32) / 8
-    return np.asarray(steps / np.hypot(np.hypot(*steps), _FAINT), np.float32)
+    # At half the size, where there is less noise.
+    now, before = (cv2.pyrDown(image).astype(np.float32) for image in (scene, earlier))
+    window = cv2.createHanningWindow(now.shape[::-1], cv2.CV_32F)
+    _, correlation = cv2.phaseCorrelate(now, before, window)
+    return correlation < SAME_VIEW_MIN and bool(min(now.mean(), before.mean()) > DARK_MAX)

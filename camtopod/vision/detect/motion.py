@@ -148,7 +148,7 @@ class MotionDetector:
                 for frame in frames
             ]
         earlier, self._background = self._background.image, Background(frames)
-        self.is_other_scene = is_other(self._background.image, earlier, self.watched_mask)
+        self.is_other_scene = is_other(self._background.image, earlier)
         self._expected = self._background.image
         self.ready = True
         self._settled_mask: Luma = self.watched_mask.copy()
