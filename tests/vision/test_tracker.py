@@ -188,6 +188,16 @@ def test_what_is_seen_in_a_third_of_the_frames_is_nobody(every: int, kinds: list
     assert [event.kind for event in tracked(frames)] == kinds
 
 
+def test_a_part_of_somebody_who_is_seen_leaves_with_them() -> None:
+    """As a bag that differs from a coat, and from the scene behind both."""
+    frames: list[list[Box]] = []
+    for x in range(-20, WIDTH + 20, 4):
+        frames.append([(max(x, 0), 100, min(x + 40, WIDTH), 200)] if x < WIDTH else [])
+        if 60 < x < WIDTH - 10:
+            frames[-1].append((x + 8, 120, min(x + 32, WIDTH), 190))
+    assert [event.kind for event in tracked(frames)] == ["entry", "exit"]
+
+
 def test_who_is_hidden_by_another_has_not_left() -> None:
     """A trusted detector's objects leave in mid-view, but not behind somebody who stands there."""
     frames: list[list[Box]] = []
