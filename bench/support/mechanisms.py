@@ -154,6 +154,7 @@ MECHANISMS = [
 VISION = [
     Mechanism("filter of noise", {"vision.detect.motion:NOISE_TO_FILTER": math.inf}),
     Mechanism("alignment with the scene", {"vision.detect.motion:SHAKE_PIXELS": math.inf}),
+    Mechanism("damping of the alignment", {"vision.detect.shake:_DAMPING": 0.0}),
     Mechanism("tone curve", {"vision.detect.background:Background._tone_shift": _no_tone_shift}),
     Mechanism("light makes no edges", {"vision.detect.motion:EDGE_MIN": 0.0}),
     Mechanism("contrast of objects", {"vision.detect.object_contrast:ObjectContrast.share": 1.0}),

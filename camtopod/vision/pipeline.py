@@ -142,12 +142,12 @@ class ViewPipeline:
         """Initialise the background from the waiting frames, then analyse them."""
         first_frames = self._first_frames
         self._first_frames = []
-        self._motion.bootstrap([frame for _, frame, _ in first_frames])
+        is_other = self._motion.bootstrap([frame for _, frame, _ in first_frames])
         height, width = first_frames[0][1].shape
 
         # Tracking begins, or goes on with new tracks, and with what is known of the same scene.
         events = []
-        if self._tracker is None or self._motion.is_other_scene:
+        if self._tracker is None or is_other:
             crossings = Crossings(
                 self._camera,
                 width,

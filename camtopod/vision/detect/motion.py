@@ -105,8 +105,6 @@ class MotionDetector:
         self.shake = 0.0
         """Running mean of the shift between images and scene, pixels."""
         self._background = Background([np.zeros((0, 0), np.uint8)])
-        self.is_other_scene = True
-        """True if the scene is another one than before, not the same in another light."""
         self.view: Box = (0.0, 0.0, 0.0, 0.0)
         """Part of the scene that the latest frame shows."""
         self.relearn_count = 0
@@ -125,8 +123,11 @@ class MotionDetector:
             return frame
         return cv2.convertScaleAbs(wiener(frame, 3, self.noise**2))
 
-    def bootstrap(self, frames: list[Luma]) -> None:
-        """Take the median of ``frames`` (some of them) as the settled scene."""
+    def bootstrap(self, frames: list[Luma]) -> bool:
+        """Take the median of ``frames`` (some of them) as the settled scene.
+
+        Returns True if it is another one than before, not the same in another light.
+        """
         frames = frames[:: -(-len(frames) // MEDIAN_SAMPLES)]
         watched_mask = watched_pixels(self._settings.ignore, *frames[0].shape)
         blank = blank_pixels(frames)
@@ -148,7 +149,6 @@ class MotionDetector:
                 for frame in frames
             ]
         earlier, self._background = self._background.image, Background(frames)
-        self.is_other_scene = is_other(self._background.image, earlier)
         self._expected = self._background.image
         self.ready = True
         self._settled_mask: Luma = self.watched_mask.copy()
@@ -160,6 +160,7 @@ class MotionDetector:
             self.watched_mask
         )  # of the last frame; nothing is sudden in the first one
         self._sudden: Luma = np.zeros_like(self.watched_mask)
+        return is_other(self._background.image, earlier)
 
     def detect(self, frame: Luma, dt: float) -> Motion | None:
         """Return the motion in ``frame``, ``dt`` seconds after the last.
