@@ -195,7 +195,7 @@ class ViewPipeline:
                 [track.box for track in self._tracker.active],
             )
             is_trusted = self._detector.result.is_trusted
-        frame_view = FrameView(t, self._motion.view, is_trusted)
+        frame_view = FrameView(t, self._motion.view, is_trusted, self._motion.tiles)
         events = [] if objects is None else self._tracker.step(frame_view, objects)
 
         # Drop ghosts; a detector that is trusted knows none.

@@ -23,6 +23,7 @@ from camtopod.vision.detect import shake
 from camtopod.vision.detect.background import MEDIAN_SAMPLES, Background, Luma, is_other
 from camtopod.vision.detect.blank_areas import BlankAreas, blank_pixels
 from camtopod.vision.detect.object_contrast import ObjectContrast
+from camtopod.vision.detect.seams import find_tiles, seam_pixels
 from camtopod.vision.detect.swaying import Swaying
 from camtopod.vision.detect.wiener import NOISE_TO_FILTER, temporal_noise, wiener
 from camtopod.vision.settings import Polygon, VisionSettings
@@ -107,6 +108,8 @@ class MotionDetector:
         self._background = Background([np.zeros((0, 0), np.uint8)])
         self.view: Box = (0.0, 0.0, 0.0, 0.0)
         """Part of the scene that the latest frame shows."""
+        self.tiles: list[Box] = []
+        """The views that it shows, each with borders of its own."""
         self.relearn_count = 0
 
     def filter_noise(self, frame: Luma) -> Luma:
@@ -150,6 +153,8 @@ class MotionDetector:
             ]
         earlier, self._background = self._background.image, Background(frames)
         self._expected = self._background.image
+        self.tiles = find_tiles(self._background.image, self._picture_view)
+        self.watched_mask = cv2.subtract(self.watched_mask, seam_pixels(self.tiles, scene))
         self.ready = True
         self._settled_mask: Luma = self.watched_mask.copy()
         self._object_contrast = ObjectContrast(self._settings.sensitivity)
