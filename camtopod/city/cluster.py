@@ -77,12 +77,12 @@ def differences(versions: Mapping[str, Any]) -> Iterator[str]:
 
     versions: as `Client.get_versions` returns them.
     """
-    here = _packages(versions["client"])
+    own_packages = _packages(versions["client"])
     for place, process in {"the scheduler": versions["scheduler"], **versions["workers"]}.items():
         packages = _packages(process)
         for name in PACKAGES + WORKER_PACKAGES * (place != "the scheduler"):
-            if packages[name] != here[name]:
-                yield f"{place} has {name} {packages[name]}, this process {here[name]}"
+            if packages[name] != own_packages[name]:
+                yield f"{place} has {name} {packages[name]}, this process {own_packages[name]}"
 
 
 def _packages(process: Mapping[str, Any]) -> dict[str, str | None]:

@@ -235,8 +235,8 @@ class MotionDetector:
 
         Otherwise a wrong map would stay: the scene is learned from what was aligned by it.
         """
-        moved = shake.length(self._map - self._held_map, frame.shape)
-        if moved > HELD_PIXELS or shake.length(self._map, frame.shape) < AWAY_PIXELS:
+        way = shake.length(self._map - self._held_map, frame.shape)
+        if way > HELD_PIXELS or shake.length(self._map, frame.shape) < AWAY_PIXELS:
             self._held_map, self._held_seconds = self._map, 0.0
         self._held_seconds += dt
         if self._held_seconds > HELD_SECONDS:

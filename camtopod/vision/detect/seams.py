@@ -37,13 +37,13 @@ SEAM_PIXELS = 2
 """Pixels on each side of a seam in which nothing counts."""
 
 
-def find_tiles(scene: Luma, shown: Box) -> list[Box]:
+def find_tiles(scene: Luma, area: Box) -> list[Box]:
     """Return the views that a picture shows beside or above one another; one without a seam.
 
     scene (H, W): the settled scene.
-    shown: the part of the picture that shows something.
+    area: the part of the picture that shows something.
     """
-    left, top, right, bottom = shown
+    left, top, right, bottom = area
     columns = [left, *_seam(scene), right]
     rows = [top, *_seam(scene.T), bottom]
     return [

@@ -96,8 +96,8 @@ def view(scene: Luma, by: Map) -> Box:
     Rows and columns count of which half is shown.
     by: the map from the scene to the image.
     """
-    shown = warped(np.full_like(scene, 255), np.zeros_like(scene), by) != 0
-    columns, rows = shown.mean(axis=0) > 0.5, shown.mean(axis=1) > 0.5
+    mask = warped(np.full_like(scene, 255), np.zeros_like(scene), by) != 0
+    columns, rows = mask.mean(axis=0) > 0.5, mask.mean(axis=1) > 0.5
     return (
         float(columns.argmax()),
         float(rows.argmax()),
