@@ -75,5 +75,8 @@ def test_a_scene_has_no_seam() -> None:
     wall[:, WIDTH // 2 :] //= 2
     assert [find_tiles(image, shown) for image in (pole, wall)] == [[shown]] * 2
 
-    tiles = find_tiles(np.hstack([picture, scenes(2)[1].picture(0.0)]), (0.0, 0.0, 384.0, 144.0))
+    two = np.hstack([picture, scenes(2)[1].picture(0.0)])
+    tiles = find_tiles(two, (0.0, 0.0, 384.0, 144.0))
     assert [tile[0] for tile in tiles] == [0.0, pytest.approx(WIDTH, abs=1.0)]
+    narrow = (0.0, 0.0, WIDTH - 20.0, 144.0)
+    assert find_tiles(two, narrow) == [narrow]

@@ -44,8 +44,8 @@ def find_tiles(scene: Luma, area: Box) -> list[Box]:
     area: the part of the picture that shows something.
     """
     left, top, right, bottom = area
-    columns = [left, *_seam(scene), right]
-    rows = [top, *_seam(scene.T), bottom]
+    columns = [left, *(x for x in _seam(scene) if left < x < right), right]
+    rows = [top, *(y for y in _seam(scene.T) if top < y < bottom), bottom]
     return [
         (x, y, next_x, next_y)
         for x, next_x in itertools.pairwise(columns)
