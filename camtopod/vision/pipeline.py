@@ -147,6 +147,7 @@ class ViewPipeline:
 
         # Tracking begins, or goes on with new tracks, and with what is known of the same scene.
         events = []
+        is_other |= self._tracker is None or self._tracker.crossings.size != (width, height)
         if self._tracker is None or is_other:
             crossings = Crossings(
                 self._camera,

@@ -64,7 +64,7 @@ def test_who_crosses_a_tile_enters_and_leaves_it(
 
 
 def test_a_scene_has_no_seam() -> None:
-    """Nor has one with a pole in its middle, or a wall whose pattern goes on behind an edge."""
+    """Nor has one with a thing in its middle, or a wall whose pattern goes on behind an edge."""
     [scene] = scenes(1)
     picture = scene.picture(0.0)
     shown = (0.0, 0.0, float(WIDTH), float(HEIGHT))
@@ -77,6 +77,22 @@ def test_a_scene_has_no_seam() -> None:
 
     two = np.hstack([picture, scenes(2)[1].picture(0.0)])
     tiles = find_tiles(two, (0.0, 0.0, 384.0, 144.0))
-    assert [tile[0] for tile in tiles] == [0.0, pytest.approx(WIDTH, abs=1.0)]
+    assert tiles == [(0.0, 0.0, 190.0, 144.0), (194.0, 0.0, 384.0, 144.0)]
     narrow = (0.0, 0.0, WIDTH - 20.0, 144.0)
     assert find_tiles(two, narrow) == [narrow]
+
+
+def test_the_seam_between_two_views_above_black_is_found() -> None:
+    """As of a recorder for four cameras that has two."""
+    pictures = [scene.picture(0.0) for scene in scenes(2)]
+    black = np.zeros_like(pictures[0])
+    tiles = find_tiles(put_together([*pictures, black, black], 2), (0.0, 0.0, 384.0, 144.0))
+    assert tiles == [(0.0, 0.0, 190.0, 144.0), (194.0, 0.0, 384.0, 144.0)]
+
+
+def test_two_who_meet_at_a_seam_are_two() -> None:
+    """One leaves the left view to the right as the other enters the right view from its left."""
+    parts = scenes(2)
+    for scene, person in zip(parts, (0, 0), strict=True):
+        scene.people[person].where = line(5.0 if scene is parts[0] else 9.0, *ACROSS, 6.0)
+    assert sorted(event.kind for event in events_of(parts, 2)) == ["entry"] * 2 + ["exit"] * 2

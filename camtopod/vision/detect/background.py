@@ -9,6 +9,7 @@ exposure then causes no motion, immediately and without relearning.
 from __future__ import annotations
 
 from collections.abc import Sequence
+from math import hypot
 
 import cv2
 import numpy as np
@@ -28,12 +29,16 @@ CONTRAST_SHARE_MIN = 0.1
 LIGHT_MIN, LIGHT_MAX = 0.5, 2.0
 """Factors of the light within which grey levels beyond the bins change as the outermost bins do."""
 SAME_VIEW_MIN = 0.25
-"""Least phase correlation of two images of one view, in any light.
+"""Least phase correlation of two images of one view.
 
-It is 0.28 and more there, and at most 0.22 of the views of different clips.
+It is 0.28 and more in most lights, and at most 0.22 of the views of different clips.
 """
+MOVED_SHARE_MAX = 0.025
+"""Largest shift between two images of one view, as a share of the diagonal."""
 DARK_MAX = 24.0
 """Mean level below which an image, as that of a covered lens, does not show which view it is."""
+PLAIN_MAX = 4.0
+"""Standard deviation (grey levels) below which it does not either, as a sheet or a card."""
 _LEVELS = np.arange(256, dtype=np.float32)
 
 
@@ -116,12 +121,24 @@ class Background:
         self.image = cv2.convertScaleAbs(self._model)
 
 
-def is_other(scene: Luma, earlier: Luma) -> bool:
-    """Return True if ``scene`` (H, W) is not ``earlier`` in another light: a camera was turned."""
-    if scene.shape != earlier.shape:
+def view_image(scene: Luma, mask: Luma) -> Luma | None:
+    """Return what tells a view from others; None if the scene does not show which view it is.
+
+    scene (H, W): what is outside of ``mask`` becomes its mean level.
+    """
+    (level,), (contrast,) = (moment[0] for moment in cv2.meanStdDev(scene, mask=mask))
+    if level <= DARK_MAX or contrast <= PLAIN_MAX:
+        return None
+    return np.where(mask != 0, scene, np.uint8(level))
+
+
+def is_other(view: Luma, earlier: Luma) -> bool:
+    """Return True if a view (H, W) is not the earlier one in another light: a camera was turned."""
+    if view.shape != earlier.shape:
         return True
     # At half the size, where there is less noise.
-    now, before = (cv2.pyrDown(image).astype(np.float32) for image in (scene, earlier))
+    now, before = (cv2.pyrDown(image).astype(np.float32) for image in (view, earlier))
     window = cv2.createHanningWindow(now.shape[::-1], cv2.CV_32F)
-    _, correlation = cv2.phaseCorrelate(now, before, window)
-    return correlation < SAME_VIEW_MIN and bool(min(now.mean(), before.mean()) > DARK_MAX)
+    shift, correlation = cv2.phaseCorrelate(now, before, window)
+    has_moved = hypot(*shift) > MOVED_SHARE_MAX * hypot(*now.shape)
+    return correlation < SAME_VIEW_MIN or has_moved

@@ -18,12 +18,18 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 
-from camtopod.vision.boxes import Box, pixels
+from camtopod.vision.boxes import Box, intersection, pixels
 from camtopod.vision.detect import shake
-from camtopod.vision.detect.background import MEDIAN_SAMPLES, Background, Luma, is_other
+from camtopod.vision.detect.background import (
+    MEDIAN_SAMPLES,
+    Background,
+    Luma,
+    is_other,
+    view_image,
+)
 from camtopod.vision.detect.blank_areas import BlankAreas, blank_pixels
 from camtopod.vision.detect.object_contrast import ObjectContrast
-from camtopod.vision.detect.seams import find_tiles, seam_pixels
+from camtopod.vision.detect.seams import between_tiles, find_tiles
 from camtopod.vision.detect.swaying import Swaying
 from camtopod.vision.detect.wiener import NOISE_TO_FILTER, temporal_noise, wiener
 from camtopod.vision.settings import Polygon, VisionSettings
@@ -105,11 +111,10 @@ class MotionDetector:
         """One-sigma temporal noise of the working image, grey levels."""
         self.shake = 0.0
         """Running mean of the shift between images and scene, pixels."""
-        self._background = Background([np.zeros((0, 0), np.uint8)])
+        self._view_image: Luma | None = None
+        """The last scene that showed which view it is, as it was at first."""
         self.view: Box = (0.0, 0.0, 0.0, 0.0)
         """Part of the scene that the latest frame shows."""
-        self.tiles: list[Box] = []
-        """The views that it shows, each with borders of its own."""
         self.relearn_count = 0
 
     def filter_noise(self, frame: Luma) -> Luma:
@@ -129,7 +134,7 @@ class MotionDetector:
     def bootstrap(self, frames: list[Luma]) -> bool:
         """Take the median of ``frames`` (some of them) as the settled scene.
 
-        Returns True if it is another one than before, not the same in another light.
+        Returns True if it is another view than before, not the same in another light.
         """
         frames = frames[:: -(-len(frames) // MEDIAN_SAMPLES)]
         watched_mask = watched_pixels(self._settings.ignore, *frames[0].shape)
@@ -151,10 +156,12 @@ class MotionDetector:
                 )
                 for frame in frames
             ]
-        earlier, self._background = self._background.image, Background(frames)
+        self._background = Background(frames)
         self._expected = self._background.image
-        self.tiles = find_tiles(self._background.image, self._picture_view)
-        self.watched_mask = cv2.subtract(self.watched_mask, seam_pixels(self.tiles, scene))
+        earlier, view = self._view_image, view_image(self._expected, self.watched_mask)
+        self._view_image = earlier if view is None else view
+        self._tiles = find_tiles(self._expected, self._picture_view)
+        self.watched_mask = cv2.subtract(self.watched_mask, between_tiles(self._tiles, scene))
         self.ready = True
         self._settled_mask: Luma = self.watched_mask.copy()
         self._object_contrast = ObjectContrast(self._settings.sensitivity)
@@ -165,7 +172,7 @@ class MotionDetector:
             self.watched_mask
         )  # of the last frame; nothing is sudden in the first one
         self._sudden: Luma = np.zeros_like(self.watched_mask)
-        return is_other(self._background.image, earlier)
+        return view is not None and earlier is not None and is_other(view, earlier)
 
     def detect(self, frame: Luma, dt: float) -> Motion | None:
         """Return the motion in ``frame``, ``dt`` seconds after the last.
@@ -229,6 +236,12 @@ class MotionDetector:
         solid[part] = cv2.morphologyEx(solid[part], cv2.MORPH_OPEN, _CROSS)
         is_plain = contrast < _PLAIN_SHARE * least
         return Motion(frame, by, solid, moving_mask, differs, expected, light < 1.0, is_plain)
+
+    @property
+    def tiles(self) -> list[Box]:
+        """The views that the latest frame shows, each with borders of its own."""
+        parts = (intersection(tile, self.view) for tile in self._tiles)
+        return [part for part in parts if part is not None]
 
     def _stands_elsewhere(self, frame: Luma, dt: float) -> bool:
         """Return True if the camera stands still, but not where the scene is: it is learned anew.

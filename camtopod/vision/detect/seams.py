@@ -7,7 +7,6 @@ it does not go on at the other. Objects enter and leave by it.
 
 from __future__ import annotations
 
-import itertools
 from collections.abc import Sequence
 
 import cv2
@@ -42,34 +41,39 @@ def find_tiles(scene: Luma, area: Box) -> list[Box]:
 
     scene (H, W): the settled scene.
     area: the part of the picture that shows something.
+
+    Compression mixes the views along a seam, so they end `SEAM_PIXELS` before it.
     """
     left, top, right, bottom = area
-    columns = [left, *(x for x in _seam(scene) if left < x < right), right]
-    rows = [top, *(y for y in _seam(scene.T) if top < y < bottom), bottom]
+    columns = _sides(_seam(scene[int(top) : int(bottom)]), left, right)
+    rows = _sides(_seam(scene[:, int(left) : int(right)].T), top, bottom)
     return [
         (x, y, next_x, next_y)
-        for x, next_x in itertools.pairwise(columns)
-        for y, next_y in itertools.pairwise(rows)
+        for x, next_x in zip(columns[::2], columns[1::2], strict=True)
+        for y, next_y in zip(rows[::2], rows[1::2], strict=True)
     ]
 
 
-def seam_pixels(tiles: Sequence[Box], scene: Luma) -> Luma:
-    """Return a mask (H, W): 255 along the seams of a picture, where compression mixes the views."""
-    mask = np.zeros_like(scene)
-    for left, top, right, bottom in tiles[1:]:
-        (x, y), (next_x, next_y) = ((round(x), round(y)) for x, y in ((left, top), (right, bottom)))
-        if left > tiles[0][0]:
-            mask[y:next_y, x - SEAM_PIXELS : x + SEAM_PIXELS] = 255
-        if top > tiles[0][1]:
-            mask[y - SEAM_PIXELS : y + SEAM_PIXELS, x:next_x] = 255
+def between_tiles(tiles: Sequence[Box], scene: Luma) -> Luma:
+    """Return a mask (H, W): 0 in the views, 255 between and around them."""
+    mask = np.full_like(scene, 255)
+    for left, top, right, bottom in tiles:
+        mask[round(top) : round(bottom), round(left) : round(right)] = 0
     return mask
 
 
-def _seam(scene: Luma) -> list[float]:
-    """Return the column (pixels) of the seam between a left and a right view; empty without one."""
+def _sides(seam: float | None, first: float, last: float) -> list[float]:
+    """Return first and last side of each view in turn, pixels."""
+    if seam is None or not first + BESIDE_PIXELS < seam < last - BESIDE_PIXELS:
+        return [first, last]
+    return [first, seam - SEAM_PIXELS, seam + SEAM_PIXELS, last]
+
+
+def _seam(scene: Luma) -> float | None:
+    """Return the column (pixels) of the seam between a left and a right view; None without one."""
     height, width = scene.shape
     if height < DETAIL_PIXELS or width < 4 * BESIDE_PIXELS:
-        return []
+        return None
     middle = width // 2
     levels = scene[:, middle - BESIDE_PIXELS - 1 : middle + BESIDE_PIXELS + 2].astype(float)
 
@@ -80,18 +84,18 @@ def _seam(scene: Luma) -> list[float]:
     beside = np.delete(steps, near, axis=1).mean(axis=1, keepdims=True)
     is_step = (steps[:, near] >= STEP_MIN) & (steps[:, near] >= STEP_RATIO_MIN * beside)
     shares = is_step.mean(axis=0)
-    at = int(shares.argmax())
-    if shares[at] < PARTS_SHARE_MIN:
-        return []
+    if shares.max() < PARTS_SHARE_MIN:
+        return None
+    at = round(float(np.flatnonzero(shares == shares.max()).mean()) + 0.5)
 
     # Details along both sides.
     column = BESIDE_PIXELS + 1 - REACH_PIXELS + at
     before, after = (
         _details(levels[:, columns])
-        for columns in (slice(column - 6, column - 2), slice(column + 3, column + 7))
+        for columns in (slice(column - 7, column - 3), slice(column + 3, column + 7))
     )
     likeness = (before * after).mean() / max(before.std() * after.std(), 1e-6)
-    return [] if likeness > LIKENESS_MAX else [float(middle - REACH_PIXELS + at)]
+    return None if likeness > LIKENESS_MAX else float(middle - REACH_PIXELS + at)
 
 
 def _details(levels: Floats) -> Floats:

@@ -95,8 +95,9 @@ def costs_by_area(
     for j, blob in enumerate(blobs):
         x, y = centre(blob.box)
         distance = min(hypot(x - a, y - b) for a, b in middles)
+        if distance > reach:
+            continue
         low, high = sorted((area(blob.box), area(box)))
-        cut_box = cut or crossings.touches(frame, blob.box)
-        if distance <= reach and (high <= LIKE_FACTOR * low or cut_box):
+        if high <= LIKE_FACTOR * low or cut or crossings.touches(frame, blob.box):
             costs[j] = distance / reach
     return costs

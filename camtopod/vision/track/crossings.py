@@ -72,7 +72,8 @@ class FrameView(NamedTuple):
         """Return the view in which the centre of a box is, or the nearest one."""
         if len(self.tiles) < 2:
             return self.view
-        return min(self.tiles, key=lambda tile: gap(tile, (*centre(box), *centre(box))))
+        point = 2 * centre(box)
+        return min(self.tiles, key=lambda tile: gap(tile, point))
 
 
 class Crossings:
@@ -180,13 +181,15 @@ class Crossings:
     def comes_in(self, frame: FrameView, track: Track, box: Box) -> bool:
         """Return True if ``box`` is not the object of ``track``, but another one that comes in.
 
-        Either a border cuts it that the object, whole so far, does not reach yet, or it moves away
-        from a border where the object is and leaves soon at its speed, by more than two sigma of
-        the measurement.
+        Either it is in another view; or a border cuts it that the object, whole so far, does not
+        reach yet; or it moves away from a border where the object is and leaves soon at its speed,
+        by more than two sigma of the measurement.
         """
         dx, dy = track.velocity
         speeds = (-dx, -dy, dx, dy)
         view = frame.view_of(track.last.box)
+        if frame.view_of(box) != view:
+            return True
         extent = view[2] - view[0], view[3] - view[1]
         before = border_distances(track.last.box, view)
         after = border_distances(box, view)

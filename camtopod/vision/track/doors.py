@@ -81,13 +81,14 @@ class Doors:
     def learned(self, height: Callable[[float], float | None]) -> list[tuple[float, float]]:
         """Return foot points of learned doors, at most one of each grid cell.
 
-        height: expected height (pixels) of a person whose feet are in a given row, if known.
+        height: expected height (pixels) of a person whose feet are in a given row, if known; else a
+            tenth of the image's height is taken.
         """
         places = {self.cell(x, y): (x, y) for x, y in self._unexplained_points}
         return [
             (x, y)
             for x, y in places.values()
-            if self.door_at(x, y, height(y) or 0.0) == "learned door"
+            if self.door_at(x, y, height(y) or 0.1 * self._size[1]) == "learned door"
         ]
 
 
