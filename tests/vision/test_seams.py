@@ -90,9 +90,10 @@ def test_the_seam_between_two_views_above_black_is_found() -> None:
     assert tiles == [(0.0, 0.0, 190.0, 144.0), (194.0, 0.0, 384.0, 144.0)]
 
 
-def test_two_who_meet_at_a_seam_are_two() -> None:
-    """One leaves the left view to the right as the other enters the right view from its left."""
+@pytest.mark.parametrize("start", [9.1, 9.3, 9.6])
+def test_two_who_meet_at_a_seam_are_two(start: float) -> None:
+    """One leaves the upper view downwards as the other enters the lower one from above."""
     parts = scenes(2)
-    for scene, person in zip(parts, (0, 0), strict=True):
-        scene.people[person].where = line(5.0 if scene is parts[0] else 9.0, *ACROSS, 6.0)
-    assert sorted(event.kind for event in events_of(parts, 2)) == ["entry"] * 2 + ["exit"] * 2
+    for scene, begin in zip(parts, (5.0, start), strict=True):
+        scene.people[0].where = line(begin, (0.5, -0.1), (0.5, 1.6), 6.0)
+    assert sorted(event.kind for event in events_of(parts, 1)) == ["entry"] * 2 + ["exit"] * 2
