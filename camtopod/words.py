@@ -346,7 +346,7 @@ def headline(prediction: Prediction) -> Headline:
     An outcome is stated as a fact only if it is `LIKELY`. Otherwise the headline is the likeliest
     camera, which is the place to look at: "most likely" if no outcome is
     likelier, "perhaps" if leaving the site is. Who is likely in view now comes before all that may
-    follow "otherwise". Nobody is said to leave where it is not learned yet whether objects do.
+    follow "otherwise". Leaving is left out where it is not learned yet whether objects do.
     """
     outcomes = _outcomes(prediction)
     is_unknown = prediction.prior or prediction.zone is None

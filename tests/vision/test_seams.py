@@ -12,7 +12,7 @@ from camtopod.vision.pipeline import ViewPipeline
 from camtopod.vision.settings import VisionSettings
 
 SECONDS = 9.0
-"""Time for each tile, in which somebody crosses it."""
+"""Time for each tile, in which a person crosses it."""
 
 
 ACROSS = (-0.1, 0.9), (1.1, 0.9)

@@ -199,7 +199,7 @@ def test_a_part_of_somebody_who_is_seen_leaves_with_them() -> None:
 
 
 def test_who_is_hidden_by_another_has_not_left() -> None:
-    """A trusted detector's objects leave in mid-view, but not behind somebody who stands there."""
+    """A trusted detector's objects leave in mid-view, but not behind a person who stands there."""
     frames: list[list[Box]] = []
     for k in range(80):
         x, other_x = min(6 * k, 150), min(6 * (k - 15), 156 + 6 * max(k - 60, 0))

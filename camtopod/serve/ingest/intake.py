@@ -182,7 +182,7 @@ class Intake:
             if self.is_storing_command:
                 return
 
-            # 2. Take requests, and the publications that nobody delivers.
+            # 2. Take requests, and the publications that no spool delivers.
             enough = self.counts["received"] + TAKEN_AT_ONCE_MAX
             while self.counts["received"] < enough and (request := self.inbox.take_request()):
                 self._take(*request, wall, now)
@@ -288,7 +288,7 @@ class Intake:
                 self._take_published()
 
     def _take_published(self) -> None:
-        """Hear publications, and take those that nobody delivers."""
+        """Hear publications, and take those that no spool delivers."""
         wall, now = self._clock(), self._steady()
         for name, content in self.inbox.take_published(HEARD_AT_ONCE_MAX):
             labels: list[codec.Rejected] = []

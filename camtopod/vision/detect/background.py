@@ -122,7 +122,7 @@ class Background:
 
 
 def view_image(scene: Luma, mask: Luma) -> Luma | None:
-    """Return what tells a view from others; None if the scene does not show which view it is.
+    """Return the image by which a view is recognised; None if the scene does not show it.
 
     scene (H, W): what is outside of ``mask`` becomes its mean level.
     """
