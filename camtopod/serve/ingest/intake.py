@@ -332,7 +332,7 @@ class Intake:
     def _store_published(
         self, name: str, content: bytes, event: Event, camera: CameraIntake | None, wall: float
     ) -> None:
-        """Take an event that nobody delivers.
+        """Take an event that no spool delivers.
 
         camera: None if there are too many.
         """
