@@ -196,7 +196,7 @@ class ViewPipeline:
                 [track.box for track in self._tracker.active],
             )
             is_trusted = self._detector.result.is_trusted
-        frame_view = FrameView(t, self._motion.view, is_trusted, self._motion.tiles)
+        frame_view = FrameView(t, self._motion.view, is_trusted)
         events = [] if objects is None else self._tracker.step(frame_view, objects)
 
         # Drop ghosts; a detector that is trusted knows none.

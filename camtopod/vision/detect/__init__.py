@@ -1,9 +1,8 @@
 """Detection: a frame -> blobs of moving pixels.
 
-In the order of use: `shrink` (working size), `wiener` (noise filter, thesis 4.1), `blank_areas`
-and `seams` (what the picture shows), `background` (model of the settled scene), `shake` (shift of
-the image), `swaying` (scenery that moves in place), `object_contrast` (haze), `motion` (moving
-pixels), `blobs` (boxes with a foot point).
+In the order of use: `shrink` (working size), `wiener` (noise filter, thesis 4.1), `background`
+(model of the settled scene), `shake` (shift of the image), `swaying` (scenery that moves in place),
+`object_contrast` (haze), `motion` (moving pixels), `blobs` (boxes with a foot point).
 """
 
 from camtopod.vision.detect.background import Luma as Luma

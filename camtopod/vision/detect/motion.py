@@ -18,7 +18,7 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 
-from camtopod.vision.boxes import Box, intersection, pixels
+from camtopod.vision.boxes import Box, pixels
 from camtopod.vision.detect import shake
 from camtopod.vision.detect.background import (
     MEDIAN_SAMPLES,
@@ -29,7 +29,6 @@ from camtopod.vision.detect.background import (
 )
 from camtopod.vision.detect.blank_areas import BlankAreas, blank_pixels
 from camtopod.vision.detect.object_contrast import ObjectContrast
-from camtopod.vision.detect.seams import between_tiles, find_tiles
 from camtopod.vision.detect.swaying import Swaying
 from camtopod.vision.detect.wiener import NOISE_TO_FILTER, temporal_noise, wiener
 from camtopod.vision.settings import Polygon, VisionSettings
@@ -160,8 +159,6 @@ class MotionDetector:
         self._expected = self._background.image
         earlier, view = self._view_image, view_image(self._expected, self.watched_mask)
         self._view_image = earlier if view is None else view
-        self._tiles = find_tiles(self._expected, self._picture_view)
-        self.watched_mask = cv2.subtract(self.watched_mask, between_tiles(self._tiles, scene))
         self.ready = True
         self._settled_mask: Luma = self.watched_mask.copy()
         self._object_contrast = ObjectContrast(self._settings.sensitivity)
@@ -236,12 +233,6 @@ class MotionDetector:
         solid[part] = cv2.morphologyEx(solid[part], cv2.MORPH_OPEN, _CROSS)
         is_plain = contrast < _PLAIN_SHARE * least
         return Motion(frame, by, solid, moving_mask, differs, expected, light < 1.0, is_plain)
-
-    @property
-    def tiles(self) -> list[Box]:
-        """The views that the latest frame shows, each with borders of its own."""
-        parts = (intersection(tile, self.view) for tile in self._tiles)
-        return [part for part in parts if part is not None]
 
     def _stands_elsewhere(self, frame: Luma, dt: float) -> bool:
         """Return True if the camera stands still, but not where the scene is: it is learned anew.

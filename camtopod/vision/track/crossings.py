@@ -13,15 +13,7 @@ from typing import NamedTuple
 
 from camtopod.labels import most_frequent
 from camtopod.records import Event, Kind
-from camtopod.vision.boxes import (
-    TOUCH_PIXELS,
-    Box,
-    border_distances,
-    box_height,
-    centre,
-    gap,
-    touches_border,
-)
+from camtopod.vision.boxes import TOUCH_PIXELS, Box, border_distances, box_height, touches_border
 from camtopod.vision.settings import Polygon
 from camtopod.vision.track.decisions import Decision, Edge, Reason
 from camtopod.vision.track.doors import Doors
@@ -65,15 +57,6 @@ class FrameView(NamedTuple):
     """Part of the scene that it shows, pixels; its sides are the border."""
     is_trusted: bool = False
     """Its objects are those of a trusted detector, which may enter and leave in mid-view."""
-    tiles: Sequence[Box] = ()
-    """The views that it is put together of; their sides are borders, too."""
-
-    def view_of(self, box: Box) -> Box:
-        """Return the view in which the centre of a box is, or the nearest one."""
-        if len(self.tiles) < 2:
-            return self.view
-        point = 2 * centre(box)
-        return min(self.tiles, key=lambda tile: gap(tile, point))
 
 
 class Crossings:
@@ -139,7 +122,7 @@ class Crossings:
 
     def touches(self, frame: FrameView, box: Box) -> bool:
         """Return True if the border of the view or an ignored area cuts the box."""
-        return touches_border(box, frame.view_of(box)) or self._ignored_areas.cut(box)
+        return touches_border(box, frame.view) or self._ignored_areas.cut(box)
 
     def at_edge(self, frame: FrameView, track: Track) -> Edge | None:
         """Return the edge at which the track was last seen, if objects leave there."""
@@ -151,7 +134,7 @@ class Crossings:
         sense: 1.0 for the way that it goes on, -1.0 for the way that it came.
         """
         dx, dy = (sense * REACH_SECONDS * speed for speed in track.velocity)
-        left, top, right, bottom = border_distances(at.box, frame.view_of(at.box))
+        left, top, right, bottom = border_distances(at.box, frame.view)
         height = box_height(at.box)
 
         # Distance to each border, and the way towards it. At the top the foot decides, because
@@ -181,18 +164,15 @@ class Crossings:
     def comes_in(self, frame: FrameView, track: Track, box: Box) -> bool:
         """Return True if ``box`` is not the object of ``track``, but another one that comes in.
 
-        Either it is in another view; or a border cuts it that the object, whole so far, does not
-        reach yet; or it moves away from a border where the object is and leaves soon at its speed,
-        by more than two sigma of the measurement.
+        Either a border cuts it that the object, whole so far, does not reach yet, or it moves away
+        from a border where the object is and leaves soon at its speed, by more than two sigma of
+        the measurement.
         """
         dx, dy = track.velocity
         speeds = (-dx, -dy, dx, dy)
-        view = frame.view_of(track.last.box)
-        if frame.view_of(box) != view:
-            return True
-        extent = view[2] - view[0], view[3] - view[1]
-        before = border_distances(track.last.box, view)
-        after = border_distances(box, view)
+        extent = frame.view[2] - frame.view[0], frame.view[3] - frame.view[1]
+        before = border_distances(track.last.box, frame.view)
+        after = border_distances(box, frame.view)
         whole = min(before) > TOUCH_PIXELS
         return any(
             (
@@ -323,7 +303,7 @@ class Crossings:
         """
         x, y = at.foot
         dx, dy = track.velocity
-        left, top, right, bottom = frame.view_of(at.box)
+        left, top, right, bottom = frame.view
         distance, speed = {
             "left border": (at.box[2] - left - track.width / 2, -dx),
             "right border": (right - at.box[0] - track.width / 2, dx),

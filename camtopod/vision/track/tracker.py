@@ -124,8 +124,7 @@ class Tracker:
         tracks = [
             track
             for track in self.active
-            if 0.0 < t - track.last.t <= patience
-            and contains_centre(self._frame.view_of(track.last.box), track.box)
+            if 0.0 < t - track.last.t <= patience and contains_centre(self._frame.view, track.box)
         ]
         pairs = best_pairs(self._frame, tracks, blobs, costs, self.crossings)
         for track, blob in pairs:
