@@ -289,6 +289,8 @@ class Intake:
 
     def _take_published(self) -> None:
         """Hear publications, and take those that no spool delivers."""
+        if not self.inbox.has_publications:
+            return
         wall, now = self._clock(), self._steady()
         for name, content in self.inbox.take_published(HEARD_AT_ONCE_MAX):
             labels: list[codec.Rejected] = []
