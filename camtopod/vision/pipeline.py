@@ -145,7 +145,7 @@ class ViewPipeline:
         is_other = self._motion.bootstrap([frame for _, frame, _ in first_frames])
         height, width = first_frames[0][1].shape
 
-        # Tracking begins, or goes on with new tracks, and with what is known of the same scene.
+        # Begin tracking; for the same scene, keep the learned heights and doors.
         events = []
         is_other |= self._tracker is None or self._tracker.crossings.size != (width, height)
         if self._tracker is None or is_other:

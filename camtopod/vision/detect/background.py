@@ -124,7 +124,7 @@ class Background:
 def view_image(scene: Luma, mask: Luma) -> Luma | None:
     """Return the image by which a view is recognised; None if the scene does not show it.
 
-    scene (H, W): what is outside of ``mask`` becomes its mean level.
+    scene (H, W): grey levels; pixels where ``mask`` is 0 are set to the mean of the others.
     """
     (level,), (contrast,) = (moment[0] for moment in cv2.meanStdDev(scene, mask=mask))
     if level <= DARK_MAX or contrast <= PLAIN_MAX:
