@@ -147,8 +147,8 @@ class ViewPipeline:
 
         # Begin tracking; for the same scene, keep the learned heights and doors.
         events = []
-        is_other |= self._tracker is None or self._tracker.crossings.size != (width, height)
-        if self._tracker is None or is_other:
+        size = width, height
+        if self._tracker is None or is_other or self._tracker.crossings.size != size:
             crossings = Crossings(
                 self._camera,
                 width,

@@ -2,8 +2,8 @@
 
 All keys are below ``camtopo/{site}/``. Clients connect to explicit endpoints; the daemon may itself
 be the endpoint they connect to (zenoh's mode ``router``). Multicast scouting and shared memory are
-off, as both cause more trouble than they save. Callbacks must not block: while one does, what it is
-for gets nothing else.
+off, as both cause more trouble than they save. Callbacks must not block: while one does, its
+subscription or query gets nothing else.
 """
 
 from __future__ import annotations
