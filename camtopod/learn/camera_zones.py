@@ -98,13 +98,6 @@ def refresh_camera_zones(state: LearnerState, window: Window, anew: bool = False
             camera_state.vanished = _vanished(before, camera_state.zones)
 
 
-def zones_of_cameras(window: Window) -> list[ZoneMap]:
-    """Return the zones of all cameras of a window, learned from nothing."""
-    return [
-        find_zones(cell_sums(*_placed(window, camera)[1:])) for camera in range(len(window.cameras))
-    ]
-
-
 def _placed(window: Window, camera: int) -> tuple[Longs, Longs, Longs]:
     """Return row and position (x, y) of each of a camera's events that have one, oldest first."""
     rows = window.rows_of_camera(camera)
