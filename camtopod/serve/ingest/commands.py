@@ -6,7 +6,7 @@ import contextlib
 import logging
 import math
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 
 from camtopod.admin import Command, Forget, Rename, Reset
 from camtopod.records import Topology
@@ -36,14 +36,11 @@ def execute(
 
     Raises `CommandRefused` and `sqlite3.Error`; then nothing has changed.
     """
-    with intake.commands, contextlib.ExitStack() as undo:
-        with intake.turn:
-            intake.is_storing_command = True
-            undo.callback(setattr, intake, "is_storing_command", False)
-            if isinstance(command, Reset):
-                command = reset()
-            cameras = intake.cameras
-            senders = {*intake.numbers.cameras, *cameras.status(), *cameras.heard()}
+    with _storing(intake):
+        if isinstance(command, Reset):
+            command = reset()
+        cameras = intake.cameras
+        senders = {*intake.numbers.cameras, *cameras.status(), *cameras.heard()}
         if topology is not None:
             senders.update(camera.id for camera in topology.cameras)
 
@@ -75,3 +72,16 @@ def execute(
             intake.note_stored([item])
     log.warning("%s", effect)
     return effect
+
+
+@contextlib.contextmanager
+def _storing(intake: Intake) -> Iterator[None]:
+    """Let the intake hear publications, and nothing else, while the block runs."""
+    with intake.commands:
+        with intake.turn:
+            intake.is_storing_command = True
+        try:
+            yield
+        finally:
+            with intake.turn:
+                intake.is_storing_command = False

@@ -27,7 +27,7 @@ from __future__ import annotations
 
 import logging
 import threading
-from collections import Counter
+from collections import Counter, deque
 from collections.abc import Callable, Sequence, Set
 
 from camtopod import codec
@@ -127,9 +127,11 @@ class Intake:
         self.commands = threading.Lock()
         """Held by an operator's command until it is in force."""
         self.is_storing_command = False
-        """True while a command is stored: publications are heard, and all else waits."""
+        """True while a command is stored: publications are heard, and all else waits. It changes
+        between two steps only.
+        """
         self.queue = StoreQueue()
-        self._publications: list[tuple[CameraIntake, Received]] = []  # to be put with this step
+        self._publications: deque[tuple[CameraIntake, Received]] = deque()  # wait for a command
         self._ready: list[Received] = []  # what goes into the queue with this step
         self._answers = PendingRequests(numbers, cameras, self._room, self.alive, steady)
 
@@ -177,18 +179,15 @@ class Intake:
             if not self.is_storing_command and self.event_clock.was_set_back(wall, now):
                 self._rewind(wall)
 
-            # 1. Hear publications; what follows waits for an operator's command.
+            # 1. Take publications; what follows waits for an operator's command.
             self._take_published()
             if self.is_storing_command:
                 return
 
-            # 2. Take requests, and the publications that no spool delivers.
+            # 2. Take requests.
             enough = self.counts["received"] + TAKEN_AT_ONCE_MAX
             while self.counts["received"] < enough and (request := self.inbox.take_request()):
                 self._take(*request, wall, now)
-            publications, self._publications = self._publications, []
-            for camera, item in publications:
-                self._put(camera, item, wall)
             self._answers.end_held(now)
             self._note_too_old(now)
 
@@ -288,8 +287,8 @@ class Intake:
                 self._take_published()
 
     def _take_published(self) -> None:
-        """Hear publications, and take those that no spool delivers."""
-        if not self.inbox.has_publications:
+        """Hear publications, and take those that no spool delivers, once no command is stored."""
+        if not self.inbox.has_publications and not self._publications:
             return
         wall, now = self._clock(), self._steady()
         for name, content in self.inbox.take_published(HEARD_AT_ONCE_MAX):
@@ -307,6 +306,8 @@ class Intake:
             for label in labels:
                 self.rejects.add(label.reason, f"event/{name}", str(label), content)
             self._store_published(name, content, event, camera, wall)
+        while self._publications and not self.is_storing_command:
+            self._put(*self._publications.popleft(), wall)
 
     def _hear(
         self,

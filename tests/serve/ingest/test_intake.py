@@ -12,7 +12,15 @@ from intake_bench import IntakeBench, Request, answer_of, event_bytes
 from camtopod import codec
 from camtopod.admin import Forget, Reset
 from camtopod.config import Limits
-from camtopod.serve.ingest import cameras, execute, intake as intake_module, numbers
+from camtopod.records import Event
+from camtopod.serve.ingest import (
+    CommandRefused,
+    Intake,
+    cameras,
+    execute,
+    intake as intake_module,
+    numbers,
+)
 from camtopod.serve.requests import BATCH_EVENTS_MAX, Batch
 from camtopod.serve.storage import Entry
 
@@ -141,6 +149,45 @@ def test_publications_count_once_and_those_of_spools_are_left_alone(bench: Intak
     bench.publish("a")
 
     assert bench.stored == [("event", "a", 0), ("event", "a", 1), ("event", "a", None)]
+
+
+@pytest.mark.parametrize("waits_for_command", [False, True])
+def test_numbers_rise_over_publications_and_requests(
+    bench: IntakeBench, waits_for_command: bool
+) -> None:
+    """A number on disk says that all below are."""
+    bench.hello()
+    inbox = bench.intake.inbox
+    published = Event("a", "entry", bench.wall - 2.0, boot="b1", seq=1)
+    inbox.on_event("event/a", codec.to_msgpack(published))
+    batch = Batch("h1", "b1", 0, [(2, event_bytes("a", bench.wall - 1.0))])
+    inbox.on_request("store/a", codec.to_msgpack(batch), Request().reply)
+    if waits_for_command:
+        bench.intake.is_storing_command = True
+        bench.intake.step()
+        bench.intake.is_storing_command = False
+    bench.work()
+    assert [seq for _, _, seq in bench.stored] == [1, 2]
+
+
+def test_a_command_begins_and_ends_between_two_steps(
+    bench: IntakeBench, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    changes: list[bool] = []
+
+    class Watched(Intake):
+        def __setattr__(self, name: str, value: object) -> None:
+            super().__setattr__(name, value)
+            if name == "is_storing_command":
+                changes.append(self.turn.locked())
+
+    bench.hello()
+    bench.store({1: -1.0})
+    monkeypatch.setattr(bench.intake, "__class__", Watched)
+    execute(bench.intake, Forget("a"), None, lambda: Reset(bench.wall), lambda _: None)
+    with pytest.raises(CommandRefused):
+        execute(bench.intake, Forget("b"), None, lambda: Reset(bench.wall), lambda _: None)
+    assert changes == [True] * 4
 
 
 # --- reasons --------------------------------------------------------------------------------------
@@ -559,4 +606,4 @@ def test_requests_wait_quietly_while_a_command_is_stored(bench: IntakeBench) -> 
 
     intake.is_storing_command = False
     bench.work()
-    assert [row[:2] for row in bench.stored] == [("event", "a"), ("event", "c")]
+    assert [row[:2] for row in bench.stored] == [("event", "c"), ("event", "a")]
