@@ -269,7 +269,8 @@ class Cameras:
         figures = {}
         for name in sorted({*self._tallies.copy(), *names}):
             tally = self._tallies.get(name, Counted())
-            ahead = self._cameras[name].ahead if name in self._cameras else None
+            camera = self.get(name)
+            ahead = None if camera is None else camera.ahead
             figures[name] = CameraFigures(
                 tally.events,
                 tally.newest if tally.events else None,

@@ -607,3 +607,15 @@ def test_requests_wait_quietly_while_a_command_is_stored(bench: IntakeBench) -> 
     intake.is_storing_command = False
     bench.work()
     assert [row[:2] for row in bench.stored] == [("event", "c"), ("event", "a")]
+
+
+def test_the_status_does_not_need_a_camera_that_makes_room_for_another(bench: IntakeBench) -> None:
+    """It is asked for in another thread, between any two steps of which the camera may go."""
+
+    class Fleeting(dict[str, cameras.CameraIntake]):
+        def __contains__(self, name: object) -> bool:
+            return super().pop(str(name), None) is not None
+
+    bench.publish("a")
+    bench.intake.cameras._cameras = Fleeting(bench.intake.cameras._cameras)
+    assert bench.intake.cameras.status()["a"].events == 1
