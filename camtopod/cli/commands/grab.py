@@ -366,8 +366,9 @@ def _to_bus(
             deadline = math.inf
         while not stop.is_set():
             publisher.retry()
-            publish_statuses(are_last=True)
-            if publisher.wait_stored(0.2):
+            is_stored = publisher.wait_stored(0.2)
+            publish_statuses(are_last=is_stored)
+            if is_stored:
                 break
             backlog = publisher.waiting
             if time.monotonic() >= deadline:
