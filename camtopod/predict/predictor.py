@@ -370,7 +370,7 @@ class Predictor:
             passage = self._passages.end(event.camera, str(event.track), event.t)
         entry_passage = passage or UNKNOWN
         label = self.prepared.labels.number(event.label, entry_passage.label)
-        self._exits.append(t, zone, label, entry_t=entry_passage.t)
+        self._exits.append(t, zone, label, 0.0, entry_passage.t, entry_passage.entry)
 
         # The hazard of the exit takes the place of the rate of an object in view; after the exit,
         # of all that follows from the entry, too.
@@ -414,17 +414,24 @@ class Predictor:
         are not included.
         """
         # Objects that have left, if their passages began before.
-        hazards = self.prepared.hazards
+        hazards, labels = self.prepared.hazards, self.prepared.labels
+        cameras, camera_of = self.prepared.cameras, self.prepared.camera_of
         exits = self._exits.after(t - hazards.lag_max - self.prepared.offset_range)
         exit_row, _, rates = hazards.rates_by_row(exits.zone, zone, t - exits.t)
-        rates = rates * self.prepared.labels.agreement(exits.label[exit_row], label, zone)
+        rates = rates * labels.agreement(exits.label[exit_row], label, zone)
         rates *= exits.entry_t[exit_row] <= t
-        total = np.bincount(
-            self.prepared.camera_of[exits.zone[exit_row]],
-            rates,
-            minlength=len(self.prepared.cameras),
-        )
-        causes = {self.prepared.cameras[k]: float(total[k]) for k in np.flatnonzero(total)}
+        total = np.bincount(camera_of[exits.zone[exit_row]], rates, minlength=len(cameras))
+        causes = {cameras[k]: float(total[k]) for k in np.flatnonzero(total)}
+
+        # What follows from the entries of those that left after the arrival, but were heard before.
+        offsets = self.prepared.offset_of
+        was_in_view = (exits.entry_t <= t) & (exits.entry >= 0)
+        was_in_view &= t + (offsets[zone] - offsets[exits.zone]) < exits.t
+        for row in np.flatnonzero(was_in_view).tolist():
+            camera = cameras[camera_of[exits.zone[row]]]
+            rate = hazards.rate_entered(exits.entry[row], zone, t - exits.entry_t[row])
+            rate *= labels.of_two(exits.label[row], label, zone)
+            causes[camera] = causes.get(camera, 0.0) + rate
 
         # Objects in other views that may appear at the zone before they leave.
         for camera in hazards.rates_before(zone):

@@ -35,6 +35,8 @@ class RecentState(Struct):
     """(n,) corrected times, in seconds, of the entries whose passages ended with the exits; minus
     infinity for arrivals, and if unknown when the exit was heard.
     """
+    entry: Ints
+    """(n,) indices of the zones of these entries; -1 if unknown."""
 
 
 class RecentEvents:
@@ -46,8 +48,8 @@ class RecentEvents:
     def __init__(self) -> None:
         size = 2 * RECENT_MAX
         t, rate, entry_t = np.zeros((3, size))
-        zone, label = np.zeros((2, size), np.int32)
-        self._columns = RecentState(t, zone, label, rate, entry_t)
+        zone, label, entry = np.zeros((3, size), np.int32)
+        self._columns = RecentState(t, zone, label, rate, entry_t, entry)
         self._stop = 0
 
     @property
@@ -75,18 +77,25 @@ class RecentEvents:
         return self._columns.label[self._first : self._stop]
 
     def append(
-        self, t: float, zone: int, label: int, rate: float = 0.0, entry_t: float = -math.inf
+        self,
+        t: float,
+        zone: int,
+        label: int,
+        rate: float = 0.0,
+        entry_t: float = -math.inf,
+        entry: int = -1,
     ) -> None:
         """Add an event at corrected time ``t``, with its rate if it is an arrival.
 
-        entry_t (seconds): corrected time of the entry whose passage ended, if it is an exit.
+        entry_t (seconds), entry: corrected time, and zone, of the entry whose passage ended, if it
+            is an exit.
         """
         if self._stop == len(self._columns.t):
             self.load(self.save())
         place = self._stop
         if place and t < self._columns.t[place - 1]:
             place = self._first + int(self.t.searchsorted(t, "right"))
-        row = (t, zone, label, rate, entry_t)
+        row = (t, zone, label, rate, entry_t, entry)
         for column, value in zip(astuple(self._columns), row, strict=True):
             column[place + 1 : self._stop + 1] = column[place : self._stop]
             column[place] = value
@@ -116,11 +125,11 @@ class RecentEvents:
         new_zones: new index of each zone by its old index (`moved_zones`).
         labels: new number of each label by its old number.
         """
-        # New number of each old zone; -1 if it is gone.
+        # New number of each old zone; -1 if it is gone, or unknown.
         columns = older.save()
-        zones = int(columns.zone.max(initial=0)) + 1
-        number = np.array([new_zones.get(zone, -1) for zone in range(zones)], np.int32)
-        columns.zone = number[columns.zone]
+        zones = int(max(columns.zone.max(initial=0), columns.entry.max(initial=0))) + 1
+        number = np.array([*(new_zones.get(zone, -1) for zone in range(zones)), -1], np.int32)
+        columns.zone, columns.entry = number[columns.zone], number[columns.entry]
         columns.label = np.array([*labels.values(), -1], np.int32)[columns.label]
         mask = columns.zone >= 0
         self.load(RecentState(*(column[mask] for column in astuple(columns))))
