@@ -99,8 +99,7 @@ class Inbox:
         """True if a publication is here."""
         return bool(self._publications)
 
-    def wait(self, seconds: float, for_publications: bool = False) -> None:
-        """Wait until a message, or a publication, has come, at most ``seconds``."""
-        if not (self.has_publications if for_publications else self.has_messages):
-            self._wakeup.wait(seconds)
+    def wait(self, seconds: float) -> None:
+        """Wait until a message has come since the last call, at most ``seconds``."""
+        self._wakeup.wait(seconds)
         self._wakeup.clear()

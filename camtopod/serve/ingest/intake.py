@@ -157,7 +157,8 @@ class Intake:
     def work(self, stopping: threading.Event, beat: Beat = no_beat) -> None:
         """Move what is received on until ``stopping``, and once more at the end."""
         while not stopping.is_set():
-            self.inbox.wait(TICK_SECONDS, for_publications=self.is_storing_command)
+            if not self._is_busy():
+                self.inbox.wait(TICK_SECONDS)
             self.step()
             self._match(self._is_busy)
             beat()
