@@ -211,7 +211,18 @@ def test_no_bus_and_no_state(
     assert "cannot write the state directory" in capsys.readouterr().err
 
 
-def test_every_event_reaches_the_daemon_and_the_status_tells(tmp_path: Path) -> None:
+def test_every_event_reaches_the_daemon_and_the_status_tells(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    droppable: list[bool | None] = []
+    really_publish = buses.Bus.publish
+
+    def publish(bus: buses.Bus, key: str, message: Any, schema: str, *given: bool | None) -> None:
+        if key == "status/lobby":
+            droppable.extend(given)
+        really_publish(bus, key, message, schema, *given)
+
+    monkeypatch.setattr(buses.Bus, "publish", publish)
     with Daemon(small_config(tmp_path / "daemon")) as daemon:
         client = buses.dial(small_config(tmp_path, daemon.endpoint))
         said: list[dict[str, Any]] = []
@@ -224,6 +235,8 @@ def test_every_event_reaches_the_daemon_and_the_status_tells(tmp_path: Path) -> 
         last = {"camera": "lobby", "frames": 7, "published": len(EVENTS), "waiting": 0}
         wait_for(lambda: bool(said) and {**said[-1], **last} == said[-1], "the last status")
         assert said[-1]["state"] == "ended"
+        assert droppable[-1] is False
+        assert droppable.count(False) == 1, "an earlier one would keep it out"
         assert (said[-1]["status_seconds"], daemon.status().status_seconds) == (1.0, 0.1)
         assert main(arguments) == 0
         assert daemon.status().events.stored == 2 * len(EVENTS), "the spool's count goes on"
