@@ -297,7 +297,7 @@ def _own_rate(
 
     While its passage is open, the object is a cause of arrivals in two ways: by its zone of entry,
     and as an object in view. When its exit is observed, the hazard of the exit takes the place of
-    the latter (`Predictor`). This part is subtracted to get the rate of all other causes.
+    the latter (`PredictorMemory`). This part is subtracted to get the rate of all other causes.
     """
     # What follows from the entry, by the label that the entry had.
     if not len(observations.t):

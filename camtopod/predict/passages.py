@@ -109,15 +109,18 @@ class RecentPassages:
         """Return how long a passage without an exit counts as open, seconds."""
         return self._longest.get(camera, OPEN_SECONDS_MAX)
 
-    def begin(self, camera: str, track: str, t: float, passage: Passage) -> bool:
-        """Begin a passage at ``t`` by the camera's clock; return False if its exit was heard."""
+    def begin(self, camera: str, track: str, t: float, passage: Passage) -> float | None:
+        """Begin a passage at ``t`` by the camera's clock.
+
+        Return the time of its exit by that clock, if it was heard before; else None.
+        """
         ended_at, ended_passage = self._ended_passages.get((camera, track), (-math.inf, None))
         if ended_at > t or (ended_at == t and ended_passage is None):
             self._ended_passages[camera, track] = ended_at, passage
             self._note_last_exit(camera, track, ended_at, passage)
-            return False
+            return ended_at
         self.open.begin(camera, track, passage)
-        return True
+        return None
 
     def end(self, camera: str, track: str, t: float) -> Passage | None:
         """End the passage of a track at ``t`` by the camera's clock; return it if it was open."""

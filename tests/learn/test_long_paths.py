@@ -101,7 +101,7 @@ def test_who_arrives_in_time_is_probably_the_one_who_left(far_and_near: Topology
     predictor, exit_at = Predictor(far_and_near), T0 + SPAN_SECONDS + 1000.0
     predictor.observe(Event("a", "exit", exit_at))
     predictor.observe(Event("b", "entry", exit_at + 300.0, track="x"))
-    [passage] = predictor._passages.open.of("b").values()
+    [passage] = predictor._memory.passages.open.of("b").values()
     assert passage.previous == "a"
     assert passage.sure > 0.3, "as many come from elsewhere"
 

@@ -267,7 +267,7 @@ def test_what_is_remembered_is_bounded(monkeypatch: pytest.MonkeyPatch) -> None:
     state = predictor.save()
 
     assert len(state.under_way) == len(state.arrivals.t) == len(state.exits.t) == 7
-    assert len(predictor._passages._ended_passages) == 7
+    assert len(predictor._memory.passages._ended_passages) == 7
 
 
 def test_what_is_remembered_is_in_order_of_time(monkeypatch: pytest.MonkeyPatch) -> None:
