@@ -142,7 +142,7 @@ MECHANISMS = [
     ),
     Mechanism(
         "silent cameras",
-        {"predict.reporting:Reporting.is_alive": lambda self: np.ones(len(self._cameras))},
+        {"predict.predictor_memory:Reporting.is_alive": lambda self: np.ones(len(self._cameras))},
     ),
     Mechanism(
         "seen before the exit",

@@ -5,8 +5,8 @@ becomes of an exit, from the version and from the observed arrivals; `version` h
 version says: `hazards` (rates of appearing by lag), `contexts` (the effect of an exit's context),
 `time_windows` (windows for an object of some speed), `outcomes` and `second_opinion` (the version's
 two opinions) and `anywhere` (what neither explains). `predictor_memory` has the observed events, in
-`recent_events` and `passages`; `reporting` tells the cameras that are silent. `zone_lookup` finds
-the zone of an event, and `hand_over` the other cameras that see the object at the exit. `walks`
+`recent_events` and `passages`, and tells the cameras that are silent. `zone_lookup` finds the zone
+of an event, and `hand_over` the other cameras that see the object at the exit. `walks`
 tells which passages are of one object, by the outlook from each exit, with a `walk_memory` of its
 own, as it keeps passages for an hour; from both follows how many objects are `between`
 cameras. `city` asks the predictor, or the walks, of the district that owns a camera.

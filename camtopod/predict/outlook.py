@@ -6,7 +6,7 @@ after some lag, or leaves the site. Their prior odds are the learned hazards of 
 They are changed by the exit's *context* (`contexts`), by *exposure* (a lag of -L is only possible
 if the passage has lasted L), by *seen arrivals* (where views overlap, the object may already have
 appeared), by *speed* (`time_windows`), and by *silent cameras*, which have probably stopped
-reporting (`reporting`). If the question is asked again later, outcomes that would have been
+reporting (`predictor_memory`). If the question is asked again later, outcomes that would have been
 observed by then have lost their odds. What no hazard explains may appear `anywhere`.
 """
 

@@ -33,7 +33,7 @@ from camtopod.learn.settings import Settings
 from camtopod.predict import anywhere, passages, recent_events
 from camtopod.predict.outlook import NEXT_PROBABILITY_MIN, RATE_MIN
 from camtopod.predict.predictor import Predictor
-from camtopod.predict.reporting import DEAD_PRIOR
+from camtopod.predict.predictor_memory import DEAD_PRIOR
 from camtopod.records import (
     TOPOLOGY_SCHEMA,
     Camera,
