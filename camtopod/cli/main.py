@@ -118,6 +118,11 @@ _COMMON: dict[str, dict[str, Any]] = {
 }
 """The common options; all have a value. The last one is for processes of `up` and `grab`."""
 
+_FILES = ("events", "file", "source", "topology", "topologies", "updates", "districts", "table")
+"""Arguments with the name of a file."""
+_OUTPUTS = {"learn": ("topology", "updates"), "simulate": ("events", "truth", "identities")}
+"""Command -> those that it writes, if others than ``--out`` and ``--show``."""
+
 
 def main(argv: Sequence[str] | None = None) -> int:
     """Run one command and return its exit status; an expected error never ends in a traceback."""
@@ -251,6 +256,7 @@ def _parse(arguments: list[str]) -> tuple[argparse.Namespace, Any]:
         args.parser.error(f"unrecognized arguments: {' '.join(unknown)}")
     if len(set(args.site or ())) > 1 and args.command not in OF_SITES:
         args.parser.error(f"{args.command} is for one site: only one --site")
+    _require_apart(args)
     del args.parser
     args.connect = args.connect or []
     args.sites = list(dict.fromkeys(args.site or ()))
@@ -263,6 +269,27 @@ def _parse(arguments: list[str]) -> tuple[argparse.Namespace, Any]:
     else:
         args.config = Path(args.config)
     return args, modules[args.command].run
+
+
+def _require_apart(args: argparse.Namespace) -> None:
+    """Refuse a file that would be written over an input, or over another output."""
+    outputs = _OUTPUTS.get(args.command, ("out", "show"))
+    values = {name: getattr(args, name, None) for name in (*_FILES, *outputs)}
+    paths = {
+        name: [str(path) for path in (value if isinstance(value, list) else [value]) if path]
+        for name, value in values.items()
+    }
+    for name in outputs:
+        other_paths = [
+            os.path.realpath(path) for key in paths.keys() - {name} for path in paths[key]
+        ]
+        for path in {*paths[name]} - {"-"}:
+            if os.path.realpath(path) in other_paths and (
+                os.path.isfile(path) or not os.path.exists(path)
+            ):
+                args.parser.error(
+                    f"{path} would be overwritten: give each output a name of its own"
+                )
 
 
 def parser_of(whole: Collection[str]) -> tuple[argparse.ArgumentParser, dict[str, Any]]:

@@ -164,6 +164,35 @@ def test_a_wrong_input_leaves_an_older_result(
     assert "nothing to ingest" in capsys.readouterr().err
 
 
+@pytest.mark.parametrize(
+    "command",
+    [
+        ["learn", "{a}", "--topology", "{a}"],
+        ["learn", "{b}", "{a}", "--updates", "{link}"],
+        ["learn", "{b}", "--topology", "{new}", "--updates", "{new}"],
+        ["simulate", "--events", "{new}", "--identities", "{new}"],
+        ["export", "{a}", "--format", "dot", "--out", "{link}"],
+        ["report", "{b}", "--updates", "{a}", "--out", "{a}"],
+        ["plot", "{a}", "map", "--out", "{a}"],
+        ["merge", "{b}", "{a}", "--districts", "{b}", "--out", "{a}"],
+        ["ingest", "jsonl", "{a}", "--out", "{a}"],
+        ["grab", "--camera", "lobby", "{a}", "--out", "-", "--show", "{a}"],
+    ],
+)
+def test_no_input_and_no_other_output_is_overwritten(
+    command: list[str], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    names = {name: tmp_path / name for name in ("a", "b", "link", "new")}
+    names["a"].write_text("events")
+    names["link"].symlink_to(names["a"])
+    with pytest.raises(SystemExit) as end:
+        main.main(["--config", "none", *(word.format(**names) for word in command)])
+    assert end.value.code == exits.USAGE
+    assert "would be overwritten: give each output a name" in capsys.readouterr().err
+    assert names["a"].read_text() == "events"
+    assert not names["new"].exists()
+
+
 @pytest.mark.parametrize("command", [["predict"], ["predict", "--walks"], ["ingest", "jsonl"]])
 def test_an_empty_file_is_nothing_to_use(
     command: list[str], tmp_path: Path, capsys: pytest.CaptureFixture[str]
