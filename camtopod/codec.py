@@ -115,12 +115,13 @@ def require_camera(name: str) -> None:
 
 
 def require_event(event: Event, kind: Kind | None = None) -> None:
-    """Raise `Rejected` for an event that is none, or of another kind than asked for.
+    """Raise `Rejected` for an event that is none, or of another kind; TypeError for another type.
 
     Events from files and from the bus are checked as they are decoded; this is for those that a
     Python program has made. Camera, time and position are refused in the words of an event line;
     a time may be any that a record may have.
     """
+    time_of(event)
     x, y = event.x, event.y
     if event.kind not in _KINDS:
         mistake = ": the kind of an event is entry or exit"
@@ -135,6 +136,13 @@ def require_event(event: Event, kind: Kind | None = None) -> None:
     else:
         return
     raise Rejected("bad-value", f"an {event.kind} of {event.camera} at {event.t}{mistake}")
+
+
+def time_of(event: Event) -> float:
+    """Return the time of an event; raise TypeError for what is none, such as a dict."""
+    if not isinstance(event, Event):
+        raise TypeError(f"{event!r:.100} is no camtopod.Event; load_events reads them from a file")
+    return event.t
 
 
 def _mistake_of_line(event: Event) -> str:
@@ -190,6 +198,9 @@ def _event(decoder: Any, raw: bytes, on_label: OnLabel | None) -> Event:
             rejection = Rejected("bad-value", words)
         elif rejection.reason == "malformed" and b"NaN" in raw:
             rejection = Rejected("malformed", "NaN is not JSON: write null, or leave the field out")
+        elif decoder is _json_event and b"{" in raw and raw.lstrip()[:1] not in b"{[":
+            words = "text stands before the event: cut it off, with sed 's/^[^{]*//' for example"
+            rejection = Rejected("malformed", words)
         raise rejection from None
 
     # Check relations and values that the types cannot express.

@@ -14,7 +14,7 @@ from typing import Any, TypeVar
 
 from msgspec import Struct
 
-from camtopod.codec import require_topology
+from camtopod.codec import require_topology, time_of
 from camtopod.predict import by_moment, matching, predicting
 from camtopod.records import Event, Match, Prediction, Topology
 from camtopod.topology import camera_of, links_between_views
@@ -137,8 +137,8 @@ def score(
     on_event: called after each event, for a display of progress.
 
     Links, the next camera of each exit, and the earlier passage of each entry are scored. Raises
-    ValueError if there are no events, if no track has an identity, or for another key of
-    ``identities``.
+    ValueError if there are no events, if no track has an identity, if the topology is of other
+    cameras, or for another key of ``identities``.
     """
     require_topology(topology)
     for key in identities:
@@ -147,12 +147,14 @@ def score(
                 f"{key!r} is no key of identities: give (camera, track), or (None, track) if tracks"
                 " differ between cameras"
             )
-    recording = sorted(events, key=lambda event: event.t)
+    recording = sorted(events, key=time_of)
     if not recording:
         raise ValueError("there are no events")
     passages = passages_of(recording, identities)
     if not passages:
         raise ValueError("no track of the events has an identity")
+    if not {camera.id for camera in topology.cameras} & {event.camera for event in recording}:
+        raise ValueError("the topology has no camera of the events: it is of another site")
 
     # Score the events after the window, up to the last exit whose outcome is certain.
     window = min(WINDOW_SECONDS_MAX, (recording[-1].t - recording[0].t) / 10)

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable
 from pathlib import PurePath
 
+from camtopod.codec import time_of
 from camtopod.learn.learner import Learner
 from camtopod.learn.settings import Settings
 from camtopod.records import Event, Topology
@@ -28,11 +29,11 @@ def learn_topology(
 
     The last window is learned in one fit, as `camtopod learn` does. Events that the learner does
     not take, such as duplicates, are left out. Raises ValueError if there are none; TypeError for
-    the name of a file, which `load_events` reads.
+    other objects, such as the name of a file, which `load_events` reads.
     """
     if isinstance(events, (str, PurePath)):
         raise TypeError(f"{events!r:.100} is no list of events; load_events reads one from a file")
-    return learn_in_order(sorted(events, key=lambda event: event.t), settings, site)
+    return learn_in_order(sorted(events, key=time_of), settings, site)
 
 
 def learn_in_order(

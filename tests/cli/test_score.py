@@ -139,6 +139,18 @@ def test_identities_of_nobody_are_no_score(
     assert mistake in capsys.readouterr().err
 
 
+def test_a_topology_of_another_site_is_not_scored(
+    folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    path = tmp_path / "other.json"
+    path.write_bytes(to_json(learn_topology([Event("elsewhere", "exit", 1.0)])))
+    assert (
+        main(["score", str(path), str(folder / "events.jsonl"), str(folder / "identities.csv")])
+        == 66
+    )
+    assert "the topology has no camera of the events" in capsys.readouterr().err
+
+
 def test_what_is_not_there_is_not_scored(
     folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -64,6 +64,22 @@ def test_the_name_of_a_file_is_neither_a_topology_nor_events() -> None:
             camtopod.learn_topology(name)  # type: ignore[arg-type]
 
 
+def test_what_is_no_event_is_said_to_be_none(folder: Path) -> None:
+    topology = camtopod.load_topology(folder / "topology.json")
+    row: Any = {"camera": "lobby", "kind": "exit", "t": 1.0}
+    takes: list[Callable[[], object]] = [
+        lambda: camtopod.learn_topology([row]),
+        lambda: camtopod.Predictor(topology).predict(row),
+        lambda: camtopod.Gate(topology).affinity([row], []),
+        lambda: camtopod.score(topology, [row], {}),
+    ]
+    for take in takes:
+        with pytest.raises(TypeError, match=r"is no camtopod\.Event; load_events reads"):
+            take()
+    with pytest.raises(ValueError, match="no file is named"):
+        camtopod.load_events()
+
+
 @pytest.mark.parametrize("name", [name for name in NAMES if name != "Site"])
 def test_the_example_of_a_name_runs(
     name: str, folder: Path, learned_daemon: LearnedDaemon, monkeypatch: pytest.MonkeyPatch

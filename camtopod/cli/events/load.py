@@ -23,6 +23,8 @@ def load_events(*paths: str | os.PathLike[str]) -> list[Event]:
     them; the first of each kind is printed to standard error. Raises ValueError if a file cannot be
     read, if fewer than nine of ten lines are events, or if a spreadsheet has spoilt the times.
     """
+    if not paths:
+        raise ValueError("no file is named")
     reader, times = LineReader(), Times()
     lines = recorded(reader, [os.fspath(path) for path in paths], times)
     try:
