@@ -215,9 +215,26 @@ def test_of_a_camera_that_the_topology_has_not_nothing_is_known(run: Run, topolo
     stranger = replace(EVENTS[-1], camera="new")
     events = lines([replace(stranger, kind="exit"), replace(stranger, kind="entry")])
     for more, answer in ([], b'"zone":null'), (["--walks"], b'"from":[],"new":1.0'):
-        status, printed, _ = run("predict", topology, "-", *more, stdin=events)
-        assert status == 0
+        status, printed, said = run("predict", topology, "-", *more, stdin=events)
+        assert status == exits.FAILED
         assert answer in printed
+        assert f"2 of 2 events are of cameras that {topology} does not have (new)" in said
+
+    few = replace(EVENTS[-1], camera="new", t=EVENTS[-1].t + 1)
+    status, _, said = run("predict", topology, "-", stdin=lines([*EVENTS, few]))
+    assert status == exits.DONE
+    assert f"1 of {len(EVENTS) + 1} events are of cameras that" in said
+
+
+@pytest.mark.parametrize(("more", "kind"), [([], "exit"), (["--walks"], "entry")])
+def test_a_file_without_what_is_asked_for_is_nothing_to_predict(
+    more: list[str], kind: str, run: Run, topology: Path, tmp_path: Path
+) -> None:
+    path = tmp_path / "half.jsonl"
+    path.write_bytes(lines([event for event in EVENTS if event.kind != kind]))
+    status, printed, said = run("predict", topology, str(path), *more)
+    assert (status, printed) == (exits.INPUT, b"")
+    assert f"no {kind} lines in {path}: nothing to predict" in said
 
 
 def test_later_lines_change_no_answer(run: Run, topology: Path) -> None:

@@ -7,12 +7,13 @@ from __future__ import annotations
 
 import argparse
 import sys
+from collections import Counter
 from typing import Any
 
 from msgspec.structs import replace
 
 from camtopod.cli import exits
-from camtopod.cli.common import configuration, counted, topology_of
+from camtopod.cli.common import configuration, counted, foreign_cameras, topology_of
 from camtopod.cli.events.event_lines import LineReader, open_input
 from camtopod.cli.events.recording import Survey, Times, fault_of, right_lines, timed
 from camtopod.cli.events.time_order import OrderedAnswers, Pipe
@@ -73,12 +74,14 @@ def run(args: argparse.Namespace) -> int:
     reader = LineReader()
     times = Times()
     out = sys.stdout.buffer
+    cameras = Counter[str]()
     count = line_count = 0
     with open_input(args.events) as file, ProgressLine() as progress:
 
         def texts(moment: list[Event]) -> list[bytes]:
             nonlocal count
             count += sum(event.kind == kind for event in moment)
+            cameras.update(event.camera for event in moment)
             progress.show(f"%d {unit} of %d lines", count, line_count or reader.lines_read)
             results = (result and shortened(result, args.top) for result in answer(moment))
             return [to_json(result) + b"\n" if result else b"" for result in results]
@@ -108,10 +111,13 @@ def run(args: argparse.Namespace) -> int:
         print(f"camtopod: {summary}", file=sys.stderr)
     if not reader.events and (reader.lines_read or is_recording):
         raise InputError(f"no event lines in {args.events}: nothing to predict")
+    if is_recording and not count:
+        raise InputError(f"no {kind} lines in {args.events}: nothing to predict")
+    is_foreign = foreign_cameras(args.topology, topology, cameras)
     if (fault := fault_of(times)) is not None:
         print(f"camtopod: {fault}", file=sys.stderr)
         return exits.FAILED
-    return reader.status
+    return reader.status or is_foreign
 
 
 def shortened(answer: Prediction | Match, count_max: int | None) -> Prediction | Match:

@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import argparse
 import sys
+from collections import Counter
 from typing import Any
 
 from msgspec import Struct
 
 from camtopod.cli import exits
-from camtopod.cli.common import topology_of
+from camtopod.cli.common import foreign_cameras, topology_of
 from camtopod.cli.events.event_lines import LineReader, table_rows_of
 from camtopod.cli.events.recording import Times, fault_of, once_by_number, recorded
 from camtopod.cli.exits import InputError
@@ -67,10 +68,12 @@ def run(args: argparse.Namespace) -> int:
     if result.learned:
         print("camtopod: these events were learned: the scores are too good", file=sys.stderr)
     print(result)
+    cameras = Counter(event.camera for event in events)
+    is_foreign = foreign_cameras(args.topology, topology, cameras)
     if (fault := fault_of(times)) is not None:
         print(f"camtopod: {fault}", file=sys.stderr)
         return exits.FAILED
-    return reader.status
+    return reader.status or is_foreign
 
 
 def _identities_of(path: str) -> dict[tuple[str | None, str], str]:
