@@ -85,6 +85,9 @@ def waiting_for_links(topology: Topology) -> str:
         return "No camera is known yet."
     if len(cameras) < 2:
         return f"A link needs two cameras: only {cameras[0]} has sent events."
+    for kind in ("entries", "exits"):
+        if topology.zones and not any(getattr(zone, kind) for zone in topology.zones):
+            return f"A link needs exits and entries: there are no {kind}."
 
     # The share, the time that is left, and the pair that leads clearly.
     shares = _shares(topology)

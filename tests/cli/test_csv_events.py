@@ -87,6 +87,7 @@ def test_each_kind_of_mistake_is_counted_and_shown_once(
     [
         ("camera,kind,time\na,exit,1\n", "the header has no column t"),
         ("camera;t\na;1\n", "the header has no column kind"),
+        ("a,exit,1,0.5\nb,entry,2,0.5\n", "rename those that are meant, or put a header above"),
         (
             "cam,event,timestamp,px\na,exit,1,0\n",
             "no column camera and no kind and no t: its columns are cam, event, timestamp, px; rename",
@@ -215,12 +216,38 @@ def test_a_row_that_is_not_written_to_its_end_is_no_event(row: str) -> None:
         ("a,exit,1,0.5,-1", "divide them by its width and height - at `$.y`"),
         ("a,leave,1,0.5,0.5", "kind is entry or exit, in no other words"),
         ('{"camera":"a","kind":"exit","t":1,"x":NaN,"y":NaN}', "NaN is not JSON: write null"),
+        ("2026-01-01 INFO {}", "text stands before the event: cut it off, with sed"),
+        ("host grab[1]: {}", "text stands before the event: cut it off, with sed"),
     ],
 )
 def test_it_is_said_what_a_value_should_be(
     row: str, words: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    read(row if row.startswith("{") else f"camera,kind,t,x,y\n{row}\n")
+    read(row if "{" in row else f"camera,kind,t,x,y\n{row}\n")
+    assert words in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("times", "words"),
+    [
+        (
+            ["2023-11-14T22:13:20Z", "2023-11-14 22:13:21", "2023-11-14 23:13:22+01:00"],
+            "t has no time zone, while those before have one",
+        ),
+        (
+            ["2023-11-14 22:13:20", "2023-11-14 22:13:21 UTC", "2023-11-14"],
+            "t has a time zone, while those before have none",
+        ),
+    ],
+)
+def test_dates_with_and_without_a_time_zone_are_not_mixed(
+    times: list[str], words: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    reader, events = read(
+        "camera,kind,t\n" + "".join(f"a,exit,{t}\n" for t in [*times, "1700000003"])
+    )
+    assert reader.rejections == {"time-zone t": 1}
+    assert [event.t for event in events[::2]] == [1_700_000_000.0, 1_700_000_003.0]
     assert words in capsys.readouterr().err
 
 
@@ -272,6 +299,13 @@ def test_more_cells_than_columns_are_refused(capsys: pytest.CaptureFixture[str])
         (b"\x93NUMPY\x01\0", "a NumPy array"),
         (b"\xd0\xcf\x11\xe0\xa1\xb1\x1a\xe1", "an old Excel"),
         (bytes(range(1, 200)), "is binary"),
+        (b"<!DOCTYPE html>\n<html><body>", "a web page"),
+        (
+            b"-- dump\n/* by */;\nSET x = 1;\nCREATE TABLE e (camera text);\n",
+            "a dump of a database",
+        ),
+        (b"COPY public.events (camera, kind, t) FROM stdin;\n", "a dump of a database"),
+        (b'{"type": "FeatureCollection", "features": [{"type":', "jq -c '.features[].properties'"),
         (b'{"camera":{"0":"a","1":"b"},"kind":{', 'orient="records"'),
         (b'{"0":{"camera":"a","kind":"exit"', 'orient="records"'),
         (b"PK\3\4" + bytes(26) + b"mimetypeapplication/vnd.oasis.open", "an OpenDocument file"),

@@ -64,6 +64,13 @@ def test_one_share_says_how_near_the_first_link_is(
     assert words == f"No two cameras are linked yet: {said}."
 
 
+@pytest.mark.parametrize("kind", ["entries", "exits"])
+def test_a_link_needs_entries_and_exits(kind: str) -> None:
+    site = without_links([(6.0, 4.0, 4000.0)])
+    half = replace(site, zones=[replace(zone, **{kind: 0}) for zone in site.zones])
+    assert waiting_for_links(half) == f"A link needs exits and entries: there are no {kind}."
+
+
 def test_a_pair_is_named_only_if_it_leads_clearly() -> None:
     """Another pair that has more than half as much keeps both unnamed."""
     topology = without_links([(9.0, 3.0, 300.0)])

@@ -39,6 +39,12 @@ _OTHER_FORMS = {
     rb"RD[AX][234]\n": f"an R workspace: use write.csv {_TABLE}",
     rb"\xd0\xcf\x11\xe0": "an old Excel or Access file: save it as .xlsx or CSV",
     rb"%PDF": "a PDF, not the events",
+    rb"\s*<(!doctype |!DOCTYPE )?(html|HTML)\b": "a web page (of a login?), not the events",
+    rb"(?>--[^\n]*\n|/\*.*?\*/;?|\s)*(CREATE |DROP |INSERT INTO|COPY \S+ \(|SET \w+ ?=|PRAGMA )": (
+        f"a dump of a database: load it, export the table {_TABLE}"
+    ),
+    rb'\s*\{\s*"type"\s*:\s*"FeatureCollection"': "GeoJSON: take the events out with jq -c "
+    "'.features[].properties', if camera, kind and t are there",
     rb'\s*\{(\s*"(?!camera")\w+"\s*:\s*("[^"\n]*"|[\w.+-]+)\s*,)*'
     rb'\s*"(data|events|records|rows|results|items)"\s*:\s*\[': (
         "one JSON object around a list of events: take them out with jq -c '.[] | arrays | .[]'"

@@ -49,7 +49,7 @@ FAULT_EVENTS_MIN = 50
 """Least number of events whose times are judged together."""
 STAMPS_MAX = 1_000_000
 """Most events whose times are kept to be judged, the first ones."""
-FAULT_RATE = 50.0
+FAULT_RATE = 10.0
 """Events per second and camera that no camera has over a whole recording."""
 FAULT_STEP = 20.0
 """Whole minutes and hundreds of seconds are multiples of it, in seconds."""
@@ -375,6 +375,6 @@ def fault_of(times: Times) -> str | None:
     if count > FAULT_RATE * len(times.cameras) * span:
         return (
             f"{count} events lie within {span:.3g} s: t is in seconds; a spreadsheet counts days "
-            "(45244.9): save t as seconds since 1970, or as text in ISO 8601"
+            "(45244.9), some programs minutes: save t as seconds since 1970, or as text in ISO 8601"
         )
     return None

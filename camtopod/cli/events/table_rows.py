@@ -26,6 +26,8 @@ _MISSING = frozenset(
 """Cells without a value, as R, pandas, spreadsheets and databases write them."""
 _WHOLE = re.compile(r"([0-9]+)[.,]0+")
 """A whole number that was written as a float."""
+_ZONED = re.compile(r"[T :].*([zZ]|UTC|GMT|[+-][0-9]{2}(:?[0-9]{2})?) *\Z")
+"""A date with a time of day and a time zone."""
 _DECIMAL_COMMA = re.compile(r"[-+]?[0-9]+,[0-9]+(?:[eE][-+]?[0-9]+)?")
 
 
@@ -43,18 +45,21 @@ class Rows:
         plain = [plain_name(name) for name in names]
         if missing := [name for name in needed if name not in plain]:
             there = ", ".join(name.strip() for name in names)[:NAMES_CHARACTERS_MAX]
+            has_none = any(isinstance(number(name), float) for name in plain)
             raise InputError(
                 f"{path}: the header has no column {' and no '.join(missing)}: its columns are "
-                f"{there}; rename those that are meant"
+                f"{there}; rename those that are meant{', or put a header above' * has_none}"
             )
         self.count = len(names)
         """Number of columns."""
         self._cameras: dict[str, str] = {}
         self._names: dict[str, str] = {}
+        self._has_zone: bool | None = None
+        """Whether the dates have a time zone; None before the first one."""
         makers: dict[str, Callable[[str], object]] = {
             "camera": self._camera,
             "kind": str.lower,
-            "t": seconds,
+            "t": self._seconds,
             "track": name_of,
             "boot": name_of,
             "seq": _count,
@@ -84,6 +89,22 @@ class Rows:
         except Rejected as error:
             return error
         return to_json(values) if values else None
+
+    def _seconds(self, text: str) -> object:
+        """Return `seconds`; raise `Rejected` for a date with a time zone among others without."""
+        value = number(text)
+        if isinstance(value, float):
+            return value
+        has_zone = _ZONED.search(text) is not None
+        if self._has_zone not in (None, has_zone):
+            words = ("no time zone", "those before have one")
+            if has_zone:
+                words = ("a time zone", "those before have none")
+            raise Rejected(
+                "time-zone", f"t has {words[0]}, while {words[1]}: write it at all - at `$.t`"
+            )
+        self._has_zone = has_zone
+        return seconds(text)
 
     def _camera(self, name: str) -> str:
         """Return the id of a camera; raise `Rejected` if another one has it."""
