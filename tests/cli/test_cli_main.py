@@ -206,6 +206,18 @@ def test_check_says_what_holds_for_each_camera(
     ]
 
 
+def test_a_source_that_no_program_reads_is_a_mistake(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    path = tmp_path / "camtopod.toml"
+    sources = ("rstp://192.0.2.1/a", "onvif://192.0.2.1", "rtsp://192.0.2.1/a", "film.mp4", "0")
+    path.write_text("".join(f'[cameras.c{n}]\nsource = "{s}"\n' for n, s in enumerate(sources)))
+    assert main.main(["check", str(path)]) == exits.CONFIG
+    wrong, only_init = capsys.readouterr().err.splitlines()
+    assert wrong.startswith(f"{path}:2: cameras.c0.source: rstp:// is none of rtsp, rtsps,")
+    assert only_init.startswith(f"{path}:4: cameras.c1.source: `camtopod init` asks")
+
+
 def arguments(**given: Any) -> argparse.Namespace:
     return argparse.Namespace(
         **{"config": None, "site": None, "connect": [], "log_format": "text", **given}

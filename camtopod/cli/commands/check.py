@@ -94,8 +94,9 @@ def run(args: argparse.Namespace) -> int:
     except OSError as error:
         raise InputError(f"cannot read {path}: {error.strerror}") from None
 
-    # Models that cannot be used.
-    problems = list(_model_problems(path, config, raw.decode()))
+    # Models and sources that cannot be used.
+    problems = [*_source_problems(path, config, raw.decode())]
+    problems += _model_problems(path, config, raw.decode())
     if problems:
         print("\n".join(map(visible, problems)), file=sys.stderr)
         return exits.CONFIG
@@ -120,6 +121,20 @@ def run(args: argparse.Namespace) -> int:
     from camtopod.cli.cameras.probe import check_site
 
     return check_site(path, config)
+
+
+def _source_problems(path: Path, config: Config, text: str) -> Iterator[str]:
+    """Yield a sentence, with file and line, for each source that no program could read.
+
+    text: content of the configuration file ``path``.
+    """
+    from camtopod.vision.source.refusal import why_no_stream
+
+    lines = key_lines(text)
+    for name, camera in config.cameras.items():
+        if reason := why_no_stream(camera.source or ""):
+            line = lines.get(("cameras", name, "source"), 1)
+            yield f"{path}:{line}: cameras.{name}.source: {reason}"
 
 
 def _model_problems(path: Path, config: Config, text: str) -> Iterator[str]:

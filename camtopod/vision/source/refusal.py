@@ -61,9 +61,9 @@ def why_not_opened(source: str, ffmpeg_log: FfmpegLog) -> str:
         return _why_no_device(number)
     if is_path(source):
         return _why_no_description(file_path(source))
+    if reason := why_no_stream(source):
+        return reason
     scheme = scheme_of(source)
-    if scheme not in _SCHEMES and scheme not in _SILENCE:
-        return _OTHERS.get(scheme, f"{scheme}:// is none of {', '.join(_SCHEMES)}")
     reason = ffmpeg_log.newest_reason()
     try:
         url = urlsplit(percent_encoded(source))
@@ -83,6 +83,14 @@ def why_not_opened(source: str, ffmpeg_log: FfmpegLog) -> str:
     if scheme.startswith("http") and _has_proxy(url.hostname or ""):
         reason += "; a proxy is used (http_proxy): write the camera's host into no_proxy"
     return reason
+
+
+def why_no_stream(source: str) -> str:
+    """Return why no URL with this scheme can be read; "" if it may, and for what is no URL."""
+    scheme = scheme_of(source)
+    if scheme in ("", "file", *_SCHEMES, *_SILENCE):
+        return ""
+    return _OTHERS.get(scheme, f"{scheme}:// is none of {', '.join(_SCHEMES)}")
 
 
 def _why_no_device(number: int) -> str:
