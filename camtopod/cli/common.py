@@ -12,7 +12,7 @@ import sys
 import threading
 import time
 from collections import Counter
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import BinaryIO, NamedTuple
 
@@ -109,6 +109,11 @@ def topology_of(path: str) -> Topology:
         raise InputError(f"{path} is not a topology: {error}") from None
 
 
+def cameras_in_words(names: Sequence[str]) -> str:
+    """Return the names of cameras for a message, of many the first `CAMERAS_NAMED`."""
+    return ", ".join([*names[:CAMERAS_NAMED], *["..."] * (len(names) > CAMERAS_NAMED)])
+
+
 def foreign_cameras(path: str, topology: Topology, events: Counter[str]) -> int:
     """Say which cameras of a recording the topology of ``path`` does not have, if there are any.
 
@@ -121,8 +126,7 @@ def foreign_cameras(path: str, topology: Topology, events: Counter[str]) -> int:
     if absent:
         print(
             f"camtopod: {count} of {events.total()} events are of cameras that {path} does not "
-            f"have ({', '.join(absent[:CAMERAS_NAMED])}{', ...' * (len(absent) > CAMERAS_NAMED)}): "
-            "is it of another site, or older?",
+            f"have ({cameras_in_words(absent)}): is it of another site, or older?",
             file=sys.stderr,
         )
     return exits.FAILED if count > 0.1 * events.total() else exits.DONE

@@ -310,6 +310,24 @@ def test_times_from_zero_and_whole_seconds_are_legal(tmp_path: Path) -> None:
         assert fault_of(used(tmp_path, events)[2]) is None
 
 
+@pytest.mark.parametrize("shift", [-EVENTS[0].t, 365 * DAY])
+def test_a_camera_of_another_year_is_said_to_be_left_out_of_the_window(
+    shift: float, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    camera = EVENTS[0].camera
+    events = [replace(event, t=event.t + shift * (event.camera == camera)) for event in EVENTS]
+    _, topology = learned(written(tmp_path / "e.jsonl", events))
+    absent = {event.camera for event in EVENTS} - {camera.id for camera in topology.cameras}
+    assert absent
+    words = f"has no events of {', '.join(sorted(absent))}: is a clock wrong?"
+    assert words in capsys.readouterr().err
+
+
+def test_standard_input_is_read_once(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["--config", "none", "learn", "-", "-"]) == exits.INPUT
+    assert "standard input ('-') can be read once only" in capsys.readouterr().err
+
+
 def test_several_events_of_one_line_are_judged_one_by_one(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

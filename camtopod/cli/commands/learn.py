@@ -13,13 +13,14 @@ from typing import Any
 
 from camtopod.cli import exits
 from camtopod.cli.city import learn_city
-from camtopod.cli.common import configuration, open_output
+from camtopod.cli.common import cameras_in_words, configuration, open_output
 from camtopod.cli.events.event_lines import LineReader
 from camtopod.cli.events.learning import feed
 from camtopod.cli.events.recording import Times, fault_of
 from camtopod.cli.exits import InputError
 from camtopod.cli.terminal import busiest_links, topology_lines
 from camtopod.codec import to_json
+from camtopod.event_time import utc_text
 from camtopod.labels import LABELS_MAX
 from camtopod.learn.learner import Learner
 from camtopod.records import Topology
@@ -105,6 +106,13 @@ def run(args: argparse.Namespace) -> int:
         print("camtopod: --topology OUT.json keeps the topology", file=sys.stderr)
     repeats = [alarm for alarm in topology.alarms or [] if alarm.kind == "camera_repeats"]
     fault = fault_of(times)
+    absent = sorted(times.cameras - {camera.id for camera in topology.cameras})
+    if absent and not fault:
+        print(
+            f"camtopod: the window that ends {utc_text(topology.as_of)} has no events of "
+            f"{cameras_in_words(absent)}: is a clock wrong?",
+            file=sys.stderr,
+        )
     for line in (
         *([fault] if fault else topology_lines(topology)),
         *(f"{alarm.subject} {alarm.detail}" for alarm in repeats),

@@ -23,6 +23,7 @@ from msgspec import Struct, field
 
 from camtopod.cli.events.event_lines import Line, LineReader, messages, open_input
 from camtopod.cli.events.time_order import by_key, sorting, sorting_failure
+from camtopod.cli.exits import InputError
 from camtopod.codec import event_from_json, event_from_msgpack, stamp_of, to_msgpack
 from camtopod.event_numbers import EventNumbers
 from camtopod.event_time import utc_text
@@ -189,6 +190,8 @@ def recorded(reader: LineReader, paths: Sequence[str], times: Times) -> Iterator
     each other, is rejected. Raises `InputError` if a file cannot be read, and `CommandError` if the
     disk is full.
     """
+    if list(paths).count("-") > 1:
+        raise InputError("standard input ('-') can be read once only")
     with ExitStack() as stack:
         survey = Survey()
         files = [(path, stack.enter_context(_known_to_its_end(path))) for path in paths]
