@@ -85,9 +85,10 @@ class Publisher(contextlib.AbstractContextManager["Publisher"]):
         """Store events in the spool, and publish them if there is a connection.
 
         Raises ValueError for an event of another camera or with values out of range, before any of
-        the events is stored, and if this publisher is closed.
+        the events is stored, and if this publisher is closed; TypeError for what is no event.
         """
         for event in events:
+            codec.time_of(event)
             if event.camera != self.camera:
                 raise ValueError(f"an event of {event.camera}: this publishes {self.camera} only")
             codec.event_from_msgpack(codec.to_msgpack(event))

@@ -123,6 +123,8 @@ def test_what_is_wrong_is_refused_before_anything_is_stored(tmp_path: Path) -> N
             publisher.publish(EVENTS[0], Event("b", "entry", 1.0))
         with pytest.raises(ValueError, match="x"):
             publisher.publish(EVENTS[0], Event("a", "entry", 1.0, 1.5, 0.5))
+        with pytest.raises(TypeError, match=r"is no camtopod\.Event"):
+            publisher.publish(EVENTS[0], {"camera": "a", "kind": "entry", "t": 1.0})  # type: ignore[arg-type]
         assert publisher.waiting == 0
         with pytest.raises(StateError, match="held by another camtopod process"):
             Publisher("a", connect=endpoint, state=tmp_path)

@@ -128,7 +128,7 @@ def _source_problems(path: Path, config: Config, text: str) -> Iterator[str]:
 
     text: content of the configuration file ``path``.
     """
-    from camtopod.vision.source.refusal import why_no_stream
+    from camtopod.vision.source import why_no_stream
 
     lines = key_lines(text)
     for name, camera in config.cameras.items():

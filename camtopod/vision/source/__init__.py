@@ -26,6 +26,7 @@ from camtopod.vision.source.recorded import (
     FileOptions as FileOptions,
     RecordedSource as RecordedSource,
 )
+from camtopod.vision.source.refusal import why_no_stream as why_no_stream
 from camtopod.vision.source.source_url import (
     RETRY_SEPARATOR as RETRY_SEPARATOR,
     device_number as device_number,
