@@ -139,6 +139,19 @@ def test_identities_of_nobody_are_no_score(
     assert mistake in capsys.readouterr().err
 
 
+def test_few_identities_are_said_to_be_few(
+    folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    path = tmp_path / "few.csv"
+    rows = (folder / "identities.csv").read_text().splitlines(keepends=True)
+    path.write_text("".join(rows[: len(rows) // 3]))
+    command = ["score", str(folder / "topology.json"), str(folder / "events.jsonl")]
+    assert main([*command, str(path)]) == exits.FAILED
+    assert re.search(r"only \d+ of \d+ tracks have an identity", capsys.readouterr().err)
+    assert main([*command, str(folder / "identities.csv")]) == exits.DONE
+    assert "have an identity" not in capsys.readouterr().err
+
+
 def test_a_topology_of_another_site_is_not_scored(
     folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -17,6 +17,9 @@ from camtopod.cli.exits import InputError
 from camtopod.cli.terminal import ProgressLine
 from camtopod.scoring import score
 
+IDENTITIES_MIN = 0.5
+"""Least share of tracks with an identity with which the command succeeds; clutter has none."""
+
 
 class _Identity(Struct):
     """A row of the file of identities."""
@@ -68,12 +71,21 @@ def run(args: argparse.Namespace) -> int:
     if result.learned:
         print("camtopod: these events were learned: the scores are too good", file=sys.stderr)
     print(result)
+    tracks = {(event.camera, event.track) for event in events if event.track is not None}
+    count = sum((camera, t) in identities or (None, t) in identities for camera, t in tracks)
+    has_few = count < IDENTITIES_MIN * len(tracks)
+    if has_few:
+        print(
+            f"camtopod: only {count} of {len(tracks)} tracks have an identity: links that these do "
+            "not show are called false",
+            file=sys.stderr,
+        )
     cameras = Counter(event.camera for event in events)
     is_foreign = foreign_cameras(args.topology, topology, cameras)
     if (fault := fault_of(times)) is not None:
         print(f"camtopod: {fault}", file=sys.stderr)
         return exits.FAILED
-    return reader.status or is_foreign
+    return reader.status or is_foreign or (exits.FAILED if has_few else exits.DONE)
 
 
 def _identities_of(path: str) -> dict[tuple[str | None, str], str]:
