@@ -22,8 +22,8 @@ from typing import Any
 
 import msgspec
 import zenoh
+from msgspec import Struct
 
-from bench.support.site import Status
 from camtopod.codec import to_msgpack
 from camtopod.config.settings import BusSettings, Config
 from camtopod.records import Event, Prediction
@@ -45,6 +45,32 @@ START_SECONDS = 300.0
 """Longest wait for a daemon to make its first version, seconds."""
 ENDED = b"ended"
 """Payload that ends a round."""
+
+
+class Count(Struct, frozen=True):
+    """Counts of events in ``status/daemon``, as far as they are used here."""
+
+    stored: int = 0
+    received: int = 0
+    lost: int = 0
+    flood: int = 0
+    waiting: int = 0
+
+
+class Learned(Struct, frozen=True):
+    """The newest version of the learner in this epoch; 0 before the first."""
+
+    version: int = 0
+
+
+class Status(Struct):
+    """Fields of ``status/daemon`` that are used here."""
+
+    events: Count = Count()
+    learner: Learned = Learned()
+    version: int = 0
+    predictions: int = 0
+    dropped: dict[str, int] = {}
 
 
 def put_paced(endpoint: str, events: str, bare: bool) -> dict[str, Any]:

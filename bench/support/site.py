@@ -15,7 +15,6 @@ from pathlib import Path
 from typing import Any
 
 import msgspec
-from msgspec import Struct
 
 from camtopod.codec import to_json, to_msgpack
 from camtopod.learn.learner import Learner
@@ -47,32 +46,6 @@ STOP_SECONDS = 20.0
 """Longest wait for the daemon to stop, seconds."""
 LOOK_SECONDS = 0.02
 """Interval at which memory is sampled, seconds."""
-
-
-class Count(Struct, frozen=True):
-    """Counts of events in ``status/daemon``, as far as they are used here."""
-
-    stored: int = 0
-    received: int = 0
-    lost: int = 0
-    flood: int = 0
-    waiting: int = 0
-
-
-class Learned(Struct, frozen=True):
-    """The newest version of the learner in this epoch; 0 before the first."""
-
-    version: int = 0
-
-
-class Status(Struct):
-    """Fields of ``status/daemon`` that are used here."""
-
-    events: Count = Count()
-    learner: Learned = Learned()
-    version: int = 0
-    predictions: int = 0
-    dropped: dict[str, int] = {}
 
 
 def traffic(cameras: int, events_per_second: float, count: int) -> list[Event]:

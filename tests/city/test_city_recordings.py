@@ -10,7 +10,8 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from city_recording import DISTRICTS, EVENTS, fit_or_die, tries
+from city_recording import DISTRICTS, EVENTS
+from dying_fits import fit_or_die, tries
 from msgspec.structs import replace
 
 from camtopod.city import recordings
@@ -37,9 +38,15 @@ def threads() -> Iterator[ThreadPoolExecutor]:
 
 
 def killing(threads: ThreadPoolExecutor, kills: int) -> Submit:
-    """Return what has districts learned; d1 kills its first processes."""
+    """Return what has districts learned: d1 in processes, of which it kills the first."""
     fit = partial(fit_or_die, "d1", kills)
-    return lambda _, *arguments: threads.submit(in_process, fit, *arguments)
+
+    def submit(function: Callable[..., None], path: Path, name: str, *rest: Any) -> Future[None]:
+        if name == "d1":
+            return threads.submit(in_process, fit, path, name, *rest)
+        return threads.submit(function, path, name, *rest)
+
+    return submit
 
 
 def test_each_district_has_the_events_that_it_hears(tmp_path: Path) -> None:

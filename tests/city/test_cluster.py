@@ -9,8 +9,10 @@ from pathlib import Path
 
 import dask
 import pytest
-from city_recording import DISTRICTS, EVENTS, Killing, tries
+from city_recording import DISTRICTS, EVENTS
 from distributed import Client, LocalCluster
+from dying_fits import tries
+from dying_workers import Killing
 from threadpoolctl import threadpool_info
 
 from camtopod.city import cluster
@@ -29,11 +31,14 @@ def _threads(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 @contextmanager
-def made_here(workers: int = 2, threads: int = 1) -> Iterator[Client]:
-    """Return the client of a cluster of processes of this machine."""
+def made_here(workers: int = 2, threads: int = 1, processes: bool = True) -> Iterator[Client]:
+    """Return the client of a cluster of this machine, of processes or threads."""
     with (
         LocalCluster(
-            n_workers=workers, threads_per_worker=threads, dashboard_address=":0"
+            n_workers=workers,
+            threads_per_worker=threads,
+            processes=processes,
+            dashboard_address=":0",
         ) as local,
         Client(local, set_as_default=False) as client,
     ):
@@ -108,7 +113,8 @@ def test_a_task_has_one_thread_of_linear_algebra(
 
 
 def test_workers_of_many_threads_are_refused() -> None:
-    with made_here(1, 2) as client, pytest.raises(CityError, match="has 2 threads: start it with"):
+    refused = pytest.raises(CityError, match="has 2 threads: start it with")
+    with made_here(1, 2, processes=False) as client, refused:
         submitting(client)
 
 

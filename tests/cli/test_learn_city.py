@@ -55,6 +55,12 @@ def by_hand(tmp_path_factory: pytest.TempPathFactory) -> bytes:
     return (folder / "city.json").read_bytes()
 
 
+@pytest.fixture
+def _fits_here(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Fit in this process, as processes are another test's matter."""
+    monkeypatch.setattr(recordings, "in_process", lambda fit, *arguments: fit(*arguments))
+
+
 def test_a_city_is_that_of_learn_and_merge(
     folder: Path,
     by_hand: bytes,
@@ -81,6 +87,7 @@ def test_a_city_is_that_of_learn_and_merge(
     ]  # fmt: skip
 
 
+@pytest.mark.usefixtures("_fits_here")
 def test_a_run_that_was_interrupted_goes_on(
     folder: Path,
     by_hand: bytes,
@@ -113,6 +120,7 @@ def test_a_run_that_was_interrupted_goes_on(
     assert f"{len(EVENTS)} of {2 * len(EVENTS)} lines were accepted" in said
 
 
+@pytest.mark.usefixtures("_fits_here")
 def test_what_cannot_be_learned_is_named(folder: Path, capfd: pytest.CaptureFixture[str]) -> None:
     write_lines(folder / "e.jsonl", [event for event in EVENTS if event.camera == CAMERAS[0]])
 
@@ -198,7 +206,7 @@ def test_an_insecure_scheduler_is_taken_if_told(
 
 @pytest.fixture
 def tls(folder: Path) -> Iterator[Mapping[str, str]]:
-    """Run a scheduler and two workers with TLS; return the environment with their certificates."""
+    """Run a scheduler and a worker with TLS; return the environment with their certificates."""
     assert main(["keys", "--keys", "keys", "init", "--host", "127.0.0.1"]) == 0
     keys = folder / "keys" / "daemon"
     variables = {"CA_FILE": keys / "ca.pem"}
@@ -217,7 +225,7 @@ def tls(folder: Path) -> Iterator[Mapping[str, str]]:
     ]
     programs = {
         "dask_scheduler": ["--protocol", "tls", "--host", "127.0.0.1", "--port", "0"],
-        "dask_worker": ["--nworkers", "2", "--nthreads", "1", "--host", "127.0.0.1"],
+        "dask_worker": ["--no-nanny", "--nthreads", "1", "--host", "127.0.0.1"],
     }
     processes = []
     try:

@@ -1,58 +1,11 @@
-"""A simulated recording of a small city of three districts, and fits that kill their process."""
+"""A simulated recording of a small city of three districts."""
 
 from __future__ import annotations
 
-import os
-import signal
-from collections.abc import Iterable
-from functools import partial
-from pathlib import Path
-
-from distributed import Worker, WorkerPlugin
-
-from camtopod.city import recordings
 from camtopod.config import with_borders
-from camtopod.learn import recording
-from camtopod.learn.settings import Settings
-from camtopod.records import Event, Topology
 from camtopod.sim.simulation import SimSettings, simulate
 
 EVENTS, TRUTH = simulate(SimSettings(cameras=9, hours=0.25, seed=4))
 CAMERAS = sorted({event.camera for event in EVENTS})
 OWNERS = {camera: f"d{number // 3}" for number, camera in enumerate(CAMERAS)}
 DISTRICTS = with_borders(OWNERS, [pair.cameras for pair in TRUTH.pairs])
-
-
-def learn_or_die(
-    folder: Path,
-    district: str,
-    kills: int,
-    events: Iterable[Event],
-    settings: Settings,
-    site: str,
-) -> Topology:
-    """Learn, or kill this process in the first ``kills`` tries of a district."""
-    if site == district and tries(folder, district) <= kills:
-        os.kill(os.getpid(), signal.SIGKILL)
-    return recording.learn_in_order(events, settings, site)
-
-
-def tries(folder: Path, district: str) -> int:
-    """Return how often a district has been begun."""
-    return len([*folder.glob(f"{district}.*.json")])
-
-
-def fit_or_die(district: str, kills: int, folder: Path, name: str, settings: Settings) -> None:
-    """Fit a district as `learn_or_die`, in a process of its own."""
-    recordings.learn_in_order = partial(learn_or_die, folder, district, kills)  # type: ignore[assignment]
-    recordings.fit_district(folder, name, settings)
-
-
-class Killing(WorkerPlugin):
-    """Plugin of a cluster, by which workers learn as `learn_or_die`, those that are restarted too."""
-
-    def __init__(self, folder: Path, district: str, kills: int) -> None:
-        self._learn = partial(learn_or_die, folder, district, kills)
-
-    def setup(self, worker: Worker) -> None:
-        recordings.learn_in_order = self._learn  # type: ignore[assignment]
