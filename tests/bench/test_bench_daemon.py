@@ -10,7 +10,7 @@ import pytest
 from paths import ROOT
 from serving import AT_ONCE, program
 
-from bench import soak
+from bench import ingest, soak
 from bench.support import ratios, site as sites
 from bench.support.site import traffic
 
@@ -40,12 +40,15 @@ def test_the_same_network_at_every_rate() -> None:
 @pytest.mark.parametrize(
     ("part", "arguments"),
     [
-        ("ingest", ["--base", str(ROOT), "--events", "300", "--cameras", "4", "--rounds", "1"]),
+        ("ingest", ["--events", "300", "--cameras", "4", "--rounds", "1"]),
         ("latency", ["--rate", "20", "--seconds", "2"]),
         ("router", ["--events", "300", "--readers", "1", "--cameras", "4", "--rounds", "1"]),
         ("memory", ["--events", "300", "--cameras", "4"]),
         ("version", ["--base", str(ROOT), "--cameras", "4", "--hours", "0.2", "--rounds", "1"]),
-        ("predict", ["--base", str(ROOT), "--events", "300", "--cameras", "4"]),
+        (
+            "predict",
+            ["--base", str(ROOT), "--events", "300", "--cameras", "4", "--answers", "walks"],
+        ),
     ],
 )
 def test_its_tables_have_costs(
@@ -64,8 +67,27 @@ def test_its_tables_have_costs(
     assert all(row["cost"]["median"] > 0.0 for table in tables for row in table["rows"])
 
 
+def test_a_recording_is_stored_beside_another_checkout(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def stored(*arguments: list[float]) -> float:
+        arguments[-1].append(40.0)
+        return 2.0
+
+    monkeypatch.setattr(ratios, "WARM_ROUNDS", 0)
+    monkeypatch.setattr(ingest, "stored", stored)
+    monkeypatch.setattr(ingest, "bare", lambda *_: 1.0)
+    arguments = ["--base", str(ROOT), "--events", "300", "--cameras", "4", "--rounds", "1"]
+
+    assert ingest.main([*arguments, "--json", str(tmp_path / "out")]) == 0
+
+    tables = json.loads((tmp_path / "out").read_text())["tables"]
+    costs = [[row["cost"]["median"] for row in table["rows"]] for table in tables]
+    assert costs == [[1.0, *[2.0] * 4], *[[2.0] * 2, [40.0] * 2] * 2]
+
+
 def test_scale_measures_a_daemon_and_a_fit_beside_live_events(tmp_path: Path) -> None:
-    arguments = ["--cameras", "9", "--hours", "0.1", "--rate", "0.6", "--seconds", "5", "--json"]
+    arguments = ["--cameras", "6", "--hours", "0.1", "--rate", "0.6", "--seconds", "3", "--json"]
 
     assert import_module("bench.scale").main([*arguments, str(tmp_path / "out")]) == 0
 

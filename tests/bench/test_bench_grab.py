@@ -175,7 +175,7 @@ def test_the_truth_of_a_variant_fits_its_pictures(folder: Path, name: str) -> No
 def test_a_site_is_recorded_seen_and_learned(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    arguments = ["--seeds", "1", "--plans", "0", "--minutes", "1", "--films", str(tmp_path)]
+    arguments = ["--seeds", "1", "--plans", "0", "--minutes", "0.5", "--films", str(tmp_path)]
 
     assert demo.main(arguments) == 0
 

@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from bench import ablation, between, zones
+from bench import ablation, between, controls, zones
 from bench.change import Outcome, summary
 from bench.support import mechanisms
 from bench.support.recordings import Passage, Recording, load, tellable
@@ -58,7 +58,7 @@ def recordings(tmp_path_factory: pytest.TempPathFactory) -> Path:
     [
         (
             "change",
-            ["--seeds", "1", "--hours", "0.1", "--jobs", "steady,score"],
+            ["--seeds", "1", "--hours", "0.04", "--jobs", "steady,score"],
             "mean apart: log loss",
         ),
         ("thesis", ["1"], "table 5.3"),
@@ -79,16 +79,12 @@ def test_a_real_network_is_learned_and_foretold(
 
     assert import_module("bench.real").main(arguments) == 0
 
-    assert "2 of 2: 1.00" in capsys.readouterr().out
+    said = capsys.readouterr().out
+    assert "2 of 2: 1.00" in said
     assert json.loads((tmp_path / "real.json").read_text())
 
-
-def test_others_are_measured_beside_us(
-    recordings: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    assert import_module("bench.real").main(["--data", str(recordings), "--jobs", "1"]) == 0
-
-    tables = capsys.readouterr().out.partition("correlation miner")[2]
+    # Others beside us.
+    tables = said.partition("correlation miner")[2]
     [row] = [line for line in tables.splitlines() if line.startswith("walks") and "/" in line]
     ours, rule, told = (float(cell.partition("/")[0]) for cell in row.split()[2:])
     assert max(ours, told) < rule
@@ -181,12 +177,16 @@ def test_a_constant_is_chosen_on_the_other_kinds_of_networks() -> None:
     ]  # walkways as in town, town as on walkways
 
 
-def test_false_links_of_controls_are_counted(capsys: pytest.CaptureFixture[str]) -> None:
-    arguments = ["--regimes", "", "--controls", "sites", "--seeds", "1", "--jobs", "1"]
+def test_false_links_of_controls_are_counted(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    title, control = next(iter(controls.controls()["steady"].items()))
+    monkeypatch.setattr(controls, "controls", lambda: {"steady": {title: control}})
+    arguments = ["--regimes", "", "--controls", "steady", "--seeds", "1", "--jobs", "1"]
 
     assert ablation.main([*arguments, "--mechanisms", "changes"]) == 0
 
-    assert "controls, sites, 1 networks" in capsys.readouterr().out
+    assert "controls, steady, 1 networks" in capsys.readouterr().out
 
 
 def test_what_is_never_found_takes_for_ever() -> None:

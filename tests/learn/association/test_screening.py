@@ -395,7 +395,7 @@ def test_where_there_are_no_links_none_is_published(monkeypatch: pytest.MonkeyPa
 
 
 def test_links_are_about_those_without_screening() -> None:
-    network = SimSettings(cameras=24, hours=0.25, seed=1)
+    network = SimSettings(cameras=12, hours=0.25, seed=1)
     (with_it, _), (without, _) = learned(network, SCREENED), learned(network, UNSCREENED)
     assert without.link_recall > 0.4
     assert with_it.link_recall > 0.95 * without.link_recall
