@@ -80,7 +80,7 @@ def maps(shift: float, linear: float) -> st.SearchStrategy[shake.Map]:
 
 
 @given(by=st.one_of(maps(0.2, 0.1), maps(0.5, 0.3), maps(4.0, 2.0)), pixels=SHAKES)
-@settings(max_examples=16)
+@settings(max_examples=8)
 def test_any_alignment_map(by: shake.Map, pixels: float) -> None:
     """It is used if the camera seems to shake."""
 
@@ -91,19 +91,19 @@ def test_any_alignment_map(by: shake.Map, pixels: float) -> None:
 
 
 @given(pixels=SHAKES)
-@settings(max_examples=8)
+@settings(max_examples=4)
 def test_any_shake(pixels: float) -> None:
     recovers(lambda motion: setattr(motion, "shake", pixels))
 
 
 @given(noise=st.floats(0.0, 128.0))
-@settings(max_examples=8)
+@settings(max_examples=4)
 def test_any_noise(noise: float) -> None:
     recovers(lambda motion: setattr(motion, "noise", noise))
 
 
 @given(difference=st.integers(0, 255), count=st.floats(1.0, 1e6))
-@settings(max_examples=10)
+@settings(max_examples=5)
 def test_any_contrast_of_objects(difference: int, count: float) -> None:
     """Up to what objects that fill the picture are counted as."""
 
@@ -114,7 +114,7 @@ def test_any_contrast_of_objects(difference: int, count: float) -> None:
 
 
 @given(tone=st.floats(-60.0, 60.0))
-@settings(max_examples=10)
+@settings(max_examples=5)
 def test_a_background_in_another_tone(tone: float) -> None:
     recovers(lambda motion: replace_background(motion, motion._background.image + tone))
 
@@ -125,7 +125,7 @@ def test_a_background_in_another_tone(tone: float) -> None:
     contrast=st.floats(0.0, 120.0),
     seed=st.integers(0, 2**32 - 1),
 )
-@settings(max_examples=16)
+@settings(max_examples=8)
 def test_another_background(cell: int, level: float, contrast: float, seed: int) -> None:
     recovers(lambda motion: replace_background(motion, patches(cell, level, contrast, seed)))
 
