@@ -56,10 +56,10 @@ def test_a_topology_is_cut_into_districts(folder: Path, capsys: pytest.CaptureFi
 
 
 def test_events_are_cut_by_the_links_that_they_tell(folder: Path) -> None:
-    simulation = ["--cameras", "30", "--hours", "0.5", "--seed", "3"]
+    simulation = ["--cameras", "16", "--hours", "0.25", "--seed", "3"]
     assert main(["simulate", *simulation, "--events", "e.jsonl", "--truth", "t.json"]) == 0
 
-    assert main(["districts", "e.jsonl", "--cameras-max", "12", "--out", "cut.toml"]) == 0
+    assert main(["districts", "e.jsonl", "--cameras-max", "10", "--out", "cut.toml"]) == 0
 
     owners = owners_of(districts_file.load(folder / "cut.toml"))
     truth = json.loads((folder / "t.json").read_text())

@@ -86,7 +86,9 @@ def started() -> Iterator[list[Up]]:
         wait_for(lambda up=up: not up.children(), "its processes to end")  # type: ignore[misc]
 
 
-def test_all_runs_until_it_is_stopped(tmp_path: Path, started: list[Up]) -> None:
+def test_all_runs_until_it_is_stopped_and_what_dies_is_started_again_alone(
+    tmp_path: Path, started: list[Up]
+) -> None:
     up = Up(tmp_path)
     started.append(up)
     up.says("info: page: the page is at http://", "info: daemon: site site", "camera lobby is")
@@ -94,20 +96,6 @@ def test_all_runs_until_it_is_stopped(tmp_path: Path, started: list[Up]) -> None
     with urllib.request.urlopen(where, timeout=WAIT_SECONDS) as answer:
         assert b"camtopod" in answer.read()
     assert len(up.children()) == 3, "daemon, page and one camera"
-
-    up.process.send_signal(signal.SIGINT)
-    assert up.process.wait(WAIT_SECONDS) == exits.DONE
-    assert up.children() == []
-    assert up.log.splitlines()[-1].endswith("info: daemon: ended cleanly")
-    assert up.log.count(str(up.config)) == 0, "each part would name it"
-
-
-def test_what_dies_is_started_again_and_ends_nothing_else(
-    tmp_path: Path, started: list[Up]
-) -> None:
-    up = Up(tmp_path)
-    started.append(up)
-    up.says("info: page: the page is at http://", "info: daemon: site site", "camera lobby is")
     grabber, page, daemon = up.child("grab"), up.child("web"), up.child("run")
 
     os.kill(page, signal.SIGKILL)
@@ -129,6 +117,8 @@ def test_what_dies_is_started_again_and_ends_nothing_else(
     up.process.send_signal(signal.SIGINT)
     assert up.process.wait(WAIT_SECONDS) == exits.DONE
     assert up.children() == []
+    assert up.log.splitlines()[-1].endswith("info: daemon: ended cleanly")
+    assert up.log.count(str(up.config)) == 0, "each part would name it"
 
 
 @pytest.mark.skipif(PROGRAM is None, reason="needs the broker mosquitto (Debian: mosquitto)")

@@ -9,8 +9,9 @@ from chromium import Browser
 from page_fixture import Shown
 from synthetic_topology import synthetic_topology
 
+from camtopod.records import Topology
+
 CAMERAS = 5000
-SITE = synthetic_topology(CAMERAS)
 NEAR = "cam2500"
 DRAWN_MAX = 1200
 """Cameras that are elements of their own."""
@@ -25,10 +26,15 @@ return [...document.querySelectorAll('.node:not(.chosen, .ill, [tabindex="0"]) c
 NAMES = "return [...document.querySelectorAll('.node:not(.ill)')].map((one) => one.dataset.id)"
 
 
+@pytest.fixture(scope="module")
+def site() -> Topology:
+    return synthetic_topology(CAMERAS)
+
+
 @pytest.fixture
-def city(browser: Browser) -> Iterator[Shown]:
+def city(browser: Browser, site: Topology) -> Iterator[Shown]:
     """Show the page until all its cameras are in sight; at the end there must be no complaint."""
-    shown = Shown(SITE)
+    shown = Shown(site)
     with shown.serving():
         shown.status()
         browser.open(shown.address)
@@ -50,9 +56,9 @@ def near(browser: Browser) -> None:
     browser.wait(lambda: NEAR in names(browser) and not browser.count(".far"), "its surroundings")
 
 
-def test_all_of_a_city_is_a_few_paths(browser: Browser, city: Shown) -> None:
+def test_all_of_a_city_is_a_few_paths(browser: Browser, site: Topology, city: Shown) -> None:
     assert browser.text(".key summary .quiet").startswith(
-        f"5,000 cameras, {len(SITE.pairs):,} pairs"
+        f"5,000 cameras, {len(site.pairs):,} pairs"
     )
     assert 0 < browser.count(".nodes .far") + browser.count(".edges .far") < 1500
     assert browser.count(".node") < 20
@@ -60,7 +66,7 @@ def test_all_of_a_city_is_a_few_paths(browser: Browser, city: Shown) -> None:
     dots = "return [...document.querySelectorAll('.far.core')].map((one) => one.getAttribute('d').split('M').length - 1)"
     assert sum(browser.run(dots)) == CAMERAS
     lines = dots.replace(".far.core", ".far.edge")
-    assert sum(browser.run(lines)) == len(SITE.pairs)
+    assert sum(browser.run(lines)) == len(site.pairs)
 
 
 def test_cameras_in_need_are_marked_among_all(browser: Browser, city: Shown) -> None:
