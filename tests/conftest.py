@@ -20,6 +20,8 @@ os.environ.setdefault(
 # Often set in containers, not in a user's shell. With it standard output is unbuffered in all
 # programs that tests start, which hides missing flushes.
 os.environ.pop("PYTHONUNBUFFERED", None)
+# With this one, every program that tests start would compile the package anew.
+os.environ.pop("PYTHONDONTWRITEBYTECODE", None)
 
 import pytest
 from chromium import Browser, chromium
