@@ -11,8 +11,7 @@ import signal
 import sys
 import threading
 import time
-from collections import Counter
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from pathlib import Path
 from typing import BinaryIO, NamedTuple
 
@@ -38,8 +37,6 @@ from camtopod.words import counted as counted
 
 log = logging.getLogger(__name__)
 
-CAMERAS_NAMED = 5
-"""Most cameras that a message names."""
 PARTS = {"run": "daemon", "web": "page", "bridge": "bridge"}
 """Command -> what it is called in the log of `up`."""
 
@@ -107,29 +104,6 @@ def topology_of(path: str) -> Topology:
         return codec.decode_topology(raw)
     except codec.Rejected as error:
         raise InputError(f"{path} is not a topology: {error}") from None
-
-
-def cameras_in_words(names: Sequence[str]) -> str:
-    """Return the names of cameras for a message, of many the first `CAMERAS_NAMED`."""
-    return ", ".join([*names[:CAMERAS_NAMED], *["..."] * (len(names) > CAMERAS_NAMED)])
-
-
-def foreign_cameras(path: str, topology: Topology, events: Counter[str]) -> int:
-    """Say which cameras of a recording the topology of ``path`` does not have, if there are any.
-
-    events: number of events of each camera.
-
-    Returns the exit status: `exits.FAILED` if they have more than a tenth of the events.
-    """
-    absent = sorted(events.keys() - {camera.id for camera in topology.cameras})
-    count = sum(events[camera] for camera in absent)
-    if absent:
-        print(
-            f"camtopod: {count} of {events.total()} events are of cameras that {path} does not "
-            f"have ({cameras_in_words(absent)}): is it of another site, or older?",
-            file=sys.stderr,
-        )
-    return exits.FAILED if count > 0.1 * events.total() else exits.DONE
 
 
 def districts_of(path: Path, raw: bytes | None = None) -> Districts:

@@ -278,7 +278,6 @@ def test_gaps_and_several_recordings_are_no_mistake(tmp_path: Path) -> None:
         (lambda t: t / DAY + 25_569, "counts days"),
         (lambda t: round(t / DAY, 5), "counts days"),
         (lambda t: 1_234_567_890.5, "counts days"),
-        (lambda t: t / 60, "some programs minutes"),
     ],
 )
 def test_times_that_a_spreadsheet_has_spoilt_are_named(

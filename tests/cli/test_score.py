@@ -144,7 +144,7 @@ def test_few_identities_are_said_to_be_few(
 ) -> None:
     path = tmp_path / "few.csv"
     rows = (folder / "identities.csv").read_text().splitlines(keepends=True)
-    path.write_text("".join(rows[: len(rows) // 3]))
+    path.write_text("".join(rows[: len(rows) // 20]))
     command = ["score", str(folder / "topology.json"), str(folder / "events.jsonl")]
     assert main([*command, str(path)]) == exits.FAILED
     assert re.search(r"only \d+ of \d+ tracks have an identity", capsys.readouterr().err)

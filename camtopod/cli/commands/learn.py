@@ -13,10 +13,10 @@ from typing import Any
 
 from camtopod.cli import exits
 from camtopod.cli.city import learn_city
-from camtopod.cli.common import cameras_in_words, configuration, open_output
+from camtopod.cli.common import configuration, open_output
 from camtopod.cli.events.event_lines import LineReader
 from camtopod.cli.events.learning import feed
-from camtopod.cli.events.recording import Times, fault_of
+from camtopod.cli.events.recording import Times, cameras_in_words, fault_of
 from camtopod.cli.exits import InputError
 from camtopod.cli.terminal import busiest_links, topology_lines
 from camtopod.codec import to_json

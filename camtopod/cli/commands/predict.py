@@ -13,9 +13,16 @@ from typing import Any
 from msgspec.structs import replace
 
 from camtopod.cli import exits
-from camtopod.cli.common import configuration, counted, foreign_cameras, topology_of
+from camtopod.cli.common import configuration, counted, topology_of
 from camtopod.cli.events.event_lines import LineReader, open_input
-from camtopod.cli.events.recording import Survey, Times, fault_of, right_lines, timed
+from camtopod.cli.events.recording import (
+    Survey,
+    Times,
+    fault_of,
+    foreign_cameras,
+    right_lines,
+    timed,
+)
 from camtopod.cli.events.time_order import OrderedAnswers, Pipe
 from camtopod.cli.exits import InputError
 from camtopod.cli.terminal import ProgressLine
@@ -113,11 +120,11 @@ def run(args: argparse.Namespace) -> int:
         raise InputError(f"no event lines in {args.events}: nothing to predict")
     if is_recording and not count:
         raise InputError(f"no {kind} lines in {args.events}: nothing to predict")
-    is_foreign = foreign_cameras(args.topology, topology, cameras)
+    foreign_status = foreign_cameras(args.topology, topology, cameras)
     if (fault := fault_of(times)) is not None:
         print(f"camtopod: {fault}", file=sys.stderr)
         return exits.FAILED
-    return reader.status or is_foreign
+    return reader.status or foreign_status
 
 
 def shortened(answer: Prediction | Match, count_max: int | None) -> Prediction | Match:

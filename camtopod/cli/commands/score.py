@@ -10,15 +10,15 @@ from typing import Any
 from msgspec import Struct
 
 from camtopod.cli import exits
-from camtopod.cli.common import foreign_cameras, topology_of
+from camtopod.cli.common import topology_of
 from camtopod.cli.events.event_lines import LineReader, table_rows_of
-from camtopod.cli.events.recording import Times, fault_of, once_by_number, recorded
+from camtopod.cli.events.recording import Times, fault_of, foreign_cameras, once_by_number, recorded
 from camtopod.cli.exits import InputError
 from camtopod.cli.terminal import ProgressLine
 from camtopod.scoring import score
 
-IDENTITIES_MIN = 0.5
-"""Least share of tracks with an identity with which the command succeeds; clutter has none."""
+IDENTITIES_MIN = 0.1
+"""Least share of tracks with an identity with which the command succeeds."""
 
 
 class _Identity(Struct):
@@ -81,11 +81,11 @@ def run(args: argparse.Namespace) -> int:
             file=sys.stderr,
         )
     cameras = Counter(event.camera for event in events)
-    is_foreign = foreign_cameras(args.topology, topology, cameras)
+    foreign_status = foreign_cameras(args.topology, topology, cameras)
     if (fault := fault_of(times)) is not None:
         print(f"camtopod: {fault}", file=sys.stderr)
         return exits.FAILED
-    return reader.status or is_foreign or (exits.FAILED if has_few else exits.DONE)
+    return reader.status or foreign_status or (exits.FAILED if has_few else exits.DONE)
 
 
 def _identities_of(path: str) -> dict[tuple[str | None, str], str]:

@@ -10,6 +10,7 @@ import heapq
 import itertools
 import math
 import shutil
+import sys
 import tempfile
 from array import array
 from collections import Counter, defaultdict
@@ -21,13 +22,14 @@ from typing import cast
 import numpy as np
 from msgspec import Struct, field
 
+from camtopod.cli import exits
 from camtopod.cli.events.event_lines import Line, LineReader, messages, open_input
 from camtopod.cli.events.time_order import by_key, sorting, sorting_failure
 from camtopod.cli.exits import InputError
 from camtopod.codec import event_from_json, event_from_msgpack, stamp_of, to_msgpack
 from camtopod.event_numbers import EventNumbers
 from camtopod.event_time import utc_text
-from camtopod.records import Event
+from camtopod.records import Event, Topology
 
 DAY = 86_400.0
 """Difference from the lines around it from which a stamp is wrong, in seconds."""
@@ -50,7 +52,11 @@ FAULT_EVENTS_MIN = 50
 """Least number of events whose times are judged together."""
 STAMPS_MAX = 1_000_000
 """Most events whose times are kept to be judged, the first ones."""
-FAULT_RATE = 10.0
+CAMERAS_NAMED = 5
+"""Most cameras that a message names."""
+FOREIGN_SHARE_MAX = 0.9
+"""Largest share of events of cameras that a topology of the same site does not have."""
+FAULT_RATE = 50.0
 """Events per second and camera that no camera has over a whole recording."""
 FAULT_STEP = 20.0
 """Whole minutes and hundreds of seconds are multiples of it, in seconds."""
@@ -378,6 +384,30 @@ def fault_of(times: Times) -> str | None:
     if count > FAULT_RATE * len(times.cameras) * span:
         return (
             f"{count} events lie within {span:.3g} s: t is in seconds; a spreadsheet counts days "
-            "(45244.9), some programs minutes: save t as seconds since 1970, or as text in ISO 8601"
+            "(45244.9): save t as seconds since 1970, or as text in ISO 8601"
         )
     return None
+
+
+def cameras_in_words(names: Sequence[str]) -> str:
+    """Return the names of cameras for a message, of many the first `CAMERAS_NAMED`."""
+    return ", ".join([*names[:CAMERAS_NAMED], *["..."] * (len(names) > CAMERAS_NAMED)])
+
+
+def foreign_cameras(path: str, topology: Topology, events: Counter[str]) -> int:
+    """Say which cameras of the events the topology of ``path`` does not have, if there are any.
+
+    events: number of events of each camera.
+
+    Returns the exit status: `exits.FAILED` if hardly any event of a recording is of another one.
+    """
+    absent = sorted(events.keys() - {camera.id for camera in topology.cameras})
+    count = sum(events[camera] for camera in absent)
+    if absent:
+        print(
+            f"camtopod: {count} of {events.total()} events are of cameras that {path} does not "
+            f"have ({cameras_in_words(absent)}): is it of another site, or older?",
+            file=sys.stderr,
+        )
+    is_of_another_site = count > FOREIGN_SHARE_MAX * max(events.total(), FAULT_EVENTS_MIN)
+    return exits.FAILED if is_of_another_site else exits.DONE
