@@ -17,8 +17,10 @@ from camtopod.serve.learner_process import worker
 
 class FaultyLearner(Learner):
     """A learner that fails, is killed, crashes or hangs at marked events, and learns all
-    others.
+    others. One fails behind the version that an event has made due.
     """
+
+    _is_receiving = False
 
     def receive(self, event: Event) -> str:
         match event.track:
@@ -31,7 +33,16 @@ class FaultyLearner(Learner):
             case "lasts":
                 while True:  # busy, like a fit; not a wait that could be interrupted
                     time.monotonic()
-        return super().receive(event)
+        self._is_receiving = True
+        outcome = super().receive(event)
+        self._is_receiving = False
+        return outcome
+
+    def resume(self) -> None:
+        held = self._intake.state.held
+        if not self._is_receiving and any(event.track == "fails later" for event in held):
+            raise ZeroDivisionError("behind the version that an event has made due")
+        super().resume()
 
 
 def main(*given: Any) -> None:

@@ -257,6 +257,30 @@ def test_an_entry_at_which_the_learner_dies_twice_is_skipped(
     assert {epoch for epoch, _, _ in again.published} == {"F"}
 
 
+def test_a_skipped_entry_is_in_no_state_that_the_learner_goes_on_from(start: Start) -> None:
+    """The learner dies behind the version that an entry makes, whose snapshot has the entry."""
+    learner = Learner(SETTINGS, "s", "E")
+    makers = []
+    for number, event in enumerate(EVENTS, 1):
+        learner.receive(event)
+        makers += [number] * len(learner.updates())
+    fatal = next(number for number in makers if number > 120)
+    poison = msgspec.structs.replace(EVENTS[fatal - 1], track="fails later")
+    start().store([*EVENTS[: fatal - 1], poison, *EVENTS[fatal:]])
+    for _ in range(recovery.DEATHS_MAX):
+        failing = start(program="learners.faulty")
+        with pytest.raises(LearnerEnded) as ended:
+            failing.run()
+        assert ended.value.at == fatal
+    assert failing.journal.snapshots()[0].position == fatal
+
+    again = start(program="learners.faulty")
+
+    assert again.started_at < fatal
+    again.run()
+    assert again.learning.progress.statistics.accepted == len(EVENTS) - 1
+
+
 def test_a_learner_that_dies_of_what_it_has_learned_begins_anew(
     start: Start, caplog: pytest.LogCaptureFixture
 ) -> None:

@@ -73,6 +73,8 @@ def recover(
         )
         origin = Loaded()
     else:
+        if is_fatal:
+            journal.skip(failure.at)
         position, origin = _newest_state(journal, process)
 
     # Entries that follow may begin further epochs, the last of which is the journal's.
@@ -90,8 +92,6 @@ def recover(
         place = f"entry {failure.at} of the journal, which is skipped"
         if failure.at == STATE:
             place = "the state that it continued from: it begins with nothing"
-        else:
-            journal.skip(failure.at)
         log.error("the learner has died twice at %s, in epoch %s; please report this", place, epoch)
         journal.set_meta("failure", codec.to_json(Failure(0, 0)).decode())
     elif version < max(journal.versions(epoch), default=0):

@@ -308,11 +308,11 @@ class Journal:
         return [(*row[:2], Entry(*row[2:7])) for row in rows]
 
     def skip(self, number: int) -> None:
-        """Mark an entry, if there is one, as skipped. Raises `sqlite3.Error`."""
+        """Mark an entry as skipped; delete the states that have it. Raises `sqlite3.Error`."""
         with self._access():
             for row in self._db.execute("SELECT * FROM entry WHERE id = ?", (number,)).fetchall():
-                new_row = (*row[:2], "skipped", *row[3:7])
-                insert(self._db, "INSERT OR REPLACE INTO entry", [new_row])
+                insert(self._db, "INSERT OR REPLACE INTO entry", [(*row[:2], "skipped", *row[3:7])])
+            self._db.execute("DELETE FROM snapshot WHERE position >= ?", (number,))
 
     def numbers(self) -> dict[Stream, int]:
         """Return the highest stored number of each stream, in the order of their last entries.
