@@ -56,3 +56,36 @@ def test_a_daemon_that_has_learned_nothing_is_asked_once() -> None:
     bus = OneBus()
     assert TopologySubscriber(cast(Bus, bus)).first(60.0) is None
     assert len(bus.asked) == 1
+
+
+class Losing(OneBus):
+    """The answer to the query number ``lost`` does not come in time."""
+
+    lost = 0
+
+    def query(
+        self, key: str, parameters: dict[str, Any] | None = None, one: bool = False
+    ) -> list[tuple[str, bytes]]:
+        answers = super().query(key, parameters, one)
+        return [] if len(self.asked) == self.lost else answers
+
+
+@pytest.mark.parametrize("lost", [3, 4])
+@pytest.mark.parametrize("is_kept", [True, False])
+def test_a_newer_version_is_asked_for_until_it_is_there(
+    is_kept: bool, lost: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(topology_subscriber, "QUERY_INTERVAL_SECONDS", 0.0)
+    bus = Losing()
+    bus.lost = lost
+    bus.kept = {1: synthetic_topology(3)}
+    subscriber = TopologySubscriber(cast(Bus, bus))
+    assert subscriber.update() is not None
+
+    bus.kept[2] = synthetic_topology(3, version=2)
+    if not is_kept:
+        del bus.kept[1]
+    subscriber._on_daemon("daemon", True)
+
+    versions = [subscriber.update() for _ in range(2)]
+    assert [version and version.version for version in versions] == [None, 2]

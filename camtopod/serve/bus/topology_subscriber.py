@@ -113,8 +113,8 @@ class TopologySubscriber:
             for key in PARTS:
                 for part in self._bus.query(key, version, one=True):
                     self._take(*part)
-                if (model := self._parts["topology/model"]) is not None:
-                    version = {"epoch": model.epoch, "version": model.version}
+                    if (model := self._parts["topology/model"]) is not None:
+                        version = {"epoch": model.epoch, "version": model.version}
         except QueryError:  # nothing learned yet, or that version is gone
             self._is_answered = not version
         if not version:
