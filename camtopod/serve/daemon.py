@@ -128,12 +128,13 @@ class Daemon:
         self.progress.watch("start", LEARN_SECONDS)
         config = self._config
         self._journal = Journal(config.state_directory, config.keep)
-        self._last_epoch = max(self._journal.meta(key) or "" for key in ("epoch", "epoch before"))
 
         # Recover the learner, join the bus and build the parts; undo everything on failure.
         with contextlib.ExitStack() as undo:
             undo.callback(self.stop)
             try:
+                epochs = [self._journal.meta(key) for key in ("epoch", "epoch before")]
+                self._last_epoch = max(filter(None, epochs), default="")
                 # The process loads its libraries while the bus is joined.
                 self._process = process = LearnerProcess()
                 self._bus = open_daemon_session(config)
@@ -145,11 +146,11 @@ class Daemon:
                     self._new_epoch,
                     present_names(read_names(self._journal)),
                 )
-                if cancellation.is_set():
-                    return False
                 self._build(self._bus, recovery, process)
                 self._rivals = OtherDaemons(self._bus, clocks.ulid(self._clock()))
                 self._rivals.require_none(config.bus.connect_seconds, cancellation)
+                if cancellation.is_set():
+                    return False
                 self._started_at = self._steady()
                 self._join_bus(self._bus)
             except LearnerEnded as death:
@@ -185,7 +186,6 @@ class Daemon:
         """Stop cleanly, within about `STOP_SECONDS`; may be called twice."""
         if self._stopping.is_set():
             return
-
         self._stopping.set()
         deadline = time.monotonic() + STOP_SECONDS
         for thread in self._threads:

@@ -6,6 +6,8 @@ import logging
 import os
 import random
 import signal
+import sqlite3
+import threading
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
@@ -49,6 +51,7 @@ from camtopod.serve.outbox.publisher import SpoolPublisher
 from camtopod.serve.outbox.spool import Spool
 from camtopod.serve.runtime.clock import ulid
 from camtopod.serve.storage.journal import Journal
+from camtopod.serve.storage.sqlite_file import StateError
 from camtopod.topology import map_of, version_model, with_digest
 from camtopod.topology.versions import digest_of
 
@@ -481,6 +484,41 @@ def test_a_second_daemon_at_the_same_endpoint_is_refused(site: Site, tmp_path: P
     other = Daemon(small_config(tmp_path / "other"))
     other.start()
     other.stop()
+
+
+class StopAtTheFirstWait(threading.Event):
+    """A request to stop that comes while the other daemon is waited for."""
+
+    def wait(self, timeout: float | None = None) -> bool:
+        self.set()
+        return True
+
+
+def test_a_daemon_that_is_stopped_while_another_is_there_never_joins_it(
+    site: Site, tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    daemon = site.daemon()
+    config = small_config(tmp_path / "other", daemon.endpoint)
+
+    other = Daemon(config)
+
+    assert not other.start(StopAtTheFirstWait())
+    assert not other.started
+    assert daemon.bus.list_alive("daemon") == [daemon._rivals.name]
+    assert "serves the same site" not in caplog.text
+
+
+def test_a_start_that_cannot_read_the_journal_leaves_it_to_the_next(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def fail(journal: Journal, key: str) -> str | None:
+        raise sqlite3.OperationalError("disk I/O error")
+
+    with monkeypatch.context() as context:
+        context.setattr(Journal, "meta", fail)
+        with pytest.raises(StateError, match="disk I/O error; the file was not modified"):
+            Daemon(small_config(tmp_path)).start()
+    Journal(tmp_path).close()
 
 
 def test_what_nobody_takes_for_its_size_is_said_once(
