@@ -50,6 +50,14 @@ def test_events_wait_for_a_daemon_that_comes_later(tmp_path: Path) -> None:
 
 
 @pytest.mark.filterwarnings("ignore:.*fork:DeprecationWarning")
+def test_what_waits_is_known_after_the_end(tmp_path: Path) -> None:
+    with Publisher("a", connect=free_endpoint(), state=tmp_path) as publisher:
+        publisher.publish(*EVENTS[:10])
+
+    assert publisher.waiting == 10
+    assert not publisher.wait_stored(0.0)
+
+
 def test_a_forked_child_is_told_at_once_and_takes_nothing_from_its_parent(tmp_path: Path) -> None:
     endpoint = free_endpoint()
     state = tmp_path / "state-of-a"

@@ -5,12 +5,14 @@ from __future__ import annotations
 import contextlib
 import sqlite3
 from pathlib import Path
+from typing import Any
 
 import pytest
 from serving import Failing
 
 from camtopod import codec
 from camtopod.records import Event
+from camtopod.serve.outbox.site_queue import SiteQueue
 from camtopod.serve.outbox.spool import Spool
 
 SITES = {"gate": ("north", "south"), "yard": ("north",)}
@@ -165,3 +167,18 @@ def test_an_append_that_raises_leaves_no_site_behind(durable: bool, tmp_path: Pa
         spool._db = good
         spool.append(events(150))
         assert batch(spool, "south")[1] == batch(spool)[1] == [*range(1, 101)]
+
+
+class Joining(SiteQueue):
+    """A queue: while its drops are read, another thread joins a further site."""
+
+    def __getattribute__(self, name: str) -> Any:
+        if name == "dropped":
+            self._spool.queue("south")
+        return super().__getattribute__(name)
+
+
+def test_drops_are_counted_while_a_site_is_joined(tmp_path: Path) -> None:
+    with contextlib.closing(opened(tmp_path)) as spool:
+        spool._queues[""] = Joining(spool, "")
+        assert spool.dropped == 0

@@ -187,7 +187,7 @@ class Spool:
     @property
     def dropped(self) -> int:
         """Events that were deleted before they were stored, since the start, by all sites."""
-        return sum(queue.dropped for queue in self._queues.values())
+        return sum(queue.dropped for queue in list(self._queues.values()))
 
     def adopt(self, path: Path) -> None:
         """Move the events of another spool, which no process has open, into this one."""
@@ -217,9 +217,12 @@ class Spool:
             }
 
     def close(self) -> None:
-        """Close the file; its events stay for the next time. May be called twice."""
+        """Close the file; its events stay for the next time, and are still counted as `waiting`.
+
+        May be called twice.
+        """
         with contextlib.suppress(sqlite3.Error, StateError), self.using(), self._writing():
-            pass
+            self.waiting()  # from now on it is known without the file
         self._db.close()
         self._lock.close()
 
