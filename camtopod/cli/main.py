@@ -83,7 +83,12 @@ _LINEAR_ALGEBRA_THREADS = ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_T
 
 With another number of threads the same events give results that differ in the last bits.
 """
-_STATUS_OF_ERROR = {"SourceError": exits.INPUT, "BusError": exits.BUS, "StateError": exits.STATE}
+_STATUS_OF_ERROR = {
+    "SourceError": exits.INPUT,
+    "BusError": exits.BUS,
+    "StateError": exits.STATE,
+    "InUse": exits.STATE,
+}
 """Class of an OSError of camtopod -> exit status; the classes' own modules take long to import."""
 OF_SITES = ("watch", "web")
 """Commands that show several sites as one."""

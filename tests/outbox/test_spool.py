@@ -6,6 +6,7 @@ import contextlib
 import sqlite3
 from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
 import pytest
 from serving import Failing
@@ -13,6 +14,7 @@ from serving import Failing
 from camtopod import codec
 from camtopod.config import Limits
 from camtopod.records import Event
+from camtopod.serve.outbox import spool_files
 from camtopod.serve.outbox.spool import Spool
 from camtopod.serve.outbox.spool_files import open_ingest_spool, open_spool, spool_path
 from camtopod.serve.requests import BATCH_BYTES_MAX
@@ -308,3 +310,49 @@ def test_ingest_takes_a_free_spool_and_what_ended_processes_left(tmp_path: Path)
         assert third.waiting(own=True) == 0
     assert not second.path.exists()
     assert spool_path(tmp_path, "hq", "lobby").exists(), "that is the grabber's"
+
+
+def test_ingest_takes_another_spool_while_one_is_looked_at(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Another process that looks for ended ones has the lock of the first one for a moment."""
+    limits = Limits()
+    open_ingest_spool(tmp_path, "hq", limits).close()
+    look = sqlite_file.Lock(spool_path(tmp_path, "hq", "ingest").with_suffix(".lock"))
+    attempts = []
+
+    def open_while_locked(directory: Path, site: str, name: str, *others: Any) -> Spool:
+        attempts.append(name)
+        try:
+            return open_spool(directory, site, name, *others)
+        finally:
+            look.close()
+
+    monkeypatch.setattr(spool_files, "open_spool", open_while_locked)
+    with contextlib.closing(open_ingest_spool(tmp_path, "hq", limits)) as spool:
+        assert spool.path == spool_path(tmp_path, "hq", "ingest@2")
+    assert attempts == ["ingest", "ingest@2"]
+
+
+def test_a_spool_that_another_process_takes_at_the_last_moment_is_no_reason_to_warn(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    limits = Limits()
+    first = open_ingest_spool(tmp_path, "hq", limits)
+    second = open_ingest_spool(tmp_path, "hq", limits)
+    first.close()
+    second.close()
+    adopt = Spool.adopt
+    locks = []
+
+    def adopt_too_late(spool: Spool, path: Path) -> None:
+        locks.append(sqlite_file.Lock(path.with_suffix(".lock")))
+        adopt(spool, path)
+
+    monkeypatch.setattr(Spool, "adopt", adopt_too_late)
+    open_ingest_spool(tmp_path, "hq", limits).close()
+
+    assert len(locks) == 1
+    assert second.path.exists()
+    assert caplog.text == ""
+    locks[0].close()

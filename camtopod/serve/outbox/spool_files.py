@@ -9,7 +9,7 @@ from pathlib import Path
 from camtopod.config import Limits
 from camtopod.serve.outbox.spool import SitesOf, Spool, owner_alone
 from camtopod.serve.runtime import clock
-from camtopod.serve.storage import StateError, lock_reason
+from camtopod.serve.storage import InUse, StateError
 
 log = logging.getLogger(__name__)
 
@@ -52,15 +52,17 @@ def open_ingest_spool(
         try:
             spool = open_spool(directory, site, name, limits, sites_of)
             break
-        except StateError:
-            if name == names[-1] or not lock_reason(paths[name]):
+        except InUse:  # perhaps for a moment, by a process that looks for ended ones
+            if name == names[-1]:
                 raise
 
     # Move the others.
     for path in paths.values():
-        if path != spool.path and path.exists() and not lock_reason(path):
+        if path != spool.path and path.exists():
             try:
                 spool.adopt(path)
+            except InUse:
+                continue
             except (StateError, sqlite3.Error) as error:
                 log.warning("the events in %s are not published: %s", path, error)
     return spool

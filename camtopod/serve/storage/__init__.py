@@ -22,4 +22,8 @@ from camtopod.serve.storage.journal import (
 )
 from camtopod.serve.storage.journal_schema import NAMES_KEY as NAMES_KEY
 from camtopod.serve.storage.journal_writer import JournalWriter as JournalWriter, Learned as Learned
-from camtopod.serve.storage.sqlite_file import StateError as StateError, lock_reason as lock_reason
+from camtopod.serve.storage.sqlite_file import (
+    InUse as InUse,
+    StateError as StateError,
+    lock_reason as lock_reason,
+)

@@ -48,6 +48,10 @@ class StateError(OSError):
     """The state directory cannot be written or is in use; ``str()`` says which, and what to do."""
 
 
+class InUse(StateError):
+    """Another process has the lock."""
+
+
 class Damaged(StateError):
     """The content of a file is not that which was written."""
 
@@ -76,12 +80,12 @@ class Lock:
             fcntl.flock(self._fd, fcntl.LOCK_EX | fcntl.LOCK_NB)
         except OSError as error:
             os.close(self._fd)
-            reason = f"cannot be locked: {error.strerror}: {_needs_local_disk(path)}"
             if isinstance(error, BlockingIOError):
-                reason = (
-                    "is held by another camtopod process; "
+                raise InUse(
+                    f"{path} is held by another camtopod process; "
                     "stop that one or use another state directory"
-                )
+                ) from None
+            reason = f"cannot be locked: {error.strerror}: {_needs_local_disk(path)}"
             raise StateError(f"{path} {reason}") from None
         _locks.add(self)
 
