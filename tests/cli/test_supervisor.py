@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import ctypes
+import errno
 import logging
 import os
 import re
@@ -13,7 +14,7 @@ import sys
 import threading
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Any
+from typing import Any, NoReturn
 
 import msgspec
 import pytest
@@ -321,6 +322,22 @@ def test_backoff_grows_and_a_process_that_cannot_be_started_has_failed(
 
     assert waits == [1, 2, 4, 8, 16, 32, 60, 60, 60, 60]
     assert "cannot be started: No such file" in process.summary()["reason"]
+
+
+def test_a_process_is_started_later_when_there_is_no_file_for_its_heartbeats(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    def fail() -> NoReturn:
+        raise OSError(errno.EMFILE, os.strerror(errno.EMFILE))
+
+    monkeypatch.setattr(camera_process, "HeartbeatReceiver", fail)
+    process = CameraProcess("lobby", CameraSettings(source="rtsp://h/x"))
+
+    process.look_after(100.0, ["/nowhere/at/all"])
+
+    assert process.start_at is not None
+    assert process.start_at > 100.0
+    assert process.reason == "cannot be started: Too many open files"
 
 
 # --- signals --------------------------------------------------------------------------------------

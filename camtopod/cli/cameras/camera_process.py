@@ -172,18 +172,20 @@ class ChildProcess:
 
     def _start(self, now: float, command: Sequence[str]) -> None:
         """Start the process, which sends its heartbeats to this one instead of systemd."""
-        self._receiver = HeartbeatReceiver()
-        environment = {**os.environ, SOCKET_VARIABLE: self._receiver.address}
+        environment = os.environ.copy()
         environment.pop("WATCHDOG_USEC", None)
         try:
+            self._receiver = HeartbeatReceiver()
+            environment[SOCKET_VARIABLE] = self._receiver.address
             self.process = subprocess.Popen(
                 command,
                 stdin=subprocess.DEVNULL,
                 env=environment,
                 process_group=self._process_group,
             )
-        except OSError as error:  # no memory or too many processes: try again later
-            self._receiver.close()
+        except OSError as error:  # no memory, too many files or processes: try again later
+            if self._receiver is not None:
+                self._receiver.close()
             self._restart_later(now, 0.0, f"cannot be started: {error.strerror}")
             return
         self.start_at = None
