@@ -2,15 +2,26 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+import contextlib
+import logging
+from argparse import Namespace
+from collections.abc import Callable, Iterator
 from pathlib import Path
+from types import SimpleNamespace
+from typing import cast
 
 import msgspec
 import pytest
+from fake_bus import OneBus
 from serving import WAIT_SECONDS, camtopod, free_endpoint, small_config, wait_for
 
+from camtopod.cli.cameras import grabber_connection
+from camtopod.cli.cameras.grabber_connection import GrabberConnection
 from camtopod.config.settings import BusSettings, Config
+from camtopod.serve import bus as buses
 from camtopod.serve.daemon import Daemon
+from camtopod.serve.outbox.publisher import SpoolPublisher
+from camtopod.serve.outbox.spool import OWNER, Spool
 
 CAMERAS = ("hall", "lobby", "yard")
 GONE, BACK = "events are kept in the spool", "connected to the daemon again"
@@ -74,6 +85,64 @@ def test_a_daemon_that_is_missing_goes_or_comes_is_one_sentence(
     with Daemon(config):
         wait_for(lambda: len(grabber.said(BACK)) == 2, "word that it is back")
     grabber.end()
+
+
+class Bus(OneBus):
+    """A bus on which the test decides when daemons appear and go."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.on_change: Callable[[str, bool], None] = lambda name, alive: None
+        self.on_list_sites: Callable[[], None] = lambda: None
+
+    def watch_alive(self, role: str, on_change: Callable[[str, bool], None]) -> None:
+        self.on_change = on_change
+
+    def answer_queries(self, *_: object) -> None:
+        """Take no queries."""
+
+    def list_sites(self) -> list[str]:
+        self.on_list_sites()
+        return []
+
+
+@pytest.fixture
+def connection(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[GrabberConnection]:
+    """A connection whose own session is never opened."""
+    monkeypatch.setattr(grabber_connection, "_DAEMON_LOOK_SECONDS", 0.0)
+    monkeypatch.setattr(GrabberConnection, "_join", lambda _: None)
+    grabber = cast(grabber_connection.Grabber, SimpleNamespace(camera="lobby"))
+    with contextlib.closing(Spool(tmp_path / "spool.db", "b1", 1000)) as spool:
+        publisher = SpoolPublisher(spool)
+        yield GrabberConnection(small_config(tmp_path), grabber, publisher, Namespace(), OWNER)
+
+
+def test_a_daemon_that_comes_while_others_are_looked_for_is_not_missed(
+    connection: GrabberConnection, caplog: pytest.LogCaptureFixture
+) -> None:
+    bus = Bus()
+    bus.on_list_sites = lambda: bus.on_change("one", True)
+    with caplog.at_level(logging.INFO):
+        connection.on_bus(cast(buses.Bus, bus))
+        assert caplog.text == ""
+        bus.on_change("one", False)
+    assert GONE in caplog.text
+
+
+def test_one_of_two_daemons_may_go(
+    connection: GrabberConnection, caplog: pytest.LogCaptureFixture
+) -> None:
+    """Two that did not see each other have met, and one of them is stopped."""
+    bus = Bus()
+    with caplog.at_level(logging.INFO):
+        connection.on_bus(cast(buses.Bus, bus))
+        bus.on_change("one", True)
+        caplog.clear()
+        bus.on_change("two", True)
+        bus.on_change("one", False)
+        assert caplog.text == ""
+        bus.on_change("two", False)
+        assert GONE in caplog.text
 
 
 # --- a second one ---------------------------------------------------------------------------------

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import logging
+import threading
 from typing import Any
 
 from camtopod import redact
@@ -36,8 +37,10 @@ class GrabberConnection(SiteLink):
     ) -> None:
         self._grabber = grabber
         self._args = args
-        self._is_there: bool | None = None
-        """Whether the daemon is there; None: not known yet. If it is not, the log says so."""
+        self._mutex = threading.Lock()
+        self._daemons: set[str] = set()
+        self._is_missed = False
+        """Whether the log says that no daemon is there."""
         super().__init__(config, publisher, [grabber.camera], site)
 
     def on_miss(self, error: BusError) -> None:
@@ -50,7 +53,7 @@ class GrabberConnection(SiteLink):
         bus.watch_alive("daemon", self._on_daemon)
 
         # Look for the daemon once; from then on the bus tells when it appears or goes.
-        if not self.closing.wait(_DAEMON_LOOK_SECONDS) and self._is_there is None:
+        if not self.closing.wait(_DAEMON_LOOK_SECONDS) and not self._daemons:
             self._miss(
                 f"connected to the bus at {bus.endpoint}, but no daemon of site {bus.site} is there"
                 f"{right_site(bus, self.config)}"
@@ -59,16 +62,23 @@ class GrabberConnection(SiteLink):
     def _on_daemon(self, name: str, alive: bool) -> None:
         """Note that a daemon has appeared or gone."""
         if not alive:
+            self._daemons.discard(name)
             self._miss(f"the daemon has gone{access.ended_certificate(self.config)}")
-        elif self._is_there is False:
-            log.info("camera %s: connected to the daemon again", self._grabber.camera)
-        self._is_there = alive
+            return
+        with self._mutex:
+            self._daemons.add(name)
+            if self._is_missed:
+                self._is_missed = False
+                log.info("camera %s: connected to the daemon again", self._grabber.camera)
 
     def _miss(self, reason: str) -> None:
-        """Log once that the daemon is not there."""
-        if self._is_there is not False and not self.closing.is_set():
-            self._is_there = False
-            log.warning("camera %s: %s; events are kept in the spool", self._grabber.camera, reason)
+        """Log once that no daemon is there, unless one is."""
+        with self._mutex:
+            if not (self._daemons or self._is_missed or self.closing.is_set()):
+                self._is_missed = True
+                log.warning(
+                    "camera %s: %s; events are kept in the spool", self._grabber.camera, reason
+                )
 
     def status(self) -> dict[str, Any]:
         """Return the content of ``status/{camera}``."""
