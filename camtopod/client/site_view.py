@@ -247,9 +247,8 @@ class SiteView:
         return self._gate
 
     def _at_least(self, version: int) -> Topology | None:
-        if self.version < version:
-            return None
-        return self.current
+        current = self.current
+        return None if current is None or current.version < version else current
 
     def _not_there(self, version: int, seconds: float) -> str:
         presence = "the daemon is there"

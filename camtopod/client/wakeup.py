@@ -31,7 +31,7 @@ class ChangeSignal:
         self.notify()
 
     def wait_for(self, search: Callable[[], T | None], seconds: float | None = None) -> T | None:
-        """Call ``found()`` after each change and return its first result that is not None.
+        """Call ``search()`` after each change and return its first result that is not None.
 
         Returns None when closed or after ``seconds``.
         """

@@ -23,14 +23,16 @@ from serving import (
     wait_for,
     walkers,
 )
+from synthetic_topology import synthetic_topology
 
-from camtopod.client import BusError, NothingLearned, Site, UnknownPlace
+from camtopod.client import Answers, BusError, Gate, NothingLearned, Site, UnknownPlace
+from camtopod.client.site_view import SiteView
 from camtopod.codec import read
 from camtopod.config.settings import BusSettings, Config, TlsSettings
 from camtopod.keys import rules
 from camtopod.keys.authority import Authority
 from camtopod.records import Event, Prediction
-from camtopod.serve.bus import dial
+from camtopod.serve.bus import dial, open_daemon_session
 
 
 @pytest.fixture
@@ -40,6 +42,43 @@ def site(learned_daemon: LearnedDaemon) -> Iterator[Site]:
 
 
 # --- what is held ---------------------------------------------------------------------------------
+
+
+class BeginningAnew(SiteView):
+    """A view: the daemon begins anew as soon as the version held is looked at."""
+
+    versions = (5, 5, 1, 1)
+
+    def __init__(self) -> None:
+        self._gates = iter([Gate(synthetic_topology(3, version=n)) for n in self.versions])
+
+    @property
+    def _gate(self) -> Gate | None:  # type: ignore[override]
+        return next(self._gates)
+
+
+def test_a_version_that_is_waited_for_is_no_lower_one_of_a_daemon_that_begins_anew() -> None:
+    version = BeginningAnew()._at_least(5)
+    assert version is None or version.version >= 5
+
+
+class ClosedTwice(Answers[Prediction]):
+    """Answers: another thread closes them when this one has seen that they are open."""
+
+    @property
+    def closed(self) -> bool:
+        closed = self._news.is_closed
+        if not closed:
+            self._news.is_closed = True
+            self._unsubscribe()
+        return closed
+
+
+def test_two_threads_may_close_a_subscription_at_once(tmp_path: Path) -> None:
+    with open_daemon_session(small_config(tmp_path)) as bus:
+        answers = ClosedTwice(bus, Prediction, None, None)
+        answers.close()
+        assert answers.closed
 
 
 def test_what_has_been_learned_is_there_at_once(learned_daemon: LearnedDaemon, site: Site) -> None:

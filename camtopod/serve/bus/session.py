@@ -142,7 +142,7 @@ class Bus(contextlib.AbstractContextManager["Bus"]):
     def subscribe(self, key: str, on_message: OnMessage) -> Callable[[], None]:
         """Call ``on_message`` for every publication on ``key`` (may contain ``*``).
 
-        Returns a function that ends the subscription.
+        Returns a function that ends the subscription; it may be called twice.
         """
 
         def receive(sample: zenoh.Sample) -> None:
@@ -152,8 +152,8 @@ class Bus(contextlib.AbstractContextManager["Bus"]):
         subscriber = self._declare(self._session.declare_subscriber, self._full(key), receive)
 
         def end() -> None:
-            self._declarations.remove(subscriber)
-            with contextlib.suppress(zenoh.ZError):
+            with contextlib.suppress(ValueError, zenoh.ZError):
+                self._declarations.remove(subscriber)
                 subscriber.undeclare()
 
         return end

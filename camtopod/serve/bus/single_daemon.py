@@ -47,9 +47,9 @@ class OtherDaemons:
     @property
     def reason(self) -> str:
         """Reason for the degraded state; "" if this is the only daemon."""
-        if not self._rivals:
-            return ""
         rivals = ", ".join(sorted(self._rivals.copy()))
+        if not rivals:
+            return ""
         return f"another daemon ({rivals}) serves the same site: stop one of them"
 
     def _on_change(self, name: str, alive: bool) -> None:
