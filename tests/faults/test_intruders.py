@@ -355,16 +355,18 @@ def test_who_is_not_let_in(keys: Keys, guarded: str, make_puppet: MakePuppet) ->
     assert intruder.open(**good), "the control: the same with a good certificate"
 
 
+@pytest.mark.parametrize("options", ["", "#iface=lo"])
 def test_that_the_daemons_certificate_has_ended_is_said_where_the_grabber_is(
-    tmp_path: Path,
+    options: str, tmp_path: Path
 ) -> None:
     keys, site = Keys(tmp_path / "keys"), SiteSettings("hq")
     old = Authority(keys.folder, time.time() - 50 * 86400.0)
     old.issue("daemon", "daemon", 20, replace=True)
     listening = Config(bus=keys.bus("daemon", listen="tls/127.0.0.1:0"), site=site)
     with open_daemon_session(listening) as daemon:
-        words = f"the certificate of the daemon at {daemon.endpoint} has ended: make another"
-        bus = keys.bus("camera/cam1", daemon.endpoint, patience=0.5)
+        endpoint = f"{daemon.endpoint}{options}"
+        words = f"the certificate of the daemon at {endpoint} has ended: make another"
+        bus = keys.bus("camera/cam1", endpoint, patience=0.5)
         with pytest.raises(BusError, match=words):
             dial(Config(bus=bus, site=site))
 

@@ -11,6 +11,7 @@ import logging
 import socket
 import ssl
 from pathlib import Path
+from urllib.parse import urlsplit
 
 from camtopod.config import Config
 from camtopod.keys import rules
@@ -94,13 +95,13 @@ def ended_certificate(config: Config) -> str:
     """
     tls = config.bus.tls
     for endpoint in config.dials if tls.ca else ():
-        host, _, port = endpoint.removeprefix("tls/").rpartition(":")
-        address = host.strip("[]"), int(port)
         try:
+            place = urlsplit(f"//{endpoint.removeprefix('tls/')}")
+            host = place.hostname or ""
             context = ssl.create_default_context(cafile=tls.ca)
             with (
-                socket.create_connection(address, HANDSHAKE_SECONDS) as link,
-                context.wrap_socket(link, server_hostname=address[0]),
+                socket.create_connection((host, place.port or 0), HANDSHAKE_SECONDS) as link,
+                context.wrap_socket(link, server_hostname=host),
             ):
                 pass
         except ssl.SSLCertVerificationError as error:
@@ -109,7 +110,7 @@ def ended_certificate(config: Config) -> str:
                     f", as the certificate of the daemon at {endpoint} has ended: make another with"
                     " `camtopod keys`"
                 )
-        except OSError:
+        except (OSError, ValueError):  # or zenoh cannot read the endpoint either
             continue
     return ""
 
