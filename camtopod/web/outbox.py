@@ -32,7 +32,8 @@ class PageQueue:
         self.camera = camera
         self._loop = asyncio.get_running_loop()
         self._messages: asyncio.Queue[bytes | None] = asyncio.Queue()
-        self._is_closed = False
+        self.is_full = False
+        """True once too many messages have waited, so that the stream ends."""
 
     def put(self, message: bytes, is_optional: bool) -> None:
         """Add a message; an optional one may be left out. Any thread; never blocks."""
@@ -51,13 +52,13 @@ class PageQueue:
             message = await asyncio.wait_for(self._messages.get(), BEAT_SECONDS)
         except TimeoutError:
             message = b""
-        return None if self._is_closed else message
+        return None if self.is_full else message
 
     def _put(self, message: bytes, is_optional: bool) -> None:
         """Add a message; a slow page gets fewer of the optional ones."""
         length = self._messages.qsize()
         if length >= MESSAGES_MAX:
-            self._is_closed = True
+            self.is_full = True
         elif not is_optional or length < MESSAGES_MAX // 4:
             self._messages.put_nowait(message)
 
@@ -79,6 +80,8 @@ class PageQueues:
 
         camera: as in `send`.
         """
+        # A page that has stopped reading does not end its stream, but it keeps no other out.
+        self._queues -= {queue for queue in self._queues if queue.is_full}
         if self._is_closed or len(self._queues) >= PAGES_MAX:
             return None
         queue = PageQueue(camera)

@@ -28,7 +28,7 @@ from camtopod.serve.bus import Bus
 from camtopod.web import feed, recent_matches
 from camtopod.web.feed import Feed
 from camtopod.web.map_data import Map
-from camtopod.web.outbox import MESSAGES_MAX, PageQueue, PageQueues
+from camtopod.web.outbox import MESSAGES_MAX, PAGES_MAX, PageQueue, PageQueues
 from camtopod.words import ELSEWHERE, OLD_SECONDS, SILENT_SECONDS_MIN
 
 SITE = synthetic_topology(12)
@@ -284,6 +284,20 @@ def test_a_page_that_lags_gets_less_and_then_comes_back() -> None:
     taken = asyncio.run(lag())
 
     assert taken == [*[b"passing"] * (MESSAGES_MAX // 4), b"must", None]
+
+
+def test_pages_that_have_stopped_reading_keep_no_other_out() -> None:
+    async def crowd() -> bool:
+        queues = PageQueues()
+        pages = [queues.open() for _ in range(PAGES_MAX)]
+        assert None not in pages
+        assert queues.open() is None
+        for _ in range(MESSAGES_MAX + 1):
+            queues.send("version", b"1")
+        await asyncio.sleep(0)
+        return queues.open() is not None
+
+    assert asyncio.run(crowd())
 
 
 def test_matches_are_told_without_who_it_was_and_so_many_a_second(rig: Rig) -> None:
