@@ -97,6 +97,17 @@ def test_an_answer_that_is_none_is_counted(daemon: Daemon, bus: Bus, tmp_path: P
         wait_for(lambda: one.rejects.counts.total() > 0, "the answer")
 
 
+def test_as_many_events_at_once_as_there_are_are_stored(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Those that wait in memory are few, but only a spool that cannot be written has them wait."""
+    monkeypatch.setattr(publisher, "PENDING_EVENTS_MAX", 8)
+    monkeypatch.setattr(publisher, "TRANSACTION_EVENTS_MAX", 5)
+    with publishing(tmp_path) as (one, _):
+        one.publish(*events(20))
+        assert (one.published, one.waiting, one.dropped) == (20, 20, 0)
+
+
 # --- a disk that fails ----------------------------------------------------------------------------
 
 

@@ -68,10 +68,12 @@ class SpoolPublisher:
 
         A spool that cannot be written is logged once, and tried again with the next events.
         """
-        room = PENDING_EVENTS_MAX - len(self._pending)
-        self._pending.extend(events[:room])
-        self._drops += max(0, len(events) - room)
-        self.retry()
+        self._pending.extend(events)
+        try:
+            self.retry()
+        finally:
+            self._drops += len(self._pending[PENDING_EVENTS_MAX:])
+            del self._pending[PENDING_EVENTS_MAX:]
 
     def retry(self) -> None:
         """Store and publish the events that could not be stored yet; cheap if there are none."""
