@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import logging
+import queue
 import sqlite3
 import threading
 from collections.abc import Callable, Iterator
@@ -13,9 +14,10 @@ import pytest
 from serving import Failing, small_config, wait_for
 
 from camtopod import codec
+from camtopod.config import Config
 from camtopod.records import Event
 from camtopod.serve.bus import Bus, dial, open_daemon_session
-from camtopod.serve.outbox import SpoolPublisher, publisher
+from camtopod.serve.outbox import SiteLink, SpoolPublisher, publisher, site_link
 from camtopod.serve.outbox.spool import Spool
 from camtopod.serve.requests import Answer, Batch, read_request
 from camtopod.serve.storage import sqlite_file
@@ -106,6 +108,23 @@ def test_as_many_events_at_once_as_there_are_are_stored(
     with publishing(tmp_path) as (one, _):
         one.publish(*events(20))
         assert (one.published, one.waiting, one.dropped) == (20, 20, 0)
+
+
+def test_a_session_that_opens_while_its_link_ends_is_closed(
+    daemon: Daemon, bus: Bus, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    links: queue.SimpleQueue[SiteLink] = queue.SimpleQueue()
+
+    def dial_late(config: Config) -> Bus:
+        links.get().close(wait=False)
+        return bus
+
+    monkeypatch.setattr(site_link, "dial", dial_late)
+    with publishing(tmp_path) as (one, _):
+        link = SiteLink(small_config(tmp_path), one)
+        links.put(link)
+        link._thread.join()
+        assert bus._end.is_set()
 
 
 # --- a disk that fails ----------------------------------------------------------------------------

@@ -68,5 +68,8 @@ class SiteLink:
                 continue
             self._publisher.attach(bus, self._cameras, self._site)
             self.bus = bus
-            self.on_bus(bus)
+            if self.closing.is_set():  # `close` may not have seen the session
+                bus.close()
+            else:
+                self.on_bus(bus)
             return
