@@ -29,7 +29,8 @@ from camtopod.predict.outlook import (
     outside_rates as outside_rates,
 )
 from camtopod.predict.passages import Passage as Passage
-from camtopod.predict.predictor import Predictor as Predictor, PredictorState as PredictorState
+from camtopod.predict.predictor import Predictor as Predictor
+from camtopod.predict.predictor_memory import PredictorState as PredictorState
 from camtopod.predict.recent_events import RECENT_MAX as RECENT_MAX
 from camtopod.predict.version import PreparedVersion as PreparedVersion
 from camtopod.predict.walks import Walks as Walks
