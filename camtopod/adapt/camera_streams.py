@@ -12,6 +12,7 @@ from typing import NamedTuple
 
 from camtopod import codec
 from camtopod.adapt.adapter import OUTSIDE_MAX, Adapter, Size
+from camtopod.adapt.box_linking import BoxLinker
 from camtopod.adapt.camera_names import CAMERAS_MAX
 from camtopod.adapt.tracks import TRACKS_MAX, TrackEvents
 from camtopod.codec import Rejected
@@ -51,6 +52,8 @@ class CameraStream:
         self.tracks = TrackEvents(camera, size, outside_max=OUTSIDE_MAX, wanted_labels=labels)
         self.arrival = 0.0
         """When the latest frame came, seconds of the clock of `StreamAdapter.silent`."""
+        self.linker: BoxLinker | None = None
+        """Names the boxes; None if they have the names of a tracker."""
         self._t = -math.inf
         self._frame_ahead: tuple[Sequence[TrackedBox], Sequence[Name], float] | None = None
         """A frame that is far ahead: it may have a wrong time."""
@@ -98,6 +101,8 @@ class CameraStream:
         self._empty = not tracked_boxes
         self._t = t
         names, boxes, kinds = zip(*tracked_boxes, strict=True) if tracked_boxes else ((), (), ())
+        if self.linker is not None:
+            names = tuple(self.linker.link(kinds, boxes, t))
         events = self.tracks.update(names, boxes, t, kinds)
         for name in ended_names:
             events += self.tracks.end(name)

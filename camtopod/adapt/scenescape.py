@@ -57,7 +57,6 @@ class SceneScape(StreamAdapter):
         super().__init__(None, labels)
         self._sizes = sizes
         self._is_tracked = is_tracked
-        self._linkers: dict[str, BoxLinker] = {}
 
     def receive(self, line: bytes) -> list[Event]:
         """Return the events that a frame makes certain. Raises `Rejected`."""
@@ -66,7 +65,6 @@ class SceneScape(StreamAdapter):
         t = seconds_of(message.timestamp)
         camera = self.cameras.id_of(message.id, origin="/".join(levels[:-3]))
         stream = self._stream(camera, size_of(camera, self._sizes))
-        stream.require_newer(t)  # before its boxes are linked to those of later frames
 
         # Boxes in pixels, named by the tracker's ids, or by linking.
         tracked_boxes = [
@@ -77,16 +75,10 @@ class SceneScape(StreamAdapter):
         ]
         if not tracked_boxes and any(message.objects.values()):
             raise Rejected("no-pixels", "no object has a bounding_box_px")
-        if not self._is_tracked:
-            linker = self._linkers.setdefault(camera, BoxLinker())
-            numbers = linker.link(
-                [box.kind for box in tracked_boxes], [box.box for box in tracked_boxes], t
-            )
-            tracked_boxes = [
-                box._replace(name=name) for box, name in zip(tracked_boxes, numbers, strict=True)
-            ]
         names = [box.name for box in tracked_boxes if box.name is not None]
-        if len(set(names)) < len(names):
+        if not self._is_tracked:
+            stream.linker = stream.linker or BoxLinker()
+        elif len(set(names)) < len(names):
             raise Rejected(
                 "same-id", "two objects have one id, so they are not tracked: omit --tracked"
             )

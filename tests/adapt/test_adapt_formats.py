@@ -231,6 +231,16 @@ def test_scenescape_frame_that_comes_too_late_changes_nothing() -> None:
     assert events + read(adapter, lines[31:]) == expected
 
 
+def test_scenescape_frame_with_a_wrong_time_breaks_no_track() -> None:
+    size = {"": (2000, 600)}
+    lines = [scene(n / 10, [(1, 40 * n)] if 15 <= n < 40 else []) for n in range(70)]
+    expected = read(SceneScape(size), lines)
+    assert [event.kind for event in expected] == ["entry", "exit"]
+
+    wrong = scene(3600.0, [(1, 1200)])
+    assert read(SceneScape(size), [*lines[:31], wrong, *lines[31:]]) == expected
+
+
 def test_scenescape_limits_and_refusals(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(camera_names, "CAMERAS_MAX", 1)
     monkeypatch.setattr(camera_streams, "TRACKS_MAX", 3)
