@@ -212,7 +212,7 @@ class Onvif(StreamAdapter):
             stream = self._stream(camera, module=module)
             stream.require_newer(t)
             tree = self._trees.setdefault(stream, ObjectTree(stream.tracks))
-            if t > tree.t:  # else it has come again
+            if t != tree.t:  # else it has come again
                 tree.t = t
                 _follow(frame.tree, tree, module)
 

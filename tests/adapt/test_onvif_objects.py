@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import json
 from datetime import UTC, datetime
 from typing import Any
@@ -10,6 +11,7 @@ import pytest
 
 from camtopod.adapt.adapter import Adapter
 from camtopod.adapt.onvif import Onvif
+from camtopod.codec import Rejected
 from camtopod.records import Event
 
 T = 1_700_000_000.0
@@ -153,6 +155,25 @@ def test_a_renamed_object_is_the_same(deleted: str) -> None:
     ]
     assert [e.track for e in events if round(e.t - T, 1) in (2.0, 10.9)] == ["7", "7"]
     assert len({e.track for e in events}) == 2, "the id is another object's now"
+
+
+@pytest.mark.parametrize("wrong", [36_000, -36_000])
+def test_a_rename_is_followed_after_a_wrong_time(wrong: int) -> None:
+    """A frame far ahead is dropped; a clock that is set back counts from there."""
+    adapter = Onvif("gate")
+    change = {60: tree(f"<Rename>{ids('from', 7)}{ids('to', 9)}</Rename>")}
+    inside = joined(walk(7, 20, 60), change, walk(9, 60, 110, 0.42))
+    for tenth in (0, 1) if wrong > 0 else range(-wrong, 1 - wrong):
+        adapter.receive(frame(tenth, ""))
+    if wrong > 0:
+        adapter.receive(frame(wrong, ""))
+
+    events = []
+    for tenth in range(-40, 300) if wrong < 0 else range(2, 300):
+        with contextlib.suppress(Rejected):
+            events += adapter.receive(frame(tenth, inside.get(tenth, "")))
+
+    assert short(events) == [("entry", 2.0, 0.02), ("exit", 10.9, 0.91)]
 
 
 @pytest.mark.parametrize("merged", [7, 8, 9])
