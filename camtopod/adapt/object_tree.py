@@ -84,6 +84,8 @@ class ObjectTree:
 
         parents: name of the track of which another one is a part now, by the name of that.
         """
+        for name in [name for name in self._companions if not self._tracks.follows(name)]:
+            del self._companions[name]  # its id may be another object's now
         for part, whole in parents.items():
             if self._tracks.follows(part):
                 self._join(part, whole)

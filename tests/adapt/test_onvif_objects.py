@@ -176,6 +176,29 @@ def test_a_rename_is_followed_after_a_wrong_time(wrong: int) -> None:
     assert short(events) == [("entry", 2.0, 0.02), ("exit", 10.9, 0.91)]
 
 
+def test_merged_objects_that_are_gone_are_forgotten() -> None:
+    """A camera that starts again counts its objects from 1 again."""
+    merge = f"<Merge>{ids('from', 7, 8)}{ids('to', 8)}</Merge>"
+    inside = joined(
+        walk(7, 20, 60),
+        walk(8, 20, 60),
+        {60: tree(merge)},
+        walk(8, 60, 80, 0.42),
+        walk(7, 150, 190),
+        walk(8, 160, 240),
+    )
+    assert short(events_of(Onvif("gate"), inside)) == [
+        ("entry", 2.0, 0.02),
+        ("entry", 2.0, 0.02),
+        ("entry", 15.0, 0.02),
+        ("entry", 16.0, 0.02),
+        ("exit", 7.9, 0.61),
+        ("exit", 7.9, 0.61),
+        ("exit", 18.9, 0.41),
+        ("exit", 23.9, 0.81),
+    ]
+
+
 @pytest.mark.parametrize("merged", [7, 8, 9])
 @pytest.mark.parametrize("deleted", [None, 60, 63])
 def test_merged_objects_leave_where_the_one_leaves(merged: int, deleted: int | None) -> None:
