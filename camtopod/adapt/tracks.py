@@ -306,7 +306,7 @@ class TrackEvents:
     def statistics(self) -> dict[str, int]:
         """Return the counters and the number of tracks followed."""
         return {
-            "tracks": len(self._tracks),
+            "tracks": len(self._tracks) + len(self._idle),
             "entries": self.entries,
             "exits": self.exits,
             "untracked": self.untracked_count,
@@ -388,7 +388,7 @@ class TrackEvents:
         place = _Place(t, *foot)
         track = self._pop(label)
         if track is None:
-            if len(self._tracks) >= self._max:
+            if len(self._tracks) + len(self._idle) >= self._max:
                 self.refused_count += 1
                 return []
             from_start = t - self._start <= 2 * LIFE_SECONDS or label in self._expected

@@ -185,6 +185,15 @@ def test_memory_has_a_limit() -> None:
     assert events.refused_count > 0
 
 
+def test_objects_that_are_held_count_towards_the_limit() -> None:
+    events = TrackEvents("c", SIZE, tracks_max=3)
+    for n in range(5):
+        events.update([n], [BOX], n / 100)
+        events.hold(n)
+    assert [events.follows(n) for n in range(5)] == [True, True, True, False, False]
+    assert events.refused_count == 2
+
+
 def test_a_clock_that_is_set_back_begins_anew_and_a_frame_out_of_order_is_left_out() -> None:
     events = TrackEvents("c", SIZE)
     events.update([], [], 99.0)
