@@ -108,6 +108,9 @@ def mistakes(districts: Districts) -> Iterator[tuple[Keys, str]]:
             yield ("districts", name), "a name is 1 to 64 of the characters A-Z a-z 0-9 _ . -"
         if not district.cameras:
             yield ("districts", name), "it owns no camera"
+        for key in ("cameras", "hears"):
+            if len({*getattr(district, key)}) < len(getattr(district, key)):
+                yield ("districts", name, key), "a camera is listed twice"
         for camera in district.cameras:
             if owners.setdefault(camera, name) != name:
                 yield (

@@ -69,6 +69,10 @@ hears = ["hall"]
             ["6: districts.south.cameras: gate is north's, too: a camera has one owner, and a "
              "name is one camera's"],
         ),
+        ('cameras = ["yard"]', 'cameras = ["yard", "yard"]',
+         ["6: districts.south.cameras: a camera is listed twice"]),
+        ('hears = ["yard"]', 'hears = ["yard", "yard"]',
+         ["3: districts.north.hears: a camera is listed twice"]),
         ('hears = ["yard"]', 'hears = ["shed", "yard"]',
          ["3: districts.north.hears: no district owns shed"]),
         ('hears = ["yard"]', 'hears = ["gate", "yard"]',
