@@ -58,22 +58,26 @@ class Passing(Struct, frozen=True):
     was: str | None = None
 
 
+_Key = tuple[str, float, str | None]
+"""Camera, time and track of an exit or an entry."""
+
+
 class _Exit(Struct):
     prediction: Prediction
-    seen: dict[tuple[str, float], float] = field(default_factory=dict)
-    """Probability that its object is that of an entry, by camera and time."""
+    seen: dict[_Key, float] = field(default_factory=dict)
+    """Probability that its object is that of an entry."""
 
 
 class ExpectedArrivals:
-    """Exits and entries of the last hour, by camera and time; in memory only."""
+    """Exits and entries of the last hour, by camera, time and track; in memory only."""
 
     def __init__(self) -> None:
-        self._exits: dict[tuple[str, float], _Exit] = {}
-        self._entries: dict[tuple[str, float, str | None], Match] = {}
+        self._exits: dict[_Key, _Exit] = {}
+        self._entries: dict[_Key, Match] = {}
 
     def left(self, prediction: Prediction) -> None:
         """Observe an exit."""
-        self._exits[prediction.camera, prediction.t] = _Exit(prediction)
+        self._exits[prediction.camera, prediction.t, prediction.track] = _Exit(prediction)
 
     def entered(self, match: Match) -> Passing:
         """Observe the first or the second match of an entry."""
@@ -84,10 +88,11 @@ class ExpectedArrivals:
 
         # The exits that it may continue.
         for departure in self._exits.values():
-            departure.seen.pop(entry[:2], None)
+            departure.seen.pop(entry, None)
         for passage in match.from_:
-            if (source := self._exits.get((passage.camera, passage.t))) is not None:
-                source.seen[entry[:2]] = passage.probability
+            source = self._exits.get((passage.camera, passage.t, passage.track))
+            if source is not None:
+                source.seen[entry] = passage.probability
 
         # Its walk.
         passages = [passage for passage in self._entries.values() if passage.walk == match.walk]
@@ -174,12 +179,12 @@ class ExpectedArrivals:
         Once it has been seen again, that is where.
         """
         looks: dict[str, Awaited] = {}
-        for (camera, t), departure in self._exits.items():
+        for (camera, t, _), departure in self._exits.items():
             look, sees = look_at(departure.prediction)
             rows = [row for row in departure.prediction.next if row.camera == look]
             from_ = t
             until = t + max([LOOK_SECONDS, *(row.q90 for row in rows[:1])])
-            for (place, begin), probability in departure.seen.items():
+            for (place, begin, _), probability in departure.seen.items():
                 if probability > LIKELY and place != camera:
                     look, sees, from_, until = place, probability, begin, begin + LOOK_SECONDS
             if sees > LIKELY and now <= until:

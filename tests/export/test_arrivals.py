@@ -12,16 +12,24 @@ T = 1_700_000_000.0
 
 
 def exit_at(
-    camera: str, t: float, *rows: tuple[str, float, float, float], look: list[Look] | None = None
+    camera: str,
+    t: float,
+    *rows: tuple[str, float, float, float],
+    look: list[Look] | None = None,
+    track: str | None = None,
 ) -> Prediction:
     """Return the prediction of an exit; rows are camera, probability, q10 and q90."""
     nexts = [NextCamera(to, f"{to}/1", share, q10, q10, q90) for to, share, q10, q90 in rows]
     leave = 1.0 - sum(row[1] for row in rows)
-    return Prediction(camera, f"{camera}/1", t, None, 9, leave, nexts, look)
+    return Prediction(camera, f"{camera}/1", t, track, 9, leave, nexts, look)
 
 
 def entry(
-    camera: str, t: float, walk: str, *passages: tuple[str, float, float], track: str | None = None
+    camera: str,
+    t: float,
+    walk: str,
+    *passages: tuple[str, float, float] | tuple[str, float, float, str],
+    track: str | None = None,
 ) -> Match:
     """Return the match of an entry; passages are camera, time and probability."""
     rows = [MatchedPassage(*passage) for passage in passages]
@@ -147,6 +155,18 @@ def test_a_forgotten_camera_is_in_no_walk_and_nobody_is_expected_from_or_at_it()
     assert looks == {}
     assert [match.camera for match in stairs.passages] == ["stairs"]
     assert [match.camera for match in yard.passages] == ["yard", "gate"]
+
+
+def test_two_exits_of_one_moment_are_two() -> None:
+    """Two who leave a view side by side leave it in the same frame."""
+    seen = ExpectedArrivals()
+    for track in ("7", "8"):
+        seen.left(exit_at("lobby", T, ("hall", 0.5, 5, 60), track=track))
+    assert seen.expected(T)["hall"].probability == pytest.approx(0.75)
+
+    seen.entered(entry("hall", T + 6, "lobby@1", ("lobby", T, 1.0, "7"), track="3"))
+    seen.entered(entry("hall", T + 6, "lobby@1/2", ("lobby", T, 0.4, "8"), track="4"))
+    assert seen.expected(T + 7)["hall"].probability == pytest.approx(0.3)
 
 
 def test_two_entries_of_one_moment_are_two() -> None:

@@ -323,7 +323,7 @@ def test_who_comes_is_known_from_predictions_and_matches() -> None:
     assert site.events(T0) == []
     assert (of("expected", T0), of("look_here", T0)) == ("ON", "ON")
 
-    match = Match("hall", T0 + 6, 9, [MatchedPassage("lobby", T0, 0.9)], 0.1, "lobby@1")
+    match = Match("hall", T0 + 6, 9, [MatchedPassage("lobby", T0, 0.9, "17")], 0.1, "lobby@1")
     bus.publish("match/hall", match)
     bus.publish("match/a b", msgspec.structs.replace(match, camera="a b"))
     [told] = site.events(T0 + 6)
