@@ -352,7 +352,7 @@ class Config(Struct, frozen=True, forbid_unknown_fields=True):
             if site != self.site.name:
                 cameras = {name: replace(value, sites=()) for name, value in self.cameras.items()}
                 config = replace(config, cameras=cameras)
-            config = replace(config, site=SiteSettings(site))
+            config = replace(config, site=replace(self.site, name=site))
         for endpoint in endpoints:
             if not re.match(ENDPOINT_PATTERN, endpoint):
                 raise ValueError(f"connect {endpoint!r}: write it like {DEFAULT_ENDPOINT}")

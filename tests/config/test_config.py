@@ -15,7 +15,14 @@ from camtopod.cli.generated import example
 from camtopod.cli.generated.example_config import attribute_docs
 from camtopod.config import fields, secret_files
 from camtopod.config.config_file import load, parse, without_source
-from camtopod.config.settings import TABLES, CameraSettings, Config, ConfigError, OtherSite
+from camtopod.config.settings import (
+    TABLES,
+    CameraSettings,
+    Config,
+    ConfigError,
+    OtherSite,
+    SiteSettings,
+)
 from camtopod.vision.settings import VisionSettings
 
 EXAMPLE = DEPLOY / "camtopod.toml"
@@ -232,6 +239,12 @@ def test_a_camera_has_the_settings_of_all_and_its_own() -> None:
     assert config.cameras["a"].vision == msgspec.structs.replace(
         config.vision, analysed_fps=5.0, min_height=0.1, sensitivity=2.0
     )
+
+
+@pytest.mark.parametrize("site", ["north", "elsewhere"])
+def test_another_name_leaves_what_else_is_set_of_the_site(site: str) -> None:
+    config = parse('[site]\nname = "north"\nwalks = false\n')
+    assert config.joining(site, ()).site == SiteSettings(site, walks=False)
 
 
 SITES = """\
