@@ -78,7 +78,7 @@ def broker(
     path = unquote(parts.path).strip("/")
     wrong = any("+" in level and (prefix or level != "+") for level in path.split("/"))
     prefix = path or prefix
-    wildcard = wrong or "#" in url or parts.query
+    wildcard = wrong or "#" in url + path or parts.query
     if parts.scheme not in PORTS or not parts.hostname or not prefix or wildcard:
         raise ValueError(
             f"{redact(url)!r}: write it like mqtt://HOST:1883/PREFIX, or mqtts:// for TLS; PREFIX "

@@ -128,6 +128,7 @@ def test_from_standard_input_to_standard_output(
         ("frigate mqtt://u:hunter2@h/frigate", "put it in a file"),
         ("frigate mqtt://h", "PREFIX"),
         ("frigate mqtt://h/frigate/#", "PREFIX"),
+        ("frigate mqtt://h/frigate/%23", "PREFIX"),
         ("frigate mqtt://h/fri+", "PREFIX"),
     ],
 )
