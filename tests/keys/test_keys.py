@@ -203,7 +203,7 @@ def test_the_access_list_follows_from_the_ledger_whatever_went_before(
             for name in ("", "a/b", "*", "lobby~2", "daemon", "x" * 65, "..", "a\n")
         ),
         ["camera", "nvr", "--for", "bad/name"],
-        ["init", "--host", "a b"],
+        *(["init", "--host", host] for host in ("a b", "192.0.2.1:7447", "12:34")),
         *(["init", "--days", days] for days in ("0", "-1", "x", "1e9", "99999999")),
     ],
 )

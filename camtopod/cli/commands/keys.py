@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import ipaddress
 import json
 import re
 from pathlib import Path
@@ -24,8 +25,8 @@ DAYS = 5 * 365
 """Default validity of a certificate."""
 ACCESS = "access.json"
 """File name of the access list."""
-_HOST = re.compile(r"(?!-)[A-Za-z0-9-]{1,63}(\.[A-Za-z0-9-]{1,63})*|[0-9A-Fa-f:.]+:[0-9A-Fa-f:.]+")
-"""A host name, or an address."""
+_HOST = re.compile(r"(?!-)[A-Za-z0-9-]{1,63}(\.[A-Za-z0-9-]{1,63})*")
+"""A host name, or an address with dots."""
 _FILES = {"ca": "ca.pem", "certificate": "certificate.pem", "private_key": "private.key"}
 """Setting of [bus.tls] -> file."""
 
@@ -137,9 +138,11 @@ def _add_certificate(parser: argparse.ArgumentParser, for_hosts: bool) -> None:
 
 def _host(text: str) -> str:
     """Parse a host name or an address."""
-    if not _HOST.fullmatch(text):
-        raise argparse.ArgumentTypeError(f"{text!r} is neither a host name nor an address")
-    return text
+    try:
+        return text if _HOST.fullmatch(text) else str(ipaddress.IPv6Address(text))
+    except ValueError:
+        sentence = f"{text!r} is neither a host name nor an address, without a port"
+        raise argparse.ArgumentTypeError(sentence) from None
 
 
 def _days(text: str) -> int:
