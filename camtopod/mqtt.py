@@ -238,7 +238,10 @@ class MessageSubscription(_BrokerConnection):
             return
         payload = bytes(message.payload)
         if self._with_topics:
-            payload = message.topic.encode() + b" " + payload
+            try:
+                payload = message.topic.encode() + b" " + payload
+            except UnicodeDecodeError:  # of a broker that lets any through; no format has one
+                return
         with self._mutex:
             if self._waiting_bytes + sys.getsizeof(payload) <= WAITING_BYTES_MAX:
                 self._messages.put(payload)

@@ -212,6 +212,25 @@ def test_bytes_that_wait_have_a_limit_and_prefixes_may_be_any(
     assert "3 messages of frigate/events were dropped" in caplog.text
 
 
+def test_a_topic_that_is_not_utf_8_does_not_end_the_reading(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """Not every broker refuses it, and an error here ends paho's thread without a word."""
+    from paho.mqtt.client import Client, MQTTMessage
+    from paho.mqtt.enums import CallbackAPIVersion
+
+    monkeypatch.setattr(mqtt._BrokerConnection, "__init__", lambda *_: None)
+    source = mqtt.broker("mqtt://127.0.0.1/+")
+    messages = mqtt.MessageSubscription(source, "#", with_topics=True)
+    client = Client(CallbackAPIVersion.VERSION2)
+    for topic in (b"gate/\xff", b"gate/frame"):
+        message = MQTTMessage(topic=topic)
+        message.payload = b"{}"
+        messages._on_message(client, None, message)
+    assert next(messages.read(threading.Event(), ticks=True)) == b"gate/frame {}"
+    assert next(messages.read(threading.Event(), ticks=True)) == b""
+
+
 def test_retained_messages_are_not_read(tmp_path: Path) -> None:
     """They are of earlier, as is told when a subscription begins."""
     from paho.mqtt import publish
