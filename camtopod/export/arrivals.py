@@ -104,11 +104,14 @@ class ExpectedArrivals:
 
     def _rename(self, walk: str) -> None:
         """Give a walk its present name: it is named by its oldest passage of the last hour."""
-        camera, _, t = walk.partition("/")[0].rpartition("@")
+        place = walk.partition("/")[0]  # without the number of those that begin together
+        camera, _, t = place.rpartition("@")
         names = {
             entry.walk
             for entry in self._entries.values()
-            if entry.camera == camera and entry.t == float(t)
+            if entry.walk.partition("/")[0] != place
+            and entry.camera == camera
+            and entry.t == float(t)
         }
         for key, entry in self._entries.items():
             if entry.walk in names and entry.t >= float(t):

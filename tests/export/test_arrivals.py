@@ -171,8 +171,14 @@ def test_two_exits_of_one_moment_are_two() -> None:
 
 def test_two_entries_of_one_moment_are_two() -> None:
     seen = ExpectedArrivals()
-    seen.entered(entry("lobby", T, "lobby@1", track="7"))
-    assert seen.entered(entry("lobby", T, "lobby@1/2", track="8")).again is False
+    first, second = f"lobby@{T}", f"lobby@{T}/2"
+    seen.entered(entry("lobby", T, first, track="7"))
+    beside = seen.entered(entry("lobby", T, second, track="8"))
+    assert beside.again is False
+    assert [match.track for match in beside.passages] == ["8"]
+
+    later = seen.entered(entry("hall", T + 9, first, ("lobby", T + 3, 0.9), track="3"))
+    assert [match.track for match in later.passages] == ["7", "3"]
 
 
 def test_nothing_is_remembered_for_more_than_an_hour(monkeypatch: pytest.MonkeyPatch) -> None:
