@@ -9,6 +9,7 @@ from functools import cache
 from types import SimpleNamespace
 from typing import cast
 
+import numpy as np
 import pytest
 from rendered_scenes import Person, Scene, line
 
@@ -383,6 +384,23 @@ def test_jpeg_has_no_keyframes_to_wait_for(monkeypatch: pytest.MonkeyPatch) -> N
     shown = probe.probe(probe.ProbeRequest("http://192.0.2.1/s", VisionSettings()), FfmpegLog())
     assert "no JPEG picture comes" in shown.problem
     assert camera.readers[-2:] == [False, True], "both ways were tried"
+
+
+def test_pictures_that_are_not_looked_at_are_no_faults(monkeypatch: pytest.MonkeyPatch) -> None:
+    camera = Camera(monkeypatch)
+    camera.film_seconds = 60.0
+    settings = VisionSettings(analysed_fps=1 / 9)
+    source = live.LiveSource("http://192.0.2.1/s", settings, lambda: camera.now)
+    camera.closed = source._stop
+    reasons: set[str] = set()
+    monkeypatch.setattr(source, "_lose", lambda reason, is_lost=True: reasons.add(reason))
+
+    frames = (frame for frame in source.frames() if frame is not None)
+    times = [next(frames).t for _ in range(4)]
+    source.close()
+
+    assert np.diff(times) == pytest.approx(9.0, abs=0.2)
+    assert not reasons
 
 
 def test_pictures_that_are_none_or_do_not_change_are_said(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -203,14 +203,15 @@ class LiveSource(Source):
             frame = None
             if selector.wants(moment):
                 frame = capture.frame()
-                self.frames_dropped += frame is None
-            if frame is not None:
-                last_decode = arrival
-                if self._playback.repeats(arrival, frame.luma) and is_rtsp(self._source):
-                    return RTSP_RECORDING
-                held_frames.append((stamp, arrival, frame))
-            if arrival - last_decode > CALL_SECONDS_MAX:
-                self._lose(f"frames come, none can be decoded: {capture.fault}")
+                if frame is not None:
+                    last_decode = arrival
+                    if self._playback.repeats(arrival, frame.luma) and is_rtsp(self._source):
+                        return RTSP_RECORDING
+                    held_frames.append((stamp, arrival, frame))
+                else:
+                    self.frames_dropped += 1
+                    if arrival - last_decode > CALL_SECONDS_MAX:
+                        self._lose(f"frames come, none can be decoded: {capture.fault}")
 
             # Hold it until the clock has settled, then pass it on with its capture time.
             if arrival - start < SETTLE_SECONDS:
