@@ -386,6 +386,24 @@ def test_jpeg_has_no_keyframes_to_wait_for(monkeypatch: pytest.MonkeyPatch) -> N
     assert camera.readers[-2:] == [False, True], "both ways were tried"
 
 
+def test_the_end_waits_for_no_frame_of_a_burst(monkeypatch: pytest.MonkeyPatch) -> None:
+    camera = Camera(monkeypatch)
+    camera.burst = 14
+    grab = camera.grab
+    monkeypatch.setattr(camera, "grab", lambda: None if grab() is None else camera.t)
+    source = live.LiveSource("http://192.0.2.1/s", VisionSettings(), lambda: camera.now)
+    waits: list[float] = []
+
+    def put(frame: Frame, timeout: float) -> None:
+        waits.append(timeout)
+        source._stop.set()  # while the first one waits
+
+    monkeypatch.setattr(source._queue, "put", put)
+    source._run()
+
+    assert waits == pytest.approx([2.0], abs=0.3)
+
+
 def test_pictures_that_are_not_looked_at_are_no_faults(monkeypatch: pytest.MonkeyPatch) -> None:
     camera = Camera(monkeypatch)
     camera.film_seconds = 60.0

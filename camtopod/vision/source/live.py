@@ -151,7 +151,7 @@ class LiveSource(Source):
     def _connection(self) -> str:
         """Open the source and read it until it dies; return the reason.
 
-        `_called` marks the begin of each call that may block.
+        `_call_start` marks the begin of each call that may block.
         """
         self._call_start = time.monotonic()
         capture = Capture(
@@ -275,7 +275,7 @@ class LiveSource(Source):
         capture_t = clock.captured(stamp, arrival)
         self.untrusted_stamps += capture_t is None
         t = capture_t or arrival
-        if t <= self._latest:
+        if t <= self._latest or self._stop.is_set():  # there is nobody to wait for then
             self.frames_dropped += 1
             return
         self._latest = t
