@@ -49,6 +49,8 @@ def said_of(scheme: str, treat: Callable[[socket.socket], None], log: FfmpegLog 
 @pytest.mark.parametrize(
     ("scheme", "answer", "said"),
     [
+        ("rtsps", "\x15\x03\x01\0\x02\x02\x46", "nothing comes from there"),  # a TLS alert: version
+        ("rtsps", "\x15\x03\x03\0\x02\x02\x28", "nothing comes from there"),  # handshake failure
         ("rtsp", rtsp("200 OK", body=SOUND), "there is no video in it"),
         ("RTSP", rtsp("200 OK", body=SOUND), "there is no video in it"),
         ("rtsp", PAGE, "it speaks HTTP at this port: write http://"),

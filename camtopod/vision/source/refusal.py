@@ -132,7 +132,9 @@ def _why_not_sent(url: SplitResult, port: int) -> str:
         answer = _answer(url, port, is_rtsp)
         if not is_rtsp and not answer.startswith("HTTP/"):
             answer = _answer(url, port, is_rtsp=True)
-    except ssl.SSLError:
+    except ssl.SSLError as error:
+        if re.search("ALERT|UNSUPPORTED_PROTOCOL", error.reason or ""):
+            return ""  # it answers by TLS, but of an old version, or wants a certificate
         return f"it has no TLS at this port: write {url.scheme[:-1]}://, or give another port"
     match = _STATUS.match(answer)
     if match is None:
