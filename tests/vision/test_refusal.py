@@ -142,6 +142,13 @@ def test_urls_are_read_as_people_write_them() -> None:
         assert percent_encoded(source) == "rtsp://u:p@192.0.2.1/S"
 
 
+def test_a_date_is_no_number_of_a_device() -> None:
+    assert kind_of("12") == "device"
+    assert kind_of("20260101120000") == "file"
+    problem = probe(ProbeRequest("20260101120000", VisionSettings()), NO_LOG).problem
+    assert problem == "No such file or directory"
+
+
 def test_a_stream_that_a_file_describes_is_live(tmp_path: Path) -> None:
     path = tmp_path / "hall 1.SDP"
     assert kind_of(str(path)) == kind_of(f"file://{path}") == "stream"

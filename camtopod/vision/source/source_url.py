@@ -26,7 +26,7 @@ PATHS = {
 }
 """Path under which cameras offer their large stream, by makers."""
 _SCHEME = re.compile(r"([A-Za-z][A-Za-z0-9+.-]*)://(.*)", re.DOTALL)
-_DEVICE = re.compile(r"(?:/dev/video)?([0-9]+)")
+_DEVICE = re.compile(r"(?:/dev/video)?([0-9]{1,9})")
 _FILE_URL = re.compile(r"file://(?:localhost(?=/))?", re.IGNORECASE)
 _HOST = re.compile(
     r"(?P<name>(?P<address>\[[0-9A-Fa-f:.]+(?:%\w+)?\]|\d+\.\d+\.\d+\.\d+(?=[:/?]|$))"
