@@ -20,7 +20,7 @@ from camtopod.vision.settings import VisionSettings
 from camtopod.vision.source import capture, live, probe
 from camtopod.vision.source.capture import Capture, Frame
 from camtopod.vision.source.ffmpeg_log import FfmpegLog
-from camtopod.vision.source.remarks import Observed
+from camtopod.vision.source.remarks import Observed, Playback
 
 FPS = 7.0
 SECONDS = 11.0
@@ -384,6 +384,18 @@ def test_jpeg_has_no_keyframes_to_wait_for(monkeypatch: pytest.MonkeyPatch) -> N
     shown = probe.probe(probe.ProbeRequest("http://192.0.2.1/s", VisionSettings()), FfmpegLog())
     assert "no JPEG picture comes" in shown.problem
     assert camera.readers[-2:] == [False, True], "both ways were tried"
+
+
+def test_pictures_that_show_nothing_do_not_make_a_recording() -> None:
+    black = np.full((9, 9), 16, np.uint8)
+    pictures = np.random.default_rng(1).integers(0, 255, (4, 9, 9), np.uint8)
+    playback = Playback()
+    playback.begin()
+    assert not any(playback.repeats(k * 8.0, luma) for k, luma in enumerate([black, *pictures]))
+
+    playback.begin()
+    assert not playback.repeats(100.0, black)
+    assert playback.repeats(100.1, pictures[0]), "what was played before begins with it"
 
 
 def test_the_end_waits_for_no_frame_of_a_burst(monkeypatch: pytest.MonkeyPatch) -> None:

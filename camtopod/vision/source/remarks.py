@@ -35,7 +35,8 @@ _PLAYBACK = re.compile(r"[?&](start|begin)_?time=", re.IGNORECASE)
 class Playback:
     """Tells whether connections play the same again, as those to a recording do.
 
-    Two pictures of a camera are never the same, unless it is frozen.
+    Two pictures of a camera are never the same, unless it is frozen, or they show nothing: a
+    connection may begin with black or grey ones.
     """
 
     def __init__(self) -> None:
@@ -54,6 +55,8 @@ class Playback:
         is_same = self._first is not None and np.array_equal(luma, self._first)
         if not self._begins:
             self._is_long |= t - self._start >= OBSERVED_SECONDS and not is_same
+            return False
+        if contrast(luma) < CONTRAST_MIN:
             return False
         self._begins = False
         if self._is_long and is_same:
@@ -99,7 +102,7 @@ class Observed:
             if self._luma is not None:
                 self._has_compared = True
                 self._has_changed = self._has_changed or not np.array_equal(luma, self._luma)
-            self._contrast = max(self._contrast or 0.0, float(cv2.meanStdDev(luma)[1][0, 0]))
+            self._contrast = max(self._contrast or 0.0, contrast(luma))
             self._luma = luma
         if self.seconds >= OBSERVED_SECONDS:
             self.judge()
@@ -129,6 +132,11 @@ class Observed:
         }
         self.remarks = [remark for remark, holds in remarks.items() if holds]
         self._begin()
+
+
+def contrast(luma: Luma) -> float:
+    """Return the standard deviation of a picture (H, W), grey levels."""
+    return float(cv2.meanStdDev(luma)[1][0, 0])
 
 
 def is_rtsp(source: str) -> bool:
