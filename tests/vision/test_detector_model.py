@@ -101,6 +101,16 @@ def test_rf_detr_numbers_its_91_classes_as_coco_does(tmp_path: Path) -> None:
     assert len(found(DetectorModel(settings(path, labels=(0,))))) == 1
 
 
+@pytest.mark.parametrize("shape", [(1,), (1, 3), (1, 3, 8, 8)])
+def test_an_output_that_is_no_table_of_boxes_is_passed_over(shape: tuple[int, ...]) -> None:
+    boxes, scores = np.full((1, 3, 4), 0.5, np.float32), np.full((1, 3, 91), 0.1, np.float32)
+    scores[0, 1, 1] = 0.9
+    outputs = {"masks": np.zeros(shape, np.float32), "dets": boxes, "labels": scores}
+    form = layouts.recognise(outputs, (160, 160), "")
+    detections = layouts.decode(outputs, form, (160, 160), [1], 0.5)
+    assert detections.boxes.tolist() == [[40.0, 40.0, 120.0, 120.0]]
+
+
 @pytest.mark.parametrize("exporter", ["", "D-FINE"])
 def test_nodes_need_not_be_in_order(tmp_path: Path, exporter: str) -> None:
     plain = write_model(tmp_path / "m.onnx", "rt-detr", exporter=exporter)

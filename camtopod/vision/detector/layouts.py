@@ -97,7 +97,7 @@ def _possible(outputs: Outputs, size: Size) -> list[Form]:
     """Return the forms that the shapes and values of the outputs allow."""
     if {"labels", "boxes", "scores"} <= set(outputs):
         return [Form("rt-detr", None)]
-    tables = {name: output for name, output in outputs.items() if output.ndim == 3}
+    tables = _tables(outputs)
     if len(tables) > 1:
         boxes, scores = _boxes_and_scores(tables)
         if boxes.shape[2] != 4 or boxes.shape[1] != scores.shape[1]:
@@ -120,6 +120,11 @@ def _possible(outputs: Outputs, size: Size) -> list[Form]:
     if columns > 4 and _are_fractions(output[..., :4]):
         forms.append(Form("rt-detr", columns - 4, certain=columns != 6))
     return forms
+
+
+def _tables(outputs: Outputs) -> Outputs:
+    """Return the outputs with a row for each box; others may be masks, or the number of boxes."""
+    return {name: output for name, output in outputs.items() if output.ndim == 3}
 
 
 def _boxes_and_scores(tables: Outputs) -> tuple[Array, Array]:
@@ -186,10 +191,10 @@ def _rt_detr(outputs: Outputs, size: Size, classes: Sequence[int]) -> Found:
     if "scores" in outputs:
         labels = outputs["labels"][0].astype(np.int64)
         return Found(outputs["boxes"][0], outputs["scores"][0], labels)
-    (first, *other_outputs) = outputs.values()
+    (first, *other_tables) = _tables(outputs).values()
     boxes, scores = first[..., :4], first[..., 4:]
-    if other_outputs:
-        boxes, scores = _boxes_and_scores(outputs)
+    if other_tables:
+        boxes, scores = _boxes_and_scores(_tables(outputs))
     if scores.min() < 0.0 or scores.max() > 1.0:  # logits
         scores = np.asarray(1.0 / (1.0 + np.exp(-scores)), np.float32)
     return _best(_corners(boxes[0] * np.array(size * 2, np.float32)), scores[0], classes)
