@@ -162,6 +162,8 @@ def test_a_file_that_cannot_be_read(
 def test_usage() -> None:
     for line in ("", "x.mp4", "--camera lobby", "--camera a x --start inf"):
         assert main(["grab", *line.split()]) == 2
+    milliseconds = "1700000000000"
+    assert main(["grab", "--camera", "a", "x", "--start", milliseconds, "--out", "-"]) == 2
     assert main(["grab", "--out", "-"]) == 2
 
 

@@ -196,8 +196,12 @@ def _settings(args: argparse.Namespace, config: Config) -> CameraSettings:
             f"[cameras.{args.camera}]",
             exits.USAGE,
         )
-    if not math.isfinite(args.start):
-        raise CommandError("--start must be a number of seconds", exits.USAGE)
+    if not codec.T_MIN <= args.start < codec.T_MAX:
+        raise CommandError(
+            "--start must be a number of seconds since 1970 (not milliseconds), before the year "
+            "3000",
+            exits.USAGE,
+        )
     return settings
 
 
