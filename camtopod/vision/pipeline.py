@@ -69,7 +69,7 @@ class Analysis(NamedTuple):
 
 
 Observer = Callable[[Analysis], None]
-"""Called with every analysed frame."""
+"""Called with every analysed frame, and with the one that ends a scene before that is learned."""
 
 
 class ViewPipeline:
@@ -122,6 +122,7 @@ class ViewPipeline:
             self._first_frames.clear()
         if not self._first_frames and self._tracker is not None:
             events = self._tracker.finish("scene changed")
+            self._show(t, small, None, events)
             self._blindness.turned(t)
         waiting_seconds = t - self._first_frames[0][0] if self._first_frames else 0.0
         self._first_frames.append((t, small, self._first_image(image, waiting_seconds)))

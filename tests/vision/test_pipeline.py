@@ -206,13 +206,16 @@ def test_a_picture_of_another_size_is_another_scene() -> None:
         Person(line(5.0, (-0.05, 0.7), (1.05, 0.6), 7.0)),
         Person(line(17.0, (1.05, 0.6), (-0.05, 0.7), 5.0)),
     ]
-    scene, pipeline, events = Scene(people), ViewPipeline("cam", VisionSettings()), []
+    shown: list[Event] = []
+    pipeline = ViewPipeline("cam", VisionSettings(), lambda analysis: shown.extend(analysis.events))
+    scene, events = Scene(people), []
     for k in range(round(24 * FPS)):
         picture = scene.picture(k / FPS)
         if k / FPS > 13.0:
             picture = cv2.resize(picture, (120, 160))
         events += pipeline.process(k / FPS, picture)
     events += pipeline.finish()
+    assert shown == events
     assert passages(events) == [
         ("entry", "left"),
         ("exit", "right"),
