@@ -55,7 +55,7 @@ class Analysis(NamedTuple):
     frame: Luma
     """The working image (H, W), filtered if it was noisy."""
     moving_mask: Luma | None
-    """Mask (H, W) of the foreground; None while most of the image differs from the background."""
+    """Mask (H, W) of the foreground; None while the view is blind, or most of the image differs."""
     tracks: Sequence[Track]
     """Tracks that are followed, tentative ones included."""
     learned_doors: Sequence[tuple[float, float]]
@@ -65,7 +65,7 @@ class Analysis(NamedTuple):
     decisions: Sequence[Decision]
     """Beginnings and ends of tracks that were decided in this frame."""
     detector: DetectorResult | None = None
-    """What the detector found; None if there is none."""
+    """What the detector found; None if there is none, or it has not seen the frame."""
 
 
 Observer = Callable[[Analysis], None]
@@ -237,7 +237,7 @@ class ViewPipeline:
             self._tracker.crossings.doors.learned(self._tracker.stature.height),
             events,
             self._decisions.copy(),
-            None if self._detector is None else self._detector.result,
+            None if self._detector is None or moving_mask is None else self._detector.result,
         )
         self._decisions.clear()
         self._observer(self._latest)

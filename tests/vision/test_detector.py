@@ -17,7 +17,7 @@ from camtopod.codec import to_json
 from camtopod.records import Event
 from camtopod.vision.boxes import Box, area, box_height, common_area
 from camtopod.vision.detect import Blob
-from camtopod.vision.detector.detector import Detector
+from camtopod.vision.detector.detector import Detector, DetectorResult
 from camtopod.vision.detector.model import Detection, DetectorModel, Image as Picture
 from camtopod.vision.detector.trust import Trust, objects
 from camtopod.vision.pipeline import FIRST_IMAGES_PER_SECOND, Analysis, ViewPipeline
@@ -263,6 +263,18 @@ def test_a_low_score_continues_a_track_and_begins_none() -> None:
         return 0.8 if t < 7.0 else 0.2
 
     assert kinds(faint.events(30, drawn(faint, score=score))) == ["entry", "exit"]
+
+
+def test_a_blind_view_does_not_show_what_was_there_before() -> None:
+    analyses: list[Analysis] = []
+    detector = drawn(ColouredScene(()))
+    pipeline = ViewPipeline("cam", VisionSettings(), analyses.append, detector)
+    grey = np.full((HEIGHT, WIDTH), 90, np.uint8)
+    for k in range(round(20 * FPS)):
+        detector.result = DetectorResult([Detection((9.0, 9.0, 20.0, 40.0), 0.8, "person")])
+        pipeline.process(k / FPS, grey)
+    assert pipeline.reason
+    assert analyses[-1].detector is None
 
 
 def test_the_first_pictures_are_examined_too() -> None:

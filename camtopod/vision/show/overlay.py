@@ -135,7 +135,7 @@ class Preview:
             cv2.drawContours(image, outlines, -1, _FOREGROUND)
 
         # Detections, tracks, events.
-        state = "" if analysis.moving_mask is not None else "  most of the image has changed"
+        state = "" if analysis.moving_mask is not None else "  blind, or most of the image differs"
         if analysis.detector is not None:
             state += f"  detector {'' if analysis.detector.is_trusted else 'not '}trusted, "
             state += f"agreement {analysis.detector.agreement:.2f}"
