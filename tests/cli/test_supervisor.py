@@ -324,6 +324,13 @@ def test_backoff_grows_and_a_process_that_cannot_be_started_has_failed(
     assert "cannot be started: No such file" in process.summary()["reason"]
 
 
+def test_a_device_that_is_unplugged_is_started_again() -> None:
+    process = CameraProcess("lobby", CameraSettings(source="/dev/v4l/by-id/usb-unplugged-index0"))
+    process.state = "running"
+    process._ended(-6, 100.0)
+    assert process.state == "restarting"
+
+
 def test_a_process_is_started_later_when_there_is_no_file_for_its_heartbeats(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:

@@ -292,6 +292,7 @@ def test_a_camera_whose_sessions_end_is_no_recording(
         ("v4l2:///dev/video0", "give a device by its number"),
         ("rstp://192.0.2.1/s", "rstp:// is none of rtsp, "),
         ("4242", "/dev/video4242 does not exist"),
+        ("/dev/v4l/by-id/usb-unplugged-index0", "cannot be opened: No such file or directory"),
     ],
 )
 def test_a_source_that_no_stream_can_come_from_is_said_at_once(source: str, said: str) -> None:

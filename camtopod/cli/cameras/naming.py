@@ -12,7 +12,7 @@ from urllib.parse import urlsplit
 from camtopod.cli import exits
 from camtopod.cli.exits import CommandError, InputError
 from camtopod.records import RESERVED
-from camtopod.vision.source import device_number, is_path, kind_of, percent_encoded
+from camtopod.vision.source import device_number, is_path, percent_encoded
 
 _GIVEN = re.compile(r"(?:([A-Za-z0-9_.-]{1,64})=)?(.+)")
 """Argument of the form [NAME=]SOURCE."""
@@ -64,8 +64,8 @@ def free_name(name: str, used_names: Collection[str]) -> str:
 
 def _id_of(source: str) -> str:
     """Return the id of a camera after its host, file or device; other characters are hyphens."""
-    if kind_of(source) == "device":
-        return f"device-{device_number(source)}"
+    if (number := device_number(source)) is not None:
+        return f"device-{number}"
     text = Path(source).stem
     if not is_path(source):
         try:

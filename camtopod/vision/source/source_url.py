@@ -27,6 +27,8 @@ PATHS = {
 """Path under which cameras offer their large stream, by makers."""
 _SCHEME = re.compile(r"([A-Za-z][A-Za-z0-9+.-]*)://(.*)", re.DOTALL)
 _DEVICE = re.compile(r"(?:/dev/video)?([0-9]{1,9})")
+_NODE = re.compile(r"/dev/(?:v4l/.+|[^/]+)")
+"""Path of a device, or of a link to one, which is not there while the device is unplugged."""
 _FILE_URL = re.compile(r"file://(?:localhost(?=/))?", re.IGNORECASE)
 _HOST = re.compile(
     r"(?P<name>(?P<address>\[[0-9A-Fa-f:.]+(?:%\w+)?\]|\d+\.\d+\.\d+\.\d+(?=[:/?]|$))"
@@ -40,9 +42,10 @@ def kind_of(source: str) -> Literal["device", "stream", "file"]:
     """Return the kind of a source: a number is a device, a URL a stream, all else a file path.
 
     ``file://`` URLs are files, and an SDP file (``.sdp``) describes a stream;
-    ``/dev/video0``, or a link to it in ``/dev``, is device 0.
+    ``/dev/video0``, or a link to it in ``/dev``, is device 0, also while it is not there.
     """
-    if device_number(source) is not None:
+    is_unplugged = _NODE.fullmatch(source) is not None and not os.path.exists(source)
+    if is_unplugged or device_number(source) is not None:
         return "device"
     is_media = is_path(source) and not file_path(source).lower().endswith(".sdp")
     return "file" if is_media else "stream"
