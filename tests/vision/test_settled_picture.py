@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
-from rendered_scenes import FPS, Person, Picture, Scene, line
+from rendered_scenes import FPS, HEIGHT, WIDTH, Person, Picture, Scene, line
 
 from camtopod.vision.source.capture import Frame
 from camtopod.vision.source.probe import (
@@ -41,6 +41,16 @@ def test_who_walks_through_is_not_in_it() -> None:
     assert picture.is_settled
     assert SETTLE_SECONDS_MIN <= seconds < SETTLE_SECONDS_MAX / 2
     assert error(picture) < 10
+
+
+def test_a_camera_that_changes_its_size_meanwhile_has_a_picture_all_the_same() -> None:
+    picture = SettledPicture()
+    for second in range(12):
+        shown = np.full((HEIGHT * (1 + second // 8), WIDTH, 3), 90, np.uint8)
+        picture.add(Frame(float(second), shown[:, :, 0], shown))
+    assert picture.is_settled
+    assert picture.seconds == 11.0
+    assert picture.picture().shape == (HEIGHT, WIDTH, 3)
 
 
 def test_what_never_settles_is_given_up_with_the_best_there_is() -> None:

@@ -96,8 +96,12 @@ class SettledPicture:
         """True if the medians of both halves look the same."""
 
     def add(self, frame: Frame) -> None:
-        """Take in a frame with an image in colour; all are of one size."""
+        """Take in a frame with an image in colour; those of another size than the first are not."""
+        shape = () if frame.image is None else frame.image.shape
+        if not self._frames:
+            self._shape = shape
         due = not self._frames or frame.t - self._frames[-1].t >= SPACING_SECONDS
+        due = due and shape == self._shape
         if due and frame.image is not None:
             self._frames.append(frame._replace(image=narrowed(frame.image, PICTURE_WIDTH_MAX)))
         self.seconds = frame.t - self._frames[0].t
