@@ -139,7 +139,7 @@ def require_event(event: Event, kind: Kind | None = None) -> None:
 
 
 def time_of(event: Event) -> float:
-    """Return the time of an event; raise TypeError for what is none, such as a dict."""
+    """Return the time of an event; raise TypeError for another type."""
     if not isinstance(event, Event):
         raise TypeError(f"{event!r:.100} is no camtopod.Event; load_events reads them from a file")
     return event.t

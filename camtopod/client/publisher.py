@@ -85,7 +85,7 @@ class Publisher(contextlib.AbstractContextManager["Publisher"]):
         """Store events in the spool, and publish them if there is a connection.
 
         Raises ValueError for an event of another camera or with values out of range, before any of
-        the events is stored, and if this publisher is closed; TypeError for what is no event.
+        the events is stored, and if this publisher is closed; TypeError for another type.
         """
         for event in events:
             codec.time_of(event)

@@ -53,7 +53,7 @@ class PredictorState(Struct):
 
 
 class PredictorMemory:
-    """What has been observed; all times inside are corrected times.
+    """The observed events; all times inside are corrected times.
 
     version: the prepared topology version.
     """
@@ -66,7 +66,7 @@ class PredictorMemory:
         self._since = math.inf
 
     def take_over(self, older: PredictorMemory) -> None:
-        """Take over what was observed with an older version; this must be new."""
+        """Take over the observed events from a memory by an older version; this must be new."""
         new_zones = moved_zones(older._version.zones, self._version.zones)
         labels = self._version.labels.moved(older._version.labels)
         self.arrivals.take_over(older.arrivals, new_zones, labels)

@@ -275,7 +275,7 @@ class LiveSource(Source):
         capture_t = clock.captured(stamp, arrival)
         self.untrusted_stamps += capture_t is None
         t = capture_t or arrival
-        if t <= self._latest or self._stop.is_set():  # there is nobody to wait for then
+        if t <= self._latest or self._stop.is_set():  # no reader is left
             self.frames_dropped += 1
             return
         self._latest = t

@@ -86,7 +86,7 @@ def why_not_opened(source: str, ffmpeg_log: FfmpegLog) -> str:
 
 
 def why_no_stream(source: str) -> str:
-    """Return why no URL with this scheme can be read; "" if it may, and for what is no URL."""
+    """Return why no URL with this scheme can be read; "" if it may, or if it is no URL."""
     scheme = scheme_of(source)
     if scheme in ("", "file", *_SCHEMES, *_SILENCE):
         return ""
