@@ -110,7 +110,7 @@ class PredictorMemory:
     # --- The question ---
 
     def seen(self, departure: Departure) -> Seen:
-        """Return what has been observed by the moment of a question.
+        """Return the observed arrivals that may be of an object, by the moment of a question.
 
         Two filters are used. Before the exit, arrivals count at zones where an object that leaves
         at the zone of the exit may have appeared already (`_arrivals_before`). Since the exit,
@@ -207,8 +207,9 @@ class PredictorMemory:
         sure = causes[previous] / rate if previous is not None else 0.0
         passage = Passage(t, event.camera, zone, previous, sure, label)
         exit_t = self.passages.begin(event.camera, str(event.track), event.t, passage)
-        self._add_in_view(passage, np.flatnonzero(self.arrivals.t >= t))
-        if exit_t is not None:
+        if exit_t is None:
+            self._add_in_view(passage, np.flatnonzero(self.arrivals.t >= t))
+        else:
             self._begin_late(passage, exit_t - self._version.clock_offset[event.camera])
         self.passages.forget_stale(t)
 
@@ -238,6 +239,7 @@ class PredictorMemory:
             self._add_exit(zone, exit_t, label, None, -1.0)
             label = passage.label if label == UNKNOWN_LABEL else label
             exits.label[row], exits.entry_t[row], exits.entry[row] = label, passage.t, passage.entry
+            self._add_in_view(passage, np.flatnonzero(self.arrivals.t >= passage.t))
             self._add_exit(zone, exit_t, label, passage)
 
     def _add_exit(

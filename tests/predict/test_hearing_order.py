@@ -152,6 +152,15 @@ def test_an_entry_of_long_ago_without_an_exit_causes_nothing_now() -> None:
     assert with_it[1:] == without
 
 
+def test_an_entry_that_comes_again_after_its_exit_causes_nothing() -> None:
+    predictor = Predictor(OVERLAP)
+    for event in (ENTERED, THERE, EXIT):
+        predictor.observe(event)
+    rates = predictor._memory.arrivals.rate.tolist()
+    predictor.observe(replace(ENTERED, t=ENTERED.t - 0.25))
+    assert predictor._memory.arrivals.rate.tolist()[1:] == rates
+
+
 def test_an_older_exit_does_not_replace_the_newest_of_a_camera() -> None:
     """Of a moment, the passages that end at it may be in view; an older exit is heard later."""
     predictor = Predictor(OVERLAP)
