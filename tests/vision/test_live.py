@@ -417,31 +417,6 @@ def test_the_end_waits_for_no_frame_of_a_burst(monkeypatch: pytest.MonkeyPatch) 
     assert waits == pytest.approx([2.0], abs=0.3)
 
 
-def test_a_camera_that_begins_to_run_has_no_more_reason_why_not(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    class Watched(live.LiveSource):
-        """Notes state and reason as another thread may read them after each change."""
-
-        def __setattr__(self, name: str, value: object) -> None:
-            super().__setattr__(name, value)
-            if name in ("state", "reason"):
-                pairs.add((self.state, self.reason.partition("; ")[0]))
-
-    pairs: set[tuple[str, str]] = set()
-    camera = Camera(monkeypatch, pictures=2 * FPS)
-    camera.film_seconds = float("inf")
-    camera.rewinds = True
-    source = Watched("http://192.0.2.1/s", VisionSettings(), lambda: camera.now)
-    camera.closed = source._stop
-    for _ in source.frames():
-        if source.connections > 2:
-            break
-    source.close()
-
-    assert {reason for state, reason in pairs if state == "running"} == {""}
-
-
 def test_pictures_that_are_not_looked_at_are_no_faults(monkeypatch: pytest.MonkeyPatch) -> None:
     camera = Camera(monkeypatch)
     camera.film_seconds = 60.0

@@ -218,8 +218,8 @@ class LiveSource(Source):
                 continue
             self.observation.add(arrival, None if frame is None else frame.luma)
             if held_frames:
-                self.reason = "; ".join(self.observation.remarks)  # first: others read both
                 self.state = "running"
+                self.reason = "; ".join(self.observation.remarks)
                 self.is_lost = False
                 for held_frame in held_frames:
                     self._hand_on(clock, *held_frame)
