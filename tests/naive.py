@@ -821,11 +821,11 @@ def predicted(topology, seen, asked, zone_of, constants, now=None):
                 return j if seen[j].kind == "entry" else None
         return None
 
-    def under_way(j, n):
-        """Return True if the passage begun by entry j is under way when event n comes."""
+    def under_way(j, known):
+        """Return True if the passage begun by entry j is under way after the first known events."""
         same = [
             seen[i].camera == seen[j].camera and seen[i].track == seen[j].track
-            for i in range(j + 1, n)
+            for i in range(j + 1, known)
         ]
         return seen[j].kind == "entry" and seen[j].track is not None and not any(same)
 
@@ -836,19 +836,15 @@ def predicted(topology, seen, asked, zone_of, constants, now=None):
         """
         a, v, found = seen[n], zone_of(seen[n]), {}
         for x in range(known):
-            if seen[x].kind == "exit" and x not in but:
-                lag, p = a.t - seen[x].t, passage_of(x, seen[x])
-                other = seen[x].camera != a.camera
-                fits = other and lag >= model.lag_min and (p is None or seen[p].t < a.t)
-                if lag > 0 or fits:
-                    found[seen[x].camera] = found.get(seen[x].camera, 0.0) + rate(
-                        zone_of(seen[x]), v, lag
-                    ) * alike(label_of(seen[x], p), a)
-                if lag < 0 and fits and p is not None:
-                    ahead = rate_ahead(seen[x].camera, v)
-                    found[seen[x].camera] -= ahead * alike(seen[p].label, a)
+            p = passage_of(x, seen[x])
+            if seen[x].kind == "exit" and x not in but and (p is None or seen[p].t <= a.t):
+                more = rate(zone_of(seen[x]), v, a.t - seen[x].t)
+                if a.t < seen[x].t and p is not None:
+                    more += rate_entered(zone_of(seen[p]), v, a.t - seen[p].t)
+                more *= alike(label_of(seen[x], p), a)
+                found[seen[x].camera] = found.get(seen[x].camera, 0.0) + more
         for j in range(n):
-            if j not in but and under_way(j, n) and seen[j].camera != a.camera:
+            if j not in but and under_way(j, known) and seen[j].camera != a.camera:
                 more = rate_ahead(seen[j].camera, v) + rate_entered(
                     zone_of(seen[j]), v, a.t - seen[j].t
                 )

@@ -25,7 +25,7 @@ from camtopod.learn.zones import ZoneMap, ZoneShape
 from camtopod.publishers import CameraBoots
 from camtopod.records import Topology
 
-FORMAT = 7
+FORMAT = 8
 """Format of the snapshots that this program reads and writes. Snapshots of another format are
 refused; the state is learned again from the journal.
 """

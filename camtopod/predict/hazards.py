@@ -13,8 +13,6 @@ first exit from it, as a version may be replaced before most zones have one.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-
 import numpy as np
 
 from camtopod.arrays import Bools, Floats, Indices, Ints, Rows, ranges
@@ -54,7 +52,7 @@ class Hazards:
         # Zones: arrivals, dwell times and departures.
         self.unexplained_rate = numbers(model.arrival_rate, np.float32, zones).astype(float)
         """(zones,) rate of arrivals that no departure explains, 1/s."""
-        self.arrival_rate = (self.unexplained_rate + FLOOR).tolist()
+        self.arrival_rate = self.unexplained_rate + FLOOR
         """(zones,) the same, never 0."""
         self.stay = numbers(model.stay, np.float32, zones, STAY_DECILES)
         """(zones, 11) deciles of the dwell times, in seconds, of passages that end in each zone; 0
@@ -76,18 +74,26 @@ class Hazards:
         """Longest lag with a bin, delays of long paths included, seconds."""
 
         # Entry kernels, and mean rates before the exit.
-        self._entry_kernels: dict[int, dict[int, Sequence[float]]] = {}
-        """By zone of entry, and by target: hazards by lag bin."""
+        entry = to = np.zeros(0, np.int32)
+        kernels = np.zeros((0, self.bins.size))
         if model.entered is not None:
-            entry = numbers(model.entered.zone, np.int32, -1).tolist()
-            to = numbers(model.entered.to, np.int32, len(entry)).tolist()
-            hazards = masses_of(model.entered.hazard, self.bins) / self.bins.widths
-            for row in zip(entry, to, hazards, strict=True):
-                if self.camera_of[row[0]] != self.camera_of[row[1]]:
-                    self._entry_kernels.setdefault(row[0], {})[row[1]] = row[2]
+            entry = numbers(model.entered.zone, np.int32, -1)
+            to = numbers(model.entered.to, np.int32, len(entry))
+            kernels = masses_of(model.entered.hazard, self.bins) / self.bins.widths
+        order = np.argsort(entry.astype(np.int64) * zones + to, kind="stable")
+        order = order[self.camera_of[entry[order]] != self.camera_of[to[order]]]
+        self._entry, self._entry_to = entry[order], to[order]
+        """(kernels,) zones of entry, and targets, sorted by both."""
+        self._entry_pairs = np.append(self._entry.astype(np.int64) * zones + self._entry_to, -1)
+        self._entry_kernels = np.zeros((len(order) + 1, self.bins.size + 1))
+        """(kernels + 1, bins + 1) hazards by lag bin, 1/s; those of no kernel, or bin, are 0."""
+        self._entry_kernels[:-1, :-1] = kernels[order]
         self._before = self._rates_before_exit(topology)
-        self._rate_before_exit: dict[int, dict[str, float]] = {}
-        """By target that was asked for: the values of `rate_before_exit` by camera."""
+        """Pairs (n + 1,) of target and camera, as target * cameras + camera, sorted, with -1 as the
+        last; and their values of `rates_before_exit` (n + 1,).
+        """
+        self._cameras_before: dict[int, list[str]] = {}
+        """By target that was asked for: `cameras_before`."""
         self._seen_before: dict[int, Bools] = {}
         """By zone that was asked for: `seen_before`."""
 
@@ -121,15 +127,22 @@ class Hazards:
 
         The results are columns (m,): which of the n sources, row in its `outcomes`, hazard (1/s).
         """
-        is_source = self._is_source.get(target)
-        if is_source is None:
-            is_source = self._is_source[target] = np.zeros(self._zones, np.bool_)
-            is_source[self.sources(target)] = True
-        [hits] = is_source.take(sources).nonzero()
+        [hits] = self.is_source(np.array([target])).take(sources).nonzero()
         index, row = self._rows_of(sources.take(hits), target)
         index = hits.take(index)
         first = self._first_row.take(sources.take(index))
         return index, row - first, self._at(row, lag.take(index))
+
+    def is_source(self, targets: Ints) -> Bools:
+        """Return a mask (zones,) of the zones from which objects appear next at any of some."""
+        masks = []
+        for target in dict.fromkeys(targets.tolist()):
+            if target not in self._is_source:
+                self._is_source[target] = np.zeros(self._zones, np.bool_)
+                self._is_source[target][self.sources(target)] = True
+            masks.append(self._is_source[target])
+        mask: Bools = np.logical_or.reduce(masks)
+        return mask
 
     def sources(self, target: int) -> list[int]:
         """Return the zones from which objects appear next at a zone."""
@@ -139,69 +152,62 @@ class Hazards:
             ).tolist()
         return self._sources[target]
 
-    def rates_from(self, source: int, targets: Ints, lag: Floats) -> Floats:
-        """Return the hazards (n, 1/s) at which an object that left one zone appears at others.
+    def rates_from(self, sources: Indices | int, targets: Indices, lag: Floats) -> Floats:
+        """Return the hazards (n, 1/s) at which objects that left zones appear at others.
 
-        targets (n,), lag (n, seconds): zones, and the time since the object has left.
+        sources, targets (n,), lag (n, seconds): zones, and the time since the object has left; or
+            other shapes that broadcast to that of ``lag``.
         """
-        index, row = self._rows_of(source, targets)
-        rates = self._at(row, lag.take(index))
-        return np.bincount(index, rates, minlength=len(lag)).astype(float, copy=False)
+        sources, targets = np.broadcast_arrays(sources, targets)
+        index, row = self._rows_of(sources.reshape(-1), targets.reshape(-1))
+        rates = np.bincount(index, self._at(row, lag.reshape(-1).take(index)), minlength=lag.size)
+        return rates.astype(float, copy=False).reshape(lag.shape)
 
     def rows_to(self, source: int, targets: Indices) -> tuple[Rows, Rows]:
         """Return which of the ``targets`` (n,) outcomes of a zone lead to, and their rows, (m,)."""
         index, row = self._rows_of(source, targets)
         return index, row - self._first_row[source]
 
-    def rates_entered(self, entry: int, targets: Ints, elapsed: Floats) -> Floats:
-        """Return `rate_entered` (n, 1/s) for several targets and times (n, s) since the entry."""
-        if entry not in self._entry_kernels:
-            return np.zeros(len(elapsed))
-        pairs = zip(targets.tolist(), elapsed.tolist(), strict=True)
-        return np.array([self.rate_entered(entry, target, seconds) for target, seconds in pairs])
+    def rates_entered(
+        self, entries: Indices | int, targets: Indices | int, elapsed: Floats
+    ) -> Floats:
+        """Return the rates (n, 1/s) at which objects that are still in a view appear at zones.
 
-    def rate_entered(self, entry: int, target: int, elapsed: float) -> float:
-        """Return the rate (1/s) at which an object that is still in a view appears at a zone.
-
-        entry: zone where the object entered the view, ``elapsed`` seconds ago.
-        target: zone of another view; of its own the rate is 0.
+        entries (n,), elapsed (n, seconds): zones where they entered the view, and time since then.
+        targets (n,): zones of other views; of its own, and before the entry, the rate is 0.
 
         It is the entry kernel of the two zones at ``elapsed``.
         """
-        row = self._entry_kernels.get(entry, {}).get(target)
-        at = self.bins.bin_of(elapsed)
-        if row is None or elapsed < 0.0 or at < 0:
-            return 0.0
-        return float(row[at])
+        key = np.multiply(entries, self._zones, dtype=np.int64) + targets
+        row = self._entry_pairs[:-1].searchsorted(key)
+        row = np.where(self._entry_pairs.take(row) == key, row, -1)
+        at = np.where(elapsed >= 0.0, self.bins.index(elapsed), -1)
+        rates: Floats = self._entry_kernels[row, at]
+        return rates
 
-    def rates_before_exit(self, camera: str, targets: Ints) -> Floats:
-        """Return `rate_before_exit` (n, 1/s) for several targets (n,)."""
-        return np.array([self.rate_before_exit(camera, target) for target in targets.tolist()])
+    def rates_before_exit(self, cameras: Indices, targets: Indices) -> Floats:
+        """Return the rates (n, 1/s) at which objects in cameras' views appear at zones.
 
-    def rate_before_exit(self, camera: str, target: int) -> float:
-        """Return the rate (1/s) at which an object in a camera's view appears at a zone.
+        cameras, targets (n,): numbers of the cameras, and zones of other views.
 
-        target: zone of another view; of its own the rate is 0.
-
-        It is the mean over the object's passage, as the time of its exit is not known yet.
+        It is the mean over an object's passage, as the time of its exit is not known yet.
         """
-        return self.rates_before(target).get(camera, 0.0)
+        key = np.multiply(targets, len(self.cameras), dtype=np.int64) + cameras
+        pairs, rate = self._before
+        at = pairs[:-1].searchsorted(key)
+        rates: Floats = np.where(pairs.take(at) == key, rate.take(at), 0.0)
+        return rates
 
-    def rates_before(self, target: int) -> dict[str, float]:
-        """Return the `rate_before_exit` of the other cameras whose objects may appear at a zone
-        before they leave the view; it may be 0.
-        """
-        if target not in self._rate_before_exit:
-            camera, to, rate = self._before
-            rows = slice(*to.searchsorted([target, target + 1]).tolist())
-            names = [self.cameras[k] for k in camera[rows].tolist()]
-            rates = self._rate_before_exit[target] = {
-                self.cameras[self.camera_of[entry]]: 0.0
-                for entry, targets in self._entry_kernels.items()
-                if target in targets
-            }
-            rates.update(zip(names, rate[rows].tolist(), strict=True))
-        return self._rate_before_exit[target]
+    def cameras_before(self, target: int) -> list[str]:
+        """Return the cameras whose objects may appear at a zone of another before they leave."""
+        if target not in self._cameras_before:
+            of_entries = self.camera_of[self._entry[self._entry_to == target]].tolist()
+            first = target * len(self.cameras)
+            pairs = self._before[0][:-1]
+            rows = slice(*pairs.searchsorted([first, first + len(self.cameras)]).tolist())
+            numbers_of = dict.fromkeys([*of_entries, *(pairs[rows] - first).tolist()])
+            self._cameras_before[target] = [self.cameras[k] for k in numbers_of]
+        return self._cameras_before[target]
 
     def seen_before(self, zone: int) -> Bools:
         """Return a mask (zones,) of zones where objects may appear before they leave at ``zone``.
@@ -217,10 +223,9 @@ class Hazards:
             early = np.any(before_exit & (t.hazard[rows, :-1] > 0.0), axis=1)
             possible = np.zeros(self._zones, np.bool_)
             camera = self.camera_of[zone]
-            possible[self._before[1][self._before[0] == camera]] = True
-            for entry, targets in self._entry_kernels.items():
-                if self.camera_of[entry] == camera:
-                    possible[list(targets)] = True
+            targets, cameras = np.divmod(self._before[0][:-1], len(self.cameras))
+            possible[targets[cameras == camera]] = True
+            possible[self._entry_to[self.camera_of[self._entry] == camera]] = True
             possible[t.target[rows][early]] = True
             possible[self.camera_of == camera] = False
             self._seen_before[zone] = possible
@@ -276,11 +281,11 @@ class Hazards:
         rates: Floats = self.table.hazard.take(at).astype(float) * self._weight.take(row)
         return rates
 
-    def _rates_before_exit(self, topology: Topology) -> tuple[Rows, Rows, Floats]:
-        """Return the values of `rate_before_exit` above 0, as camera, target and rate (n,).
+    def _rates_before_exit(self, topology: Topology) -> tuple[Rows, Floats]:
+        """Return the pairs and values of `rates_before_exit` above 0, with a sentinel.
 
         Each is the expected number of appearances before the exit over the median dwell time,
-        averaged over the zones of the camera by their exits. They are sorted by target.
+        averaged over the zones of the camera by their exits.
         """
         # Expected appearances before the exit, by row.
         t, past = self.table, int(self.past.sum())
@@ -299,8 +304,7 @@ class Hazards:
         pair, of_pair = np.unique(key, return_inverse=True)
         rate = np.bincount(of_pair, expected).astype(float, copy=False)
         hits = np.flatnonzero(rate)
-        cameras = max(len(self.cameras), 1)
-        return pair[hits] % cameras, pair[hits] // cameras, rate[hits]
+        return np.append(pair[hits], -1), np.append(rate[hits], 0.0)
 
 
 def model_of(topology: Topology) -> Model:

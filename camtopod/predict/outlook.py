@@ -50,8 +50,6 @@ class Departure(NamedTuple):
     """Block of the image where the object left (`camtopod.topology.block_of`); None if unknown."""
     label: int = UNKNOWN_LABEL
     """Number of the object's label."""
-    is_observed: bool = False
-    """True if the exit has been observed, so that it is among the known causes of arrivals."""
     elapsed: float = 0.0
     """Seconds from the exit to the moment of the question; 0 means just before the exit."""
 
@@ -73,12 +71,12 @@ class Seen(NamedTuple):
     """(n,) index of the zone of each arrival."""
     t: Floats
     """(n,) corrected time, seconds."""
-    rate: Floats
-    """(n,) rate (1/s) of all known causes of the arrival, the object itself included."""
-    before: Bools
-    """(n,) True for arrivals before the exit."""
     label: Ints
     """(n,) number of the label."""
+    rate: Floats
+    """(n,) rate (1/s) of all causes of the arrival but the object itself."""
+    before: Bools
+    """(n,) True for arrivals before the exit."""
     memory_start: float
     """Time, in seconds after the exit, since which all arrivals are remembered."""
     is_alive: Floats
@@ -281,41 +279,10 @@ def _odds(
     if departure.passage is not None:
         since = observations.t - departure.passage.t
         entry_rates = hazards.rates_entered(departure.passage.entry, observations.zone, since)
-    other_rate = observations.rate - _own_rate(version, departure, observations, entry_rates)
     hazard += entry_rates * observations.before * table.is_first[row]
     hazard *= version.labels.agreement(departure.label, observations.label, observations.zone)
-    np.add.at(mass, (row, at), hazard / np.maximum(other_rate, RATE_MIN))
+    np.add.at(mass, (row, at), hazard / np.maximum(observations.rate, RATE_MIN))
     return mass, edges
-
-
-def _own_rate(
-    version: PreparedVersion, departure: Departure, observations: Seen, entry_rates: Floats
-) -> Floats:
-    """Return the part (n, 1/s) that the object itself has in the rate of each seen arrival.
-
-    entry_rates (n, 1/s): rate of the arrivals by the entry kernels of the object's entry.
-
-    While its passage is open, the object is a cause of arrivals in two ways: by its zone of entry,
-    and as an object in view. When its exit is observed, the hazard of the exit takes the place of
-    the latter (`PredictorMemory`). This part is subtracted to get the rate of all other causes.
-    """
-    # What follows from the entry, by the label that the entry had.
-    if not len(observations.t):
-        return entry_rates
-    labels, hazards = version.labels, version.hazards
-    label = (departure.passage or UNKNOWN).label
-    entry_rates = entry_rates * labels.agreement(label, observations.label, observations.zone)
-    if departure.is_observed:
-        rate = hazards.rates_from(departure.zone, observations.zone, observations.t - departure.t)
-        rate *= labels.agreement(departure.label, observations.label, observations.zone)
-        return rate + entry_rates * observations.before
-    if departure.passage is None:
-        return np.zeros(len(observations.t))
-
-    # The passage is still open, also for arrivals after the exit.
-    in_view = hazards.rates_before_exit(version.zones[departure.zone].camera, observations.zone)
-    in_view *= labels.agreement(label, observations.label, observations.zone)
-    return entry_rates + in_view
 
 
 def _expected_early(version: PreparedVersion, targets: Rows, departure: Departure) -> Floats:
@@ -325,14 +292,11 @@ def _expected_early(version: PreparedVersion, targets: Rows, departure: Departur
     stay = departure.t - passage.t
     seconds = np.clip(stay - bins.edges[:-1], 0.0, bins.widths) * (bins.centres > 0)
     early_bins = np.flatnonzero(seconds)
-    expected = [
-        version.hazards.rates_entered(
-            passage.entry, np.full(len(early_bins), target, np.int32), bins.centres[early_bins]
-        )
-        @ seconds[early_bins]
-        for target in targets.tolist()
-    ]
-    return np.array(expected)
+    rates = version.hazards.rates_entered(
+        passage.entry, targets[:, None], np.tile(bins.centres[early_bins], (len(targets), 1))
+    )
+    expected: Floats = rates @ seconds[early_bins]
+    return expected
 
 
 def log_density(

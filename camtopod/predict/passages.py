@@ -137,23 +137,6 @@ class RecentPassages:
         ended_at, passage = self._ended_passages.get((camera, track), (None, None))
         return passage if ended_at == t else self.open.of(camera).get(track)
 
-    def was_in_view(self, camera: str, entry: int, start: float, t: float) -> bool:
-        """Return True if a given passage was open until ``t`` at least.
-
-        camera, entry: camera and zone of entry of the passage.
-        start (seconds): corrected time of its entry.
-        t (seconds): by the camera's clock.
-        """
-        ended_passages = (
-            passage
-            for (of, _), (ended_at, passage) in self._ended_passages.items()
-            if of == camera and passage is not None and ended_at >= t
-        )
-        return any(
-            passage.t == start and passage.entry == entry
-            for passage in (*self.open.of(camera).values(), *ended_passages)
-        )
-
     def open_at(self, camera: str, t: float, by_clock: float) -> list[tuple[str, Passage]]:
         """Return the passages of a camera that are open at the present moment, as (track, passage).
 
@@ -174,7 +157,7 @@ class RecentPassages:
         """
         while self.open:
             (camera, track), oldest = next(iter(self.open.passages()))
-            is_fresh = now - oldest.t <= self.longest(camera)
+            is_fresh = now - oldest.t <= 2 * self.longest(camera)
             if is_fresh and len(self.open) <= OPEN_MAX:
                 return
             self.open.end(camera, track)

@@ -142,7 +142,6 @@ class Predictor:
             passage,
             block,
             self.prepared.labels.number(label, entry_passage.label),
-            is_observed=now is not None and self._memory.exits.has(site_t, zone),
             elapsed=0.0 if now is None else now - t,
         )
         answer = outlook(self.prepared, departure, self._memory.seen(departure))

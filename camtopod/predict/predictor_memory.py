@@ -1,9 +1,9 @@
 """The memory of a predictor: the arrivals, exits and passages that it has observed, by one version.
 
-Each arrival has the rate of all its known causes: the objects that have left other views, and those
-that are still in them. An outlook takes from it what the object itself has (`outlook.Seen`). Events
-may be heard in any order: the rates are those of the order of time, but for guesses where an object
-was before. `Reporting` tells which cameras still report.
+Only events are stored. What an arrival's causes are, the objects that have left other views and
+those that are still in them, is computed when it is asked for, so that the order in which events
+are heard does not matter, but for guesses where an object was before. `Reporting` has which cameras
+still report.
 """
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ import math
 import numpy as np
 from msgspec import Struct
 
-from camtopod.arrays import Floats, Rows
+from camtopod.arrays import Floats, Ints, Rows
 from camtopod.predict.labels import UNKNOWN_LABEL
 from camtopod.predict.outlook import Departure, Seen
 from camtopod.predict.passages import UNKNOWN, Passage, RecentPassages
@@ -138,15 +138,18 @@ class PredictorMemory:
             if len(arrivals.t) == RECENT_MAX:  # older ones may have been forgotten
                 memory_start = float(report_t[0]) - t
 
-        return Seen(
-            arrivals.zone[rows],
-            arrivals.t[rows],
-            arrivals.rate[rows],
-            np.arange(len(rows)) < before,
-            arrivals.label[rows],
-            memory_start,
-            self._reporting.is_alive(),
-        )
+        # That the object may have caused; after the exit, this depends on its pace.
+        hazards, passage = self._version.hazards, departure.passage or UNKNOWN
+        zones, times = arrivals.zone[rows], arrivals.t[rows]
+        own_rate = hazards.rates_from(zone, zones, times - t)
+        own_rate += hazards.rates_entered(passage.entry, zones, times - passage.t)
+        is_before = np.arange(len(rows)) < before
+        fits = (own_rate > 0.0) | ~is_before
+        rows, is_before = rows[fits], is_before[fits]
+        columns = arrivals.zone[rows], arrivals.t[rows], arrivals.label[rows]
+        rates = self._causes(*columns, departure).sum(axis=0)
+        rates += hazards.arrival_rate[columns[0]]
+        return Seen(*columns, rates, is_before, memory_start, self._reporting.is_alive())
 
     def _reported(self, zone: int) -> Floats:
         """Return the times (n,) of all arrivals as if by the clock of a zone's camera, seconds."""
@@ -185,46 +188,44 @@ class PredictorMemory:
         It decides which of two passages that begin together was the earlier one: the one that ends
         first.
         """
-        zone = int(self.arrivals.zone[row])
-        start = float(self.arrivals.t[row])
-        camera = self._version.zones[zone].camera
-        return self.passages.was_in_view(
-            camera, zone, start, t + self._version.clock_offset[camera]
-        )
+        zone, start = int(self.arrivals.zone[row]), float(self.arrivals.t[row])
+        exits = self.exits.after(t)
+        if ((exits.entry_t == start) & (exits.entry == zone)).any():
+            return True
+        open_passages = self.passages.open.of(self._version.zones[zone].camera).values()
+        return any(passage.t == start and passage.entry == zone for passage in open_passages)
 
     # --- Observed events ---
 
     def _observe_entry(self, event: Event, zone: int, t: float) -> None:
-        """Store an arrival with the rate of its possible causes, and the passage that begins."""
+        """Store an arrival, and the passage that begins."""
         label = self._version.labels.number(event.label)
-        causes = self._causes(zone, t, label)
-        rate = self._version.hazards.arrival_rate[zone] + sum(causes.values())
-        self.arrivals.append(t, zone, label, rate)
+        self.arrivals.append(t, zone, label)
         if event.track is None:
             return
 
-        previous = max(causes, key=causes.__getitem__, default=None)
-        sure = causes[previous] / rate if previous is not None else 0.0
+        arrival = np.array([zone], np.int32), np.array([t]), np.array([label], np.int32)
+        causes = self._causes(*arrival)[:, 0]
+        likeliest = int(causes.argmax())
+        sure = float(causes[likeliest])
+        previous = self._version.cameras[likeliest] if sure else None
+        sure /= float(self._version.hazards.arrival_rate[zone] + causes.sum())
         passage = Passage(t, event.camera, zone, previous, sure, label)
         exit_t = self.passages.begin(event.camera, str(event.track), event.t, passage)
-        if exit_t is None:
-            self._add_in_view(passage, np.flatnonzero(self.arrivals.t >= t))
-        else:
+        if exit_t is not None:
             self._begin_late(passage, exit_t - self._version.clock_offset[event.camera])
         self.passages.forget_stale(t)
 
     def _observe_exit(self, event: Event, zone: int, t: float) -> None:
-        """Store an exit, and add it to the possible causes of arrivals that were heard before it.
+        """Store an exit, with the passage that ends.
 
         zone, t: index of the zone, and corrected time, as of `_observe_entry`.
         """
-        passage = None
+        passage = UNKNOWN
         if event.track is not None:
-            passage = self.passages.end(event.camera, str(event.track), event.t)
-        entry_passage = passage or UNKNOWN
-        label = self._version.labels.number(event.label, entry_passage.label)
-        self.exits.append(t, zone, label, 0.0, entry_passage.t, entry_passage.entry)
-        self._add_exit(zone, t, label, passage)
+            passage = self.passages.end(event.camera, str(event.track), event.t) or UNKNOWN
+        label = self._version.labels.number(event.label, passage.label)
+        self.exits.append(t, zone, label, passage.t, passage.entry)
 
     def _begin_late(self, passage: Passage, exit_t: float) -> None:
         """Give an exit the passage that ended with it, as its entry is heard after it.
@@ -235,89 +236,71 @@ class PredictorMemory:
         is_alone = (exits.t == exit_t) & (exits.entry == UNKNOWN.entry)
         is_alone &= camera_of[exits.zone] == camera_of[passage.entry]
         for row in np.flatnonzero(is_alone)[:1].tolist():
-            zone, label = int(exits.zone[row]), int(exits.label[row])
-            self._add_exit(zone, exit_t, label, None, -1.0)
-            label = passage.label if label == UNKNOWN_LABEL else label
-            exits.label[row], exits.entry_t[row], exits.entry[row] = label, passage.t, passage.entry
-            self._add_in_view(passage, np.flatnonzero(self.arrivals.t >= passage.t))
-            self._add_exit(zone, exit_t, label, passage)
+            exits.entry_t[row], exits.entry[row] = passage.t, passage.entry
+            if exits.label[row] == UNKNOWN_LABEL:
+                exits.label[row] = passage.label
 
-    def _add_exit(
-        self, zone: int, t: float, label: int, passage: Passage | None, factor: float = 1.0
-    ) -> None:
-        """Add the rates of an exit, times a factor, to arrivals that were heard before it.
+    # --- Causes of an arrival ---
 
-        zone, t, label: index of the zone, corrected time (seconds) and label of the exit.
-        passage: the passage that ends; None if unknown.
+    def _causes(
+        self, zone: Ints, t: Floats, label: Ints, without: Departure | None = None
+    ) -> Floats:
+        """Return the rates (cameras, n, 1/s) at which objects known from each arrive at zones.
 
-        The hazard of the exit takes the place of the rate of an object in view; after the exit, of
-        all that follows from the entry, too.
-        """
-        arrivals, labels = self.arrivals, self._version.labels
-        start = (passage or UNKNOWN).t
-        rows_before = self._arrivals_before(zone, t, start)
-        rows_after = np.flatnonzero((self._reported(zone) > t) & (arrivals.t >= start))
-        rows = np.concatenate((rows_before, rows_after))
-        targets = arrivals.zone[rows]
-        rates = self._version.hazards.rates_from(zone, targets, arrivals.t[rows] - t)
-        rates *= labels.agreement(label, arrivals.label[rows], targets)
-        arrivals.rate[rows] += factor * rates
-        if passage is not None:
-            targets = arrivals.zone[rows_before]
-            rates = self._version.hazards.rates_before_exit(passage.camera, targets)
-            rates *= labels.agreement(passage.label, arrivals.label[rows_before], targets)
-            arrivals.rate[rows_before] -= factor * rates
-            self._add_in_view(passage, rows_after, -factor)
-
-    def _add_in_view(self, passage: Passage, rows: Rows, factor: float = 1.0) -> None:
-        """Add the rates of an object in view, times a factor, to arrivals in other views."""
-        arrivals, camera_of = self.arrivals, self._version.camera_of
-        since = arrivals.t[rows] - passage.t
-        longest = self.passages.longest(passage.camera)
-        is_other = camera_of[arrivals.zone[rows]] != camera_of[passage.entry]
-        is_in_view = is_other & (since >= 0.0) & (since <= longest)
-        rows, since = rows[is_in_view], since[is_in_view]
-        if not len(rows):
-            return
-        hazards, targets = self._version.hazards, arrivals.zone[rows]
-        rates = hazards.rates_before_exit(passage.camera, targets)
-        rates += hazards.rates_entered(passage.entry, targets, since)
-        agreement = self._version.labels.agreement(passage.label, arrivals.label[rows], targets)
-        arrivals.rate[rows] += factor * rates * agreement
-
-    def _causes(self, zone: int, t: float, label: int) -> dict[str, float]:
-        """Return, by camera, the rate (1/s) at which objects known from it arrive at a zone.
-
-        zone, t, label: index of the zone, corrected time and label of the arrival.
+        zone, t, label (n,): index of the zone, corrected time (seconds) and label of each arrival.
+        without: departure of an object that does not count.
 
         These objects have left the camera's view, or are still in it. Objects from outside the site
         are not included.
         """
+        version, hazards, labels = self._version, self._version.hazards, self._version.labels
+        causes = np.zeros((len(version.cameras), len(zone)))
+        if not len(zone):
+            return causes
+
         # Objects that have left, if their passages began before.
-        hazards, labels = self._version.hazards, self._version.labels
-        cameras, camera_of = self._version.cameras, self._version.camera_of
-        exits = self.exits.after(t - hazards.lag_max - self._version.offset_range)
-        exit_row, _, rates = hazards.rates_by_row(exits.zone, zone, t - exits.t)
-        rates = rates * labels.agreement(exits.label[exit_row], label, zone)
-        rates *= exits.entry_t[exit_row] <= t
-        total = np.bincount(camera_of[exits.zone[exit_row]], rates, minlength=len(cameras))
-        causes = {cameras[k]: float(total[k]) for k in np.flatnonzero(total)}
+        offsets, first_t = version.offset_of, float(t.min()) - version.offset_range
+        exits = self.exits.after(first_t - hazards.lag_max)
+        is_cause = hazards.is_source(zone).take(exits.zone)
+        if without is not None:
+            is_own = (exits.t == without.t) & (exits.zone == without.zone)
+            own = np.flatnonzero(is_own & (exits.entry_t == without.began))[:1]
+            is_cause[own] = False
+        [row] = is_cause.nonzero()
+        source = exits.zone[row]
+        rates = hazards.rates_from(source[:, None], zone, t - exits.t[row, None])
+        rates *= labels.agreement(exits.label[row, None], label, zone)
+        rates *= exits.entry_t[row, None] <= t
+        np.add.at(causes, version.camera_of[source], rates)
 
-        # What follows from the entries of those that left after the arrival, but were heard before.
-        offsets = self._version.offset_of
-        was_in_view = (exits.entry_t <= t) & (exits.entry >= 0)
-        was_in_view &= t + (offsets[zone] - offsets[exits.zone]) < exits.t
-        for row in np.flatnonzero(was_in_view).tolist():
-            camera = cameras[camera_of[exits.zone[row]]]
-            rate = hazards.rate_entered(exits.entry[row], zone, t - exits.entry_t[row])
-            rate *= labels.of_two(exits.label[row], label, zone)
-            causes[camera] = causes.get(camera, 0.0) + rate
+        # What follows from the entries of those that left after the arrival.
+        left_later = (exits.t > first_t) & (exits.entry >= 0)
+        if without is not None:
+            left_later[own] = False
+        [row] = left_later.nonzero()
+        source, entry, since = exits.zone[row], exits.entry[row], t - exits.entry_t[row, None]
+        rates = hazards.rates_entered(entry[:, None], zone, since)
+        rates *= labels.agreement(exits.label[row, None], label, zone)
+        rates *= t + offsets[zone] < (exits.t[row] + offsets[source])[:, None]
+        np.add.at(causes, version.camera_of[source], rates)
 
-        # Objects in other views that may appear at the zone before they leave.
-        for camera in hazards.rates_before(zone):
-            for passage in self.passages.open.of(camera).values():
-                if rate := self._version.rate_in_view(passage, zone, t, label):
-                    causes[camera] = causes.get(camera, 0.0) + rate
+        # Objects in other views that may appear there before they leave.
+        own_passage = None if without is None else without.passage
+        cameras = dict.fromkeys(
+            camera for target in zone.tolist() for camera in hazards.cameras_before(target)
+        )
+        open_passages = [
+            passage
+            for camera in cameras
+            for passage in self.passages.open.of(camera).values()
+            if passage is not own_passage
+        ]
+        if open_passages:
+            rates = version.rates_in_view(open_passages, zone, t, label)
+            start = np.array([passage.t for passage in open_passages])
+            longest = [self.passages.longest(passage.camera) for passage in open_passages]
+            rates *= t - start[:, None] <= np.array(longest)[:, None]
+            np.add.at(causes, version.camera_of[[p.entry for p in open_passages]], rates)
         return causes
 
 

@@ -29,8 +29,6 @@ class RecentState(Struct):
     """(n,) indices of the zones."""
     label: Ints
     """(n,) numbers of the labels, as `Labels` has them."""
-    rate: Floats
-    """(n,) rates (1/s) of all known causes of arrivals; 0 for exits."""
     entry_t: Floats
     """(n,) corrected times, in seconds, of the entries whose passages ended with the exits; minus
     infinity for arrivals, and if unknown when the exit was heard.
@@ -47,9 +45,9 @@ class RecentEvents:
 
     def __init__(self) -> None:
         size = 2 * RECENT_MAX
-        t, rate, entry_t = np.zeros((3, size))
+        t, entry_t = np.zeros((2, size))
         zone, label, entry = np.zeros((3, size), np.int32)
-        self._columns = RecentState(t, zone, label, rate, entry_t, entry)
+        self._columns = RecentState(t, zone, label, entry_t, entry)
         self._stop = 0
 
     @property
@@ -62,15 +60,6 @@ class RecentEvents:
         """Indices of the zones (n,)."""
         return self._columns.zone[self._first : self._stop]
 
-    def has(self, t: float, zone: int) -> bool:
-        """Return True if there was an event at a corrected time (seconds) in a zone (index)."""
-        return bool(((self.t == t) & (self.zone == zone)).any())
-
-    @property
-    def rate(self) -> Floats:
-        """Rates (n, 1/s) of all known causes of arrivals; 0 for exits."""
-        return self._columns.rate[self._first : self._stop]
-
     @property
     def label(self) -> Ints:
         """Numbers of the labels (n,), as `Labels` has them."""
@@ -81,11 +70,10 @@ class RecentEvents:
         t: float,
         zone: int,
         label: int,
-        rate: float = 0.0,
         entry_t: float = -math.inf,
         entry: int = -1,
     ) -> None:
-        """Add an event at corrected time ``t``, with its rate if it is an arrival.
+        """Add an event at corrected time ``t``.
 
         entry_t (seconds), entry: corrected time, and zone, of the entry whose passage ended, if it
             is an exit.
@@ -95,7 +83,7 @@ class RecentEvents:
         place = self._stop
         if place and t < self._columns.t[place - 1]:
             place = self._first + int(self.t.searchsorted(t, "right"))
-        row = (t, zone, label, rate, entry_t, entry)
+        row = (t, zone, label, entry_t, entry)
         for column, value in zip(astuple(self._columns), row, strict=True):
             column[place + 1 : self._stop + 1] = column[place : self._stop]
             column[place] = value

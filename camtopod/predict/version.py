@@ -7,8 +7,11 @@ times*: less the clock offset of the camera, as given in the topology.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 
+from camtopod.arrays import Floats, Ints
 from camtopod.codec import require_topology
 from camtopod.columns import numbers
 from camtopod.predict.anywhere import Anywhere
@@ -136,17 +139,22 @@ class PreparedVersion:
         is_linked = int(self.camera_of[zone]) in self.anywhere.neighbours
         return is_linked or self.hazards.departures[zone] >= LEARNED_EXITS
 
-    def rate_in_view(self, passage: Passage, zone: int, t: float, label: int) -> float:
-        """Return the rate (1/s) at which the object of an open passage arrives in another view; 0
-        before its entry.
+    def rates_in_view(
+        self, passages: Sequence[Passage], zones: Ints, t: Floats, labels: Ints
+    ) -> Floats:
+        """Return the rates (n, m, 1/s) at which objects of n open passages arrive in other views; 0
+        before their entries, and if these are unknown.
 
-        zone, t, label: index of the zone, corrected time (seconds) and label of the arrival.
+        zones, t, labels (m,): index of the zone, corrected time (seconds) and label of each of m
+            arrivals.
         """
-        if t < passage.t:
-            return 0.0
-        rate = self.hazards.rate_before_exit(passage.camera, zone)
-        rate += self.hazards.rate_entered(passage.entry, zone, t - passage.t)
-        return rate * self.labels.of_two(passage.label, label, zone)
+        entry = np.array([passage.entry for passage in passages], np.int32)[:, None]
+        label = np.array([passage.label for passage in passages], np.int32)[:, None]
+        since = t - np.array([passage.t for passage in passages])[:, None]
+        rates = self.hazards.rates_before_exit(self.camera_of[entry], zones)
+        rates += self.hazards.rates_entered(entry, zones, since)
+        rates *= ((entry >= 0) & (since >= 0.0)) * self.labels.agreement(label, labels, zones)
+        return rates
 
     def table(self, zone: int) -> ExitTable | None:
         """Return the table of a zone, given by its index; None if the zone has no targets."""

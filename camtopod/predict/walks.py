@@ -23,7 +23,7 @@ import numpy as np
 from camtopod.arrays import Floats
 from camtopod.codec import require_event
 from camtopod.predict.outlook import Departure, anywhere_rates, outlook, outside_rates
-from camtopod.predict.passages import Passage
+from camtopod.predict.passages import UNKNOWN, Passage
 from camtopod.predict.recent_events import moved_zones
 from camtopod.predict.version import PreparedVersion
 from camtopod.predict.walk_graph import ExitOutlook, WalkEdge, WalkStep, pass_messages
@@ -261,11 +261,16 @@ class Walks:
         ]
 
         # Passages under way in other views.
-        edges += [
-            WalkEdge(source_step, step, step.camera, rate)
-            for camera in self._hazards.rates_before(zone)
+        steps_in_view = [
+            source_step
+            for camera in self._hazards.cameras_before(zone)
             for source_step in list(self._memory.open.of(camera).values())[-CANDIDATES_MAX:]
-            if (rate := self._rate_in_view(source_step, step))
+        ]
+        weights_in_view = self._rates_in_view(steps_in_view, step)
+        edges += [
+            WalkEdge(source_step, step, step.camera, weight)
+            for source_step, weight in zip(steps_in_view, weights_in_view, strict=True)
+            if weight
         ]
         return self._with_simultaneous(edges, step, zone)
 
@@ -284,7 +289,7 @@ class Walks:
                 break
             if source_step.exit_t is not None:
                 continue
-            rate = self._rate_in_view(step, source_step)
+            [rate] = self._rates_in_view([step], source_step)
             causes = source_step.outside / max(
                 1.0 - sum(edge.probability for edge in source_step.edges), 1e-9
             )
@@ -296,12 +301,17 @@ class Walks:
                 edge_of_source[id(source_step)] = edge
         return [edge for edge in edges if not edge.slot] + [*edge_of_source.values()]
 
-    def _rate_in_view(self, source_step: WalkStep, step: WalkStep) -> float:
-        """Return the rate (1/s) at which one passage, while in view, causes another to begin."""
-        passage, arrival = self._passage(source_step), self._passage(step)
-        if passage is None or arrival is None:
-            return 0.0
-        return self._prepared_version.rate_in_view(passage, arrival.entry, arrival.t, arrival.label)
+    def _rates_in_view(self, source_steps: list[WalkStep], step: WalkStep) -> list[float]:
+        """Return the rate (1/s) at which each passage, while in view, causes another to begin."""
+        arrival = self._passage(step)
+        if arrival is None:
+            return [0.0] * len(source_steps)
+        passages = [self._passage(source_step) or UNKNOWN for source_step in source_steps]
+        rates = self._prepared_version.rates_in_view(
+            passages, np.array([arrival.entry]), np.array([arrival.t]), np.array([arrival.label])
+        )
+        weights: list[float] = rates[:, 0].tolist()
+        return weights
 
     def _passage(self, step: WalkStep) -> Passage | None:
         """Return the passage of a step; None if its entry is unknown."""

@@ -278,12 +278,12 @@ def test_what_is_remembered_is_in_order_of_time(monkeypatch: pytest.MonkeyPatch)
         times = [float(chance.randrange(40)) for _ in range(30)]
         events = recent_events.RecentEvents()
         for number, t in enumerate(times):
-            events.append(t, number, -number, rate=t / 2, entry_t=t / 3, entry=number + 1)
+            events.append(t, number, -number, entry_t=t / 3, entry=number + 1)
         columns = events.save()
         rows = list(zip(*astuple(columns), strict=True))
 
         newest = sorted(enumerate(times), key=lambda one: one[1])[-7:]
-        assert rows == [(t, number, -number, t / 2, t / 3, number + 1) for number, t in newest]
+        assert rows == [(t, number, -number, t / 3, number + 1) for number, t in newest]
         since = chance.choice(times)
         assert events.after(since).t.tolist() == [t for _, t in newest if t >= since]
 

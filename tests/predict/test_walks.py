@@ -86,7 +86,10 @@ def test_two_entries_at_one_instant_may_be_of_one_object(walks: Walks) -> None:
     a, b = (walks._prepared_version.zone_of(event) for event in events[:2])
     assert a is not None
     assert b is not None
-    walks._hazards._entry_kernels = {b: {a: [0.5] * walks._hazards.bins.size}}
+    hazards = walks._hazards
+    hazards._entry, hazards._entry_to = np.array([[b], [a]], np.int32)
+    hazards._entry_pairs = np.array([b * len(walks._prepared_version.zones) + a, -1])
+    hazards._entry_kernels = np.array([[0.5], [0.0]]) * (np.arange(hazards.bins.size + 1) >= 0)
 
     first, second, later = matched(walks, events)
     assert first.from_ == []
