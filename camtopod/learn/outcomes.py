@@ -62,14 +62,15 @@ def outcomes_of(
     longest: longest lag of the fit, seconds.
     until (Unix seconds): end of the window.
     """
-    # The row of each exit among the departures; -1 if it is not there.
-    rows, reach = [], []
+    # The row of each exit among the departures; -1 if it is not there. Of exits at one camera with
+    # one stamp, each has a row of its own.
+    rows, reach = list[int](), list[float]()
     for exit_ in takewhile(lambda exit_: exit_.t + max(exit_.reach, longest) <= until, exits):
         camera = cameras.index(exit_.camera)
         t = exit_.t - offsets[camera]
         low, high = np.searchsorted(departures.t, (t, np.nextafter(t, np.inf)))
         rows_of_exit = low + np.flatnonzero(departures.camera[low:high] == camera)
-        rows.append(int(rows_of_exit[0]) if len(rows_of_exit) else -1)
+        rows.append(next((row for row in rows_of_exit.tolist() if row not in rows), -1))
         reach.append(exit_.reach)
 
     # The probability of each next camera, by name.
