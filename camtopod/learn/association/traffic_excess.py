@@ -50,10 +50,11 @@ class Traffic:
             for edge in self._edges
         ]
 
-        # Camera of each zone; integers that hold the number of candidates of any pair of zones.
+        # Camera of each zone; integers that hold the number of candidates of any pair of zones, or
+        # its last 32 bits, as differences are exact in these, too.
         self._camera = problem.cameras()
         count_max = np.bincount(departures.zone).max() * np.bincount(arrivals.zone).max()
-        self._kind: type = np.uint16 if count_max < 1 << 16 else np.float32
+        self._kind: type = np.uint16 if count_max < 1 << 16 else np.uint32
 
     def excess(self, targets: Rows) -> Singles:
         """Return by how much the arrivals at k zones exceed the null model, (zones, k).

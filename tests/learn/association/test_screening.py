@@ -225,7 +225,7 @@ def test_what_stands_out_equals_its_slow_twin(seed: int, left: int, came: int, o
     problem = Problem(departures, arrivals, SHORT, 6, 80.0)
     traffic = Traffic(problem)
     if often:
-        traffic._kind = np.float32  # as on a site with too many candidates for short integers
+        traffic._kind = np.uint32  # as on a site with too many candidates for short integers
     targets = np.random.default_rng(seed).permutation(6)[:4]
     rates = [
         [traffic.null_model.rates_of(*np.array([[u], [v]]))[0] for v in targets] for u in range(6)
@@ -238,6 +238,16 @@ def test_what_stands_out_equals_its_slow_twin(seed: int, left: int, came: int, o
         for u in range(6)
     ]
     assert traffic.excess(targets) == pytest.approx(np.array(slow), rel=1e-4, abs=1e-4)
+
+
+def test_many_events_of_a_zone_are_counted_exactly() -> None:
+    """The pairs of 20,000 departures and as many arrivals are beyond single precision."""
+    departures, arrivals = anything(1, 40_000, 40_000, zones=2, span=40_000.0)
+    traffic = Traffic(Problem(departures, arrivals, SHORT, 2, 40_000.0))
+    targets = np.arange(2)
+    above = traffic.excess(targets)
+    traffic._kind = np.int64
+    assert above == pytest.approx(traffic.excess(targets), rel=1e-5)
 
 
 def looked(screen: CandidateScreen, zones: int) -> list[int]:
