@@ -104,6 +104,8 @@ def neighbourhoods(scene: Scene) -> list[Scene]:
     counts = np.bincount(arrivals.camera, minlength=len(zone_counts))
     parts = []
     for _ in range(NEIGHBOURHOODS):
+        if not counts.any():
+            break
         busiest = int(counts.argmax())
         excess = np.zeros(len(counts), np.float32)
         np.maximum.at(excess, view, traffic.excess(np.flatnonzero(view == busiest)).max(axis=1))

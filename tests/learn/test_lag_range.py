@@ -13,6 +13,7 @@ from camtopod.learn import lag_range
 from camtopod.learn.association import screening
 from camtopod.learn.learner import Learner
 from camtopod.learn.limits import LONGEST_SECONDS
+from camtopod.learn.settings import Settings
 from camtopod.records import Event, Topology
 from camtopod.topology import LagBins, longest_lag, masses_on_bins
 
@@ -114,6 +115,24 @@ def test_a_large_site_without_ways_has_the_shortest_range(monkeypatch: pytest.Mo
     ]
     shortest = lag_range.shortest_bins().lag_max
     assert reach(learned_from(events)) == pytest.approx(shortest)
+
+
+def test_a_large_site_has_entries_at_few_cameras_and_a_camera_without_events(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """The first camera's events have left the window, so that it has no zone."""
+    monkeypatch.setattr(lag_range, "PAIRS_FEW", 1)
+    monkeypatch.setattr(lag_range, "NEIGHBOURHOOD_ZONES_MAX", 1)
+    events = [Event("first", "exit", T0)]
+    for k in range(1, 100):
+        events += [Event("a", "exit", T0 + 60.0 * k), Event("b", "entry", T0 + 60.0 * k + 5.0)]
+    learner = Learner(Settings(window_events=100, window_camera_events=0), only_last=True)
+    for event in events:
+        learner.receive(event)
+    learner.flush()
+    assert learner.topology is not None
+    assert [camera.zones for camera in learner.topology.cameras] == [["a/1"], ["b/1"], []]
+    assert reach(learner.topology) == pytest.approx(lag_range.shortest_bins().lag_max)
 
 
 def test_an_overlap_is_within_the_range_before_the_exit() -> None:
