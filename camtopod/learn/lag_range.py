@@ -75,7 +75,11 @@ def find_lag_bins(scene: Scene, overlap: Bools, ranges: LagRanges | None = None)
     parts = neighbourhoods(scene) if len(scene.zones) ** 2 > PAIRS_FEW else [scene]
     problems = [newest_stretch(part, ranges) for part in parts]
     seconds = np.max(
-        [extremes(problem, fit_jointly(problem, find_candidates(problem))) for problem in problems],
+        [
+            extremes(problem, fit_jointly(problem, find_candidates(problem)))
+            for problem in problems
+            if len(problem.arrivals.t)  # none, if those of the newest moment are too many
+        ],
         axis=0,
         initial=0.0,  # no part may have both departures and arrivals
     )

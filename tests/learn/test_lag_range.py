@@ -135,6 +135,14 @@ def test_a_large_site_has_entries_at_few_cameras_and_a_camera_without_events(
     assert reach(learner.topology) == pytest.approx(lag_range.shortest_bins().lag_max)
 
 
+def test_a_moment_with_too_many_events_has_no_say(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(lag_range, "EVENT_PAIRS_MAX", 99)
+    events = [Event(*event, T0) for event in (("a", "exit"), ("b", "entry"))]
+    events = [replace(event, x=k / 20.0, y=0.5) for event in events for k in range(20)]
+    shortest = lag_range.shortest_bins().lag_max
+    assert reach(learned_from(events)) == pytest.approx(shortest)
+
+
 def test_an_overlap_is_within_the_range_before_the_exit() -> None:
     chance, events = np.random.default_rng(3), list[Event]()
     for k, t in enumerate(np.sort(chance.uniform(T0, T0 + 2.0 * HOUR, 300)).tolist()):

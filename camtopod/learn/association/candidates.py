@@ -69,7 +69,8 @@ def newest_within_limit(problem: Problem, candidates_max: int) -> Problem:
     candidates_max: the limit; every departure and arrival within the range of lags counts.
 
     Departures and arrivals are cut at the same moment: a departure whose arrivals were left out
-    would look like one of an object that left the site.
+    would look like one of an object that left the site. Of arrivals at one moment all are kept or
+    none.
     """
     # Count candidates back from the newest arrival.
     departures = problem.departures
@@ -80,8 +81,8 @@ def newest_within_limit(problem: Problem, candidates_max: int) -> Problem:
         return problem
 
     # Cut both at the first arrival that is kept.
-    first = arrivals.t[len(arrivals.t) - count] if count else np.inf
-    late = arrivals.t >= first
+    late = arrivals.t > arrivals.t[-count - 1]
+    first = arrivals.t[late].min(initial=np.inf)
     return problem._replace(
         departures=departures.take(departures.t >= first, late), arrivals=arrivals.take(late)
     )

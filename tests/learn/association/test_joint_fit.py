@@ -117,6 +117,20 @@ def test_beyond_the_limit_only_the_newest_stretch_counts(seed: int, limit: int) 
     )
 
 
+def test_events_of_one_moment_are_within_the_limit_together_or_left_out() -> None:
+    """Forty leave and seventeen come by one stamp; three come later."""
+    departures, arrivals = made(1, 40, 20)
+    moment = Problem(
+        departures._replace(t=np.full(40, 30.0)),
+        arrivals._replace(t=np.append(np.full(17, 30.0), [50.0, 51.0, 52.0])),
+        SHORT,
+        3,
+        60.0,
+    )
+    assert newest_within_limit(moment, 17 * 40).arrivals.t[0] == 30.0
+    assert newest_within_limit(moment, 17 * 40 - 1).arrivals.t.tolist() == [50.0, 51.0, 52.0]
+
+
 # --- exposure, smoothing ---
 
 
