@@ -56,17 +56,15 @@ def find_long_paths(
     first = min(departures.t[0], arrivals.t[0])
     last = max(departures.t[-1], arrivals.t[-1])
     longest = min(LAGS * BIN_SECONDS, LONG_SHARE_MAX * float(last - first))
-    late = departures.t >= 0.5 * (first + last)
-    halves = [
-        Correlograms(
-            (departures.t[half], departures.camera[half]),
-            (arrivals.t, arrivals.camera),
-            cameras,
-            BIN_SECONDS,
-        )
-        for half in (~late, late)
-        if half.any()
-    ]
+    middle = int(np.searchsorted(departures.t, 0.5 * (first + last)))
+    halves = []
+    for half in (slice(middle), slice(middle, None)):
+        t, camera = departures.t[half], departures.camera[half]
+        if len(t):
+            # Of a long window, correlograms cover the newest stretch: here that of the half.
+            end = max(int(np.searchsorted(arrivals.t, t[-1] + LAGS * BIN_SECONDS, "right")), 1)
+            in_reach = arrivals.t[:end], arrivals.camera[:end]
+            halves.append(Correlograms((t, camera), in_reach, cameras, BIN_SECONDS))
     nats, seconds = np.zeros((2, len(pairs)))
     order = cache_friendly_order(source, target, min(half.at_once for half in halves))
     for k in range(0, len(order), ROWS_AT_ONCE):

@@ -161,6 +161,12 @@ def test_a_sharp_peak_is_found_wherever_it_is(seconds: float) -> None:
     assert way[2] == pytest.approx(seconds, abs=4.0)
 
 
+def test_a_way_is_found_in_a_window_that_is_longer_than_the_correlograms() -> None:
+    """Of a thousand cameras, they cover two hours of the six; both halves have to show the way."""
+    [way] = find_long_paths(*ends(site(3, {("a", "b"): (300.0, 3.0)})), 1024)
+    assert way == (0, 1, pytest.approx(300.0, abs=4.0))
+
+
 def test_a_near_or_a_broad_way_is_left_to_the_lag_bins() -> None:
     assert find_long_paths(*ends(site(4, {("a", "b"): (30.0, 3.0)})), 3) == []
     assert find_long_paths(*ends(site(4, {("a", "b"): (100.0, 30.0)})), 3) == []
