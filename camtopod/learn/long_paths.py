@@ -46,8 +46,8 @@ def find_long_paths(
 
     cameras: number of cameras.
     """
-    present = np.intersect1d(departures.camera, arrivals.camera)
-    pairs = [(a, b) for a in present.tolist() for b in present.tolist() if a != b]
+    left, reached = (np.unique(events.camera).tolist() for events in (departures, arrivals))
+    pairs = [(a, b) for a in left for b in reached if a != b]
     if not pairs:
         return []
     source, target = np.array(pairs, np.int32).T

@@ -167,6 +167,13 @@ def test_a_way_is_found_in_a_window_that_is_longer_than_the_correlograms() -> No
     assert way == (0, 1, pytest.approx(300.0, abs=4.0))
 
 
+def test_a_way_is_found_between_cameras_that_see_exits_only_and_entries_only() -> None:
+    departures, arrivals = ends(site(3, {("a", "b"): (300.0, 3.0)}))
+    exits = departures.take(departures.camera == 0, np.zeros(len(arrivals.t), np.bool_))
+    [way] = find_long_paths(exits, arrivals.take(arrivals.camera == 1), 3)
+    assert way == (0, 1, pytest.approx(300.0, abs=4.0))
+
+
 def test_a_near_or_a_broad_way_is_left_to_the_lag_bins() -> None:
     assert find_long_paths(*ends(site(4, {("a", "b"): (30.0, 3.0)})), 3) == []
     assert find_long_paths(*ends(site(4, {("a", "b"): (100.0, 30.0)})), 3) == []
