@@ -62,7 +62,7 @@ def common_periods(problem: Problem, fit: Fit) -> Floats:
     # blocks of time. A multiple of the cycle has fewer harmonics, a part of it less power.
     departures, arrivals, bins, *_ = problem
     first = min(departures.t[0], arrivals.t[0])
-    seconds = problem.until - first
+    seconds = max(problem.until - first, 1.0)  # a fast clock may leave less than nothing
     blocks = max(round(seconds / BLOCK_SECONDS), 1)
     shortest, longest = PERIOD_SECONDS
     step = shortest / (4 * HARMONICS)  # four time bins for a wave of the fastest harmonic

@@ -167,3 +167,11 @@ def test_saturated_platoons_tell_by_a_small_excess() -> None:
     unlike = course + rng.normal(0, 1, (6, 1)) * np.sqrt(course) * 2.0
     assert set(np.flatnonzero(way_lags(counts, alike))) >= {BINS.bin_of(20.0)}
     assert not way_lags(counts, unlike).any()
+
+
+def test_a_window_that_ends_before_it_begins_has_no_period() -> None:
+    """The clock of a camera is known to be faster than the few seconds of the window are long."""
+    problem = street(1)
+    fit = fit_jointly(problem, find_candidates(problem))
+    first = float(problem.departures.t[0])
+    assert np.isnan(common_periods(problem._replace(until=first - 60.0), fit)).all()
