@@ -206,9 +206,7 @@ def _totals(passages: Departures, exits: slice, shift: float, cameras: int) -> L
     """
     total = np.zeros(cameras * cameras, np.int64)
     for exit_, passage in _open(passages, exits, shift):
-        total += np.bincount(
-            passages.camera[exit_] * cameras + passages.camera[passage], minlength=len(total)
-        )
+        np.add.at(total, passages.camera[exit_] * cameras + passages.camera[passage], 1)
     result = total.reshape(cameras, cameras)
     np.fill_diagonal(result, 0)
     return result
