@@ -72,9 +72,13 @@ def shown(prediction: Prediction) -> dict[str, Any]:
 
 
 def shown_match(match: Match) -> dict[str, Any]:
-    """Return the match in the form for the page, without tracks."""
+    """Return the match in the form for the page, without tracks.
+
+    ``passage``: tells entries of one picture apart; it says nothing of the track.
+    """
     return {
         **{name: getattr(match, name) for name in ("camera", "t", "walk", "new")},
+        "passage": hash(match.track),
         "from": [
             {"camera": passage.camera, "t": passage.t, "probability": passage.probability}
             for passage in match.from_[:NEXT_SHOWN]

@@ -118,6 +118,39 @@ def test_a_walk_goes_on_along_the_map_and_is_shown_on_it(browser: Browser) -> No
         assert browser.complaints() == []
 
 
+def test_walks_of_one_picture_are_two_and_stay_when_the_page_asks_for_them(
+    browser: Browser,
+) -> None:
+    shown = Shown(SITE)
+    now = round(time.time(), 3)
+    other = next(camera.id for camera in SITE.cameras if camera.id not in (A, B))
+    begin = f"{A}@{now - 9.0}"
+    entries = [Match(A, now - 9.0, 3, [], 1.0, name, name) for name in (begin, f"{begin}/2")]
+    before = [MatchedPassage(A, now - 9.0, 0.9, match.track) for match in entries]
+    matches = [
+        Match(B, now - 1.0, 3, before[:1], 0.1, begin, "one"),
+        Match(other, now, 3, before[1:], 0.1, f"{begin}/2", "another"),
+        Match(other, now, 3, before[:1], 0.1, f"{B}@{now - 99.0}", "a third"),
+    ]
+    line = r"\S+ \d\d:\d\d:\d\d → \S+ \d\d:\d\d:\d\d, 90 %"
+    with shown.serving():
+        opened(browser, shown)
+        for match in entries + matches:
+            shown.bus.publish(f"match/{match.camera}", match)
+        browser.run("document.querySelector('.walks').open = true")
+
+        def walks() -> list[str]:
+            lines = "return [...document.querySelectorAll('.walks li')].map((one) => one.innerText)"
+            return [str(one) for one in browser.run(lines)]
+
+        browser.wait(lambda: len(walks()) == 3, "each walk")
+        assert all(re.fullmatch(line, one) for one in walks()), walks()
+        browser.run("document.querySelector('.walks ul').replaceChildren()")
+        shown.publish(replace(SITE, version=4))  # upon which the page asks
+        browser.wait(lambda: len(walks()) == 3, "each walk again")
+        assert browser.complaints() == []
+
+
 def test_a_walk_through_a_forgotten_camera_leaves_the_page(browser: Browser) -> None:
     shown = Shown(SITE)
     now = time.time()

@@ -312,6 +312,7 @@ def test_matches_are_told_without_who_it_was_and_so_many_a_second(rig: Rig) -> N
         "camera": "a",
         "t": 900.0,
         "walk": "b@7",
+        "passage": told[1]["passage"],
         "new": pytest.approx(0.1),
         "from": [{"camera": "b", "t": 895.0, "probability": 0.9}],
     }

@@ -4,14 +4,13 @@ import { fill, h } from "./dom.js";
 import { go, link } from "./place.js";
 import { clock, percent } from "./words.js";
 
-const WALKS_MAX = 300; // remembered
+const ENTRIES_MAX = 3000; // remembered
 const SHOWN = 6;
 const STEPS_SHOWN = 4; // the newest of a walk
 const LIST_MILLISECONDS = 700; // no list is read that changes faster
 
 export class Walks {
-  #walks = new Map(); // name -> {steps: [{camera, t, probability}]}, the one heard of last at the end
-  #of = new Map(); // entry -> name of its walk
+  #entries = new Map(); // key -> {camera, t, walk, probability}
   marked = null; // the walk that is shown on the map
   #timer = null;
 
@@ -29,41 +28,46 @@ export class Walks {
 
   // An entry with the passages that it may continue; it comes again if later events have changed that. Whether it
   // continues a walk.
-  add({ camera, t, walk, from }) {
-    const entry = `${camera} ${t}`;
-    const old = this.#walks.get(this.#of.get(entry));
-    if (old) old.steps = old.steps.filter((step) => step.camera !== camera || step.t !== t);
-    const at = walk.lastIndexOf("@");
-    const first = { camera: walk.slice(0, at), t: Number(walk.slice(at + 1)), probability: 1 };
-    const continues = first.camera !== camera || Math.abs(first.t - t) > 0.001;
-    const steps = this.#walks.get(walk)?.steps ?? (continues ? this.#renamed(first, walk) : null) ?? [first];
-    if (continues && from.length) steps.push({ camera, t, probability: from[0].probability });
-    steps.sort((one, other) => one.t - other.t);
-    this.#walks.delete(walk);
-    this.#walks.set(walk, { steps });
-    this.#of.set(entry, walk);
-    if (this.#walks.size > WALKS_MAX) this.#walks.delete(this.#walks.keys().next().value);
-    if (this.#of.size > 10 * WALKS_MAX) this.#of.delete(this.#of.keys().next().value);
+  add({ camera, t, passage, walk, from }) {
+    const continues = from.length > 0 && !isAt({ camera, t }, beginOf(walk));
+    if (continues) this.#rename(walk);
+    this.#entries.set(`${camera} ${t} ${passage}`, { camera, t, walk, probability: continues ? from[0].probability : 1 });
+    if (this.#entries.size > ENTRIES_MAX) this.#entries.delete(this.#entries.keys().next().value);
     this.#timer ??= setTimeout(() => this.#draw(), LIST_MILLISECONDS);
-    return continues && from.length > 0;
+    return continues;
   }
 
-  // The steps of a walk by its name until now: it is named by its oldest passage of the last hour.
-  #renamed(first, walk) {
-    const before = this.#of.get(`${first.camera} ${first.t}`);
-    const old = this.#walks.get(before);
-    if (!old) return null;
-    this.#walks.delete(before);
-    const steps = old.steps.filter((step) => step.t >= first.t);
-    for (const step of steps) this.#of.set(`${step.camera} ${step.t}`, walk);
-    return steps;
+  // Give the walk that now is named by one of its entries that name: that of its oldest passage of the last hour.
+  #rename(walk) {
+    const entries = [...this.#entries.values()];
+    if (entries.some((one) => one.walk === walk)) return;
+    const begin = beginOf(walk);
+    const [first, another] = entries.filter((one) => isAt(one, begin));
+    if (!first || another) return; // two begin in one picture
+    const before = first.walk;
+    for (const one of entries) if (one.walk === before && one.t >= first.t) one.walk = walk;
+  }
+
+  // Walks by name: their steps, oldest first.
+  #walks() {
+    const walks = new Map();
+    for (const one of this.#entries.values()) {
+      if (!walks.has(one.walk)) walks.set(one.walk, []);
+      walks.get(one.walk).push(one);
+    }
+    for (const [name, steps] of walks) {
+      const begin = beginOf(name);
+      if (!steps.some((one) => isAt(one, begin))) steps.push(begin);
+      steps.sort((one, other) => one.t - other.t);
+    }
+    return walks;
   }
 
   // Forget the walks through any of the cameras, the keys of `names`.
   forget(names) {
-    for (const [name, { steps }] of this.#walks) {
+    for (const [name, steps] of this.#walks()) {
       if (!steps.some((step) => Object.hasOwn(names, step.camera))) continue;
-      this.#walks.delete(name);
+      for (const [key, { walk }] of this.#entries) if (walk === name) this.#entries.delete(key);
       if (name === this.marked) go("map");
       this.#timer ??= setTimeout(() => this.#draw(), LIST_MILLISECONDS);
     }
@@ -73,16 +77,17 @@ export class Walks {
   mark(name) {
     this.marked = name;
     this.#draw();
-    return (this.#walks.get(name)?.steps ?? []).map((step) => step.camera);
+    return (this.#walks().get(name) ?? []).map((step) => step.camera);
   }
 
   #draw() {
     clearTimeout(this.#timer);
     this.#timer = null;
-    const all = [...this.#walks].filter(([, { steps }]) => steps.length > 1).reverse();
+    const all = [...this.#walks()].filter(([, steps]) => steps.length > 1);
+    all.sort(([, one], [, other]) => other.at(-1).t - one.at(-1).t);
     const shown = all.filter(([name], k) => k < SHOWN || name === this.marked);
     this.element.hidden = !shown.length;
-    fill(this.list, shown.map(([name, { steps }]) => h("li", {}, this.#walk(name, steps))));
+    fill(this.list, shown.map(([name, steps]) => h("li", {}, this.#walk(name, steps))));
   }
 
   #picture(camera) {
@@ -105,4 +110,14 @@ export class Walks {
       h("span", { class: "quiet", title: "Probability that all of this is one walk" }, `, ${percent(sure)}`),
     );
   }
+}
+
+// A walk's name is the camera and the time of its begin, with a number if others begin then.
+function beginOf(walk) {
+  const [camera, t] = walk.split(/[@/]/);
+  return { camera, t: Number(t), probability: 1 };
+}
+
+function isAt(one, other) {
+  return one.camera === other.camera && Math.abs(one.t - other.t) < 0.001;
 }
