@@ -20,7 +20,7 @@ from synthetic_topology import synthetic_topology
 
 from camtopod.records import Camera, Histogram, Link, SeenEvent, Topology, Transit
 from camtopod.topology import LagBins
-from camtopod.web import report
+from camtopod.web import outbox, report
 from camtopod.web.single_file import page
 
 SITE = synthetic_topology(9)
@@ -130,6 +130,20 @@ def test_who_uses_keys_stays_where_they_are(browser: Browser) -> None:
         shown.status(another={"events": 1})
         browser.wait(lambda: browser.count(".page tbody a") == 10, "health asked again")
         assert browser.run(focused) == before
+
+
+def test_a_server_that_is_not_reached_is_not_one_that_refused_before(
+    browser: Browser, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(outbox, "PAGES_MAX", 0)
+    shown = Shown(SITE)
+    with shown.serving():
+        shown.status()
+        browser.open(shown.address)
+        browser.wait(lambda: "too many pages are open" in browser.text(".banner"), "the refusal")
+        monkeypatch.setattr(outbox, "PAGES_MAX", 64)
+        browser.wait(lambda: browser.text(".banner") == "", "the page to be live")
+    browser.wait(lambda: "cannot reach its server" in browser.text(".banner"), "the reason")
 
 
 @pytest.mark.parametrize(

@@ -40,7 +40,9 @@ export class Connection {
       });
     }
     events.addEventListener("error", () => {
-      if (events.readyState === EventSource.CLOSED && events === this.#events) this.#askWhy();
+      if (events !== this.#events) return;
+      if (events.readyState === EventSource.CLOSED) this.#askWhy();
+      else this.#refuse(""); // it is not reached
     });
   }
 
@@ -56,6 +58,10 @@ export class Connection {
       if (!(error instanceof TypeError || error instanceof SyntaxError)) throw error; // as for any other question
     }
     asked.abort();
+    this.#refuse(why);
+  }
+
+  #refuse(why) {
     this.#refused = why;
     if (this.#lostSince !== null) this.handlers.lost(this.#lostSince, why);
   }
