@@ -18,7 +18,7 @@ from chromium import Browser
 from page_fixture import Shown, opened
 from synthetic_topology import synthetic_topology
 
-from camtopod.records import Camera, Histogram, Link, SeenEvent, Topology, Transit
+from camtopod.records import Camera, Histogram, Link, Prediction, SeenEvent, Topology, Transit
 from camtopod.topology import LagBins
 from camtopod.web import outbox, report
 from camtopod.web.single_file import page
@@ -144,6 +144,19 @@ def test_a_server_that_is_not_reached_is_not_one_that_refused_before(
         monkeypatch.setattr(outbox, "PAGES_MAX", 64)
         browser.wait(lambda: browser.text(".banner") == "", "the page to be live")
     browser.wait(lambda: "cannot reach its server" in browser.text(".banner"), "the reason")
+
+
+def test_a_wrong_clock_of_the_reader_moves_no_time(browser: Browser) -> None:
+    late = "const now = Date.now.bind(Date); Date.now = () => now() - 3_600_000;"
+    news = Prediction(FIRST, None, time.time(), None, 1, 1.0, [])
+    shown = Shown(SITE)
+    with shown.serving():
+        opened(browser, shown)
+        browser.run(f"{late} document.dispatchEvent(new Event('visibilitychange'))")
+        shown.bus.publish(f"prediction/{FIRST}", news)
+        browser.wait(lambda: browser.count(".predictions .age") == 1, "news, after the time")
+    browser.wait(lambda: "Not live since" in browser.text(".banner"), "the banner")
+    assert re.search(r"\((now|\d+ s ago)\)", browser.text(".banner")), browser.text(".banner")
 
 
 @pytest.mark.parametrize(

@@ -85,7 +85,7 @@ export class Connection {
     const quiet = (performance.now() - this.#heard) / 1000;
     const closed = this.#events.readyState !== EventSource.OPEN;
     if (this.#lostSince === null && (quiet > SILENT_SECONDS || (closed && quiet > RETRY_SECONDS))) {
-      this.#lostSince = Date.now() / 1000 - quiet;
+      this.#lostSince = this.now() - quiet;
       this.handlers.lost(this.#lostSince, this.#refused);
     }
     const age = (performance.now() - this.#opened) / 1000;
