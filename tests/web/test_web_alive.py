@@ -279,6 +279,20 @@ def test_a_prediction_ages_and_leaves_though_the_time_of_a_recording_stands(
         browser.wait(lambda: "No open predictions" in browser.text(".predictions"), "the end")
 
 
+def test_a_page_that_comes_back_lists_each_prediction_once(browser: Browser) -> None:
+    shown = Shown(SITE)
+    now = time.time()
+    rows = [NextCamera(B, f"{B}/1", 0.8, 5.0, 7.0, 600.0)]
+    with shown.serving():
+        opened(browser, shown)
+        shown.bus.publish(f"prediction/{A}", Prediction(A, None, now - 1.0, None, 1, 0.2, rows))
+        browser.wait(lambda: browser.count(".predictions .age") == 1, "the prediction")
+        browser.run("document.dispatchEvent(new Event('visibilitychange'))")
+        shown.bus.publish(f"prediction/{A}", Prediction(A, None, now, None, 1, 0.2, rows))
+        browser.wait(lambda: browser.count(".predictions .age") > 1, "what it has missed")
+        assert browser.count(".predictions .age") == 2
+
+
 def test_growth_is_of_the_versions_that_the_daemon_has_kept() -> None:
     shown = Shown(older(2, 1), SITE)
     with shown.serving():
