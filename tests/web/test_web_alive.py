@@ -207,6 +207,18 @@ def test_the_last_hour_is_replayed_and_so_is_how_the_map_grew(browser: Browser) 
         assert browser.complaints() == []
 
 
+def test_a_second_press_begins_no_second_replay(browser: Browser) -> None:
+    shown = Shown(SITE)
+    shown.bus.told = [seen(A, "exit", time.time() - t) for t in (3550.0, 50.0)]
+    with shown.serving():
+        opened(browser, shown)
+        browser.run("document.querySelector('.replay').open = true")
+        press = "const button = document.querySelector('.replay button'); button.click(); "
+        browser.run(press + "button.click()")
+        browser.wait(lambda: "Stop" in browser.text(".replay"), "the replay")
+        assert sum("data/recent" in address for address in browser.asked()) == 1
+
+
 def test_a_recording_is_dated_by_its_events(browser: Browser) -> None:
     t = 1_700_000_000.0
     alarm = Alarm(1, t, "camera_silent", B, "no event")

@@ -16,6 +16,7 @@ const LIKELY = 0.5; // probability above which an entry continues the walk of a 
 export class Replay {
   on = false;
   #frame = 0;
+  #isAsking = false;
   #shift = null; // moves the replay to a share of its duration
 
   constructor(app) {
@@ -65,6 +66,8 @@ export class Replay {
   }
 
   async #start(act) {
+    if (this.#isAsking) return;
+    this.#isAsking = true;
     this.stop();
     fill(this.said);
     try {
@@ -72,8 +75,9 @@ export class Replay {
     } catch (error) {
       if (!(error instanceof Away)) throw error;
       fill(this.said, error.message);
+    } finally {
+      this.#isAsking = false;
     }
-    return undefined;
   }
 
   async #hour() {
