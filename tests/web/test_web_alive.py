@@ -207,6 +207,22 @@ def test_the_last_hour_is_replayed_and_so_is_how_the_map_grew(browser: Browser) 
         assert browser.complaints() == []
 
 
+def test_a_new_version_waits_until_the_replay_of_older_ones_is_over(browser: Browser) -> None:
+    shown = Shown(older(1, 0), older(2, 0), SITE)
+    with shown.serving():
+        opened(browser, shown)
+        browser.wait(lambda: browser.count(".edge") == len(SITE.pairs), "the map")
+        browser.run("document.querySelector('.replay').open = true")
+        browser.run("performance.now = () => 1e6")  # the replay stands at its begin
+        browser.run("document.querySelectorAll('.replay button')[1].click()")
+        browser.wait(lambda: browser.count(".edge") == 0, "the first version")
+        shown.publish(replace(SITE, version=4))
+        browser.wait(lambda: "version 4" in browser.text("#live"), "a new one")
+        assert browser.count(".edge") == 0
+        browser.run("document.querySelectorAll('.replay button')[2].click()")
+        browser.wait(lambda: browser.count(".edge") == len(SITE.pairs), "it")
+
+
 def test_a_second_press_begins_no_second_replay(browser: Browser) -> None:
     shown = Shown(SITE)
     shown.bus.told = [seen(A, "exit", time.time() - t) for t in (3550.0, 50.0)]

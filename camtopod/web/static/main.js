@@ -309,7 +309,7 @@ class App {
     if (!map) return;
     this.title.textContent = map.site;
     document.title = `${map.site} · camtopod`;
-    this.network.update(map);
+    if (!this.replay.on) this.network.update(map); // else as it stops
     this.overlays.update(map);
     this.#showHealth();
     this.#again();
