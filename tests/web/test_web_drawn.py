@@ -186,3 +186,12 @@ def test_versions_are_on_a_time_line_before_there_is_a_score_and_all_can_be_list
     browser.press("ENTER")
     browser.wait(lambda: browser.count(".page tbody tr") == 45, "all of them")
     assert browser.count(".page .more") == 0
+
+
+def test_a_name_that_is_wider_than_the_screen_makes_no_map_small(
+    browser: Browser, show: Shows
+) -> None:
+    show(joined(("a", "b", 9.0, 9.0, 400.0), ("b", "c" * 64, 9.0, 9.0, 400.0)), width=390)
+    middles = "return [...document.querySelectorAll('.node circle')].map((one) => one.getBoundingClientRect().y)"
+    places = browser.run(middles)
+    assert max(places) - min(places) > 200, "of the 800 pixels of the screen"

@@ -23,6 +23,7 @@ const TURNED_RATIO = 1.2; // height by width of a screen from which a wide map i
 const KEPT_RATIO = 1.25; // by which a map that is not moved must be able to grow to be shown anew
 const SETTLING_MILLISECONDS = 3000; // in which pictures arrive, and the map is shown anew with each
 const NAME_PIXELS = 22; // below and above a camera when all of it is shown
+const NAME_SHARE = 0.25; // of the window's width: half of a name, beyond which it has no room when all of it is shown
 const EDGE_PIXELS = 6; // the same beside it and its name
 const PLAN_PIXELS = 8; // the same of a floor plan
 const DIRECTIONS = { ArrowLeft: [-1, 0], ArrowRight: [1, 0], ArrowUp: [0, -1], ArrowDown: [0, 1] };
@@ -183,7 +184,8 @@ export class NetworkMap {
     this.#grow(scale);
     const boxes = [...this.nodes.values()].map((node) => {
       const [half, tall] = this.halves(node);
-      const [wide, high] = [Math.max(half, this.labels.measure(node.id, "name").half) + EDGE_PIXELS, tall + NAME_PIXELS];
+      const name = Math.min(NAME_SHARE * this.width, this.labels.measure(node.id, "name").half);
+      const [wide, high] = [Math.max(half, name) + EDGE_PIXELS, tall + NAME_PIXELS];
       return [node.x * scale - wide, node.y * scale - high, node.x * scale + wide, node.y * scale + high];
     });
     const [right, bottom] = this.plan ? [this.plan.width, this.plan.height].map((hops) => hops * UNIT * scale + PLAN_PIXELS) : [];
