@@ -96,6 +96,27 @@ def test_the_page_shows_the_words_that_it_is_sent(browser: Browser) -> None:
         assert browser.complaints() == []
 
 
+def test_a_camera_that_is_forgotten_leaves_its_open_panel(browser: Browser) -> None:
+    shown = Shown(SITE)
+    without = replace(
+        SITE,
+        version=2,
+        cameras=[camera for camera in SITE.cameras if camera.id != A],
+        zones=[zone for zone in SITE.zones if zone.camera != A],
+        links=[link for link in SITE.links if A not in f"{link.from_}/{link.to}".split("/")],
+        pairs=[pair for pair in SITE.pairs if A not in pair.cameras],
+        model=None,
+    )
+    with shown.serving():
+        opened(browser, shown, f"#/camera/{A}")
+        browser.wait(lambda: browser.count(".panel .zone") > 0, "its zones")
+        shown.publish(without)
+        browser.wait(lambda: "not in the newest version" in browser.text(".panel"), "the news")
+        assert browser.count(".panel .zone") == 0
+        shown.publish(replace(SITE, version=3))
+        browser.wait(lambda: browser.count(".panel .zone") > 0, "the camera again")
+
+
 OVERLAPPING = """
 const texts = [...document.querySelectorAll('.zone text')].map((one) => one.getBoundingClientRect());
 const apart = (a, b) => a.right <= b.left || b.right <= a.left || a.bottom <= b.top || b.bottom <= a.top;

@@ -271,7 +271,7 @@ class App {
       shown = await PANELS[name](this, ...rest);
     } catch (error) {
       if (!(error instanceof NotThere || error instanceof Away)) throw error;
-      if (again) return;
+      if (again && error instanceof Away) return; // what is shown stays
       shown = {
         kind: "Not found",
         failed: true,
