@@ -159,6 +159,26 @@ def test_a_wrong_clock_of_the_reader_moves_no_time(browser: Browser) -> None:
     assert re.search(r"\((now|\d+ s ago)\)", browser.text(".banner")), browser.text(".banner")
 
 
+def test_an_answer_that_comes_late_takes_no_newer_maps_place(browser: Browser) -> None:
+    hold = """
+        const ask = fetch;
+        window.fetch = async (path, ...options) => {
+          const answer = await ask(path, ...options);
+          if (path === 'data/pictures' && !window.release) await new Promise((ready) => (window.release = ready));
+          return answer;
+        };"""
+    shown = Shown(SITE)
+    with shown.serving():
+        opened(browser, shown)
+        browser.run(hold)
+        shown.publish(newer(2))
+        browser.wait(lambda: browser.run("return Boolean(window.release)"), "an answer on its way")
+        shown.publish(newer(3))
+        browser.wait(lambda: browser.text("#live").endswith("version 3"), "the newer one")
+        browser.run("release(); return new Promise((ready) => setTimeout(ready))")
+        assert browser.text("#live").endswith("version 3")
+
+
 @pytest.mark.parametrize(
     "topology", [BARE, newer(1, model=None, alarms=None, score=None), newer(1, links=[])]
 )

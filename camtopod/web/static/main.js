@@ -35,6 +35,8 @@ class App {
   #refused = ""; // why it does
   #loading = null; // the first map; what is said of versions meanwhile is held against it
   #place = "";
+  #asked = 0; // how often the map was asked for
+  #used = 0; // which answer is shown
   #text = h("span", {});
   #age = h("span", { "aria-hidden": "true" }); // a screen reader need not say every second
 
@@ -153,10 +155,13 @@ class App {
 
   // Fetch the whole map, again if the server is away.
   async load() {
+    const asked = (this.#asked += 1);
     try {
       const { source } = this;
       const [map, pictures, plan] = await Promise.all([source.map(), source.pictures(), source.plan()]);
       if (plan && !this.network.plan) this.#usePlan(await openPlan(plan));
+      if (asked < this.#used) return; // a newer answer came before
+      this.#used = asked;
       this.network.pictures = new Map(pictures.map((id) => [id, this.source.picture(id)]));
       this.#use(map);
     } catch (error) {
