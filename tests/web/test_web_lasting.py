@@ -18,7 +18,15 @@ from chromium import Browser
 from page_fixture import Shown, opened
 from synthetic_topology import synthetic_topology
 
-from camtopod.records import Camera, Histogram, Link, Prediction, SeenEvent, Topology, Transit
+from camtopod.records import (
+    Camera,
+    Histogram,
+    Link,
+    Prediction,
+    SeenEvent,
+    Topology,
+    Transit,
+)
 from camtopod.topology import LagBins
 from camtopod.web import outbox, report
 from camtopod.web.single_file import page
@@ -177,6 +185,18 @@ def test_an_answer_that_comes_late_takes_no_newer_maps_place(browser: Browser) -
         browser.wait(lambda: browser.text("#live").endswith("version 3"), "the newer one")
         browser.run("release(); return new Promise((ready) => setTimeout(ready))")
         assert browser.text("#live").endswith("version 3")
+
+
+def test_a_way_within_one_view_is_that_whatever_its_address_says(browser: Browser) -> None:
+    place = place_of(VISIBLE)
+    shown = Shown(SITE)
+    with shown.serving():
+        opened(browser, shown, place)
+        browser.wait(lambda: "objects that enter" in browser.text(".panel .lead"), "the way")
+        figures = browser.text(".panel")
+        browser.open(shown.address + place.removesuffix("/visible"))
+        browser.wait(lambda: browser.text(".panel .lead") != "", "the same way")
+        assert browser.text(".panel") == figures
 
 
 @pytest.mark.parametrize(

@@ -66,7 +66,7 @@ function underWay(app, from, to) {
 export async function linkPanel(app, from, to, relation) {
   const story = await app.source.link(from, to, relation ?? (await onlyRelation(app, from, to)));
   const t = story.transit;
-  const inOneView = relation === "visible"; // which is seen, not inferred
+  const inOneView = story.relation === "visible"; // which is seen, not inferred
   return {
     kind: story.weak ? "Weak evidence" : KINDS[story.relation],
     title: `${story.from} → ${story.to}`,
