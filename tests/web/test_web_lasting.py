@@ -20,6 +20,7 @@ from synthetic_topology import synthetic_topology
 
 from camtopod.records import (
     Camera,
+    EventHours,
     Histogram,
     Link,
     Prediction,
@@ -197,6 +198,18 @@ def test_a_way_within_one_view_is_that_whatever_its_address_says(browser: Browse
         browser.open(shown.address + place.removesuffix("/visible"))
         browser.wait(lambda: browser.text(".panel .lead") != "", "the same way")
         assert browser.text(".panel") == figures
+
+
+@pytest.mark.parametrize("name", ["constructor", "__proto__"])
+def test_a_camera_may_be_named_like_what_objects_inherit(browser: Browser, name: str) -> None:
+    shown = Shown(config=f'[cameras.{name}]\nsource = "rtsp://recorder/1"\n')
+    hour = time.time() // 3600 * 3600
+    shown.bus.hours = EventHours(hour, hour, {})
+    with shown.serving():
+        opened(browser, shown)
+        shown.bus.seen = [SeenEvent(time.time(), name, "entry", None, 0.5, 0.5)]
+        browser.wait(lambda: browser.text(".node .today") == "1 in", "its entry")
+        assert browser.complaints() == []
 
 
 @pytest.mark.parametrize(

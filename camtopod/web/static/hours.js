@@ -19,6 +19,7 @@ export class Hours {
   use(counts) {
     const first = counts && !this.#counts;
     this.#counts = counts;
+    if (counts) Object.setPrototypeOf(counts.cameras, null); // a camera may be named like what objects inherit
     return first;
   }
 
