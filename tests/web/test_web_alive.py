@@ -223,6 +223,22 @@ def test_a_new_version_waits_until_the_replay_of_older_ones_is_over(browser: Bro
         browser.wait(lambda: browser.count(".edge") == len(SITE.pairs), "it")
 
 
+def test_no_walk_from_before_the_first_event_is_replayed(browser: Browser) -> None:
+    shown = Shown(SITE)
+    now = time.time()
+    shown.bus.told = [seen(A, "exit", now - 60.0), seen(B, "entry", now - 50.0)]
+    with shown.serving():
+        for t in (now - 3000.0, now - 50.0):
+            before = MatchedPassage(A, t - 10.0, 0.9)
+            shown.bus.publish(f"match/{B}", Match(B, t, 3, [before], 0.1, f"{A}@{t - 10.0}"))
+        opened(browser, shown)
+        browser.run("document.querySelector('.replay').open = true")
+        browser.run(WATCH, A)
+        browser.run("document.querySelector('.replay button').click()")
+        browser.wait(lambda: "Stop" in browser.text(".replay"), "its begin")
+        assert [look for look, _ in browser.run("return shown")].count("dot walk") == 1
+
+
 def test_a_second_press_begins_no_second_replay(browser: Browser) -> None:
     shown = Shown(SITE)
     shown.bus.told = [seen(A, "exit", time.time() - t) for t in (3550.0, 50.0)]

@@ -93,7 +93,7 @@ export class Replay {
     const acts = [
       ...events.map((event) => [event.t, () => pulses.show(event)]),
       ...matches
-        .filter(({ from: [before] }) => before?.probability > LIKELY)
+        .filter(({ t, from: [before] }) => t >= from && before?.probability > LIKELY)
         .map(({ camera, t, from: [before] }) => [
           Math.min(before.t, t),
           () => flow.go(before.camera, camera, Math.max(WAY_SECONDS_MIN, Math.abs(t - before.t) / speed)),
