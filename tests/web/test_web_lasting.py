@@ -168,24 +168,37 @@ def test_a_wrong_clock_of_the_reader_moves_no_time(browser: Browser) -> None:
     assert re.search(r"\((now|\d+ s ago)\)", browser.text(".banner")), browser.text(".banner")
 
 
-def test_an_answer_that_comes_late_takes_no_newer_maps_place(browser: Browser) -> None:
-    hold = """
-        const ask = fetch;
-        window.fetch = async (path, ...options) => {
-          const answer = await ask(path, ...options);
-          if (path === 'data/pictures' && !window.release) await new Promise((ready) => (window.release = ready));
-          return answer;
-        };"""
+HOLD = """
+    const [ask, held] = [fetch, arguments[0]];
+    window.fetch = async (path, ...options) => {
+      const answer = await ask(path, ...options);
+      if (path === held && !window.release) await new Promise((ready) => (window.release = ready));
+      return answer;
+    };
+"""
+"""The first answer of a path is on its way until `release()`."""
+
+
+@pytest.mark.parametrize(
+    ("path", "place"), [("data/pictures", "#live"), (f"data/camera/{FIRST}", ".panel table")]
+)
+def test_an_answer_that_comes_late_takes_no_newer_ones_place(
+    browser: Browser, path: str, place: str
+) -> None:
     shown = Shown(SITE)
     with shown.serving():
-        opened(browser, shown)
-        browser.run(hold)
-        shown.publish(newer(2))
-        browser.wait(lambda: browser.run("return Boolean(window.release)"), "an answer on its way")
-        shown.publish(newer(3))
-        browser.wait(lambda: browser.text("#live").endswith("version 3"), "the newer one")
+        opened(browser, shown, f"#/camera/{FIRST}")
+        browser.wait(lambda: browser.text(".panel table") != "", "its zones")
+        browser.run(HOLD, path)
+        for version in (2, 3):
+            zones = [msgspec.structs.replace(zone, entries=version) for zone in SITE.zones]
+            shown.publish(newer(version, zones=zones))
+            browser.wait(lambda: browser.run("return Boolean(window.release)"), "an answer to wait")
+        browser.wait(lambda: browser.text("#live").endswith("version 3"), "the newer map")
+        browser.wait(lambda: "\t3\t" in browser.text(".panel table"), "the newer panel")
+        newest = browser.text(place)
         browser.run("release(); return new Promise((ready) => setTimeout(ready))")
-        assert browser.text("#live").endswith("version 3")
+        assert browser.text(place) == newest
 
 
 def test_a_way_within_one_view_is_that_whatever_its_address_says(browser: Browser) -> None:

@@ -35,8 +35,9 @@ class App {
   #refused = ""; // why it does
   #loading = null; // the first map; what is said of versions meanwhile is held against it
   #place = "";
-  #asked = 0; // how often the map was asked for
-  #used = 0; // which answer is shown
+  #asked = 0; // how often the map or a panel was asked for
+  #used = 0; // of which time the map is that is shown
+  #opened = 0; // the same of the panel
   #text = h("span", {});
   #age = h("span", { "aria-hidden": "true" }); // a screen reader need not say every second
 
@@ -271,6 +272,7 @@ class App {
   }
 
   async #open(name, rest, place, again = false) {
+    const asked = (this.#asked += 1);
     let shown;
     try {
       shown = await PANELS[name](this, ...rest);
@@ -285,10 +287,12 @@ class App {
         body: [h("p", {}, error.message)],
       };
     }
-    if (this.#place !== place) return; // somebody has gone on meanwhile
+    if (this.#place !== place || asked < this.#opened) return; // somebody has gone on, or a newer answer came before
+    this.#opened = asked;
     const top = again ? this.panel.scrollTop : 0;
     fill(this.inPanel, shown.body);
-    if (!again || this.#shown?.kind !== shown.kind) fill(this.panel, headOf(shown), this.inPanel);
+    const isSame = again && this.#shown?.kind === shown.kind && this.#shown.title === shown.title;
+    if (!isSame) fill(this.panel, headOf(shown), this.inPanel);
     this.#shown = shown;
     this.panel.hidden = false;
     this.panel.scrollTop = top;
