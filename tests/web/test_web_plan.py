@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import threading
+import time
 import tomllib
 from pathlib import Path
 
@@ -10,11 +12,13 @@ import numpy as np
 import pytest
 from chromium import Browser
 from page_fixture import Shown, opened
+from starlette.responses import Response
 from synthetic_topology import synthetic_topology
 
 from camtopod import redact
 from camtopod.config.config_file import load, parse
 from camtopod.config.settings import ConfigError
+from camtopod.web import app
 
 SITE = synthetic_topology(4)
 NAMES = [camera.id for camera in SITE.cameras]
@@ -97,6 +101,34 @@ def test_cameras_are_dragged_to_their_places_for_the_configuration(
 
 
 # --- the configuration
+
+
+def test_a_camera_that_comes_while_the_plan_is_loaded_brings_no_second_one(
+    browser: Browser, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    plan = tmp_path / "floor.png"
+    cv2.imwrite(str(plan), np.full((300, 600, 3), 230, np.uint8))
+    asked, release = threading.Event(), threading.Event()
+    answer = app._file
+
+    def held(path: str) -> Response:
+        asked.set()
+        release.wait(20)
+        return answer(path)
+
+    monkeypatch.setattr(app, "_file", held)
+    count = "window.images = 0; const Old = Image; window.Image = function () { images += 1; return new Old(); }"
+    shown = Shown(SITE, config=f'[map]\nplan = "{plan}"')
+    with shown.serving():
+        shown.status()
+        browser.open(shown.address)
+        browser.wait(asked.is_set, "the plan to be loaded")
+        browser.run(count)
+        shown.status(another={"events": 1, "newest": time.time(), "alive": True})
+        browser.wait(lambda: browser.run("return images") == 1, "the same once more")
+        release.set()
+        browser.wait(lambda: browser.count(".node") == len(NAMES) + 1, "all cameras")
+        assert browser.count(".places") == browser.count("image.plan") == 1
 
 
 def test_the_plan_is_beside_the_configuration(tmp_path: Path) -> None:

@@ -172,8 +172,8 @@ class App {
   }
 
   #usePlan(plan) {
+    if (!plan || this.network.plan) return; // that of another answer came before
     this.network.plan = plan;
-    if (!plan) return;
     this.overlays.stack.append(plan.panel);
     this.network.coveredBy(plan.panel);
   }
