@@ -96,6 +96,13 @@ def test_the_page_shows_the_words_that_it_is_sent(browser: Browser) -> None:
         assert browser.complaints() == []
 
 
+POINT = """
+const { x, y, width, height } = document.querySelector(arguments[0]).getBoundingClientRect();
+const at = { clientX: x + width / 2, clientY: y + height / 2 };
+document.querySelector('svg.map').dispatchEvent(new PointerEvent('pointermove', at));
+"""
+
+
 def test_a_camera_that_is_forgotten_leaves_its_open_panel(browser: Browser) -> None:
     shown = Shown(SITE)
     without = replace(
@@ -110,9 +117,12 @@ def test_a_camera_that_is_forgotten_leaves_its_open_panel(browser: Browser) -> N
     with shown.serving():
         opened(browser, shown, f"#/camera/{A}")
         browser.wait(lambda: browser.count(".panel .zone") > 0, "its zones")
+        browser.run(POINT, f"[data-id={A}] circle")
+        assert A in browser.text(".tip")
         shown.publish(without)
         browser.wait(lambda: "not in the newest version" in browser.text(".panel"), "the news")
         assert browser.count(".panel .zone") == 0
+        assert browser.text(".tip") == ""
         shown.publish(replace(SITE, version=3))
         browser.wait(lambda: browser.count(".panel .zone") > 0, "the camera again")
 

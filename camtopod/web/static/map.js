@@ -138,7 +138,7 @@ export class NetworkMap {
           element.remove();
           held.delete(key);
         }
-    if (this.#pointed && !this.nodes.has(this.#pointed.id) && !this.edges.has(this.#pointed.key)) this.#pointed = null;
+    if (this.#pointed && !this.nodes.has(this.#pointed.id) && !this.edges.has(this.#pointed.key)) this.#point(null);
     findSides(this);
     this.sight.use(this.nodes, this.edges);
     this.#circle = findNear([...this.nodes.values()], UNIT);
