@@ -134,6 +134,17 @@ def test_predictions_are_those_in_order_of_time(
                 assert chances(answer) == pytest.approx(chances(expected), rel=1e-6)
 
 
+@pytest.mark.parametrize("order", [shuffled, with_late_entries, swapped])
+def test_a_state_after_late_events_has_plain_numbers(
+    order: Callable[[np.random.Generator, list[Event]], list[Event]],
+) -> None:
+    """Others than plain ones cannot be stored in a snapshot of the learner."""
+    for seed in range(20):
+        _, _, late = heard(seed, any_topology, order)
+        passages = [passage for _, _, passage in late.save().under_way]
+        assert {type(passage.sure) for passage in passages} <= {float}
+
+
 @settings(max_examples=30)
 @given(st.integers(0, 10**6))
 def test_a_passage_whose_exit_is_heard_first_is_over(seed: int) -> None:
