@@ -47,7 +47,7 @@ def rename(state: LearnerState, old: str, new: str) -> LearnerState:
         ],
         reported={renamed(subject, old, new): t for subject, t in state.alarms.reported.items()},
         joined={renamed(link, old, new) for link in state.alarms.joined},
-        silent={name(camera) for camera in state.alarms.silent},
+        silent=keys(state.alarms.silent),
         clock=keys(state.alarms.clock),
         repeats=keys(state.alarms.repeats),
     )

@@ -48,6 +48,7 @@ def rewind(state: LearnerState, to: float) -> LearnerState:
         state.alarms,
         newest=[alarm for alarm in state.alarms.newest if alarm.t <= to],
         reported={subject: min(t, to) for subject, t in state.alarms.reported.items()},
+        silent={name: min(t, to) for name, t in state.alarms.silent.items()},
         repeats={name: repeat for name, repeat in state.alarms.repeats.items() if repeat[0] <= to},
     )
     predictions = [prediction for prediction in state.scorer.waiting if prediction.t <= to]

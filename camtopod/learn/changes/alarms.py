@@ -52,8 +52,8 @@ class AlarmState(Struct):
     """
     joined: set[str] = set()
     """Links that were published and not reported as closed."""
-    silent: set[str] = set()
-    """Cameras reported as silent and not yet back."""
+    silent: dict[str, float] = {}
+    """Camera reported as silent and not yet back -> time of its newest event then, seconds."""
     clock: dict[str, tuple[float, float]] = {}
     """Camera -> clock offset from which changes are measured, and its standard deviation, seconds.
     """
@@ -74,8 +74,7 @@ class AlarmLog:
         state = self.state
         state.newest = [alarm for alarm in state.newest if not mentions(alarm.subject, names)]
         state.joined = {link for link in state.joined if not mentions(link, names)}
-        state.silent -= names
-        for table in (state.reported, state.clock, state.repeats):
+        for table in (state.reported, state.silent, state.clock, state.repeats):
             for subject in [subject for subject in table if mentions(subject, names)]:
                 del table[subject]
 
@@ -183,14 +182,20 @@ class AlarmLog:
     def cameras(
         self, silences: list[CameraSilences], cameras: list[str], begin: float
     ) -> Iterator[News]:
-        """Yield cameras that fell silent after ``begin`` (seconds) or report again."""
+        """Yield cameras that fell silent after ``begin`` (seconds) or report again.
+
+        A silence is also over for the test when few of the camera's events are left in the window;
+        to be back, it needs a new one.
+        """
         silent = self.state.silent
-        for name, (intervals, lasts) in zip(cameras, silences, strict=True):
+        for name, (intervals, lasts, newest) in zip(cameras, silences, strict=True):
             if lasts and name not in silent and intervals[-1][0] >= begin:
-                silent.add(name)
+                silent[name] = newest
                 yield "camera_silent", name, f"nothing since {utc_text(intervals[-1][0])}"
-            elif name in silent and not (intervals and intervals[-1][1] == np.inf):
-                silent.discard(name)
+            elif newest > silent.get(name, np.inf) and not (
+                intervals and intervals[-1][1] == np.inf
+            ):
+                del silent[name]
                 yield "camera_back", name, "events again"
 
     def repeats(

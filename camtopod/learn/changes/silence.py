@@ -32,6 +32,8 @@ class CameraSilences(NamedTuple):
     """True if the last silence lasts and is much longer than the camera's earlier gaps
     (`LONGER_THAN_BEFORE`).
     """
+    newest: float = -math.inf
+    """Time of its newest event in the window, seconds; -infinity if there is none."""
 
 
 def find_silences(t: Floats, camera: NDArray[np.int64], cameras: int) -> list[CameraSilences]:
@@ -78,4 +80,4 @@ def _silences(t: Floats, rows: NDArray[np.intp]) -> CameraSilences:
     ends = np.append(t[rows[1:]], np.inf)
     intervals = [(float(t[rows[k]]), float(ends[k])) for k in np.flatnonzero(silent)]
     lasts = bool(silent[-1]) and bool(gaps[-1] > LONGER_THAN_BEFORE * gaps[:-1].max(initial=0))
-    return CameraSilences(intervals, lasts)
+    return CameraSilences(intervals, lasts, float(t[rows[-1]]))

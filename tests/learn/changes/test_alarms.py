@@ -85,8 +85,8 @@ def poisson(rate: float, begin: float, end: float, seed: int) -> NDArray[np.floa
 def test_a_camera_that_stops_is_silent() -> None:
     busy, lost = poisson(0.1, 0, 40_000, 1), poisson(0.05, 0, 30_000, 2)
     first, second = heard(busy, lost)
-    assert first == CameraSilences([], False)
-    assert second == CameraSilences([(lost[-1], np.inf)], True)
+    assert first[:2] == ([], False)
+    assert second == CameraSilences([(lost[-1], np.inf)], True, lost[-1])
     assert silent_odds([first, second], 0.0, 40_000.0) == pytest.approx([0.0, 1 / 3], rel=0.01)
 
 
@@ -97,7 +97,8 @@ def test_nobody_is_silent_by_chance_or_at_night() -> None:
             [poisson(r, 40_000 * k, 40_000 * (k + 1), 9 * seed + k) for k, r in enumerate(rates)]
         )
         quiet = poisson(0.002, 0, 160_000, seed)
-        assert heard(day, day + 0.1, day + 0.2, quiet) == 4 * [CameraSilences([], False)]
+        silences = heard(day, day + 0.1, day + 0.2, quiet)
+        assert [silence[:2] for silence in silences] == 4 * [([], False)]
 
 
 def test_a_camera_that_stops_while_an_installation_starts_is_not_said_to_be_silent() -> None:
@@ -111,7 +112,8 @@ def test_a_camera_that_stops_while_an_installation_starts_is_not_said_to_be_sile
 
 def test_a_camera_is_said_to_be_silent_and_to_be_back_once() -> None:
     log = AlarmLog(AlarmState())
-    gone, back = CameraSilences([(5.0, np.inf)], True), CameraSilences([(5.0, 90.0)], False)
+    gone = CameraSilences([(5.0, np.inf)], True, 5.0)
+    back = CameraSilences([(5.0, 90.0)], False, 95.0)
     for version, silence in enumerate([CameraSilences([], False), gone, gone, back, back], start=1):
         log.add(
             version,
@@ -120,6 +122,19 @@ def test_a_camera_is_said_to_be_silent_and_to_be_back_once() -> None:
         )
     assert said(log) == [(2, "camera_silent", "b"), (4, "camera_back", "b")]
     assert log.state.newest[0].detail == "nothing since 1970-01-01T00:00:05Z", "as in the log"
+
+
+def test_a_silent_camera_is_not_back_as_its_events_leave_the_window() -> None:
+    """Few events prove no silence, however long it is; a new one ends it."""
+    steady = poisson(0.1, 0.0, 50_000.0, 3)
+    gone = poisson(0.1, 0.0, 10_000.0, 4)
+    log = AlarmLog(AlarmState())
+    for version, left in enumerate([len(gone), 50, 5, 1, 0], start=1):
+        silences = heard(steady[version * 500 :], gone[len(gone) - left :])
+        log.add(version, 50_000.0, log.cameras(silences, ["a", "b"], 0.0))
+    assert said(log) == [(1, "camera_silent", "b")]
+    log.add(6, 50_000.0, log.cameras(heard(steady, steady[-1:]), ["a", "b"], 0.0))
+    assert said(log)[1:] == [(6, "camera_back", "b")]
 
 
 def test_a_clock_is_told_when_it_moves_and_not_when_it_becomes_known() -> None:
