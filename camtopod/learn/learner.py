@@ -229,9 +229,9 @@ class Learner:
     def begin_epoch(self, epoch: str) -> None:
         """Begin an epoch: the learned state stays, versions count from 1 again."""
         self.state.epoch = epoch
-        self.state.topology = None
-        self.state.fitted_us = None
+        self.state.topology = self.state.fitted_us = None
         self.state.alarms.newest = []
+        self._scorer = Scorer(self.state.scorer, None)
 
     def next_deadline(self) -> float | None:
         """Return the event time (seconds) at which the oldest held event is learned, if any."""

@@ -250,3 +250,15 @@ def test_a_new_epoch_keeps_what_is_known() -> None:
     assert after is not None
     assert (after.epoch, after.version) == ("f", 1)
     assert len(after.links) > 0.8 * len(before.links)  # one that knew nothing would have none
+
+
+def test_restored_in_a_new_epoch_before_its_first_version_the_versions_are_the_same() -> None:
+    """No prediction is made with a version of another epoch, as a snapshot does not have it."""
+    tail = events_of("usual")[int(LATE * len(events_of("usual"))) :]
+    versions = []
+    for points in ((), (0,)):
+        learner = restored(late("usual"))
+        learner.begin_epoch("f")
+        versions.append(learned(learner, tail, points))
+    unbroken, broken = versions
+    assert broken == unbroken
