@@ -361,13 +361,16 @@ def _least_squares(
     cameras = len(wrong)
     offset = np.where(wrong, offset, 0.0)
     free = np.flatnonzero(wrong)
+    number = np.cumsum(wrong) - 1
+    is_free = wrong[a] & wrong[b]
+    cell = number[a[is_free]] * len(free) + number[b[is_free]]
     for _ in range(ROUNDS):
         disagreement = (ahead - (offset[b] - offset[a])) / sd
         weight = 1.0 / sd**2 / (1.0 + (disagreement / OUTLIER_SD) ** 2)
         precision = np.bincount(a, weight, cameras) + np.bincount(b, weight, cameras)
         towards = np.bincount(b, weight * ahead, cameras) - np.bincount(a, weight * ahead, cameras)
-        between = np.bincount(a * cameras + b, weight, cameras**2).reshape(cameras, cameras)
-        normal = (np.diag(precision) - between - between.T)[np.ix_(free, free)]
+        between = np.bincount(cell, weight[is_free], len(free) ** 2).reshape(len(free), len(free))
+        normal = np.diag(precision[free]) - between - between.T
         inverse = np.linalg.pinv(normal, hermitian=True)
         before = offset[free]
         offset[free] = inverse @ towards[free]

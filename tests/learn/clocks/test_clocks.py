@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import tracemalloc
+
 import numpy as np
 import pytest
 
@@ -275,6 +277,21 @@ def test_an_outlier_changes_nothing() -> None:
         assert solve_offsets(differences, np.ones(5, int), right_clocks(5)).offset == pytest.approx(
             ahead, abs=0.3
         )
+
+
+def test_cameras_without_a_difference_take_hardly_any_memory() -> None:
+    cameras = 2_000
+    differences = differences_of([0.0, 0.0, 12.0, 0.0, -3.0], ALL_PAIRS)
+    few = solve_offsets(differences, np.ones(5, int), right_clocks(5))
+    tracemalloc.start()
+    try:
+        many = solve_offsets(differences, np.ones(cameras, int), right_clocks(cameras))
+        peak = tracemalloc.get_traced_memory()[1]
+    finally:
+        tracemalloc.stop()
+    assert many.offset[:5] == pytest.approx(few.offset, abs=0.01)
+    assert not many.offset[5:].any()
+    assert peak < cameras**2, "a table of all pairs of cameras has eight bytes for each"
 
 
 def test_of_two_clocks_the_busier_is_right_unless_it_was_wrong_before() -> None:
