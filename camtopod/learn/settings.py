@@ -47,7 +47,7 @@ class LearnSettings(Struct, frozen=True, forbid_unknown_fields=True):
     is ahead by up to this much does not make other cameras' events late; the watermark waits for
     one that is behind by up to this much.
     """
-    version_seconds: Annotated[float, Meta(gt=0)] = 60.0
+    version_seconds: Annotated[float, Meta(ge=0.01)] = 60.0
     """Length of a tick in seconds of event time. After each tick with new events the learner checks
     whether a new version is due.
     """

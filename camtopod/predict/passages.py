@@ -19,7 +19,7 @@ from camtopod.predict.recent_events import RECENT_MAX
 OPEN_MAX = RECENT_MAX
 """Largest number of open passages, and of ended passages, that are remembered."""
 OPEN_SECONDS_MAX = 600.0
-"""Seconds after which a passage without an exit is forgotten, if its camera's longest dwell time is
+"""Seconds for which a passage without an exit counts as open, if its camera's longest dwell time is
 not known.
 """
 
@@ -145,7 +145,8 @@ class RecentPassages:
         Passages that end at this moment are included and those that begin are not, so the order of
         simultaneous events does not matter.
         """
-        still_open = self.open.of(camera).items()
+        first = t - self.longest(camera)
+        still_open = [item for item in self.open.of(camera).items() if item[1].t >= first]
         last, ended_passages = self._last_exits.get(camera, (None, []))
         just_ended = ended_passages if last == by_clock else []
         return [item for item in [*still_open, *just_ended] if item[1].t < t]
@@ -154,6 +155,8 @@ class RecentPassages:
         """Forget the oldest open passages as long as they last too long or are too many.
 
         now (seconds): corrected time.
+
+        They are remembered for twice as long as they count as open: arrivals are asked about later.
         """
         while self.open:
             (camera, track), oldest = next(iter(self.open.passages()))

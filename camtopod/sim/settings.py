@@ -19,7 +19,7 @@ class SimSettings(Struct, frozen=True, forbid_unknown_fields=True):
     cameras: Annotated[int, Meta(ge=1)] = 12
     hours: Positive = 1.5
     seed: Count = 0
-    start: Annotated[float, Meta(ge=0, le=1e11)] = 1_700_000_000.0
+    start: Annotated[float, Meta(ge=0, le=3e10)] = 1_700_000_000.0
     """Event time at which the recording begins."""
     objects_per_second: Positive | None = None
     """Walkers that enter the network per second; by default 0.4 for 12 cameras, and in

@@ -125,6 +125,10 @@ def test_every_mistake_at_once_with_its_line() -> None:
         ("site = 5\n", [(1, "site: expected a table [site]")]),
         ("[shards]\ndistricts = 4\n", [(1, "shards: no longer needed: delete it")]),
         (
+            "[learn]\nversion_seconds = 1e-6\n",
+            [(2, "learn.version_seconds: expected a number >= 0.01")],
+        ),
+        (
             "[learn]\ntransit_max_seconds = 300\n",
             [
                 (
