@@ -37,8 +37,7 @@ class Predictor:
         ('hall/1', 8)
         >>> predictor.observe(left)
 
-    Ask for an exit before it is observed: otherwise the observed exit competes with the one that is
-    asked for. This does not hold if `predict` is given the time of the question.
+    An exit may be asked for before it is observed, or afterwards.
     """
 
     def __init__(self, topology: Topology, prepared: PreparedVersion | None = None) -> None:

@@ -187,10 +187,15 @@ def test_a_topology_that_has_only_what_the_contract_asks() -> None:
 OVERLAP = a_topology([link("a/1", "d/1", 0.4, -3.0), link("a/1", "b/1", 0.3, 8.0)])
 
 
-def after(events: list[Event], topology: Topology = OVERLAP) -> Prediction:
+def predictor_after(events: list[Event], topology: Topology = OVERLAP) -> Predictor:
     predictor = Predictor(topology)
     for event in events:
         predictor.observe(event)
+    return predictor
+
+
+def after(events: list[Event], topology: Topology = OVERLAP) -> Prediction:
+    predictor = predictor_after(events, topology)
     prediction = predictor.predict(EXIT)
     sound(prediction)
     return prediction
@@ -198,6 +203,14 @@ def after(events: list[Event], topology: Topology = OVERLAP) -> Prediction:
 
 ENTERED = Event("a", "entry", 990.0, 0.5, 0.1, "17")
 THERE = Event("d", "entry", 997.0, 0.5, 0.5, "3")
+
+
+@pytest.mark.parametrize("exit_", [EXIT, replace(EXIT, track=None)])
+def test_an_exit_that_was_observed_does_not_compete_with_itself(exit_: Event) -> None:
+    events = [Event("d", "entry", 950.0, 0.5, 0.5), ENTERED, THERE]
+    before = chances(predictor_after(events).predict(exit_))
+    afterwards = chances(predictor_after([*events, exit_]).predict(exit_))
+    assert afterwards == pytest.approx(before, rel=1e-2)  # another event that others lack
 
 
 def test_who_has_been_seen_in_the_overlapping_view_is_there() -> None:
