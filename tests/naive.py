@@ -917,7 +917,9 @@ def predicted(topology, seen, asked, zone_of, constants, now=None):
     mass = odds_by(asked.t)
     steps = []
     block = None if asked.x is None else int(asked.y * 6) * 6 + int(asked.x * 6)
-    entry, before = (None, {}) if p is None else (zones[zone_of(seen[p])].id, causes(p, p))
+    entry, before = (
+        (None, {}) if p is None else (zones[zone_of(seen[p])].id, causes(p, len(seen), own))
+    )
     previous = max(before, key=before.get, default=None)
     sure = (
         before[previous] / (outside[zone_of(seen[p])] + sum(before.values())) if previous else 0.0

@@ -81,6 +81,10 @@ class Seen(NamedTuple):
     """Time, in seconds after the exit, since which all arrivals are remembered."""
     is_alive: Floats
     """(cameras,) probability that each camera still reports."""
+    previous: str | None
+    """Name of the camera where the object most probably was before; None if unknown."""
+    sure: float
+    """Probability that ``previous`` is right."""
 
     def take(self, rows: Rows) -> Seen:
         """Return the arrivals given by their rows."""
@@ -181,8 +185,8 @@ def outlook(
         outcomes,
         departure.block,
         entry_passage.entry,
-        entry_passage.previous,
-        entry_passage.sure,
+        None if observations is None else observations.previous,
+        0.0 if observations is None else observations.sure,
     )
     before = observations
     if observations is not None and departure.elapsed:

@@ -33,10 +33,6 @@ class Passage(Struct):
     """Name of the camera."""
     entry: int
     """Index of the zone of entry."""
-    previous: str | None = None
-    """Name of the camera where the object most probably was before; None if unknown."""
-    sure: float = 0.0
-    """Probability that ``previous`` is right."""
     label: int = -1
     """Number of the object's label (`camtopod.predict.labels`)."""
 

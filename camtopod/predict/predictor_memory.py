@@ -2,8 +2,7 @@
 
 Only events are stored. What an arrival's causes are, the objects that have left other views and
 those that are still in them, is computed when it is asked for, so that the order in which events
-are heard does not matter, but for guesses where an object was before. `Reporting` has which cameras
-still report.
+are heard does not matter. `Reporting` has which cameras still report.
 """
 
 from __future__ import annotations
@@ -146,10 +145,24 @@ class PredictorMemory:
         is_before = np.arange(len(rows)) < before
         fits = (own_rate > 0.0) | ~is_before
         rows, is_before = rows[fits], is_before[fits]
-        columns = arrivals.zone[rows], arrivals.t[rows], arrivals.label[rows]
-        rates = self._causes(*columns, departure).sum(axis=0)
-        rates += hazards.arrival_rate[columns[0]]
-        return Seen(*columns, rates, is_before, memory_start, self._reporting.is_alive())
+
+        # The causes of these, and of the object's own entry.
+        own_entry = [] if departure.passage is None else [passage]
+        zones = np.append(arrivals.zone[rows], np.array([p.entry for p in own_entry], np.int32))
+        times = np.append(arrivals.t[rows], [p.t for p in own_entry])
+        labels = np.append(arrivals.label[rows], np.array([p.label for p in own_entry], np.int32))
+        causes = self._causes(zones, times, labels, departure)
+        rates = causes.sum(axis=0) + hazards.arrival_rate[zones]
+        previous, sure = None, 0.0
+        if own_entry and causes[:, -1].any():
+            likeliest = int(causes[:, -1].argmax())
+            previous = self._version.cameras[likeliest]
+            sure = float(causes[likeliest, -1] / rates[-1])
+        seen = slice(len(rows))
+        return Seen(
+            *(zones[seen], times[seen], labels[seen], rates[seen], is_before),
+            *(memory_start, self._reporting.is_alive(), previous, sure),
+        )
 
     def _reported(self, zone: int) -> Floats:
         """Return the times (n,) of all arrivals as if by the clock of a zone's camera, seconds."""
@@ -204,13 +217,7 @@ class PredictorMemory:
         if event.track is None:
             return
 
-        arrival = np.array([zone], np.int32), np.array([t]), np.array([label], np.int32)
-        causes = self._causes(*arrival)[:, 0]
-        likeliest = int(causes.argmax())
-        sure = float(causes[likeliest])
-        previous = self._version.cameras[likeliest] if sure else None
-        sure /= float(self._version.hazards.arrival_rate[zone] + causes.sum())
-        passage = Passage(t, event.camera, zone, previous, sure, label)
+        passage = Passage(t, event.camera, zone, label)
         exit_t = self.passages.begin(event.camera, str(event.track), event.t, passage)
         if exit_t is not None:
             self._begin_late(passage, exit_t - self._version.clock_offset[event.camera])
