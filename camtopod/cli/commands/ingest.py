@@ -235,14 +235,16 @@ def _publish(
     backlog = publisher.count_waiting(own=True)
     lost_count = publisher.statistics()["dropped"]
     stored_count = max(0, publisher.published - backlog - lost_count)
-    log.info("%s", _outcome(stored_count, backlog, late, refusals))
+    log.info("%s", _outcome(stored_count, publisher.repeats, backlog, late, refusals))
     is_enough = stored_count - refusals >= ACCEPTED_MIN * stored_count
     return exits.DONE if is_enough else exits.FAILED
 
 
-def _outcome(stored_count: int, backlog: int, late: int, refusals: int) -> str:
+def _outcome(stored_count: int, repeats: int, backlog: int, late: int, refusals: int) -> str:
     """Return in words what became of the events."""
     parts = [f"{stored_count} events stored"]
+    if repeats:
+        parts.append(f"{repeats} had been ingested before")
     if late:
         parts.append(f"{late} of them late (older than the events learned last)")
     if refusals:

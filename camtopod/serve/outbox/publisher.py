@@ -42,8 +42,9 @@ class SpoolPublisher:
         self._unwritable = False
         self._drops = 0
         self.published = 0
-        """Events stored in the spool since the start; those that were in it already do not count.
-        """
+        """Events stored in the spool since the start."""
+        self.repeats = 0
+        """Events since the start that had been stored in it before."""
         self.rejects = Rejects()
         """Answers that could not be read."""
         self._change = threading.Condition()
@@ -82,8 +83,9 @@ class SpoolPublisher:
                 raise delivery.damage
         while self._pending:
             # Store a batch, or keep it in memory.
+            events = self._pending[:TRANSACTION_EVENTS_MAX]
             try:
-                batch = self._spool.append(self._pending[:TRANSACTION_EVENTS_MAX])
+                batch = self._spool.append(events)
             except sqlite3.Error as error:
                 if not self._unwritable:
                     self._unwritable = True
@@ -94,6 +96,7 @@ class SpoolPublisher:
                 log.info("the spool can be written again")
             del self._pending[:TRANSACTION_EVENTS_MAX]
             self.published += len(batch)
+            self.repeats += len(events) - len(batch)
 
             # Have it delivered, and publish it for viewers.
             for camera in {event.camera for event in batch}:
