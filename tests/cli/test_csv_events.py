@@ -251,6 +251,13 @@ def test_dates_with_and_without_a_time_zone_are_not_mixed(
     assert words in capsys.readouterr().err
 
 
+def test_a_cell_that_is_no_date_says_nothing_about_the_time_zone_of_dates() -> None:
+    moments = ("unknown", "2023-11-14T22:13:20Z", "2023-11-14T22:13:21Z")
+    reader, events = read("camera,kind,t\n" + "".join(f"a,exit,{t}\n" for t in moments))
+    assert [event.t for event in events] == [1_700_000_000.0, 1_700_000_001.0]
+    assert reader.rejections.total() == 1
+
+
 def test_two_names_of_one_id_are_refused(capsys: pytest.CaptureFixture[str]) -> None:
     reader, events = read(
         text([["Hall", *ROWS[1][1:]], ["H all", *ROWS[1][1:]], ["h_all", *ROWS[1][1:]]])

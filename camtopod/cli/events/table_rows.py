@@ -91,10 +91,18 @@ class Rows:
         return to_json(values) if values else None
 
     def _seconds(self, text: str) -> object:
-        """Return `seconds`; raise `Rejected` for a date with a time zone among others without."""
+        """Return seconds since 1970, of a number or of ISO 8601, UTC without a zone.
+
+        A text that is neither stays one. Raises `Rejected` for a date with a time zone among others
+        without.
+        """
         value = number(text)
         if isinstance(value, float):
             return value
+        try:
+            value = seconds_of_text(text)
+        except (ValueError, OverflowError):
+            return text
         has_zone = _ZONED.search(text) is not None
         if self._has_zone not in (None, has_zone):
             words = ("no time zone", "those before have one")
@@ -104,7 +112,7 @@ class Rows:
                 "time-zone", f"t has {words[0]}, while {words[1]}: write it at all - at `$.t`"
             )
         self._has_zone = has_zone
-        return seconds(text)
+        return value
 
     def _camera(self, name: str) -> str:
         """Return the id of a camera; raise `Rejected` if another one has it."""
@@ -153,17 +161,6 @@ def number(text: str) -> object:
             return text
         value = float(text.replace(",", "."))
     return value if math.isfinite(value) else text
-
-
-def seconds(text: str) -> object:
-    """Return seconds since 1970, of a number or of ISO 8601, UTC without a zone."""
-    value = number(text)
-    if isinstance(value, float):
-        return value
-    try:
-        return seconds_of_text(text)
-    except (ValueError, OverflowError):
-        return text
 
 
 def name_of(text: str) -> str:
