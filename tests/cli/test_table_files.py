@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import io
+import re
 import sys
+import zipfile
 from collections.abc import Callable
 from datetime import UTC, datetime
 from pathlib import Path
@@ -156,3 +158,27 @@ def test_a_damaged_one_is_said_to_be(name: str) -> None:
     raw = WRITERS[name](COLUMNS)
     with pytest.raises(InputError, match="that cannot be read"):
         read(raw[: len(raw) // 2])
+
+
+@pytest.mark.parametrize(
+    "place",
+    [
+        rb"(PK\x01\x02..)\x14",  # of a version of the zip format to come
+        rb"(PK\x03\x04.{26}xl/workbook\.xml).",  # compressed in no way
+    ],
+)
+def test_a_workbook_in_a_damaged_zip_is_said_to_be(place: bytes) -> None:
+    raw, count = re.subn(place, b"\\1\xff", excel(COLUMNS), flags=re.DOTALL)
+    assert count
+    with pytest.raises(InputError, match="that cannot be read"):
+        read(raw)
+
+
+@pytest.mark.parametrize(("text", "damage"), [(b"<sheets>", b"<sheets<"), (b"sheetId", b"sheetNo")])
+def test_a_workbook_that_is_none_of_excel_is_said_to_be(text: bytes, damage: bytes) -> None:
+    out = io.BytesIO()
+    with zipfile.ZipFile(io.BytesIO(excel(COLUMNS))) as parts, zipfile.ZipFile(out, "w") as copy:
+        for name in parts.namelist():
+            copy.writestr(name, parts.read(name).replace(text, damage))
+    with pytest.raises(InputError, match="that cannot be read"):
+        read(out.getvalue())

@@ -5,6 +5,7 @@ from __future__ import annotations
 import itertools
 import re
 import zipfile
+import zlib
 from collections.abc import Iterator, Sequence
 from io import BufferedReader
 from typing import Any
@@ -22,6 +23,11 @@ _FORMS = {
     rb"FEA1": "a Feather file",
     rb"PK\x03\x04.{26,400}(\[Content_Types\]|_rels/|xl/|docProps/)": "an Excel file",
 }
+_DAMAGES = (
+    *(ValueError, TypeError, OSError, EOFError, LookupError, NotImplementedError),
+    *(zipfile.BadZipFile, zlib.error, SyntaxError),  # the last one is of XML
+)
+"""What the packages raise for a file that is damaged."""
 
 
 def form_of(beginning: bytes) -> str | None:
@@ -53,7 +59,7 @@ def rows(
             f"{path} is {form}, which needs the package {error.name}: pip install "
             "'camtopod[tables]', or save it as CSV"
         ) from None
-    except (ValueError, OSError, KeyError, zipfile.BadZipFile) as error:
+    except _DAMAGES as error:
         raise InputError(f"{path} is {form} that cannot be read: {error}") from None
 
 
