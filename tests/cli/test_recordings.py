@@ -155,6 +155,13 @@ def test_the_same_track_at_the_same_time_is_a_repeat(
     assert reader.status == exits.DONE
 
 
+def test_a_repeat_is_one_whatever_comes_just_before_it(tmp_path: Path) -> None:
+    event = Event("a", "entry", 5.0009, 0.5, 0.5, "7")
+    events = [Event("c", "exit", 5.0), event, replace(event, t=5.001), replace(event, t=5.1)]
+    reader, distinct_events, _ = used(tmp_path, events)
+    assert ([e.t for e in distinct_events], reader.repeats) == ([5.0, 5.0009, 5.1], 1)
+
+
 def test_without_tracks_the_position_tells_and_without_both_nothing(tmp_path: Path) -> None:
     place, none = Event("a", "entry", 5.0, 0.5, 0.5), Event("a", "entry", 5.0)
     assert used(tmp_path, [place, place, replace(place, x=0.6)])[0].repeats == 1

@@ -321,23 +321,21 @@ def right_lines(
 
 def _once(reader: LineReader, lines: Iterator[Line], times: Times) -> Iterator[Line]:
     """Yield lines in order of time, each event once, and sum their times up."""
-    first: Event | None = None  # of this moment
-    keys: set[tuple[object, ...] | None] = set()  # of this moment, if it has several events
+    # Times by what repeats share, for a moment of `SAME_SECONDS` and the one before.
+    times_of: dict[tuple[object, ...] | None, float] = {}
+    earlier_times_of = times_of
     until = -math.inf
     for line in lines:
-        event = line.event
-        t = event.t
+        t = line.event.t
         if t >= until:
-            first, until = event, t + SAME_SECONDS
-            keys.clear()
-        else:
-            keys.add(None if first is None else _key(first))
-            key = _key(event)
-            if key is not None and key in keys:
+            earlier_times_of, times_of, until = times_of, {}, t + SAME_SECONDS
+        key = _key(line.event)
+        if key is not None:
+            if t - times_of.get(key, earlier_times_of.get(key, -math.inf)) < SAME_SECONDS:
                 reader.repeat(line)
                 continue
-            keys.add(key)
-        times.add(event)
+            times_of[key] = t
+        times.add(line.event)
         yield line
 
 
