@@ -79,7 +79,7 @@ def oracle_odds(
             if next_passage is not None and elsewhere and next_passage.begin < recording.cut
             else LEAVE
         )
-        for place in (zones.get(track, ""), f"{passage.camera}/"):
+        for place in {zones.get(track) or f"{passage.camera}/", f"{passage.camera}/"}:
             counts[place][outcome] += 1
         if outcome != LEAVE:
             lags[passage.camera, outcome].append(passage.lag)

@@ -339,14 +339,15 @@ def look_figures(predictions: Sequence[Prediction], recording: Recording) -> tup
         right = cameras_in_view[str(prediction.track)]
         if not right:
             continue
+        zone = prediction.zone or f"{prediction.camera}/"
         if prediction.t < recording.cut:
             for camera in sorted(right):
-                of_zone[prediction.zone or ""][camera] += 1
+                of_zone[zone][camera] += 1
                 of_zone[f"{prediction.camera}/"][camera] += 1
             continue
         looks = prediction.next if prediction.look is None else prediction.look
         shares = sum_by_camera(way for way in looks if way.camera != prediction.camera)
-        frequent = of_zone.get(prediction.zone or "") or of_zone[f"{prediction.camera}/"]
+        frequent = of_zone.get(zone) or of_zone[f"{prediction.camera}/"]
         hits.append(bool(shares) and max(shares, key=lambda camera: shares[camera]) in right)
         oracle_hits.append(bool(frequent) and frequent.most_common(1)[0][0] in right)
     if not hits:
