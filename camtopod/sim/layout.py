@@ -212,7 +212,9 @@ def _streets(camera: Longs, cameras: int, rng: np.random.Generator) -> NDArray[n
     for c in rng.permutation(cameras):
         if street.sum() >= 2:
             break
-        street[rng.choice(np.flatnonzero((camera == c) & ~street))] = True
+        inner_zones = np.flatnonzero((camera == c) & ~street)
+        if len(inner_zones) > 1:
+            street[rng.choice(inner_zones)] = True
     return street
 
 

@@ -129,6 +129,16 @@ def test_zones_can_be_told_apart_and_all_cameras_hang_together(cameras: int, see
     assert reached == set(range(cameras))
 
 
+def test_two_zones_lead_outside_and_never_all_of_a_camera() -> None:
+    for cameras, seed in ((2, 34), (3, 34), (4, 37), (4, 40), (5, 0)):
+        layout = make_layout(cameras, np.random.default_rng(seed), 0.25)
+        is_street = layout.arrivals > 2 * layout.arrivals.min()
+        street_cameras = layout.camera[is_street]
+        zones, streets = np.bincount(layout.camera), np.bincount(street_cameras, minlength=cameras)
+        assert len(street_cameras) >= 2
+        assert (streets < zones).all()
+
+
 @pytest.mark.parametrize("closed", [True, False])
 def test_nobody_passes_a_closed_door(closed: bool) -> None:
     doors = {"doors_closed": 2} if closed else {"doors_opened": 2}
