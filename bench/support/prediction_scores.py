@@ -27,7 +27,7 @@ class PredictionScore(Struct, frozen=True):
     followed: int
     """Number of them whose object was recorded again."""
     top1: float
-    """Share of the followed exits whose next camera had the highest probability."""
+    """Share of the followed exits whose next camera had the highest probability; nan if none."""
     top3: float
     """Share of the followed exits whose next camera was among the three likeliest."""
     log_loss: float
@@ -138,8 +138,8 @@ def score_predictions(
     return PredictionScore(
         exits=scored,
         followed=followed,
-        top1=top1 / followed if followed else 1.0,
-        top3=top3 / followed if followed else 1.0,
+        top1=top1 / followed if followed else math.nan,
+        top3=top3 / followed if followed else math.nan,
         log_loss=loss / scored if scored else math.nan,
         calibration_error=calibration_error(probabilities, hits),
         first_calibration_error=_calibration_error(object_guesses),

@@ -82,6 +82,15 @@ def test_windows_are_those_of_the_zone_and_leaving_is_an_outcome() -> None:
     assert result.calibration_error == pytest.approx(0.25)
 
 
+def test_without_anybody_to_follow_no_guess_is_right() -> None:
+    prediction = Prediction("b", "b/1", 20.0, None, 1, 0.75, [TO_A])
+    truth = replace(TOLD, identity=[7] * 2, passage=[1] * 2, zone=[-1] * 2)
+    result = score_predictions([prediction], WALK[2:], truth)
+    assert (result.exits, result.followed) == (1, 0)
+    assert math.isnan(result.top1)
+    assert math.isnan(result.top3)
+
+
 def test_the_calibration_of_the_first_guess_is_not_diluted_by_the_others() -> None:
     """Both first guesses have probability 0.6, a camera's zones together, and one comes true."""
     b = [NextCamera("b", f"b/{k}", 0.3, 1.0, 2.0, 3.0) for k in (1, 2)]
