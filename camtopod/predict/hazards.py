@@ -92,7 +92,7 @@ class Hazards:
         """Pairs (n + 1,) of target and camera, as target * cameras + camera, sorted, with -1 as the
         last; and their values of `rates_before_exit` (n + 1,).
         """
-        self._cameras_before: dict[int, list[str]] = {}
+        self._cameras_before: dict[int, list[int]] = {}
         """By target that was asked for: `cameras_before`."""
         self._seen_before: dict[int, Bools] = {}
         """By zone that was asked for: `seen_before`."""
@@ -158,8 +158,7 @@ class Hazards:
         sources, targets (n,), lag (n, seconds): zones, and the time since the object has left; or
             other shapes that broadcast to that of ``lag``.
         """
-        sources, targets = np.broadcast_arrays(sources, targets)
-        index, row = self._rows_of(sources.reshape(-1), targets.reshape(-1))
+        index, row = self._rows_of(sources, targets)
         rates = np.bincount(index, self._at(row, lag.reshape(-1).take(index)), minlength=lag.size)
         return rates.astype(float, copy=False).reshape(lag.shape)
 
@@ -178,11 +177,13 @@ class Hazards:
 
         It is the entry kernel of the two zones at ``elapsed``.
         """
+        if not len(self._entry):
+            return np.zeros(elapsed.shape)
         key = np.multiply(entries, self._zones, dtype=np.int64) + targets
         row = self._entry_pairs[:-1].searchsorted(key)
         row = np.where(self._entry_pairs.take(row) == key, row, -1)
-        at = np.where(elapsed >= 0.0, self.bins.index(elapsed), -1)
-        rates: Floats = self._entry_kernels[row, at]
+        at = self._limits.searchsorted(elapsed, "right") - 1  # -1, and beyond the last bin, is 0
+        rates: Floats = self._entry_kernels[row, np.where(elapsed >= 0.0, at, -1)]
         return rates
 
     def rates_before_exit(self, cameras: Indices, targets: Indices) -> Floats:
@@ -198,16 +199,22 @@ class Hazards:
         rates: Floats = np.where(pairs.take(at) == key, rate.take(at), 0.0)
         return rates
 
-    def cameras_before(self, target: int) -> list[str]:
-        """Return the cameras whose objects may appear at a zone of another before they leave."""
-        if target not in self._cameras_before:
-            of_entries = self.camera_of[self._entry[self._entry_to == target]].tolist()
-            first = target * len(self.cameras)
-            pairs = self._before[0][:-1]
-            rows = slice(*pairs.searchsorted([first, first + len(self.cameras)]).tolist())
-            numbers_of = dict.fromkeys([*of_entries, *(pairs[rows] - first).tolist()])
-            self._cameras_before[target] = [self.cameras[k] for k in numbers_of]
-        return self._cameras_before[target]
+    def cameras_before(self, targets: Ints) -> list[int]:
+        """Return the cameras (numbers) whose objects may appear at any of some zones of others
+        before they leave.
+        """
+        cameras: dict[int, None] = {}
+        for target in dict.fromkeys(targets.tolist()):
+            if target not in self._cameras_before:
+                of_entries = self.camera_of[self._entry[self._entry_to == target]]
+                pairs, first = self._before[0][:-1], target * len(self.cameras)
+                rows = slice(*pairs.searchsorted([first, first + len(self.cameras)]).tolist())
+                self._cameras_before[target] = [
+                    *of_entries.tolist(),
+                    *(pairs[rows] - first).tolist(),
+                ]
+            cameras |= dict.fromkeys(self._cameras_before[target])
+        return [*cameras]
 
     def seen_before(self, zone: int) -> Bools:
         """Return a mask (zones,) of zones where objects may appear before they leave at ``zone``.
@@ -260,8 +267,11 @@ class Hazards:
         self._limits = np.array(self.bins.limits)
 
     def _rows_of(self, sources: Indices | int, targets: Indices | int) -> tuple[Rows, Rows]:
-        """Return which of n pairs of zones the rows of the table are of, and these rows, (m,)."""
-        key = np.multiply(sources, self._zones, dtype=np.int64) + targets
+        """Return which of n pairs of zones the rows of the table are of, and these rows, (m,).
+
+        sources, targets: of any shapes that broadcast; pairs are counted along the result.
+        """
+        key = (np.multiply(sources, self._zones, dtype=np.int64) + targets).reshape(-1)
         pair = self._pairs.searchsorted(key)
         [hits] = (self._pairs.take(pair) == key).nonzero()
         pair = pair.take(hits)

@@ -139,12 +139,13 @@ class PredictorMemory:
 
         # That the object may have caused; after the exit, this depends on its pace.
         hazards, passage = self._version.hazards, departure.passage or UNKNOWN
-        zones, times = arrivals.zone[rows], arrivals.t[rows]
-        own_rate = hazards.rates_from(zone, zones, times - t)
-        own_rate += hazards.rates_entered(passage.entry, zones, times - passage.t)
         is_before = np.arange(len(rows)) < before
-        fits = (own_rate > 0.0) | ~is_before
-        rows, is_before = rows[fits], is_before[fits]
+        if before:
+            zones, times = arrivals.zone[rows], arrivals.t[rows]
+            own_rate = hazards.rates_from(zone, zones, times - t)
+            own_rate += hazards.rates_entered(passage.entry, zones, times - passage.t)
+            fits = (own_rate > 0.0) | ~is_before
+            rows, is_before = rows[fits], is_before[fits]
 
         # The causes of these, and of the object's own entry.
         own_entry = [] if departure.passage is None else [passage]
@@ -271,8 +272,9 @@ class PredictorMemory:
         is_cause = hazards.is_source(zone).take(exits.zone)
         if without is not None:
             is_own = (exits.t == without.t) & (exits.zone == without.zone)
-            own = np.flatnonzero(is_own & (exits.entry_t == without.began))[:1]
-            is_cause[own] = False
+            is_own &= exits.entry_t == without.began
+            is_own[np.flatnonzero(is_own)[1:]] = False
+            is_cause &= ~is_own
         [row] = is_cause.nonzero()
         source = exits.zone[row]
         rates = hazards.rates_from(source[:, None], zone, t - exits.t[row, None])
@@ -280,26 +282,32 @@ class PredictorMemory:
         rates *= exits.entry_t[row, None] <= t
         np.add.at(causes, version.camera_of[source], rates)
 
-        # What follows from the entries of those that left after the arrival.
-        left_later = (exits.t > first_t) & (exits.entry >= 0)
+        # What follows from the entries of those that left after the arrival. Before they leave,
+        # objects of some other cameras may appear.
+        cameras = hazards.cameras_before(zone)
+        if not cameras:
+            return causes
+        later = slice(int(exits.t.searchsorted(first_t, "right")), None)
+        source, entry = exits.zone[later], exits.entry[later]
+        is_before = np.zeros(len(version.cameras), np.bool_)
+        is_before[cameras] = True
+        counts = (entry >= 0) & is_before[version.camera_of[source]]
         if without is not None:
-            left_later[own] = False
-        [row] = left_later.nonzero()
-        source, entry, since = exits.zone[row], exits.entry[row], t - exits.entry_t[row, None]
-        rates = hazards.rates_entered(entry[:, None], zone, since)
+            counts &= ~is_own[later]
+        [row] = counts.nonzero()
+        source, entry = source[row], entry[row]
+        row += later.start
+        rates = hazards.rates_entered(entry[:, None], zone, t - exits.entry_t[row, None])
         rates *= labels.agreement(exits.label[row, None], label, zone)
         rates *= t + offsets[zone] < (exits.t[row] + offsets[source])[:, None]
         np.add.at(causes, version.camera_of[source], rates)
 
-        # Objects in other views that may appear there before they leave.
+        # The same for those that are still in view.
         own_passage = None if without is None else without.passage
-        cameras = dict.fromkeys(
-            camera for target in zone.tolist() for camera in hazards.cameras_before(target)
-        )
         open_passages = [
             passage
             for camera in cameras
-            for passage in self.passages.open.of(camera).values()
+            for passage in self.passages.open.of(version.cameras[camera]).values()
             if passage is not own_passage
         ]
         if open_passages:

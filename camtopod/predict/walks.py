@@ -263,8 +263,10 @@ class Walks:
         # Passages under way in other views.
         steps_in_view = [
             source_step
-            for camera in self._hazards.cameras_before(zone)
-            for source_step in list(self._memory.open.of(camera).values())[-CANDIDATES_MAX:]
+            for camera in self._hazards.cameras_before(np.array([zone]))
+            for source_step in list(self._memory.open.of(self._hazards.cameras[camera]).values())[
+                -CANDIDATES_MAX:
+            ]
         ]
         weights_in_view = self._rates_in_view(steps_in_view, step)
         edges += [
