@@ -3,9 +3,9 @@
 The *hazard* of a pair of zones is the rate at which an object that left the first appears at the
 second, by lag. `Hazards` reads hazards from the model of a version, or from its links if it has no
 model. It answers two kinds of questions: the possible next zones of an exit (`Hazards.outcomes`),
-and the rates at which known objects cause an arrival: objects that have left a zone
-(`rates_by_row`, `rates_from`) and objects that are still in an overlapping view (`rate_entered`, by
-the time since their entry, and `rate_before_exit`, the mean over the passage).
+and the rates at which objects cause an arrival, those that have left a zone (`rates_by_row`,
+`rates_from`) and those that are still in an overlapping view (`rates_entered`, by the time since
+their entry, and `rates_before_exit`, the mean over the passage).
 
 All outcomes are rows of one table (`outcomes.Table`). The rows of a zone are prepared with the
 first exit from it, as a version may be replaced before most zones have one.
@@ -85,6 +85,7 @@ class Hazards:
         self._entry, self._entry_to = entry[order], to[order]
         """(kernels,) zones of entry, and targets, sorted by both."""
         self._entry_pairs = np.append(self._entry.astype(np.int64) * zones + self._entry_to, -1)
+        """(kernels + 1,) entry * zones + target, sorted, with -1 as the last."""
         self._entry_kernels = np.zeros((len(order) + 1, self.bins.size + 1))
         """(kernels + 1, bins + 1) hazards by lag bin, 1/s; those of no kernel, or bin, are 0."""
         self._entry_kernels[:-1, :-1] = kernels[order]
@@ -292,7 +293,7 @@ class Hazards:
         return rates
 
     def _rates_before_exit(self, topology: Topology) -> tuple[Rows, Floats]:
-        """Return the pairs and values of `rates_before_exit` above 0, with a sentinel.
+        """Return the pairs and values of `rates_before_exit` above 0, and one that is no pair.
 
         Each is the expected number of appearances before the exit over the median dwell time,
         averaged over the zones of the camera by their exits.

@@ -74,7 +74,7 @@ def shown(prediction: Prediction) -> dict[str, Any]:
 def shown_match(match: Match) -> dict[str, Any]:
     """Return the match in the form for the page, without tracks.
 
-    ``passage``: tells entries of one picture apart; it says nothing of the track.
+    ``passage``: differs between entries of one picture; it says nothing of the track.
     """
     return {
         **{name: getattr(match, name) for name in ("camera", "t", "walk", "new")},
