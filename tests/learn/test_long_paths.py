@@ -14,6 +14,7 @@ from camtopod.codec import decode_topology, to_json
 from camtopod.learn.association import Problem, exposures, find_candidates
 from camtopod.learn.long_paths import find_long_paths, long_ranges
 from camtopod.learn.traffic.events import Arrivals, Departures
+from camtopod.predict.outlook import Departure
 from camtopod.predict.predictor import Predictor
 from camtopod.records import Event, Link, Topology
 from camtopod.topology import LagBins
@@ -102,8 +103,9 @@ def test_who_arrives_in_time_is_probably_the_one_who_left(far_and_near: Topology
     predictor.observe(Event("a", "exit", exit_at))
     predictor.observe(Event("b", "entry", exit_at + 300.0, track="x"))
     [passage] = predictor._memory.passages.open.of("b").values()
-    assert passage.previous == "a"
-    assert passage.sure > 0.3, "as many come from elsewhere"
+    seen = predictor._memory.seen(Departure(passage.entry, exit_at + 310.0, passage))
+    assert seen.previous == "a"
+    assert seen.sure > 0.3, "as many come from elsewhere"
 
     gate = Gate(far_and_near)
     entries = [Event("b", "entry", exit_at + lag) for lag in (1.0, 150.0, 300.0, 450.0)]

@@ -90,7 +90,7 @@ def fresh(camera: str, number: int, kind: str = "entry") -> Event:
 def refusal(bus: Bus, key: str, parameters: dict[str, object]) -> str:
     """Return in which words a query is refused; "" if the answer does not come in time."""
     try:
-        assert bus.query(key, parameters) == []
+        assert bus.query(key, parameters, seconds=WAIT_SECONDS) == []
     except QueryError as error:
         return str(error)
     return ""
