@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import errno
+import threading
 from collections import Counter
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -242,6 +243,29 @@ def test_every_event_reaches_the_daemon_and_the_status_tells(
         assert (said[-1]["status_seconds"], daemon.status().status_seconds) == (1.0, 0.1)
         assert main(arguments) == 0
         assert daemon.status().events.stored == 2 * len(EVENTS), "the spool's count goes on"
+        client.close()
+
+
+def test_the_last_status_of_a_film_that_is_stored_at_once_is_published(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The thread that connects may not have gone on yet."""
+    over = threading.Event()
+    really_attach = SpoolPublisher.attach
+
+    def attach(publisher: SpoolPublisher, *given: Any) -> None:
+        really_attach(publisher, *given)
+        over.wait(serving.WAIT_SECONDS)
+
+    monkeypatch.setattr(SpoolPublisher, "attach", attach)
+    with Daemon(small_config(tmp_path / "daemon")) as daemon:
+        client = buses.dial(small_config(tmp_path, daemon.endpoint))
+        said: list[dict[str, Any]] = []
+        client.subscribe("status/lobby", lambda key, raw: said.append(msgspec.msgpack.decode(raw)))
+        assert client.query("status/daemon", seconds=serving.WAIT_SECONDS, one=True)
+        assert main(grab_to(daemon.endpoint, tmp_path)) == 0
+        wait_for(lambda: bool(said) and said[-1]["state"] == "ended", "the last status")
+        over.set()
         client.close()
 
 

@@ -93,6 +93,7 @@ class GrabberConnection(SiteLink):
 
     def publish_status(self, is_last: bool = False) -> None:
         """Publish the status if there is a connection; the last one waits for room on the link."""
-        if self.bus is not None:
+        if (delivery := self._publisher.at(self._site)) is not None:  # it may deliver all at once
             droppable = False if is_last else None
-            self.bus.publish(f"status/{self._grabber.camera}", self.status(), "status", droppable)
+            key = f"status/{self._grabber.camera}"
+            delivery.bus.publish(key, self.status(), "status", droppable)
