@@ -110,8 +110,8 @@ class Bus(contextlib.AbstractContextManager["Bus"]):
 
         key: key below the site.
         schema: name of the payload's type; it also decides how the message is sent.
-        droppable: True to drop the message for a link that is full; False to let it wait there if
-            it is the only one, not the caller; None for what its schema says.
+        droppable: True to drop the message for a link that is full; False to wait for room, so that
+            `close` does not come before it is sent; None for what its schema says.
 
         Then only events wait for a subscriber that has stopped reading. Other messages for
         its full link are dropped, except one topology, which is sent when the link has room; the
@@ -124,7 +124,7 @@ class Bus(contextlib.AbstractContextManager["Bus"]):
         control = zenoh.CongestionControl.BLOCK_FIRST
         if droppable or (droppable is None and schema in _PROMPT):
             control = zenoh.CongestionControl.DROP
-        elif schema == "event":
+        elif droppable is False or schema == "event":
             control = zenoh.CongestionControl.BLOCK
 
         try:
