@@ -278,7 +278,7 @@ class App {
       shown = await PANELS[name](this, ...rest);
     } catch (error) {
       if (!(error instanceof NotThere || error instanceof Away)) throw error;
-      if (again && error instanceof Away) return; // what is shown stays
+      if (again && error instanceof Away) return; // the panel stays as it is
       shown = {
         kind: "Not found",
         failed: true,

@@ -161,7 +161,7 @@ export class Overlays {
 
   predicted(prediction) {
     const { camera, t, place, words } = prediction;
-    if (place === camera) return; // which moves nobody on the map
+    if (place === camera) return; // the object stays where it is on the map
     if (this.#predictions.some((one) => one.camera === camera && one.t === t && one.words === words)) return; // sent again
     this.#predictions = [{ ...prediction, heard: performance.now() }, ...this.#predictions].slice(0, PREDICTIONS_SHOWN);
     this.#timer ??= setTimeout(() => this.#list(), LIST_MILLISECONDS);
