@@ -159,9 +159,9 @@ class PredictorMemory:
             likeliest = int(causes[:, -1].argmax())
             previous = self._version.cameras[likeliest]
             sure = float(causes[likeliest, -1] / rates[-1])
-        seen = slice(len(rows))
+        arrival = slice(len(rows))
         return Seen(
-            *(zones[seen], times[seen], labels[seen], rates[seen], is_before),
+            *(zones[arrival], times[arrival], labels[arrival], rates[arrival], is_before),
             *(memory_start, self._reporting.is_alive(), previous, sure),
         )
 
